@@ -22,7 +22,9 @@ from gauge_envs.evaluation.metrics.trajectory import dtw_path
 FRAME_COUNT, MARKER_COUNT = 562, 63
 
 
-def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[], object]]:
+def competitors(
+    first: np.ndarray, second: np.ndarray
+) -> dict[str, Callable[[], object]]:
     try:
         from dtaidistance import dtw_ndim
         from tslearn.metrics import dtw_path as tslearn_path, dtw_path_from_metric
@@ -30,13 +32,21 @@ def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[],
         raise MissingExtraError("the DTW benchmark", "bench", error) from error
     return {
         "tslearn.dtw_path": lambda: tslearn_path(first, second),
-        "tslearn.dtw_path_from_metric(euclidean)": lambda: dtw_path_from_metric(first, second, metric="euclidean"),
-        "dtaidistance.dtw_ndim.distance_fast": lambda: dtw_ndim.distance_fast(first, second),
-        "dtaidistance.dtw_ndim.warping_path(use_c)": lambda: dtw_ndim.warping_path(first, second, use_c=True),
+        "tslearn.dtw_path_from_metric(euclidean)": lambda: dtw_path_from_metric(
+            first, second, metric="euclidean"
+        ),
+        "dtaidistance.dtw_ndim.distance_fast": lambda: dtw_ndim.distance_fast(
+            first, second
+        ),
+        "dtaidistance.dtw_ndim.warping_path(use_c)": lambda: dtw_ndim.warping_path(
+            first, second, use_c=True
+        ),
     }
 
 
-def cpu_medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+def cpu_medians_ms(
+    calls: dict[str, Callable[[], object]], repeats: int
+) -> dict[str, float]:
     """Return the median CPU time of each call [ms]; each repeat runs all calls under the same clock rate."""
     for call in calls.values():
         call()  # Some libraries compile at first use.
@@ -53,9 +63,15 @@ def inputs() -> dict[str, list[np.ndarray]]:
     """Return pairs of trajectories by what they are."""
     rng = np.random.default_rng(0)
     return {
-        "random walks": [rng.normal(size=(FRAME_COUNT, MARKER_COUNT)).cumsum(axis=0) for _ in range(2)],
+        "random walks": [
+            rng.normal(size=(FRAME_COUNT, MARKER_COUNT)).cumsum(axis=0)
+            for _ in range(2)
+        ],
         "one motion, warped and noisy": [
-            np.sin(np.linspace(0.0, 12.0, FRAME_COUNT)[:, None] ** power + np.arange(MARKER_COUNT))
+            np.sin(
+                np.linspace(0.0, 12.0, FRAME_COUNT)[:, None] ** power
+                + np.arange(MARKER_COUNT)
+            )
             + rng.normal(scale=0.02, size=(FRAME_COUNT, MARKER_COUNT))
             for power in (1.0, 1.05)
         ],
@@ -74,7 +90,9 @@ def main() -> int:
         except MissingExtraError as error:
             print(error, file=sys.stderr)
             return 2
-        calls = {"gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)} | others
+        calls = {
+            "gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)
+        } | others
         with threadpool_limits(1):
             medians = cpu_medians_ms(calls, repeats)
         ours = medians.pop("gauge_envs.dtw_path")

@@ -41,16 +41,26 @@ def write_trials(root: Path, trials: int, frames: int) -> int:
     rest = 1e3 * np.asarray(markers.positions_m)
     rod = 1e3 * np.asarray(experiment.scene.body("rod").pose.position_m)
     depth = (rest[:, 2].max() - rest[:, 2])[:, None]
-    sway = np.sin(np.arange(frames) / 15.0)[:, None, None] * (0.3 * depth) * [0.0, 1.0, 0.0]
+    sway = (
+        np.sin(np.arange(frames) / 15.0)[:, None, None]
+        * (0.3 * depth)
+        * [0.0, 1.0, 0.0]
+    )
     folder = root / FOLDER
     folder.mkdir(parents=True)
     templates = []
     for number in range(TEMPLATES):
-        positions = np.round(rest + sway + random.normal(0.0, 0.5, (frames, len(rest), 3)), 3)
+        positions = np.round(
+            rest + sway + random.normal(0.0, 0.5, (frames, len(rest), 3)), 3
+        )
         if number % 4 == 0:
-            positions[1:][random.random((frames - 1, len(rest))) < MISSING_SHARE] = np.nan
+            positions[1:][random.random((frames - 1, len(rest))) < MISSING_SHARE] = (
+                np.nan
+            )
         textile = {
-            str(1000 + marker): {axis: _column(positions[:, marker, k]) for k, axis in enumerate("xyz")}
+            str(1000 + marker): {
+                axis: _column(positions[:, marker, k]) for k, axis in enumerate("xyz")
+            }
             for marker in range(len(rest))
         }
         body = {axis: [float(rod[k])] * frames for k, axis in enumerate("xyz")}
@@ -83,7 +93,9 @@ def measure(root: Path) -> dict[str, float]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Memory and throughput of importing many long textile trials.")
+    parser = argparse.ArgumentParser(
+        description="Memory and throughput of importing many long textile trials."
+    )
     parser.add_argument("--trials", type=int, default=1600)
     parser.add_argument("--frames", type=int, default=600)
     parser.add_argument("--measure", type=Path, help=argparse.SUPPRESS)
@@ -103,10 +115,18 @@ def main() -> int:
         )
     found = json.loads(child.stdout)
     markers = len(load_experiment(VARIANT).scene.markers.positions_m)
-    print(f"{options.trials} trials of {options.frames} frames x {markers} markers, {written / 1e6:.0f} MB of JSON")
-    print(f"imported {found['trials']:.0f}, left out {found['left_out']:.0f}, in {found['wall_s']:.1f} s:")
-    print(f"  {found['trials'] / found['wall_s']:.1f} trials/s, {written / 1e6 / found['wall_s']:.1f} MB/s")
-    print(f"  peak memory {found['peak_bytes'] / 1e6:.0f} MB (limit {LIMIT_BYTES / 1e6:.0f} MB)")
+    print(
+        f"{options.trials} trials of {options.frames} frames x {markers} markers, {written / 1e6:.0f} MB of JSON"
+    )
+    print(
+        f"imported {found['trials']:.0f}, left out {found['left_out']:.0f}, in {found['wall_s']:.1f} s:"
+    )
+    print(
+        f"  {found['trials'] / found['wall_s']:.1f} trials/s, {written / 1e6 / found['wall_s']:.1f} MB/s"
+    )
+    print(
+        f"  peak memory {found['peak_bytes'] / 1e6:.0f} MB (limit {LIMIT_BYTES / 1e6:.0f} MB)"
+    )
     return int(found["peak_bytes"] > LIMIT_BYTES or found["trials"] != options.trials)
 
 

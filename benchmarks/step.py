@@ -38,7 +38,11 @@ def measured(name: str) -> tuple[float, float, float]:
     simulation = env.unwrapped.simulation
     frames = min(env.unwrapped.experiment.frame_count - 2, LONGEST_FRAMES)
     steps = round(1 / 30 / simulation.settings["timestep_s"])
-    action = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    action = (
+        0
+        if isinstance(env.action_space, gymnasium.spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     bare_s, full_s = [], []
     until = time.thread_time() + SECONDS_EACH
     while time.thread_time() < until or len(bare_s) < 5:
@@ -53,7 +57,11 @@ def measured(name: str) -> tuple[float, float, float]:
             env.step(action)
         full_s.append(time.thread_time() - start)
     ratio = float(np.median(np.array(full_s) / np.array(bare_s)))
-    return 1e6 * float(np.median(bare_s)) / frames, 1e6 * float(np.median(full_s)) / frames, ratio
+    return (
+        1e6 * float(np.median(bare_s)) / frames,
+        1e6 * float(np.median(full_s)) / frames,
+        ratio,
+    )
 
 
 def scoring_ms(name: str) -> float:
@@ -80,7 +88,9 @@ def main() -> int:
         bare, full, ratio = measured(name)
         worst = max(worst, ratio)
         print(f"{name:26} {bare:9.1f} {full:9.1f} {ratio:7.3f}")
-    print(f"scoring an episode of SlopeSlider-2-wood: {scoring_ms('SlopeSlider-2-wood'):.2f} ms")
+    print(
+        f"scoring an episode of SlopeSlider-2-wood: {scoring_ms('SlopeSlider-2-wood'):.2f} ms"
+    )
     print(f"worst ratio {worst:.3f}, limit {LIMIT}")
     return int(worst > LIMIT)
 

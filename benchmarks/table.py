@@ -55,7 +55,9 @@ class Row:
     @property
     def is_beyond(self) -> bool:
         """Whether the ratio is beyond its limit."""
-        return self.ratio is not None and (self.ratio < self.limit if self.is_least else self.ratio > self.limit)
+        return self.ratio is not None and (
+            self.ratio < self.limit if self.is_least else self.ratio > self.limit
+        )
 
 
 def child_s(code: str) -> float:
@@ -65,14 +67,23 @@ def child_s(code: str) -> float:
         before = os.times()
         subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
         after = os.times()
-        times.append(after.children_user + after.children_system - before.children_user - before.children_system)
+        times.append(
+            after.children_user
+            + after.children_system
+            - before.children_user
+            - before.children_system
+        )
     return min(times)
 
 
 def starts() -> Iterator[Row]:
     """Yield the costs of an import and of commands, over an import of Gymnasium."""
     gymnasium_s = child_s("import gymnasium")
-    yield Row("import gauge_envs / import gymnasium", child_s("import gauge_envs") / gymnasium_s, 1.3)
+    yield Row(
+        "import gauge_envs / import gymnasium",
+        child_s("import gauge_envs") / gymnasium_s,
+        1.3,
+    )
     command = "import sys; sys.argv = ['gauge', 'list']; from gauge_command import main; main()"
     yield Row("gauge list / import gymnasium", child_s(command) / gymnasium_s, 3.5)
 
@@ -86,11 +97,15 @@ def steps() -> Iterator[Row]:
 def warping() -> Iterator[Row]:
     """Yield the cost of dynamic time warping over that of other libraries."""
     first, second = dtw.inputs()["one motion, warped and noisy"]
-    calls = {"ours": lambda: dtw.dtw_path(first, second)} | dtw.competitors(first, second)
+    calls = {"ours": lambda: dtw.dtw_path(first, second)} | dtw.competitors(
+        first, second
+    )
     medians = dtw.cpu_medians_ms(calls, 31)
     ours = medians.pop("ours")
     for name, theirs in medians.items():
-        yield Row(f"dtw_path / {name}", ours / theirs, 1.3 if "from_metric" in name else 0.6)
+        yield Row(
+            f"dtw_path / {name}", ours / theirs, 1.3 if "from_metric" in name else 0.6
+        )
 
 
 def many_worlds() -> Iterator[Row]:
@@ -107,7 +122,11 @@ def many_worlds() -> Iterator[Row]:
             for count, limit_us in most_us.items():
                 row = worlds.measured("mujoco", count, {}, 2, name)
                 assert row is not None
-                yield Row(f"{name}, {count} worlds on the stub, us / {limit_us:g} us", row.host_us / limit_us, 1.0)
+                yield Row(
+                    f"{name}, {count} worlds on the stub, us / {limit_us:g} us",
+                    row.host_us / limit_us,
+                    1.0,
+                )
     finally:
         BackendMuJoCo.build_worlds = build  # type: ignore[method-assign]
 
@@ -115,10 +134,22 @@ def many_worlds() -> Iterator[Row]:
 def threads() -> Iterator[Row]:
     """Yield the speed of make_vec in threads over that in one thread."""
     count = stepper.processors()
-    for name, number, least in (("SlopeSlider-2-wood", 16, 0.9), ("TextileBending-satin", 2, 0.8)):
+    for name, number, least in (
+        ("SlopeSlider-2-wood", 16, 0.9),
+        ("TextileBending-satin", 2, 0.8),
+    ):
         busy = os.getloadavg()[0] > BUSY * count or count < 2
-        ratio = None if busy else _one_thread_s(name, number, 1) / _one_thread_s(name, number, count)
-        yield Row(f"make_vec, {name}, {count} threads / one", ratio, least * min(count, number), is_least=True)
+        ratio = (
+            None
+            if busy
+            else _one_thread_s(name, number, 1) / _one_thread_s(name, number, count)
+        )
+        yield Row(
+            f"make_vec, {name}, {count} threads / one",
+            ratio,
+            least * min(count, number),
+            is_least=True,
+        )
 
 
 def _one_thread_s(name: str, worlds_count: int, thread_count: int) -> float:
@@ -147,7 +178,9 @@ PARTS: dict[str, Callable[[], Iterator[Row]]] = {
 
 def main() -> int:
     """Print the table, and return 1 if a ratio is beyond its limit."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", nargs="+", choices=PARTS, default=[*PARTS])
     warnings.simplefilter("ignore")
     has_failed = False
@@ -156,7 +189,10 @@ def main() -> int:
             for row in PARTS[part]():
                 ratio = "not measured" if row.ratio is None else f"{row.ratio:.2f}"
                 bound = f"{'at least' if row.is_least else 'at most'} {row.limit:g}"
-                print(f"{row.what:62} {ratio:>13} {bound:>14}{'  BEYOND' if row.is_beyond else ''}", flush=True)
+                print(
+                    f"{row.what:62} {ratio:>13} {bound:>14}{'  BEYOND' if row.is_beyond else ''}",
+                    flush=True,
+                )
                 has_failed |= row.is_beyond
         except MissingExtraError as error:
             print(f"{part}: {error}", file=sys.stderr)

@@ -78,7 +78,12 @@ class ShotError:
 
 
 def shot_error(
-    shot: SingleShot, times_s: FloatArray, positions_m: FloatArray, rotations: Rotation, *, early_s: float = 0.3
+    shot: SingleShot,
+    times_s: FloatArray,
+    positions_m: FloatArray,
+    rotations: Rotation,
+    *,
+    early_s: float = 0.3,
 ) -> ShotError:
     """Return the errors of a simulation of a recorded trial.
 
@@ -90,9 +95,13 @@ def shot_error(
         early_s: Time of the early errors [s].
     """
     if not len(times_s) == len(positions_m) == len(rotations):
-        raise ShapeError(f"{len(times_s)} times, {len(positions_m)} positions and {len(rotations)} rotations")
+        raise ShapeError(
+            f"{len(times_s)} times, {len(positions_m)} positions and {len(rotations)} rotations"
+        )
     if times_s[-1] < early_s:
-        raise ShapeError(f"the samples end at {times_s[-1]:.3f} s, before the early time of {early_s:.3f} s")
+        raise ShapeError(
+            f"the samples end at {times_s[-1]:.3f} s, before the early time of {early_s:.3f} s"
+        )
     recorded_m, turned = shot.poses_at(times_s)
     distance_mm = 1e3 * np.linalg.norm(positions_m - recorded_m, axis=1)
     angle_deg = np.degrees((rotations * turned.inv()).magnitude())
@@ -146,11 +155,17 @@ def angle_error(
         early_s: Time of the early error [s].
     """
     if not len(times_s) == len(rotations[0]) == len(rotations[1]):
-        raise ShapeError(f"{len(times_s)} times, and {len(rotations[0])} and {len(rotations[1])} rotations")
+        raise ShapeError(
+            f"{len(times_s)} times, and {len(rotations[0])} and {len(rotations[1])} rotations"
+        )
     if times_s[-1] < early_s:
-        raise ShapeError(f"the samples end at {times_s[-1]:.3f} s, before the early time of {early_s:.3f} s")
+        raise ShapeError(
+            f"the samples end at {times_s[-1]:.3f} s, before the early time of {early_s:.3f} s"
+        )
     recorded = [shot.poses_at(times_s)[1] for shot in shots]
-    apart = (rotations[0].inv() * rotations[1]) * (recorded[0].inv() * recorded[1]).inv()
+    apart = (rotations[0].inv() * rotations[1]) * (
+        recorded[0].inv() * recorded[1]
+    ).inv()
     angle_deg = np.degrees(apart.magnitude())
     return AngleError(
         trial=shots[0].trial,
@@ -167,7 +182,9 @@ def upper_face(rotation: Rotation) -> str:
     return f"{'+' if up[axis] > 0 else '-'}{'xyz'[axis]}"
 
 
-def energies_j(body: RigidBody, times_s: FloatArray, positions_m: FloatArray, rotations: Rotation) -> FloatArray:
+def energies_j(
+    body: RigidBody, times_s: FloatArray, positions_m: FloatArray, rotations: Rotation
+) -> FloatArray:
     """Return the mechanical energy of a rigid body between neighbouring samples [J], shape [T - 1].
 
     Args:
@@ -179,16 +196,23 @@ def energies_j(body: RigidBody, times_s: FloatArray, positions_m: FloatArray, ro
     velocity, rate_body = _rates(times_s, positions_m, rotations)
     inertia = body_mass_properties(body)[1]
     # A chord of a parabola lies below the arc by g dt^2 / 8 at its middle.
-    height_m = 0.5 * (positions_m[1:, 2] + positions_m[:-1, 2]) + GRAVITY_M_PER_S2 * np.diff(times_s) ** 2 / 8.0
+    height_m = (
+        0.5 * (positions_m[1:, 2] + positions_m[:-1, 2])
+        + GRAVITY_M_PER_S2 * np.diff(times_s) ** 2 / 8.0
+    )
     moving = 0.5 * body.mass_kg * np.sum(velocity**2, axis=1)
     turning = 0.5 * np.einsum("ti,ij,tj->t", rate_body, inertia, rate_body)
     return np.asarray(moving + turning + body.mass_kg * GRAVITY_M_PER_S2 * height_m)
 
 
-def _rates(times_s: FloatArray, positions_m: FloatArray, rotations: Rotation) -> tuple[FloatArray, FloatArray]:
+def _rates(
+    times_s: FloatArray, positions_m: FloatArray, rotations: Rotation
+) -> tuple[FloatArray, FloatArray]:
     """Return mean velocities [m/s] and body-frame angular velocities [rad/s] between samples, each [T - 1, 3]."""
     steps_s = np.diff(times_s)[:, None]
-    return np.diff(positions_m, axis=0) / steps_s, (rotations[:-1].inv() * rotations[1:]).as_rotvec() / steps_s
+    return np.diff(positions_m, axis=0) / steps_s, (
+        rotations[:-1].inv() * rotations[1:]
+    ).as_rotvec() / steps_s
 
 
 @dataclass(frozen=True)
@@ -211,7 +235,11 @@ class Impact:
 
 
 def impacts(
-    body: RigidBody, half_width_m: float, times_s: FloatArray, positions_m: FloatArray, rotations: Rotation
+    body: RigidBody,
+    half_width_m: float,
+    times_s: FloatArray,
+    positions_m: FloatArray,
+    rotations: Rotation,
 ) -> list[Impact]:
     """Return the impacts of a cube on z = 0, in the order of time.
 
@@ -227,13 +255,17 @@ def impacts(
         positions_m: Positions of its centre [m], shape [T, 3].
         rotations: Orientations, body to world, T of them.
     """
-    corners_m = positions_m[:, None] + np.einsum("tij,vj->tvi", rotations.as_matrix(), half_width_m * VERTICES)
+    corners_m = positions_m[:, None] + np.einsum(
+        "tij,vj->tvi", rotations.as_matrix(), half_width_m * VERTICES
+    )
     heights_m = corners_m[:, :, 2]
     step_s = float(times_s[1] - times_s[0])
     normal = np.diff(heights_m, axis=0) / step_s
     velocity, rate_body = _rates(times_s, positions_m, rotations)
     kinetic = 0.5 * body.mass_kg * np.sum(velocity**2, axis=1)
-    kinetic = kinetic + 0.5 * np.einsum("ti,ij,tj->t", rate_body, body_mass_properties(body)[1], rate_body)
+    kinetic = kinetic + 0.5 * np.einsum(
+        "ti,ij,tj->t", rate_body, body_mass_properties(body)[1], rate_body
+    )
     gap = max(1, round(CLEAR_S / step_s))
     found: list[Impact] = []
     fall = GRAVITY_M_PER_S2 * (gap + 0.5) * step_s
@@ -242,7 +274,11 @@ def impacts(
         if at < free_at:
             continue
         approach = fall - normal[at - gap - 1]
-        stops = (heights_m[at] < CONTACT_M) & (normal[at - 1] < 0.0) & (normal[at] > 0.25 * normal[at - 1])
+        stops = (
+            (heights_m[at] < CONTACT_M)
+            & (normal[at - 1] < 0.0)
+            & (normal[at] > 0.25 * normal[at - 1])
+        )
         stops &= approach > LEAST_APPROACH_M_PER_S
         if not stops.any():
             continue
@@ -253,7 +289,9 @@ def impacts(
                 kind={1: "corner", 2: "edge"}.get(touching, "face"),
                 time_s=float(times_s[at]),
                 approach_m_per_s=float(approach[corner]),
-                restitution=float(normal[at : at + gap + 1, corner].max() / approach[corner]),
+                restitution=float(
+                    normal[at : at + gap + 1, corner].max() / approach[corner]
+                ),
                 energy_lost=float(1.0 - kinetic[at + gap] / kinetic[at - gap - 1]),
             )
         )
@@ -261,7 +299,9 @@ def impacts(
     return found
 
 
-def perturbed_start(body: RigidBody, nuisances: ShotNuisances, *, seed: int) -> RigidBody:
+def perturbed_start(
+    body: RigidBody, nuisances: ShotNuisances, *, seed: int
+) -> RigidBody:
     """Return a body with a start that differs by the uncertainty of the measured one.
 
     Drawn are the height (scatter of the rest height), the orientation (the tilt at rest, per axis its root mean square
@@ -273,16 +313,31 @@ def perturbed_start(body: RigidBody, nuisances: ShotNuisances, *, seed: int) -> 
         seed: Seed of the draw.
     """
     draw = np.random.default_rng(seed)
-    shift = draw.normal(0.0, [nuisances.position_noise_m, nuisances.position_noise_m, nuisances.rest_height_std_m])
-    turn = Rotation.from_rotvec(np.radians(draw.normal(0.0, nuisances.rest_tilt_deg / np.sqrt(2.0), 3)))
-    stretch = 1.0 + draw.normal(0.0, nuisances.length_scale_std_error / nuisances.length_scale)
+    shift = draw.normal(
+        0.0,
+        [
+            nuisances.position_noise_m,
+            nuisances.position_noise_m,
+            nuisances.rest_height_std_m,
+        ],
+    )
+    turn = Rotation.from_rotvec(
+        np.radians(draw.normal(0.0, nuisances.rest_tilt_deg / np.sqrt(2.0), 3))
+    )
+    stretch = 1.0 + draw.normal(
+        0.0, nuisances.length_scale_std_error / nuisances.length_scale
+    )
     linear = stretch * np.asarray(body.linear_velocity_m_per_s)
     linear = linear + draw.normal(0.0, nuisances.start_velocity_std_m_per_s, 3)
     angular = np.asarray(body.angular_velocity_rad_per_s)
-    angular = angular + draw.normal(0.0, nuisances.start_angular_velocity_std_rad_per_s, 3)
+    angular = angular + draw.normal(
+        0.0, nuisances.start_angular_velocity_std_rad_per_s, 3
+    )
     return replace(
         body,
-        pose=Pose.from_rotation(vector(body.pose.position_m + shift), turn * body.pose.rotation),
+        pose=Pose.from_rotation(
+            vector(body.pose.position_m + shift), turn * body.pose.rotation
+        ),
         linear_velocity_m_per_s=vector(linear),
         angular_velocity_rad_per_s=vector(angular),
     )
@@ -305,7 +360,9 @@ def perturbed_scene(scene: Scene, sidecar: ShotSidecar, *, seed: int) -> Scene:
     for hung in sidecar.hung:
         # As recorded: an angle and a rate about the axis, which is the same in both frames.
         before, old, on = scene.body(hung.on), scene.body(hung.body), bodies[hung.on]
-        spin = np.subtract(old.angular_velocity_rad_per_s, before.angular_velocity_rad_per_s)
+        spin = np.subtract(
+            old.angular_velocity_rad_per_s, before.angular_velocity_rad_per_s
+        )
         rate = float(before.pose.rotation.apply(spin, inverse=True) @ hung.axis)
         rate += draw.normal(0.0, nuisances.start_angle_rate_std_rad_per_s or 0.0)
         turn_rad = np.radians(draw.normal(0.0, nuisances.angle_noise_deg or 0.0))
@@ -315,14 +372,23 @@ def perturbed_scene(scene: Scene, sidecar: ShotSidecar, *, seed: int) -> Scene:
         arm_m, offset_m = carrier.apply(hung.anchor_on_m), rotation.apply(hung.anchor_m)
         carried_rate = np.asarray(on.angular_velocity_rad_per_s)
         angular = carried_rate + rate * carrier.apply(hung.axis)
-        linear = on.linear_velocity_m_per_s + np.cross(carried_rate, arm_m) - np.cross(angular, offset_m)
+        linear = (
+            on.linear_velocity_m_per_s
+            + np.cross(carried_rate, arm_m)
+            - np.cross(angular, offset_m)
+        )
         bodies[hung.body] = replace(
             old,
-            pose=Pose.from_rotation(vector(on.pose.position_m + arm_m - offset_m), rotation),
+            pose=Pose.from_rotation(
+                vector(on.pose.position_m + arm_m - offset_m), rotation
+            ),
             linear_velocity_m_per_s=vector(linear),
             angular_velocity_rad_per_s=vector(angular),
         )
-    hinges = [carried(one, scene.body(one.first).pose, bodies[one.first].pose) for one in scene.body_hinges]
+    hinges = [
+        carried(one, scene.body(one.first).pose, bodies[one.first].pose)
+        for one in scene.body_hinges
+    ]
     return replace(scene, bodies=tuple(bodies.values()), body_hinges=tuple(hinges))
 
 

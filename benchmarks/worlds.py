@@ -59,11 +59,23 @@ class Row:
 
 
 def measured(
-    engine: str, worlds: int, settings: dict[str, Any], repeats: int, name: str = NAME, *, rollout: bool = False
+    engine: str,
+    worlds: int,
+    settings: dict[str, Any],
+    repeats: int,
+    name: str = NAME,
+    *,
+    rollout: bool = False,
 ) -> Row | None:
     """Return the times of an engine; None for a rollout of worlds that it cannot record."""
     start = clock()
-    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds, backend=engine, settings=settings, score_arrays=True)
+    envs = gymnasium.make_vec(
+        f"GAUGE/{name}",
+        num_envs=worlds,
+        backend=engine,
+        settings=settings,
+        score_arrays=True,
+    )
     make_s = clock() - start
     frames = envs.unwrapped.experiment.frame_count - 1
     scene = envs.unwrapped.experiment.scene
@@ -73,7 +85,10 @@ def measured(
     # The first episode loads kernels.
     parts = [measure(envs) for _ in range(repeats + rollout)][int(rollout) :]
     envs.close()
-    medians = (1e6 * statistics.median(part) / (frames * worlds) for part in zip(*parts, strict=True))
+    medians = (
+        1e6 * statistics.median(part) / (frames * worlds)
+        for part in zip(*parts, strict=True)
+    )
     engine_us, host_us, run_on_us, scoring_us = medians
     return Row(
         engine=engine,
@@ -134,7 +149,9 @@ def _rolled_out(envs: Any) -> tuple[float, float, float, float]:
         inner.worlds.record = record
         RecordedEpisodes.scores = scores  # type: ignore[method-assign]
     if result.device is None:
-        raise SystemExit(f"{inner.backend_name} records nothing on a device: leave out --rollout")
+        raise SystemExit(
+            f"{inner.backend_name} records nothing on a device: leave out --rollout"
+        )
     rest_s = clock() - start - sum(spent.values())
     return spent["record"], rest_s, 0.0, spent["scores"]
 
@@ -162,11 +179,13 @@ class StillWorlds(ArrayWorlds):
             for names in (
                 tuple(body.name for body in scene.dynamic_bodies),
                 tuple(driver.body for driver in scene.drivers),
-                tuple(body.name for body in scene.dynamic_bodies) + tuple(driver.body for driver in scene.drivers),
+                tuple(body.name for body in scene.dynamic_bodies)
+                + tuple(driver.body for driver in scene.drivers),
             )
         }
         self._nodes = {
-            body.name: np.repeat(simulation.nodes(body.name)[None], count, axis=0) for body in scene.deformables
+            body.name: np.repeat(simulation.nodes(body.name)[None], count, axis=0)
+            for body in scene.deformables
         }
         self._rates = np.linspace(0.5, 1.5, count)
         self._recording: Recording | None = None
@@ -192,14 +211,18 @@ class StillWorlds(ArrayWorlds):
         """Return the stored nodes."""
         return self._nodes[name]
 
-    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+    def record(
+        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
+    ) -> Recording:
         """Return the stored record of slides."""
         if self._recording is None:
             times_s = interval_s * np.arange((frame_count - 1) * samples + 1)
             states = np.repeat(self.body_states(names)[None], len(times_s), axis=0)
             states[..., 0] += (times_s[:, None] ** 2 * self._rates)[:, :, None]
             self._recording = Recording(
-                device="cpu", positions_m=states[..., :3].copy(), states=states[::samples].copy()
+                device="cpu",
+                positions_m=states[..., :3].copy(),
+                states=states[::samples].copy(),
             )
         return self._recording
 
@@ -210,7 +233,9 @@ class StillWorlds(ArrayWorlds):
 def stub_engine() -> None:
     """Replace the worlds of MuJoCo by stored states."""
 
-    def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None) -> Worlds:
+    def build_worlds(
+        self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None
+    ) -> Worlds:
         return StillWorlds(self.build(scenes[0], settings), scenes[0], len(scenes))
 
     BackendMuJoCo.build_worlds = build_worlds  # type: ignore[method-assign]
@@ -223,7 +248,11 @@ def _timed_engine(envs: Any) -> list[float]:
     for one in envs.worlds.worlds if separate else [envs.worlds]:
         for call in ("advance", "sample_positions"):
             if hasattr(one, call):
-                setattr(one, call, _counted(getattr(type(one), call).__get__(one), spent, depth))
+                setattr(
+                    one,
+                    call,
+                    _counted(getattr(type(one), call).__get__(one), spent, depth),
+                )
     return spent
 
 
@@ -247,51 +276,102 @@ def _line(label: str, texts: Sequence[str]) -> str:
 
 def main() -> None:
     """Print a row for each engine and number of worlds."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--names", nargs="+", default=[NAME], help="ids without GAUGE/")
     parser.add_argument("--worlds", type=int, nargs="+", default=[1, 16, 256])
     parser.add_argument("--engines", nargs="+", default=["newton", "mujoco"])
     parser.add_argument("--device", default="cpu", help="Warp device of Newton")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--set", dest="changes", nargs="*", default=[], help="NAME=VALUE, for all engines")
-    parser.add_argument("--rollout", action="store_true", help="record, judge and score on the engine's device")
-    parser.add_argument("--engine-stub", action="store_true", help="replace the engine by stored states")
-    parser.add_argument("--cpu-time", action="store_true", help="count processor time in place of wall time")
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        nargs="*",
+        default=[],
+        help="NAME=VALUE, for all engines",
+    )
+    parser.add_argument(
+        "--rollout",
+        action="store_true",
+        help="record, judge and score on the engine's device",
+    )
+    parser.add_argument(
+        "--engine-stub", action="store_true", help="replace the engine by stored states"
+    )
+    parser.add_argument(
+        "--cpu-time",
+        action="store_true",
+        help="count processor time in place of wall time",
+    )
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.cpu_time:
         global clock
         clock = time.process_time
-    changes = {key: json.loads(value) for key, value in (text.split("=") for text in options.changes)}
+    changes = {
+        key: json.loads(value)
+        for key, value in (text.split("=") for text in options.changes)
+    }
     ways = [(engine, options.rollout) for engine in options.engines]
     if options.engine_stub:
         stub_engine()
         ways = [("mujoco", False), ("mujoco", True)]
     if not options.json:
         print(f"Times for one environment step [us]; Newton on {options.device}")
-        titles = ("id", "worlds", "engine", "host", "run on", "scoring", "steps/s", "ratio")
+        titles = (
+            "id",
+            "worlds",
+            "engine",
+            "host",
+            "run on",
+            "scoring",
+            "steps/s",
+            "ratio",
+        )
         print(
             f"{'':14}"
-            + "".join(f"{title:>18}" if number == 0 else f"{title:>9}" for number, title in enumerate(titles))
+            + "".join(
+                f"{title:>18}" if number == 0 else f"{title:>9}"
+                for number, title in enumerate(titles)
+            )
         )
     for name, worlds in product(options.names, options.worlds):
         first = 0.0
         for engine, rollout in ways:
-            settings = {**changes, **({"device": options.device} if engine == "newton" else {})}
-            row = measured(engine, worlds, settings, options.repeats, name, rollout=rollout)
+            settings = {
+                **changes,
+                **({"device": options.device} if engine == "newton" else {}),
+            }
+            row = measured(
+                engine, worlds, settings, options.repeats, name, rollout=rollout
+            )
             if row is None:
                 continue
             first = first or row.steps_per_s
             if options.json:
-                print(json.dumps({**asdict(row), "rollout": rollout, "stub": options.engine_stub}), flush=True)
+                print(
+                    json.dumps(
+                        {**asdict(row), "rollout": rollout, "stub": options.engine_stub}
+                    ),
+                    flush=True,
+                )
                 continue
             label = f"{'stub' if options.engine_stub else engine} {'rollout' if rollout else 'step'}"
             times = (row.engine_us, row.host_us, row.run_on_us, row.scoring_us)
-            texts = [name, str(worlds), *(f"{part:.2f}" for part in times), f"{row.steps_per_s:.0f}"]
+            texts = [
+                name,
+                str(worlds),
+                *(f"{part:.2f}" for part in times),
+                f"{row.steps_per_s:.0f}",
+            ]
             texts.append(f"{row.steps_per_s / first:.2f}")
             print(
                 f"{label:14}"
-                + "".join(f"{text:>18}" if number == 0 else f"{text:>9}" for number, text in enumerate(texts)),
+                + "".join(
+                    f"{text:>18}" if number == 0 else f"{text:>9}"
+                    for number, text in enumerate(texts)
+                ),
                 flush=True,
             )
 

@@ -56,7 +56,9 @@ PAGES_OF_FILES = {
 BOARD = Path(__file__).parent / "_build" / "board" / "index.html"
 """First page of the site of all results of `leaderboard/`, where `gauge report` has written it before this build."""
 
-NOTES = re.compile(r"\[([^\]]+)\]\((?:\.\./)*(?:examples|leaderboard)/(?:\w+/)?README\.md\)")
+NOTES = re.compile(
+    r"\[([^\]]+)\]\((?:\.\./)*(?:examples|leaderboard)/(?:\w+/)?README\.md\)"
+)
 """Links to notes beside code, which have no page in the site: their text stays."""
 
 STUDIES = Path(__file__).parents[1] / "studies"
@@ -70,22 +72,34 @@ def copy_studies(app: Sphinx) -> None:
     pages.mkdir()
     for note in STUDIES.rglob("README.md"):
         name = "index" if note.parent == STUDIES else note.parent.name
-        text = re.sub(r"\]\((?:\.\./)?(\w+)/README\.md", r"](\1.md", note.read_text(encoding="utf-8"))
         text = re.sub(
-            r"\]\(([\w-]+\.(?:png|gif))", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../")
+            r"\]\((?:\.\./)?(\w+)/README\.md",
+            r"](\1.md",
+            note.read_text(encoding="utf-8"),
+        )
+        text = re.sub(
+            r"\]\(([\w-]+\.(?:png|gif))",
+            rf"](../../studies/{name}/\1",
+            text.replace("](../../docs/", "](../"),
         )
         (pages / f"{name}.md").write_text(text, encoding="utf-8")
 
 
 def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
     """Point links to a file outside `docs/` to the page that shows it; in the repository they lead to the file."""
-    text = re.sub(r"\]\(((?:\.\./)*)\.\./studies/README\.md", r"](\1studies/index.md", source[0])
-    source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./studies/(\w+)/README\.md", r"](\1studies/\2.md", text)
+    text = re.sub(
+        r"\]\(((?:\.\./)*)\.\./studies/README\.md", r"](\1studies/index.md", source[0]
+    )
+    source[0] = re.sub(
+        r"\]\(((?:\.\./)*)\.\./studies/(\w+)/README\.md", r"](\1studies/\2.md", text
+    )
     for file, target in PAGES_OF_FILES.items():
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
     if page == "leaderboard" and BOARD.exists():
-        source[0] = re.sub(NOTES.pattern, r'<a href="board/index.html">\1</a>', source[0])
+        source[0] = re.sub(
+            NOTES.pattern, r'<a href="board/index.html">\1</a>', source[0]
+        )
     source[0] = NOTES.sub(r"\1", source[0])
 
 
@@ -97,20 +111,30 @@ def link_included(app: Sphinx, file: Path, page: str, content: list[str]) -> Non
 
 def list_table(rows: list[str], indent: str) -> list[str]:
     """Turn the lines of a Markdown table into a reStructuredText list table."""
-    cells = [[cell.strip() for cell in row.strip().strip("|").split("|")] for row in rows]
+    cells = [
+        [cell.strip() for cell in row.strip().strip("|").split("|")] for row in rows
+    ]
     lines = [f"{indent}.. list-table::", f"{indent}   :header-rows: 1", ""]
     for row in [cells[0], *cells[2:]]:
-        lines += [f"{indent}   {'* -' if number == 0 else '  -'} {cell}" for number, cell in enumerate(row)]
+        lines += [
+            f"{indent}   {'* -' if number == 0 else '  -'} {cell}"
+            for number, cell in enumerate(row)
+        ]
     return ["", *lines, ""]
 
 
 def escape_bars(line: str) -> str:
     """Escape the bars of `|x|` outside code, which reStructuredText takes for substitutions."""
     parts = line.split("`")
-    return "`".join(part if number % 2 else part.replace("|", r"\|") for number, part in enumerate(parts))
+    return "`".join(
+        part if number % 2 else part.replace("|", r"\|")
+        for number, part in enumerate(parts)
+    )
 
 
-def read_markdown(app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]) -> None:
+def read_markdown(
+    app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]
+) -> None:
     """Rewrite the Markdown of a docstring, in place, for reStructuredText: tables, bars and indented code."""
     if what in ("attribute", "property") and lines:
         # Napoleon takes what is before a colon for the type.
@@ -125,18 +149,34 @@ def read_markdown(app: Sphinx, what: str, name: str, described: Any, options: An
             result += list_table(table, " " * (len(table[0]) - len(table[0].lstrip())))
             table = []
         after = lines[number + 1 : number + 3]
-        starts_code = line.endswith(":") and len(after) == 2 and not after[0] and after[1].startswith("    ")
+        starts_code = (
+            line.endswith(":")
+            and len(after) == 2
+            and not after[0]
+            and after[1].startswith("    ")
+        )
         result.append(escape_bars(line) + (":" if starts_code else ""))
     lines[:] = result
 
 
-def escape_patterns(app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]) -> None:
+def escape_patterns(
+    app: Sphinx, what: str, name: str, described: Any, options: Any, lines: list[str]
+) -> None:
     """Escape underscores at the end of words in types, in place: reStructuredText takes `a_` for a reference."""
-    lines[:] = [re.sub(r"(?<=\w)_(?!\w)", r"\\_", line) if ":vartype" in line else line for line in lines]
+    lines[:] = [
+        re.sub(r"(?<=\w)_(?!\w)", r"\\_", line) if ":vartype" in line else line
+        for line in lines
+    ]
 
 
 def leave_out_signature(
-    app: Sphinx, what: str, name: str, described: Any, options: Any, signature: str | None, returned: str | None
+    app: Sphinx,
+    what: str,
+    name: str,
+    described: Any,
+    options: Any,
+    signature: str | None,
+    returned: str | None,
 ) -> tuple[str, str | None] | None:
     """Leave out the signature of a pydantic model: it repeats every attribute."""
     is_model = inspect.isclass(described) and issubclass(described, BaseModel)

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from gauge_envs.envs.episode import Trajectory as Trajectory
     from gauge_envs.envs.wrappers import ScoreEpisode as ScoreEpisode
     from gauge_envs.evaluation.reference import reference_band as reference_band
-    from gauge_envs.evaluation.score import Score as Score, score_trajectory as score_trajectory
+    from gauge_envs.evaluation.score import (
+        Score as Score,
+        score_trajectory as score_trajectory,
+    )
     from gauge_envs.experiments.experiment import Experiment as Experiment
     from gauge_envs.experiments.resolve import (
         load_experiment as load_experiment,
@@ -39,10 +42,22 @@ if TYPE_CHECKING:
     )
     from gauge_envs.experiments.task_files import load_task as load_task
     from gauge_envs.scene.jitter import Jitter as Jitter
-    from gauge_envs.tools.usd.experiment_file import load_experiment_file as load_experiment_file
+    from gauge_envs.tools.usd.experiment_file import (
+        load_experiment_file as load_experiment_file,
+    )
 else:
     __getattr__, __all__ = door(__name__)
-    __all__ = sorted(["GaugeError", "Variant", "beyond_variants", "find_variant", "register_all", "variants", *__all__])
+    __all__ = sorted(
+        [
+            "GaugeError",
+            "Variant",
+            "beyond_variants",
+            "find_variant",
+            "register_all",
+            "variants",
+            *__all__,
+        ]
+    )
 
     def __dir__() -> list[str]:
         """Return all names of the module, including those that are not imported yet."""
@@ -51,7 +66,10 @@ else:
 
 def register_all() -> None:
     """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this."""
-    for name in (*(variant.name for variant in (*variants(), *beyond_variants())), "Asset"):
+    for name in (
+        *(variant.name for variant in (*variants(), *beyond_variants())),
+        "Asset",
+    ):
         if f"GAUGE/{name}" not in registration.registry:
             registration.register(
                 id=f"GAUGE/{name}",

@@ -97,7 +97,14 @@ class MissingExtraError(GaugeError, ImportError):
         package: Package that defines the extra.
     """
 
-    def __init__(self, feature: str, extra: str, cause: ImportError, *, package: str = "gauge-envs") -> None:
+    def __init__(
+        self,
+        feature: str,
+        extra: str,
+        cause: ImportError,
+        *,
+        package: str = "gauge-envs",
+    ) -> None:
         super().__init__(
             f"{feature} needs {cause.name or cause}, which is not installed: pip install '{package}[{extra}]'"
         )
@@ -131,9 +138,15 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """Return a sentence that offers the known names nearest to an unknown one, or some of all."""
     names = sorted(known)
     heads = {f"{n.partition('-')[0]}-*" for n in names} if "*" in name else ()
-    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, [*names, *heads], n=3, cutoff=0.5)
+    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(
+        name, [*names, *heads], n=3, cutoff=0.5
+    )
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-    return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
+    return (
+        f"did you mean {', '.join(near)}?"
+        if near
+        else f"known: {', '.join(names[:12]) or 'none'}{more}"
+    )
 
 
 class UnknownNameError(GaugeError, LookupError):
@@ -166,7 +179,9 @@ def chosen(kind: type[Choice], value: str, name: str) -> Choice:
         ParameterError: The set has no such member; the message lists those that it has.
     """
     if value not in tuple(kind):
-        raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(one.value) for one in kind)}")
+        raise ParameterError(
+            f"{name} {value!r}: choose {' or '.join(repr(one.value) for one in kind)}"
+        )
     return kind(value)
 
 
@@ -188,10 +203,14 @@ def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]
     if fault["type"] == "missing":
         return place, f"missing {noun}"
     if fault["type"] == "union_tag_not_found":
-        return f"{place}.{fault['ctx']['discriminator'].strip(chr(39))}".lstrip("."), f"missing {noun}"
+        return f"{place}.{fault['ctx']['discriminator'].strip(chr(39))}".lstrip(
+            "."
+        ), f"missing {noun}"
     value = fault["input"]
     # Python writes no integer of thousands of digits.
-    is_short = isinstance(value, float | str) or (isinstance(value, int) and value.bit_length() <= 200)
+    is_short = isinstance(value, float | str) or (
+        isinstance(value, int) and value.bit_length() <= 200
+    )
     given = repr(value) if is_short else ""
     shown = f" (given: {given})" if 0 < len(given) <= 60 else ""
     return place, fault["msg"].removeprefix("Value error, ") + shown

@@ -62,12 +62,17 @@ def data_folder(name: str) -> Path:
     for folder in (package / name, package.parent / name):
         if folder.is_dir() and not (folder / "__init__.py").exists():
             return folder
-    raise FileNotFoundError(f"gauge-envs is installed without its {name!r} folder (looked in {package} and beside it)")
+    raise FileNotFoundError(
+        f"gauge-envs is installed without its {name!r} folder (looked in {package} and beside it)"
+    )
 
 
 def printable(text: str) -> str:
     """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+    return "".join(
+        char if char.isprintable() else char.encode("unicode_escape").decode()
+        for char in text
+    )
 
 
 @contextmanager
@@ -99,9 +104,15 @@ def read_regular(file: Path, most_bytes: int) -> bytes:
             _check_regular(file, os.fstat(stream.fileno()), most_bytes)
             content = stream.read(most_bytes + 1)
     except ValueError:
-        raise OSError(errno.EINVAL, "its name holds a null character", str(file)) from None
+        raise OSError(
+            errno.EINVAL, "its name holds a null character", str(file)
+        ) from None
     if len(content) > most_bytes:
-        raise OSError(errno.EFBIG, f"it is larger than the limit of {most_bytes / MEGABYTE:g} MB", str(file))
+        raise OSError(
+            errno.EFBIG,
+            f"it is larger than the limit of {most_bytes / MEGABYTE:g} MB",
+            str(file),
+        )
     return content
 
 
@@ -110,7 +121,9 @@ def _check_regular(file: Path, status: os.stat_result, most_bytes: int) -> None:
         raise OSError(errno.EINVAL, "it is not a regular file", str(file))
     if status.st_size > most_bytes:
         size, limit = status.st_size / MEGABYTE, most_bytes / MEGABYTE
-        raise OSError(errno.EFBIG, f"it has {size:.6g} MB, the limit is {limit:g} MB", str(file))
+        raise OSError(
+            errno.EFBIG, f"it has {size:.6g} MB, the limit is {limit:g} MB", str(file)
+        )
 
 
 def file_folders(file: Path) -> tuple[Path, ...]:
@@ -134,9 +147,15 @@ def outside_reason(named: Path, by: Path) -> str:
     """
     try:
         folders = file_folders(by)
-        if not folders or any(named.resolve().is_relative_to(folder) for folder in folders):
+        if not folders or any(
+            named.resolve().is_relative_to(folder) for folder in folders
+        ):
             return ""
-    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
+    except (
+        OSError,
+        ValueError,
+        RuntimeError,
+    ):  # A null character, a name that is too long, or a loop of links.
         return "it is no name of a file"
     return (
         f"{printable(str(named))} is outside the folder of {by.name}: move it there, or set {OUTSIDE_VARIABLE}=1 "
@@ -148,7 +167,9 @@ def check_json_size(content: bytes) -> None:
     """Check that a JSON document has few objects and lists, which take twenty times their bytes in memory."""
     count = content.count(b"{") + content.count(b"[")
     if count > MOST_JSON_CONTAINERS:
-        raise ValueError(f"it has {count} objects and lists, the limit is {MOST_JSON_CONTAINERS}")
+        raise ValueError(
+            f"it has {count} objects and lists, the limit is {MOST_JSON_CONTAINERS}"
+        )
 
 
 def json_document(content: bytes) -> Any:
@@ -166,7 +187,9 @@ def csv_text(content: bytes) -> io.StringIO:
     """Return CSV in UTF-8 with commas; spreadsheets write a byte-order mark, or semicolons and decimal commas."""
     text = content.decode("utf-8-sig")
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
-    return io.StringIO(text.replace(",", ".").replace(";", ",") if ";" in header else text, newline="")
+    return io.StringIO(
+        text.replace(",", ".").replace(";", ",") if ";" in header else text, newline=""
+    )
 
 
 def toml_document(content: bytes) -> dict[str, Any]:
@@ -174,9 +197,16 @@ def toml_document(content: bytes) -> dict[str, Any]:
     if len(content) > MOST_TOML_BYTES:
         raise ValueError(f"it has {len(content)} bytes, the limit is {MOST_TOML_BYTES}")
     text = content.decode("utf-8")
-    dots = max(part.count(".") for part in re.split(r"[\n\r,={}\[\]#]+", text.replace(" ", "").replace("\t", "")))
+    dots = max(
+        part.count(".")
+        for part in re.split(
+            r"[\n\r,={}\[\]#]+", text.replace(" ", "").replace("\t", "")
+        )
+    )
     if dots > MOST_KEY_DOTS:
-        raise ValueError(f"a key or text has {dots} dots between two delimiters, the limit is {MOST_KEY_DOTS}")
+        raise ValueError(
+            f"a key or text has {dots} dots between two delimiters, the limit is {MOST_KEY_DOTS}"
+        )
     try:
         return tomllib.loads(text)
     except RecursionError:
@@ -189,7 +219,9 @@ def npz_names(content: bytes) -> list[str]:
         return [name.removesuffix(".npy") for name in archive.namelist()]
 
 
-def npz_arrays(content: bytes, names: Iterable[str], most_bytes: int) -> dict[str, NDArray[Any]]:
+def npz_arrays(
+    content: bytes, names: Iterable[str], most_bytes: int
+) -> dict[str, NDArray[Any]]:
     """Return arrays of an NPZ file by name, without the names that it lacks; other arrays are not read.
 
     Args:
@@ -215,32 +247,48 @@ def _archive(content: bytes) -> Iterator[zipfile.ZipFile]:
             yield archive
     except ValueError:
         raise
-    except Exception as error:  # zipfile, zlib and numpy raise many types for a damaged archive.
+    except (
+        Exception
+    ) as error:  # zipfile, zlib and numpy raise many types for a damaged archive.
         raise ValueError(str(error) or type(error).__name__) from error
 
 
-def _npz_member(archive: zipfile.ZipFile, name: str, left: int, most_bytes: int) -> NDArray[Any]:
+def _npz_member(
+    archive: zipfile.ZipFile, name: str, left: int, most_bytes: int
+) -> NDArray[Any]:
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError(f"{name}: compression {info.compress_type} is not supported")
     header_bytes = 10_240
     if info.file_size > left + header_bytes:
-        raise ValueError(f"{name}: it has {info.file_size} bytes, the limit of all arrays is {most_bytes}")
+        raise ValueError(
+            f"{name}: it has {info.file_size} bytes, the limit of all arrays is {most_bytes}"
+        )
     stream = io.BytesIO(archive.read(info))
     major, _ = np.lib.format.read_magic(stream)
     if major not in (1, 2):
-        raise ValueError(f"{name}: version {major} of the NPY format holds no plain numbers")
-    reader = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+        raise ValueError(
+            f"{name}: version {major} of the NPY format holds no plain numbers"
+        )
+    reader = (
+        np.lib.format.read_array_header_1_0
+        if major == 1
+        else np.lib.format.read_array_header_2_0
+    )
     shape, is_fortran, dtype = reader(stream)
     if dtype.kind not in "biuf":
         raise ValueError(f"{name}: holds {dtype} values, expected numbers")
     data = stream.getbuffer()[stream.tell() :]
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):
         raise ValueError(f"{name}: shape {list(shape)} does not fit {len(data)} bytes")
-    return np.frombuffer(bytes(data), dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
+    return np.frombuffer(bytes(data), dtype=dtype).reshape(
+        shape, order="F" if is_fortran else "C"
+    )
 
 
-def child_command(script: Path, *arguments: str, cpu_s: int) -> tuple[list[str], dict[str, str]]:
+def child_command(
+    script: Path, *arguments: str, cpu_s: int
+) -> tuple[list[str], dict[str, str]]:
     """Return command and environment of a script in a child process with limits of memory and time.
 
     Args:
@@ -248,11 +296,22 @@ def child_command(script: Path, *arguments: str, cpu_s: int) -> tuple[list[str],
         arguments: Arguments of the script.
         cpu_s: Limit of its processor time [s].
     """
-    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(cpu_s), str(script), *arguments]
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        CHILD_START,
+        str(CHILD_MEMORY),
+        str(cpu_s),
+        str(script),
+        *arguments,
+    ]
     return command, os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
 
 
-def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S) -> str | None:
+def child_refusal(
+    script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S
+) -> str | None:
     """Run a script on a file of a stranger in a child process with limits of memory and time.
 
     Use it for a library that offers no limit of its own. The script loads the file as the library does. It exits with
@@ -270,7 +329,12 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: in
     command, environment = child_command(script, *arguments, cpu_s=cpu_s)
     try:
         done = subprocess.run(
-            command, input=content, capture_output=True, timeout=CHILD_WALL_S, env=environment, check=False
+            command,
+            input=content,
+            capture_output=True,
+            timeout=CHILD_WALL_S,
+            env=environment,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"loading it takes more than {CHILD_WALL_S} s"
@@ -280,7 +344,10 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: in
         return None
     if done.returncode == CHILD_REFUSED:
         return done.stdout.decode(errors="replace").strip()
-    if -done.returncode in (getattr(signal, "SIGXCPU", 0), getattr(signal, "SIGKILL", 0)):
+    if -done.returncode in (
+        getattr(signal, "SIGXCPU", 0),
+        getattr(signal, "SIGKILL", 0),
+    ):
         return f"loading it takes more than {cpu_s} s of processor time"
     return f"loading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory, or the library crashes on it"
 
@@ -330,7 +397,9 @@ def json_ready(value: Any) -> Any:
 
 def processors() -> int:
     """Return the number of processors that this process may use, at most that of `OMP_NUM_THREADS`."""
-    count = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    count = (
+        len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    )
     given = os.environ.get("OMP_NUM_THREADS", "")
     return min(count, int(given)) if given.isdecimal() and int(given) else count
 

@@ -116,7 +116,9 @@ def bundled_instruments() -> tuple[Instrument, ...]:
     """Return the instruments of this package."""
     found = []
     for file in Path(__file__).parent.glob(f"tools/*/{DECLARATION}"):
-        found.append(_declared(file.parent.name, f"gauge_envs.tools.{file.parent.name}", file))
+        found.append(
+            _declared(file.parent.name, f"gauge_envs.tools.{file.parent.name}", file)
+        )
     return tuple(sorted(found, key=_place))
 
 
@@ -131,8 +133,12 @@ def instruments() -> tuple[Instrument, ...]:
     for point in installed_points(INSTRUMENTS_GROUP):
         spec = find_spec(point.value)
         if spec is None or spec.origin is None:
-            raise RegistryError(f"instrument {point.name!r}: there is no package {point.value!r}")
-        foreign.append(_declared(point.name, point.value, Path(spec.origin).with_name(DECLARATION)))
+            raise RegistryError(
+                f"instrument {point.name!r}: there is no package {point.value!r}"
+            )
+        foreign.append(
+            _declared(point.name, point.value, Path(spec.origin).with_name(DECLARATION))
+        )
     return (*bundled_instruments(), *sorted(foreign, key=_place))
 
 
@@ -146,7 +152,9 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
         stated = tomllib.loads(file.read_text(encoding="utf-8"))
         unknown = sorted(set(stated) - KEYS)
         if unknown:
-            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(KEYS))}")
+            raise ValueError(
+                f"unknown key {unknown[0]!r}; known: {', '.join(sorted(KEYS))}"
+            )
         scene_files = stated.get("scene_files")
         return Instrument(
             name=name,
@@ -157,7 +165,9 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
             listings=tuple(stated.get("listings", ())),
             pictures=tuple(stated.get("pictures", ())),
             ids=stated.get("ids", ""),
-            scene_files=None if scene_files is None else _scene_files(package, scene_files),
+            scene_files=None
+            if scene_files is None
+            else _scene_files(package, scene_files),
             model_files=stated.get("model_files", {}),
         )
     except (OSError, TypeError, ValueError, KeyError) as error:
@@ -165,7 +175,9 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
 
 
 def _scene_files(package: str, stated: Mapping[str, Any]) -> SceneFiles:
-    return SceneFiles(module=f"{package}.{stated['module']}", suffixes=tuple(stated["suffixes"]))
+    return SceneFiles(
+        module=f"{package}.{stated['module']}", suffixes=tuple(stated["suffixes"])
+    )
 
 
 def instruments_by(kind: str) -> dict[str, Instrument]:
@@ -193,7 +205,9 @@ def command_lines() -> dict[str, str]:
 
 def id_modules() -> tuple[Any, ...]:
     """Return the modules of Gymnasium ids beside the experiments."""
-    return tuple(_id_module(instrument) for instrument in instruments() if instrument.ids)
+    return tuple(
+        _id_module(instrument) for instrument in instruments() if instrument.ids
+    )
 
 
 def register_bundled_ids() -> None:
@@ -213,7 +227,11 @@ def _id_module(instrument: Instrument) -> Any:
 
 def scene_suffixes() -> tuple[str, ...]:
     """Return the suffixes of scene files that can be read for any engine."""
-    files = [instrument.scene_files for instrument in instruments() if instrument.scene_files is not None]
+    files = [
+        instrument.scene_files
+        for instrument in instruments()
+        if instrument.scene_files is not None
+    ]
     return tuple(suffix for one in files for suffix in one.suffixes)
 
 
@@ -224,9 +242,14 @@ def scene_files(suffix: str) -> Any:
         RegistryError: No instrument reads such files.
     """
     for instrument in instruments():
-        if instrument.scene_files is not None and suffix in instrument.scene_files.suffixes:
+        if (
+            instrument.scene_files is not None
+            and suffix in instrument.scene_files.suffixes
+        ):
             return import_module(instrument.scene_files.module)
-    raise RegistryError(f"no installed instrument reads scene files {suffix!r}; known: {', '.join(scene_suffixes())}")
+    raise RegistryError(
+        f"no installed instrument reads scene files {suffix!r}; known: {', '.join(scene_suffixes())}"
+    )
 
 
 def model_files(engine: str) -> Any:
@@ -237,7 +260,9 @@ def model_files(engine: str) -> Any:
     """
     for instrument in instruments():
         if engine in instrument.model_files:
-            return import_module(f"{instrument.package}.{instrument.model_files[engine]}")
+            return import_module(
+                f"{instrument.package}.{instrument.model_files[engine]}"
+            )
     raise RegistryError(f"no installed instrument reads model files of {engine}")
 
 
@@ -255,7 +280,9 @@ def engine_points() -> tuple[EntryPoint, ...]:
 
 
 @cache
-def _scanned(scan: Callable[..., Any], group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+def _scanned(
+    scan: Callable[..., Any], group: str, path: tuple[str, ...]
+) -> tuple[EntryPoint, ...]:
     return tuple(scan(group=group))
 
 
@@ -297,9 +324,16 @@ def _type_checking_imports(file: Path) -> dict[str, tuple[str, str]]:
     """Return module and name there of each name that a file re-exports, `from module import X as X`."""
     found: dict[str, tuple[str, str]] = {}
     for block in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING":
+        if (
+            isinstance(block, ast.If)
+            and isinstance(block.test, ast.Name)
+            and block.test.id == "TYPE_CHECKING"
+        ):
             for statement in block.body:
-                assert isinstance(statement, ast.ImportFrom) and statement.module is not None
+                assert (
+                    isinstance(statement, ast.ImportFrom)
+                    and statement.module is not None
+                )
                 for alias in statement.names:
                     found[str(alias.asname)] = (statement.module, alias.name)
     return found

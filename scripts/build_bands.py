@@ -30,7 +30,9 @@ FRAME_RATE_HZ = 30
 SLOPE_RAD = math.radians(30)
 SLOPE_MATERIALS = ("wood", "plastic", "metal")
 BALL_VARIANT = "BouncingBall-rubber"
-BALL_FIRST_MEASURED_FRAME = 4  # the arcs lack three or four first frames; the count of each trial is unknown
+BALL_FIRST_MEASURED_FRAME = (
+    4  # the arcs lack three or four first frames; the count of each trial is unknown
+)
 
 BALL_FIT_STD_MM = 0.1  # residual of the ballistic fits, scoring/README.md
 
@@ -82,8 +84,14 @@ class Slide:
 
     def quadratic(self) -> tuple[float, float, float]:
         """Return the acceleration in mm/s^2, and the vertex: its time in s and its position in mm."""
-        square, linear, constant = np.polyfit(self.frames / FRAME_RATE_HZ, self.positions_mm, 2)
-        return 2 * float(square), float(-linear / (2 * square)), float(constant - linear**2 / (4 * square))
+        square, linear, constant = np.polyfit(
+            self.frames / FRAME_RATE_HZ, self.positions_mm, 2
+        )
+        return (
+            2 * float(square),
+            float(-linear / (2 * square)),
+            float(constant - linear**2 / (4 * square)),
+        )
 
 
 @dataclass(frozen=True)
@@ -126,14 +134,21 @@ def read_slides(facts: Path, material: str) -> list[Slide]:
     samples: dict[int, list[tuple[int, float]]] = {}
     for row in read_rows(facts / "slope_slider_30deg.csv"):
         if row["material"] == material:
-            samples.setdefault(int(row["trial"]), []).append((int(row["frame"]), float(row["downhill_mm"])))
-    return [Slide(*np.array(samples[trial], dtype=np.float64).T) for trial in sorted(samples)]
+            samples.setdefault(int(row["trial"]), []).append(
+                (int(row["frame"]), float(row["downhill_mm"]))
+            )
+    return [
+        Slide(*np.array(samples[trial], dtype=np.float64).T)
+        for trial in sorted(samples)
+    ]
 
 
 def read_impacts(facts: Path) -> list[Impact]:
     """Return the first impacts of all trials of the bouncing ball."""
     rows = read_rows(facts / "bouncing_ball.csv")
-    next_times = {row["trial"]: float(row["time_s"]) for row in rows if row["impact"] == "2"}
+    next_times = {
+        row["trial"]: float(row["time_s"]) for row in rows if row["impact"] == "2"
+    }
     return [
         Impact(
             speed_in=float(row["speed_in_m_s"]),
@@ -154,7 +169,9 @@ def reconstruct_slides(slides: Sequence[Slide], frame_count: int) -> Trials:
     errors = np.array([slide.standard_error_mm(frame_count) for slide in slides])
     for trial, slide in enumerate(slides):
         acceleration, start_time, start = slide.quadratic()
-        sliding_time = np.maximum(np.arange(frame_count) / FRAME_RATE_HZ - start_time, 0)
+        sliding_time = np.maximum(
+            np.arange(frame_count) / FRAME_RATE_HZ - start_time, 0
+        )
         positions[trial] = start + acceleration / 2 * sliding_time**2
         inside = slide.frames < frame_count
         frames = slide.frames[inside].astype(int)
@@ -176,12 +193,18 @@ def reconstruct_bounces(impacts: Sequence[Impact], frame_count: int) -> Trials:
     positions = np.empty((len(impacts), frame_count))
     for trial, impact in enumerate(impacts):
         if impact.next_time <= times[-1]:
-            raise ValueError(f"impact 2 at {impact.next_time} s falls inside {frame_count} frames")
+            raise ValueError(
+                f"impact 2 at {impact.next_time} s falls inside {frame_count} frames"
+            )
         after_impact = np.maximum(times, impact.release_time) - impact.time
         speed = np.where(after_impact < 0, -impact.speed_in, impact.speed_out)
-        height = impact.height + speed * after_impact - GRAVITY_M_S2 / 2 * after_impact**2
+        height = (
+            impact.height + speed * after_impact - GRAVITY_M_S2 / 2 * after_impact**2
+        )
         positions[trial] = 1000 * height
-    measured = np.broadcast_to(np.arange(frame_count) >= BALL_FIRST_MEASURED_FRAME, positions.shape)
+    measured = np.broadcast_to(
+        np.arange(frame_count) >= BALL_FIRST_MEASURED_FRAME, positions.shape
+    )
     return Trials(
         coordinate="z",
         direction=(0.0, 0.0, 1.0),
@@ -196,7 +219,9 @@ def trial_scores(trials: Trials) -> dict[str, FloatArray]:
     """Return E_RMSE and E_DTW of each trial to the mean over trials [mm], each of shape [trial_count]."""
     mean = trials.positions_mm.mean(axis=0)[:, np.newaxis]
     return {
-        metric: np.array([score(trial[:, np.newaxis], mean) for trial in trials.positions_mm])
+        metric: np.array(
+            [score(trial[:, np.newaxis], mean) for trial in trials.positions_mm]
+        )
         for metric, score in (("rmse", trajectory_rmse), ("dtw", trajectory_dtw))
     }
 
@@ -209,7 +234,9 @@ def uncertainty_mm(trials: Trials, variant: str) -> FloatArray:
     """
     count = len(trials.measured)
     experiment = load_experiment(variant)
-    start_mm = 1e3 * np.dot(trials.direction, experiment.scene.body(experiment.recorded[0]).pose.position_m)
+    start_mm = 1e3 * np.dot(
+        trials.direction, experiment.scene.body(experiment.recorded[0]).pose.position_m
+    )
     offset = abs(float(trials.positions_mm[:, 0].mean()) - float(start_mm))
     before = ~np.logical_or.accumulate(trials.measured, axis=1)
     misfit = np.square(trials.fit_std_mm).mean(axis=0) / count
@@ -218,23 +245,36 @@ def uncertainty_mm(trials: Trials, variant: str) -> FloatArray:
 
 def band_csv(trials: Trials, variant: str) -> str:
     """Return the text of a band's table."""
-    mean, sigma = trials.positions_mm.mean(axis=0), trials.positions_mm.std(axis=0, ddof=1)
+    mean, sigma = (
+        trials.positions_mm.mean(axis=0),
+        trials.positions_mm.std(axis=0, ddof=1),
+    )
     uncertainty = uncertainty_mm(trials, variant)
     counts = trials.measured.sum(axis=0)
-    columns = ",".join(f"{quantity}.{trials.coordinate}" for quantity in ("mean", "sigma", "uncertainty"))
+    columns = ",".join(
+        f"{quantity}.{trials.coordinate}"
+        for quantity in ("mean", "sigma", "uncertainty")
+    )
     lines = [f"frame,time_s,measured,measured_trials,{columns}"]
     for frame, count in enumerate(counts):
         measured = int(2 * count >= len(trials.measured))
         numbers = f"{mean[frame]:.6f},{sigma[frame]:.6f},{uncertainty[frame]:.6f}"
-        lines.append(f"{frame},{frame / FRAME_RATE_HZ:.6f},{measured},{count},{numbers}")
+        lines.append(
+            f"{frame},{frame / FRAME_RATE_HZ:.6f},{measured},{count},{numbers}"
+        )
     return "\n".join(lines) + "\n"
 
 
 def trials_csv(trials: Trials) -> str:
     """Return the text of the table of single trials."""
     numbers = range(1, len(trials.positions_mm) + 1)
-    lines = ["frame," + ",".join(f"trial.{number}.{trials.coordinate}" for number in numbers)]
-    lines += [f"{frame}," + ",".join(f"{x:.6f}" for x in row) for frame, row in enumerate(trials.positions_mm.T)]
+    lines = [
+        "frame," + ",".join(f"trial.{number}.{trials.coordinate}" for number in numbers)
+    ]
+    lines += [
+        f"{frame}," + ",".join(f"{x:.6f}" for x in row)
+        for frame, row in enumerate(trials.positions_mm.T)
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -261,12 +301,21 @@ def band_toml(trials: Trials) -> str:
 
 def slides_summary_toml(slides: dict[str, list[Slide]]) -> str:
     """Return the summary of SlopeSlider-2 as text: measured acceleration, and the kinetic friction from it."""
-    lines = [GENERATED, f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_S2} m/s^2."]
+    lines = [
+        GENERATED,
+        f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_S2} m/s^2.",
+    ]
     for material, trials in slides.items():
         acceleration = np.array([slide.quadratic()[0] / 1000 for slide in trials])
-        friction = [slide_friction(one, SLOPE_RAD, gravity_m_per_s2=GRAVITY_M_S2) for one in acceleration]
+        friction = [
+            slide_friction(one, SLOPE_RAD, gravity_m_per_s2=GRAVITY_M_S2)
+            for one in acceleration
+        ]
         lines += ["", f"[{material}]", f"trial_count = {len(trials)}"]
-        lines += [f"acceleration_m_s2 = {inline_statistics(acceleration)}", f"friction = {inline_statistics(friction)}"]
+        lines += [
+            f"acceleration_m_s2 = {inline_statistics(acceleration)}",
+            f"friction = {inline_statistics(friction)}",
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -283,7 +332,9 @@ def bounces_summary_toml(impacts: Sequence[Impact]) -> str:
         f"# Over the first impacts of BouncingBall, heights of the ball's centre; g = {GRAVITY_M_S2} m/s^2.",
     ]
     lines += [f"trial_count = {len(impacts)}"]
-    lines += [f"{name} = {inline_statistics(values)}" for name, values in quantities.items()]
+    lines += [
+        f"{name} = {inline_statistics(values)}" for name, values in quantities.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -303,9 +354,13 @@ def reconstruct(scoring: Path) -> dict[str, Trials]:
     for material in SLOPE_MATERIALS:
         variant = f"SlopeSlider-2-{material}"
         frame_count = published_baselines(variant)["rmse"].frames
-        trials[variant] = reconstruct_slides(read_slides(scoring / "facts", material), frame_count)
+        trials[variant] = reconstruct_slides(
+            read_slides(scoring / "facts", material), frame_count
+        )
     frame_count = published_baselines(BALL_VARIANT)["rmse"].frames
-    trials[BALL_VARIANT] = reconstruct_bounces(read_impacts(scoring / "facts"), frame_count)
+    trials[BALL_VARIANT] = reconstruct_bounces(
+        read_impacts(scoring / "facts"), frame_count
+    )
     return trials
 
 

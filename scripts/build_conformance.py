@@ -20,7 +20,12 @@ from gauge_envs.pages.text import markdown_text, pairs_text
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn, read_columns
 from gauge_envs.tools.conformance.model import CheckResult, Status
-from gauge_envs.tools.conformance.words import error_text, expected_text, measured_text, tally
+from gauge_envs.tools.conformance.words import (
+    error_text,
+    expected_text,
+    measured_text,
+    tally,
+)
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 STUDY = ROOT / "studies" / "grasp" / "README.md"
@@ -34,7 +39,12 @@ SIGNS = {Status.PASS: "✓", Status.FAIL: "✗", Status.ERROR: "✗", Status.DEC
 def failures(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     """Yield a line for each failure of a default configuration, or one that says that there is none."""
     default = [column for column in columns if column.name == "default"]
-    bad = [finding for column in default for finding in column.current().values() if finding.is_bad]
+    bad = [
+        finding
+        for column in default
+        for finding in column.current().values()
+        if finding.is_bad
+    ]
     if not bad:
         yield "No default configuration fails a check or raises an error."
     for finding in bad:
@@ -47,7 +57,11 @@ def failures(columns: Sequence[MatrixColumn]) -> Iterator[str]:
 
 def configuration(column: MatrixColumn) -> list[str]:
     """Return the cells of a configuration."""
-    settings = {name: value for name, value in column.settings.items() if (name, value) != ("preset", column.name)}
+    settings = {
+        name: value
+        for name, value in column.settings.items()
+        if (name, value) != ("preset", column.name)
+    }
     settings_text = f"`{pairs_text(settings)}`" if settings else ""
     cost = "" if column.cpu_s is None else f"{column.cpu_s:.3g} s"
     return [column.backend, f"`{column.name}`", settings_text, tally(column), cost]
@@ -72,13 +86,25 @@ def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     rows = []
     for check in checks([*CANONICAL, *failed]):
         of_check = {place: results.get(check.id) for place, results in found.items()}
-        cells = ["".join(sign(of_check.get((engine, name))) for name in SHOWN) for engine in engines]
+        cells = [
+            "".join(sign(of_check.get((engine, name))) for name in SHOWN)
+            for engine in engines
+        ]
         expected = expected_text(of_check.values())
-        rows.append([f"`{check.id}`", "exactly 0" if expected == "0 +- 0" else expected, *cells])
+        rows.append(
+            [f"`{check.id}`", "exactly 0" if expected == "0 +- 0" else expected, *cells]
+        )
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
-GRASP = (*(f"grasp-{name}" for name in ("sink", "creep", "holds", "slips", "torsion", "swing")), "torsion", "rolling")
+GRASP = (
+    *(
+        f"grasp-{name}"
+        for name in ("sink", "creep", "holds", "slips", "torsion", "swing")
+    ),
+    "torsion",
+    "rolling",
+)
 
 
 def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
@@ -88,7 +114,12 @@ def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     rows = [["law", *(expected_text([of_law[name]]).split(" ")[0] for name in GRASP)]]
     for column in found:
         results = [column.current().get(name) for name in GRASP]
-        cells = ["-" if one is None or one.measured is None else f"{round(one.measured, 4):.4g}" for one in results]
+        cells = [
+            "-"
+            if one is None or one.measured is None
+            else f"{round(one.measured, 4):.4g}"
+            for one in results
+        ]
         rows.append([column.title.replace(" ", "/"), *cells])
     names = [f"`{name}`" for name in GRASP]
     yield from markdown_table(["engine", *names], rows)
@@ -97,7 +128,9 @@ def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
 def generate(scoring: Path) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     columns = read_columns(scoring / "conformance.json")
-    versions = {f"{name} {text}" for column in columns for name, text in column.versions.items()}
+    versions = {
+        f"{name} {text}" for column in columns for name, text in column.versions.items()
+    }
     lines = [
         *failures(columns),
         "",
@@ -114,7 +147,9 @@ def generate(scoring: Path) -> dict[Path, str]:
     ]
     grasps = "\n".join(grasp_table(columns))
     return {
-        PAGE: with_part(PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines)),
+        PAGE: with_part(
+            PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines)
+        ),
         STUDY: with_part(STUDY.read_text(encoding="utf-8"), "grasps", SCRIPT, grasps),
     }
 
@@ -122,7 +157,10 @@ def generate(scoring: Path) -> dict[Path, str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
     return write_or_check(
-        generate, script=SCRIPT, what="Write the tables of the page of conformance.", arguments=arguments
+        generate,
+        script=SCRIPT,
+        what="Write the tables of the page of conformance.",
+        arguments=arguments,
     )
 
 

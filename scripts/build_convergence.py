@@ -39,7 +39,12 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
-from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, RefinedSetting, read_convergence
+from gauge_envs.references.convergence import (
+    REFINED_SETTINGS,
+    Convergence,
+    RefinedSetting,
+    read_convergence,
+)
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Rod, SoftBody
 
@@ -71,13 +76,25 @@ class ConvergenceTable:
 
     def of(self, variant: str) -> dict[RefinedSetting, Convergence]:
         """Return the rows of a variant by setting; a setting that was not measured is absent."""
-        return {setting: row for setting in REFINED_SETTINGS if (row := self.rows.get((variant, setting)))}
+        return {
+            setting: row
+            for setting in REFINED_SETTINGS
+            if (row := self.rows.get((variant, setting)))
+        }
 
     @classmethod
     def read(cls, file: Path) -> ConvergenceTable:
         """Read a table."""
-        head = [line for line in file.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
-        notes = dict(line.removeprefix("#").strip().partition(": ")[::2] for line in head if ": " in line)
+        head = [
+            line
+            for line in file.read_text(encoding="utf-8").splitlines()
+            if line.startswith("#")
+        ]
+        notes = dict(
+            line.removeprefix("#").strip().partition(": ")[::2]
+            for line in head
+            if ": " in line
+        )
         read_convergence.cache_clear()
         return cls(notes=notes, rows=read_convergence(file))
 
@@ -85,17 +102,26 @@ class ConvergenceTable:
         """Return the table as the text of its file, sorted by variant and setting."""
         lines = [f"# {key}: {note}" for key, note in self.notes.items()]
         lines.append(",".join(Convergence.model_fields))
-        ordered = sorted(self.rows.values(), key=lambda row: (row.variant, REFINED_SETTINGS.index(row.setting)))
+        ordered = sorted(
+            self.rows.values(),
+            key=lambda row: (row.variant, REFINED_SETTINGS.index(row.setting)),
+        )
         return "\n".join([*lines, *(_line(row) for row in ordered)]) + "\n"
 
     def with_rows(self, rows: Iterable[Convergence]) -> ConvergenceTable:
         """Return the table with further rows, which replace those of the same variant and setting."""
-        return ConvergenceTable(self.notes, {**self.rows, **{(row.variant, row.setting): row for row in rows}})
+        return ConvergenceTable(
+            self.notes,
+            {**self.rows, **{(row.variant, row.setting): row for row in rows}},
+        )
 
 
 def _line(row: Convergence) -> str:
     values = row.model_dump().values()
-    return ",".join("" if value is None else f"{value:.4g}" if isinstance(value, float) else value for value in values)
+    return ",".join(
+        "" if value is None else f"{value:.4g}" if isinstance(value, float) else value
+        for value in values
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +164,11 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
                 raise TooSlowError
         spent_s = time.process_time() - begin
         trajectory = env.trajectory()
-        points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
+        points = (
+            trajectory.bodies[..., :3]
+            if trajectory.bodies.size
+            else trajectory.markers_m
+        )
         count = env.experiment.frame_count
         return Run(
             frames=trajectory.frames[:count],
@@ -151,7 +181,9 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
         env.close()
 
 
-def default_value(experiment: Experiment, setting: RefinedSetting, default: Run) -> float:
+def default_value(
+    experiment: Experiment, setting: RefinedSetting, default: Run
+) -> float:
     """Return the value of a setting in the default run; the smallest edge for a mesh with a fixed number of cells."""
     value = default.settings.get(setting)
     if value is not None:
@@ -162,11 +194,19 @@ def default_value(experiment: Experiment, setting: RefinedSetting, default: Run)
             # MuJoCo's foam: two cells across a single body, two along each body of a row.
             edges.append(0.5 * min(body.shape.size_m))
         elif isinstance(body, Rod):
-            edges.append(float(np.linalg.norm(np.diff(default.nodes_m[body.name], axis=0), axis=1).min()))
+            edges.append(
+                float(
+                    np.linalg.norm(
+                        np.diff(default.nodes_m[body.name], axis=0), axis=1
+                    ).min()
+                )
+            )
     return min(edges)
 
 
-def finer_settings(setting: RefinedSetting, value: float, default: Run) -> dict[str, Any]:
+def finer_settings(
+    setting: RefinedSetting, value: float, default: Run
+) -> dict[str, Any]:
     """Return the settings of the finer run."""
     settings: dict[str, Any] = {setting: 0.5 * value}
     if setting == "cell_m" and default.settings.get("solver") == "SolverVBD":
@@ -174,15 +214,28 @@ def finer_settings(setting: RefinedSetting, value: float, default: Run) -> dict[
     return settings
 
 
-def compare(name: str, setting: RefinedSetting, default: Run, finer: Run, values: tuple[float, float]) -> Convergence:
+def compare(
+    name: str,
+    setting: RefinedSetting,
+    default: Run,
+    finer: Run,
+    values: tuple[float, float],
+) -> Convergence:
     """Return the row of a finer run; without differences if one of the runs diverged."""
     score = load_experiment(name).score
-    head = {"variant": name, "setting": setting, "default": values[0], "refined": values[1]}
+    head = {
+        "variant": name,
+        "setting": setting,
+        "default": values[0],
+        "refined": values[1],
+    }
     head["unit"] = score.observable.unit
     if default.frames.shape != finer.frames.shape:
         return Convergence.model_validate(head)
     difference = finer.frames - default.frames
-    distance = np.sqrt(np.nansum(difference**2, axis=1)[np.isfinite(difference).any(axis=1)])
+    distance = np.sqrt(
+        np.nansum(difference**2, axis=1)[np.isfinite(difference).any(axis=1)]
+    )
     rms = float(np.sqrt(np.mean(distance**2)))
     baseline = published_baselines(name).get("rmse")
     apart_mm = 1e3 * np.linalg.norm(finer.points_m - default.points_m, axis=-1)
@@ -212,15 +265,22 @@ def measured_rows(
                 values = (default.steps_per_s, finer.steps_per_s)
             else:
                 value = default_value(experiment, setting, default)
-                finer = run(name, engine, finer_settings(setting, value, default), limit_s)
+                finer = run(
+                    name, engine, finer_settings(setting, value, default), limit_s
+                )
                 values = (value, 0.5 * value)
         except TooSlowError:
             print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
             continue
-        yield compare(name, setting, default, finer, values), time.perf_counter() - start
+        yield (
+            compare(name, setting, default, finer, values),
+            time.perf_counter() - start,
+        )
 
 
-def settings_of(name: str, engine: str, chosen: Sequence[RefinedSetting]) -> list[RefinedSetting]:
+def settings_of(
+    name: str, engine: str, chosen: Sequence[RefinedSetting]
+) -> list[RefinedSetting]:
     """Return the settings that apply to a variant: rigid bodies have no cells, some engines no preset for training."""
     applying = ["timestep_s"]
     if load_experiment(name).scene.deformables:
@@ -248,8 +308,15 @@ def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
             continue
         for row, _ in measured_rows(name, engine, list(kept), limit_s):
             old = kept[row.setting]
-            if row.rms is None or old.rms is None or abs(row.rms - old.rms) > CHECK_TOLERANCE * old.rms:
-                print(f"{name}, {row.setting}: rms is {row.rms}, the table has {old.rms}", file=sys.stderr)
+            if (
+                row.rms is None
+                or old.rms is None
+                or abs(row.rms - old.rms) > CHECK_TOLERANCE * old.rms
+            ):
+                print(
+                    f"{name}, {row.setting}: rms is {row.rms}, the table has {old.rms}",
+                    file=sys.stderr,
+                )
                 status = 1
     return status
 
@@ -257,11 +324,17 @@ def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
 def summary(tables: Mapping[str, ConvergenceTable]) -> str:
     """Return the tables of all engines by family, in Markdown."""
     units = ("% of the real scatter", "mm")
-    titles = [f"{name}, {unit}" for name in ("half step", "half cell", "training") for unit in units]
+    titles = [
+        f"{name}, {unit}"
+        for name in ("half step", "half cell", "training")
+        for unit in units
+    ]
     found = []
     for family in dict.fromkeys(_family(variant.name) for variant in variants()):
         for engine, table in tables.items():
-            of_family = [row for row in table.rows.values() if _family(row.variant) == family]
+            of_family = [
+                row for row in table.rows.values() if _family(row.variant) == family
+            ]
             cells = []
             for setting in REFINED_SETTINGS:
                 rows = [row for row in of_family if row.setting == setting]
@@ -283,7 +356,11 @@ def _range(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
     texts = (
         [
-            "below 0.01" if value < 0.01 else f"{value:.0f}" if value >= 9.5 else f"{value:.2g}"
+            "below 0.01"
+            if value < 0.01
+            else f"{value:.0f}"
+            if value >= 9.5
+            else f"{value:.2g}"
             for value in (min(known), max(known))
         ]
         if known
@@ -294,26 +371,54 @@ def _range(values: Sequence[float | None]) -> str:
 
 def all_tables(scoring: Path) -> dict[str, ConvergenceTable]:
     """Return the tables of all engines by name."""
-    return {file.stem: ConvergenceTable.read(file) for file in sorted((scoring / "convergence").glob("*.csv"))}
+    return {
+        file.stem: ConvergenceTable.read(file)
+        for file in sorted((scoring / "convergence").glob("*.csv"))
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="mujoco", help="engine")
-    parser.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
-    parser.add_argument("--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS))
-    parser.add_argument("--resume", action="store_true", help="keep rows that the file has")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a quick row differs")
-    parser.add_argument("--table", action="store_true", help="measure nothing; print a summary of all engines")
-    parser.add_argument("--limit-s", type=float, default=600.0, help="wall time of an episode at most")
-    parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
+    parser.add_argument(
+        "--ids",
+        nargs="*",
+        default=["*"],
+        help="variants or patterns, run in this order",
+    )
+    parser.add_argument(
+        "--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS)
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="keep rows that the file has"
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if a quick row differs",
+    )
+    parser.add_argument(
+        "--table",
+        action="store_true",
+        help="measure nothing; print a summary of all engines",
+    )
+    parser.add_argument(
+        "--limit-s", type=float, default=600.0, help="wall time of an episode at most"
+    )
+    parser.add_argument(
+        "--scoring", type=Path, default=SCORING, help="folder of the data"
+    )
     options = parser.parse_args(arguments)
     if options.table:
         print(summary(all_tables(options.scoring)))
         return 0
     file = options.scoring / "convergence" / f"{options.backend}.csv"
-    version = ", ".join(f"{key} {text}" for key, text in backend(options.backend).versions().items())
+    version = ", ".join(
+        f"{key} {text}" for key, text in backend(options.backend).versions().items()
+    )
     notes = {
         "written by": "scripts/build_convergence.py",
         "engine": version,
@@ -323,25 +428,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.check:
         return check(old, options.backend, options.limit_s)
     if options.resume and old.notes["engine"] != version:
-        parser.error(f"{file} is of {old.notes['engine']}, installed is {version}: run without --resume")
-    table = ConvergenceTable(notes, old.rows if options.resume or old.notes["engine"] == version else {})
+        parser.error(
+            f"{file} is of {old.notes['engine']}, installed is {version}: run without --resume"
+        )
+    table = ConvergenceTable(
+        notes, old.rows if options.resume or old.notes["engine"] == version else {}
+    )
     known = [variant.name for variant in variants()]
-    names = dict.fromkeys(name for pattern in options.ids for name in known if fnmatchcase(name, pattern))
+    names = dict.fromkeys(
+        name for pattern in options.ids for name in known if fnmatchcase(name, pattern)
+    )
     for name in names:
         wanted = settings_of(name, options.backend, options.setting)
         if options.resume:
-            wanted = [setting for setting in wanted if (name, setting) not in table.rows]
+            wanted = [
+                setting for setting in wanted if (name, setting) not in table.rows
+            ]
         if not wanted or not supported(name, options.backend):
             continue
         try:
-            for row, wall_s in measured_rows(name, options.backend, wanted, options.limit_s):
+            for row, wall_s in measured_rows(
+                name, options.backend, wanted, options.limit_s
+            ):
                 table = table.with_rows([row])
                 file.parent.mkdir(exist_ok=True)
                 write_whole(file, table.text().encode())
                 what = f"{name}, {row.setting}"
-                print(f"{what}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)", flush=True)
+                print(
+                    f"{what}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)",
+                    flush=True,
+                )
         except TooSlowError:
-            print(f"{name}: the default run was stopped after {options.limit_s:g} s", flush=True)
+            print(
+                f"{name}: the default run was stopped after {options.limit_s:g} s",
+                flush=True,
+            )
         except GaugeError as error:
             print(f"{name}: {error}", file=sys.stderr, flush=True)
     return 0

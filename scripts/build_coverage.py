@@ -66,7 +66,14 @@ class Row:
         grades += ["recording, *withheld*"] if self.withheld else []
         grades += ["statistics"] if self.statistics else []
         band = "; ".join(grades) or self.used.value
-        return [self.variant, band, self.known, self.sigma, self.driver, self.normalized]
+        return [
+            self.variant,
+            band,
+            self.known,
+            self.sigma,
+            self.driver,
+            self.normalized,
+        ]
 
 
 def coverage(variant: Variant) -> Row:
@@ -77,13 +84,19 @@ def coverage(variant: Variant) -> Row:
     band = measured if used is None else used
     baselines = published_baselines(variant.name)
     compared = used is not None and used.normalized_by_baseline
-    metrics = [metric for metric in baselines if baselines[metric].mean and (compared or metric not in ("rmse", "dtw"))]
+    metrics = [
+        metric
+        for metric in baselines
+        if baselines[metric].mean and (compared or metric not in ("rmse", "dtw"))
+    ]
     return Row(
         variant=variant.name,
         used=BandGrade.NONE if rewarded is None else rewarded.grade,
         withheld=None if measured is None else measured.withheld,
         statistics=bundled_deformation(variant.name) is not None,
-        known="-" if band is None else f"{known_frames(band)} of {experiment.frame_count}",
+        known="-"
+        if band is None
+        else f"{known_frames(band)} of {experiment.frame_count}",
         sigma="-" if band is None else band.sigma_source.value,
         driver=experiment.driver_provenance or "-",
         normalized=", ".join(metric.upper() for metric in metrics) or "no",
@@ -112,7 +125,10 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         f"- statistics of deformation: {sum(row.statistics for row in rows)}",
         f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
         "",
-        *markdown_table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),
+        *markdown_table(
+            ("id", "band", "known", "sigma", "driver", "normalized"),
+            [row.cells() for row in rows],
+        ),
         "",
         "Why bands are withheld:",
         "",
@@ -128,7 +144,11 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
 def unsolved_lines() -> Iterator[str]:
     """Yield why scenes have no solution."""
     if unsolved_scenes():
-        yield from ("", "Why ids have no solution (their pages have statistics of the last frame):", "")
+        yield from (
+            "",
+            "Why ids have no solution (their pages have statistics of the last frame):",
+            "",
+        )
     yield from (f"- {name}: {one.reason}." for name, one in unsolved_scenes().items())
 
 
@@ -139,8 +159,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 1 when a check found it not current.
     """
     parser = argparse.ArgumentParser(description="Write the table of coverage.")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail when the file is not current")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "coverage.md", help="file")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail when the file is not current",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "docs" / "coverage.md", help="file"
+    )
     options = parser.parse_args(arguments)
     block = coverage_markdown([coverage(variant) for variant in variants()])
     text = with_part(options.out.read_text(encoding="utf-8"), "coverage", SCRIPT, block)

@@ -105,8 +105,16 @@ class Toss:
         """Return the corners of each block, shape [2, T, 8, 3]."""
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         blocks = ((self.positions_m, self.rotations), self.second)
-        turned = [np.einsum("tij,vj->tvi", rotations.as_matrix(), 0.5 * SIZE_M * signs) for _, rotations in blocks]
-        return np.array([place[:, None] + arms for (place, _), arms in zip(blocks, turned, strict=True)])
+        turned = [
+            np.einsum("tij,vj->tvi", rotations.as_matrix(), 0.5 * SIZE_M * signs)
+            for _, rotations in blocks
+        ]
+        return np.array(
+            [
+                place[:, None] + arms
+                for (place, _), arms in zip(blocks, turned, strict=True)
+            ]
+        )
 
     def lowest_m(self) -> FloatArray:
         """Return the height of the lowest corner of each block, shape [2, T]."""
@@ -138,7 +146,15 @@ def read_tosses(source: Path) -> list[Toss]:
         rotations = Rotation.from_quat(state[:, :4], scalar_first=True)
         angles = np.unwrap(state[:, 7])
         tosses.append(
-            Toss(int(number), state[:, 4:7], rotations, angles, state[:, 11:14], state[:, 8:11], state[:, 14])
+            Toss(
+                int(number),
+                state[:, 4:7],
+                rotations,
+                angles,
+                state[:, 11:14],
+                state[:, 8:11],
+                state[:, 14],
+            )
         )
     return tosses
 
@@ -149,7 +165,9 @@ def acceleration(tosses: list[Toss]) -> FloatArray:
     for toss in tosses:
         if toss.flight >= LEAST_FLIGHT:
             times_s = np.arange(toss.flight) / RATE_HZ
-            found.append(-2.0 * np.polyfit(times_s, toss.centre_m[: toss.flight, 2], 2)[0])
+            found.append(
+                -2.0 * np.polyfit(times_s, toss.centre_m[: toss.flight, 2], 2)[0]
+            )
     return np.array(found)
 
 
@@ -159,14 +177,17 @@ def in_free_flight(tosses: list[Toss], gravity: float) -> list[Toss]:
         toss
         for toss in tosses
         if toss.flight >= LEAST_FLIGHT
-        and np.sqrt(np.mean(np.sum(toss.line(gravity)[1] ** 2, axis=1))) < MOST_RESIDUAL_M
+        and np.sqrt(np.mean(np.sum(toss.line(gravity)[1] ** 2, axis=1)))
+        < MOST_RESIDUAL_M
     ]
 
 
 def model(gravity: float) -> mujoco.MjModel:
     """Return two free blocks with a frictionless hinge and no contacts, steps of a fourth of a frame."""
     inertial = f'mass="{MASS_KG}" diaginertia="{" ".join(map(str, INERTIA_KG_M2))}"'
-    first, second = (" ".join(map(str, one)) for one in (ANCHOR_ON_FIRST_M, -ANCHOR_ON_SECOND_M))
+    first, second = (
+        " ".join(map(str, one)) for one in (ANCHOR_ON_FIRST_M, -ANCHOR_ON_SECOND_M)
+    )
     return mujoco.MjModel.from_xml_string(f"""
         <mujoco>
           <option gravity="0 0 {-gravity}" timestep="{0.25 / RATE_HZ}" integrator="RK4"/>
@@ -191,29 +212,53 @@ class Start:
 def start_of(toss: Toss, scale: float, flying: mujoco.MjModel) -> Start:
     """Return the start of a toss."""
     count = min(toss.flight, MOST_FLIGHT)
-    places, rotations, angles = scale * toss.positions_m[:count], toss.rotations[:count], toss.angles_rad[:count]
+    places, rotations, angles = (
+        scale * toss.positions_m[:count],
+        toss.rotations[:count],
+        toss.angles_rad[:count],
+    )
     data = mujoco.MjData(flying)
 
     def residuals(values: FloatArray) -> FloatArray:
         mujoco.mj_resetData(flying, data)
         data.qpos[:3] = places[0] + values[:3]
-        data.qpos[3:7] = (rotations[0] * Rotation.from_rotvec(values[3:6])).as_quat(scalar_first=True)
+        data.qpos[3:7] = (rotations[0] * Rotation.from_rotvec(values[3:6])).as_quat(
+            scalar_first=True
+        )
         data.qpos[7], data.qvel[:] = angles[0] + values[6], values[7:]
         states = np.empty((count, 8))
         for state in states:
             state[:] = data.qpos
             mujoco.mj_step(flying, data, 4)
-        turned = (rotations.inv() * Rotation.from_quat(states[:, 3:7], scalar_first=True)).as_rotvec()
-        apart = [(states[:, :3] - places) / NOISE_M, turned / NOISE_RAD, (states[:, 7:] - angles[:, None]) / NOISE_RAD]
+        turned = (
+            rotations.inv() * Rotation.from_quat(states[:, 3:7], scalar_first=True)
+        ).as_rotvec()
+        apart = [
+            (states[:, :3] - places) / NOISE_M,
+            turned / NOISE_RAD,
+            (states[:, 7:] - angles[:, None]) / NOISE_RAD,
+        ]
         return np.concatenate(apart, axis=1).ravel()
 
     few = 6
     times_s = np.arange(few) / RATE_HZ
-    straight = places[:few] + 0.5 * GRAVITY_M_PER_S2 * np.outer(times_s**2, [0.0, 0.0, 1.0])
+    straight = places[:few] + 0.5 * GRAVITY_M_PER_S2 * np.outer(
+        times_s**2, [0.0, 0.0, 1.0]
+    )
     turned = (rotations[0].inv() * rotations[:few]).as_rotvec()
-    guess = [np.polyfit(times_s, one, 1)[0] for one in (straight, turned, angles[:few, None])]
-    scales = np.concatenate([np.full(3, 1e-3), np.full(4, 1e-2), np.full(3, 0.1), np.full(4, 0.3)])
-    found = least_squares(residuals, np.concatenate([np.zeros(7), *guess]), x_scale=scales, loss="soft_l1", max_nfev=20)
+    guess = [
+        np.polyfit(times_s, one, 1)[0] for one in (straight, turned, angles[:few, None])
+    ]
+    scales = np.concatenate(
+        [np.full(3, 1e-3), np.full(4, 1e-2), np.full(3, 0.1), np.full(4, 0.3)]
+    )
+    found = least_squares(
+        residuals,
+        np.concatenate([np.zeros(7), *guess]),
+        x_scale=scales,
+        loss="soft_l1",
+        max_nfev=20,
+    )
     left = residuals(found.x).reshape(count, 7)
     return Start(found.x[7:10], found.x[10:13], float(found.x[13]), left)
 
@@ -222,7 +267,9 @@ def rest_errors(toss: Toss, scale: float) -> tuple[list[float], list[float]]:
     """Return how much too high blocks lie that rest flat on the table [m], and how much they lean [rad]."""
     heights, tilts = [], []
     lowest = toss.lowest_m()[:, -1]
-    for (places, rotations), low in zip(((toss.positions_m, toss.rotations), toss.second), lowest, strict=True):
+    for (places, rotations), low in zip(
+        ((toss.positions_m, toss.rotations), toss.second), lowest, strict=True
+    ):
         up = np.abs(rotations[-1].as_matrix()[2])
         axis = int(np.argmax(up))
         # A block that stands on the other one is as high as half an edge and more.
@@ -236,10 +283,17 @@ def nuisances(fit: list[Toss], begun: list[Start], scale: float) -> dict[str, fl
     """Return the nuisances, fitted on some trials."""
     fall = acceleration(fit)
     rest = [rest_errors(toss, scale) for toss in fit]
-    heights, tilts = (np.concatenate([np.array(pair[place]) for pair in rest]) for place in (0, 1))
+    heights, tilts = (
+        np.concatenate([np.array(pair[place]) for pair in rest]) for place in (0, 1)
+    )
     residuals = np.concatenate([start.residuals for start in begun])
-    errors = float(np.median([slope_error(min(toss.flight, MOST_FLIGHT)) for toss in fit]))
-    noise_m, noise_rad = NOISE_M * spread(residuals[:, :3].ravel()), NOISE_RAD * spread(residuals[:, 3:6].ravel())
+    errors = float(
+        np.median([slope_error(min(toss.flight, MOST_FLIGHT)) for toss in fit])
+    )
+    noise_m, noise_rad = (
+        NOISE_M * spread(residuals[:, :3].ravel()),
+        NOISE_RAD * spread(residuals[:, 3:6].ravel()),
+    )
     noise_angle_rad = NOISE_RAD * spread(residuals[:, 6])
     lags = [
         (scale * toss.velocities[0] - start.linear)[2] / GRAVITY_M_PER_S2
@@ -261,24 +315,44 @@ def nuisances(fit: list[Toss], begun: list[Start], scale: float) -> dict[str, fl
     }
 
 
-def arrays_of(tosses: list[Toss], starts: list[Start]) -> dict[str, NDArray[np.generic]]:
+def arrays_of(
+    tosses: list[Toss], starts: list[Start]
+) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of the data file."""
-    quaternions = np.concatenate([toss.rotations.as_quat(scalar_first=True) for toss in tosses])
-    angles = np.concatenate([(toss.angles_rad + np.pi) % (2.0 * np.pi) - np.pi for toss in tosses])
+    quaternions = np.concatenate(
+        [toss.rotations.as_quat(scalar_first=True) for toss in tosses]
+    )
+    angles = np.concatenate(
+        [(toss.angles_rad + np.pi) % (2.0 * np.pi) - np.pi for toss in tosses]
+    )
     return {
         "source_number": np.array([toss.number for toss in tosses], dtype=np.int16),
-        "first": np.cumsum([0, *(len(toss.positions_m) for toss in tosses)], dtype=np.int32),
-        "position": np.round(np.concatenate([t.positions_m for t in tosses]) / POSITION_UNIT_M).astype(np.int16),
+        "first": np.cumsum(
+            [0, *(len(toss.positions_m) for toss in tosses)], dtype=np.int32
+        ),
+        "position": np.round(
+            np.concatenate([t.positions_m for t in tosses]) / POSITION_UNIT_M
+        ).astype(np.int16),
         "quaternion": np.round(quaternions * QUATERNION_COUNTS).astype(np.int16),
         "angle": np.round(angles * ANGLE_COUNTS).astype(np.int16)[:, None],
         # Rounded, so that processors that differ in the last digits give the same file.
-        "start_velocity": np.array([start.linear for start in starts]).round(4).astype(np.float32),
-        "start_angular_velocity_body": np.array([start.angular_body for start in starts]).round(3).astype(np.float32),
-        "start_angle_rate": np.array([[start.angle_rate] for start in starts]).round(3).astype(np.float32),
+        "start_velocity": np.array([start.linear for start in starts])
+        .round(4)
+        .astype(np.float32),
+        "start_angular_velocity_body": np.array(
+            [start.angular_body for start in starts]
+        )
+        .round(3)
+        .astype(np.float32),
+        "start_angle_rate": np.array([[start.angle_rate] for start in starts])
+        .round(3)
+        .astype(np.float32),
     }
 
 
-def sidecar_text(source: Path, count: int, repeats: dict[int, int], found: dict[str, float]) -> str:
+def sidecar_text(
+    source: Path, count: int, repeats: dict[int, int], found: dict[str, float]
+) -> str:
     """Return the text of the sidecar."""
     head = sidecar_head(
         source,
@@ -313,10 +387,14 @@ def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
     # The text rounds the scale, and the start velocities contain it.
     repeats = copies([np.concatenate(toss.corners_m(), axis=1) for toss in tosses])
     fit = [trial for trial in range(0, len(tosses), 2) if trial not in repeats]
-    scale = float(f"{GRAVITY_M_PER_S2 / float(np.median(acceleration([tosses[trial] for trial in fit]))):.4g}")
+    scale = float(
+        f"{GRAVITY_M_PER_S2 / float(np.median(acceleration([tosses[trial] for trial in fit]))):.4g}"
+    )
     flying = model(GRAVITY_M_PER_S2)
     starts = [start_of(toss, scale, flying) for toss in tosses]
-    found = nuisances([tosses[trial] for trial in fit], [starts[trial] for trial in fit], scale)
+    found = nuisances(
+        [tosses[trial] for trial in fit], [starts[trial] for trial in fit], scale
+    )
     return arrays_of(tosses, starts), sidecar_text(source, len(tosses), repeats, found)
 
 

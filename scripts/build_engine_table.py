@@ -41,7 +41,12 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.runs.result_file import (
+    load_result,
+    recorded_experiment,
+    result_file_name,
+    write_result,
+)
 from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import Status
@@ -54,7 +59,11 @@ PAGE = ROOT / "docs" / "engines" / "comparison.md"
 SCRIPT = Path(__file__).name
 
 ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier", "drake", "genesis")
-MORE_PRESETS = {"physx": ("isaac", "paper"), "newton": ("paper",), "genesis": ("paper",)}
+MORE_PRESETS = {
+    "physx": ("isaac", "paper"),
+    "newton": ("paper",),
+    "genesis": ("paper",),
+}
 """Presets beside the default one, which is the empty text, and `out_of_box`."""
 
 PAPER_STEP = {"timestep_s": 1 / 180, "drive_interval_s": 1 / 180}
@@ -67,8 +76,22 @@ SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 LAWS = ("SlopeSlider-1-wood", "SlopeSlider-1-plastic", "SlopeSlider-1-metal")
 LAWS += ("Turntable-1-wood", "Turntable-1-plastic", "Turntable-1-metal")
 RECORDINGS = ("SlopeSlider-3-metal", "Turntable-3-metal")
-BALL, CRADLE, PENDULUM, WALL = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal", "WallBreaking-wood"
-VARIANTS = (*SLIDES, BALL, *LAWS, *RECORDINGS, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
+BALL, CRADLE, PENDULUM, WALL = (
+    "BouncingBall-rubber",
+    "NewtonsCradle-metal",
+    "Pendulum-metal",
+    "WallBreaking-wood",
+)
+VARIANTS = (
+    *SLIDES,
+    BALL,
+    *LAWS,
+    *RECORDINGS,
+    "Turntable-2-wood",
+    CRADLE,
+    PENDULUM,
+    WALL,
+)
 TRIALS = (*SLIDES, BALL)
 """Variants whose reference is the mean of real trials; they run with the constants of these trials too."""
 
@@ -113,7 +136,10 @@ def settings_of(engine: str, preset: str) -> dict[str, Any]:
 @cache
 def columns() -> Mapping[tuple[str, str], MatrixColumn]:
     """Return the conformance checks of all configurations, by engine and preset."""
-    return {(one.backend, "" if one.name == "default" else one.name): one for one in read_columns(CONFORMANCE)}
+    return {
+        (one.backend, "" if one.name == "default" else one.name): one
+        for one in read_columns(CONFORMANCE)
+    }
 
 
 def episode(engine: str, preset: str, variant: str) -> tuple[Result, float]:
@@ -131,28 +157,47 @@ def measure(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> 
     """Run the episodes of a configuration that its folder lacks."""
     folder.mkdir(parents=True, exist_ok=True)
     ratios_file = folder / "ratios.json"
-    ratios = json.loads(ratios_file.read_text(encoding="utf-8")) if ratios_file.is_file() else {}
+    ratios = (
+        json.loads(ratios_file.read_text(encoding="utf-8"))
+        if ratios_file.is_file()
+        else {}
+    )
     declined_file = folder / "declined.json"
-    declined = json.loads(declined_file.read_text(encoding="utf-8")) if declined_file.is_file() else {}
+    declined = (
+        json.loads(declined_file.read_text(encoding="utf-8"))
+        if declined_file.is_file()
+        else {}
+    )
     for variant in variants:
         if variant in ratios:
             continue
         started = time.perf_counter()
-        _, reference_s = episode("mujoco", "", variant) if variant in TIMED else (None, 0.0)
+        _, reference_s = (
+            episode("mujoco", "", variant) if variant in TIMED else (None, 0.0)
+        )
         result, wall_s = episode(engine, preset, variant)
         if result.error is None:
             write_result(result, folder / result_file_name(result))
         else:
-            declined[variant] = {"outcome": result.outcome.value, "reason": result.error}
+            declined[variant] = {
+                "outcome": result.outcome.value,
+                "reason": result.error,
+            }
             write_whole(declined_file, json.dumps(declined, indent=1).encode())
-        ratios[variant] = wall_s / reference_s if reference_s and result.error is None else None
+        ratios[variant] = (
+            wall_s / reference_s if reference_s and result.error is None else None
+        )
         write_whole(ratios_file, json.dumps(ratios, indent=1).encode())
-        print(f"{name_of(engine, preset)}: {variant} {result.outcome.value}, {time.perf_counter() - started:.0f} s")
+        print(
+            f"{name_of(engine, preset)}: {variant} {result.outcome.value}, {time.perf_counter() - started:.0f} s"
+        )
 
 
 def implied(result: Result, parameter: str) -> float | None:
     """Return a parameter that the trajectory implies, or None."""
-    return next((one.value for one in result.score.implied if one.parameter == parameter), None)
+    return next(
+        (one.value for one in result.score.implied if one.parameter == parameter), None
+    )
 
 
 def acceleration_ratio(result: Result) -> float | None:
@@ -162,7 +207,9 @@ def acceleration_ratio(result: Result) -> float | None:
         return None
     contact = load_experiment(result.id).scene.contacts[0]
     slope = np.radians(30.0)
-    measured, expected = (np.sin(slope) - mu * np.cos(slope) for mu in (friction, contact.friction))
+    measured, expected = (
+        np.sin(slope) - mu * np.cos(slope) for mu in (friction, contact.friction)
+    )
     return float(measured / expected)
 
 
@@ -175,15 +222,23 @@ def rebound_ratio(result: Result) -> float | None:
 
 def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
     """Return what the page states about one configuration, JSON-ready."""
-    results = {one.id.removeprefix("GAUGE/"): one for one in loaded(folder) if one.parameters == PUBLISHED}
+    results = {
+        one.id.removeprefix("GAUGE/"): one
+        for one in loaded(folder)
+        if one.parameters == PUBLISHED
+    }
     ratios = json.loads((folder / "ratios.json").read_text(encoding="utf-8"))
     return {
         "engine": engine,
         "preset": preset,
         "versions": engine_versions(results.values()),
-        "laws": {f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name]) for name in SLIDES}
+        "laws": {
+            f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name])
+            for name in SLIDES
+        }
         | {"rebound": rebound_ratio(results[BALL])},
-        "episodes": {name: episode_record(one) for name, one in results.items()} | not_run(folder),
+        "episodes": {name: episode_record(one) for name, one in results.items()}
+        | not_run(folder),
         "wall_ratios": ratios,
     }
 
@@ -196,31 +251,52 @@ def not_run(folder: Path) -> dict[str, Any]:
 
 def engine_versions(results: Iterable[Result]) -> dict[str, str]:
     """Return the versions of the engine's packages in results."""
-    return next((dict(RunConfiguration.of(one).engine_versions) for one in results if one.error is None), {})
+    return next(
+        (
+            dict(RunConfiguration.of(one).engine_versions)
+            for one in results
+            if one.error is None
+        ),
+        {},
+    )
 
 
 def law_ratio(one: Mapping[str, Any], check: str) -> float | None:
     """Return the measured over the expected value of a check that ran."""
     found = columns()[one["engine"], one["preset"]].findings[check]
-    ratio = np.nan if found.measured is None else found.measured / (found.expected or np.nan)
+    ratio = (
+        np.nan
+        if found.measured is None
+        else found.measured / (found.expected or np.nan)
+    )
     return float(ratio) if np.isfinite(ratio) else None
 
 
 def energy_loss(one: Mapping[str, Any]) -> str:
     """Return the energy that a pendulum loses [%], empty if the check did not run."""
-    return number(columns()[one["engine"], one["preset"]].findings["pendulum-energy"].measured, 3)
+    return number(
+        columns()[one["engine"], one["preset"]].findings["pendulum-energy"].measured, 3
+    )
 
 
 def checks_with(one: Mapping[str, Any], *statuses: Status) -> list[str]:
     """Return the conformance checks of a configuration with some statuses; refused ones count as declined."""
     column = columns()[one["engine"], one["preset"]]
     refused = column.refused if Status.DECLINED in statuses else ()
-    return [*(name for name, found in column.findings.items() if found.status in statuses), *refused]
+    return [
+        *(name for name, found in column.findings.items() if found.status in statuses),
+        *refused,
+    ]
 
 
 def episode_record(result: Result) -> dict[str, Any]:
     """Return outcome and scores of one episode, JSON-ready; scores that do not apply are absent."""
-    kept = ("rmse_normalized", "rmse_normalized_95", "rmse_aligned_normalized", "rmse_aligned_normalized_95")
+    kept = (
+        "rmse_normalized",
+        "rmse_normalized_95",
+        "rmse_aligned_normalized",
+        "rmse_aligned_normalized_95",
+    )
     kept += ("mte", "lsd_normalized", "pd_normalized", "el")
     values = {name: getattr(result.score, name) for name in kept}
     return {
@@ -254,12 +330,18 @@ def grade_record(comparison: Comparison, grade: GradeComparison) -> dict[str, An
                 "rank": one.rank,
                 "mean_rank": one.mean_rank.value,
                 "mean_rank_95": list(one.mean_rank.interval_95),
-                "ranks": {of.id: list(of.ranks[one.configuration].interval_95) for of in grade.experiments},
+                "ranks": {
+                    of.id: list(of.ranks[one.configuration].interval_95)
+                    for of in grade.experiments
+                },
             }
             for one in grade.ranked
             if one.mean_rank is not None
         ],
-        "pairs_apart": {one.id: [one.distinguishable_count, one.pair_count] for one in grade.experiments},
+        "pairs_apart": {
+            one.id: [one.distinguishable_count, one.pair_count]
+            for one in grade.experiments
+        },
         "apart": [
             [names[pair.closer], names[pair.first + pair.second - pair.closer]]
             for pair in grade.common_pairs
@@ -270,14 +352,23 @@ def grade_record(comparison: Comparison, grade: GradeComparison) -> dict[str, An
 
 def gather(results: Path, configurations: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Return the measured configurations for the data file, from their folders."""
-    return {"configurations": [record(*one, folder_of(results, *one)) for one in configurations]}
+    return {
+        "configurations": [
+            record(*one, folder_of(results, *one)) for one in configurations
+        ]
+    }
 
 
 def run_graded(engine: str, preset: str, folder: Path) -> None:
     """Run the graded episodes of a configuration that its folder lacks."""
     settings = settings_of(engine, preset)
-    requests = [RunRequest(variant, backend=engine, settings=settings) for variant in GRADED]
-    requests += [RunRequest(variant, backend=engine, settings=settings, parameters=EFFECTIVE) for variant in TRIALS]
+    requests = [
+        RunRequest(variant, backend=engine, settings=settings) for variant in GRADED
+    ]
+    requests += [
+        RunRequest(variant, backend=engine, settings=settings, parameters=EFFECTIVE)
+        for variant in TRIALS
+    ]
     for result in run_many(requests, out=folder, resume=True):
         of = f"{name_of(engine, preset)}: {result.id} {result.parameters}"
         print(f"{of} {result.outcome.value} {result.error or ''}".rstrip(), flush=True)
@@ -289,24 +380,44 @@ def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
     Raises:
         SystemExit: The folder lacks an episode.
     """
-    wanted = {(variant, PUBLISHED) for variant in GRADED} | {(variant, EFFECTIVE) for variant in TRIALS}
-    found = {(one.id.removeprefix("GAUGE/"), str(one.parameters)): one for one in loaded(folder)}
+    wanted = {(variant, PUBLISHED) for variant in GRADED} | {
+        (variant, EFFECTIVE) for variant in TRIALS
+    }
+    found = {
+        (one.id.removeprefix("GAUGE/"), str(one.parameters)): one
+        for one in loaded(folder)
+    }
     if missing := wanted - set(found):
-        lacking = ", ".join(f"{variant} {parameters}" for variant, parameters in sorted(missing))
+        lacking = ", ".join(
+            f"{variant} {parameters}" for variant, parameters in sorted(missing)
+        )
         raise SystemExit(f"no ranks: {name_of(engine, preset)} lacks {lacking}")
-    return [rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)]
+    return [
+        rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)
+    ]
 
 
 COUNTED = ((Status.PASS,), (Status.FAIL, Status.ERROR), (Status.DECLINED,))
 """What the tables count: passed, failed, declined."""
 
-UNRANKED = ("oblique-", "slide-between", "rebound-flat", "joint-", "grasp-", "torsion", "rolling")
+UNRANKED = (
+    "oblique-",
+    "slide-between",
+    "rebound-flat",
+    "joint-",
+    "grasp-",
+    "torsion",
+    "rolling",
+)
 """Checks of what no ranked experiment has: impacts that slip, bodies that rub, flat landings, joints, grasps, spins."""
 
 
 def failed_checks(known: Mapping[str, Any]) -> int:
     """Return how many checks a configuration fails that keep it from the ranks."""
-    return sum(not name.startswith(UNRANKED) for name in checks_with(known, Status.FAIL, Status.ERROR))
+    return sum(
+        not name.startswith(UNRANKED)
+        for name in checks_with(known, Status.FAIL, Status.ERROR)
+    )
 
 
 def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
@@ -314,7 +425,11 @@ def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
     configurations, ranked = [], []
     for one in known["configurations"]:
         name = name_of(one["engine"], one["preset"])
-        every = graded_results(one["engine"], one["preset"], folder_of(results, one["engine"], one["preset"]))
+        every = graded_results(
+            one["engine"],
+            one["preset"],
+            folder_of(results, one["engine"], one["preset"]),
+        )
         print(f"{name}: scored", flush=True)
         episodes = {
             parameters: {
@@ -333,7 +448,10 @@ def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
         )
         ranked += [] if failed_checks(one) else every
     comparison = compare(ranked)
-    return {"configurations": configurations, "grades": [grade_record(comparison, one) for one in comparison.grades]}
+    return {
+        "configurations": configurations,
+        "grades": [grade_record(comparison, one) for one in comparison.grades],
+    }
 
 
 def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
@@ -343,7 +461,10 @@ def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, A
     for one in measured["configurations"]:
         place = (one["engine"], one["preset"])
         rows[place] = {**rows.get(place, {}), **one}
-    return {"configurations": [rows[one] for one in order if one in rows], "grades": known["grades"]}
+    return {
+        "configurations": [rows[one] for one in order if one in rows],
+        "grades": known["grades"],
+    }
 
 
 def folder_of(results: Path, engine: str, preset: str) -> Path:
@@ -364,7 +485,9 @@ def with_interval(one: Mapping[str, Any], metric: str) -> str:
     if metric not in one:
         return "" if one["outcome"] == Outcome.FINISHED.value else one["outcome"]
     interval = one.get(f"{metric}_95")
-    return f"{one[metric]:.2f}" + (f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else "")
+    return f"{one[metric]:.2f}" + (
+        f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
+    )
 
 
 def number(value: float | None, digits: int) -> str:
@@ -374,7 +497,9 @@ def number(value: float | None, digits: int) -> str:
 
 def page(data: Mapping[str, Any]) -> str:
     """Return the generated part of the page: the main numbers of each configuration."""
-    rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
+    rows = [
+        (name_of(one["engine"], one["preset"]), one) for one in data["configurations"]
+    ]
     ran = max(len(column.findings) for column in columns().values())
     lines = [
         f"Measured with {versions(data)}.",
@@ -386,7 +511,16 @@ def page(data: Mapping[str, Any]) -> str:
         f"time over that of MuJoCo's default preset, the geometric mean over those of {len(TIMED)} episodes that ran.",
         "",
         *markdown_table(
-            ("configuration", "physics", "checks", "slide", "e = 0.5", "period", "loss", "cost"),
+            (
+                "configuration",
+                "physics",
+                "checks",
+                "slide",
+                "e = 0.5",
+                "period",
+                "loss",
+                "cost",
+            ),
             ((name, whose_physics(one), *main_cells(one)) for name, one in rows),
         ),
         "",
@@ -404,7 +538,11 @@ def page(data: Mapping[str, Any]) -> str:
 
 def versions(data: Mapping[str, Any]) -> str:
     """Return the versions of all engines."""
-    found = {f"{name} {text}" for one in data["configurations"] for name, text in one["versions"].items()}
+    found = {
+        f"{name} {text}"
+        for one in data["configurations"]
+        for name, text in one["versions"].items()
+    }
     return ", ".join(sorted(found))
 
 
@@ -418,10 +556,17 @@ def main_cells(one: Mapping[str, Any]) -> list[str]:
     counts = ", ".join(str(len(checks_with(one, *statuses))) for statuses in COUNTED)
     ratios = [ratio for variant in TIMED if (ratio := one["wall_ratios"].get(variant))]
     cost = f"{np.exp(np.mean(np.log(ratios))):.2g}" if ratios else ""
-    return [counts, *(percent(law_ratio(one, RATIOS[name])) for name in MAIN_RATIOS), energy_loss(one), cost]
+    return [
+        counts,
+        *(percent(law_ratio(one, RATIOS[name])) for name in MAIN_RATIOS),
+        energy_loss(one),
+        cost,
+    ]
 
 
-def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Iterator[str]:
+def rank_lines(
+    data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, Any]]]
+) -> Iterator[str]:
     """Yield the ranks of each grade, and the scores of configurations that fail a check."""
     titles = {
         ("trials", PUBLISHED): "Real trials, published constants",
@@ -443,13 +588,24 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
         if key not in titles:
             continue
         yield from ("", f"#### {titles[key]}", "")
-        head = ("configuration", *(name.removeprefix("GAUGE/") for name in grade["ids"]), "mean rank")
-        yield from markdown_table(head, (ranked_cells(one, by_name, grade) for one in grade["ranked"]))
-        counts = [f"{count[0]} of {count[1]}" for count in (grade["pairs_apart"][name] for name in grade["ids"])]
+        head = (
+            "configuration",
+            *(name.removeprefix("GAUGE/") for name in grade["ids"]),
+            "mean rank",
+        )
+        yield from markdown_table(
+            head, (ranked_cells(one, by_name, grade) for one in grade["ranked"])
+        )
+        counts = [
+            f"{count[0]} of {count[1]}"
+            for count in (grade["pairs_apart"][name] for name in grade["ids"])
+        ]
         further: dict[str, list[str]] = {}
         for closer, other in grade["apart"]:
             further.setdefault(closer, []).append(other)
-        pairs = [f"{closer} than {', '.join(others)}" for closer, others in further.items()]
+        pairs = [
+            f"{closer} than {', '.join(others)}" for closer, others in further.items()
+        ]
         yield ""
         yield (
             f"Distinguishable pairs in each, in this order: {', '.join(counts)}. Distinguishably closer in more than "
@@ -459,7 +615,12 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     yield "These fail conformance checks, so a low score may be two errors that cancel. Primary scores against trials:"
     yield ""
     short = [*(name.rsplit("-", 1)[1] for name in SLIDES), "ball"]
-    head = ("configuration", "", *short, *(f"{name}, trials' constants" for name in short))
+    head = (
+        "configuration",
+        "",
+        *short,
+        *(f"{name}, trials' constants" for name in short),
+    )
     apart = (
         (name, f"fails {failed_checks(one)} such checks; not ranked", *apart_cells(one))
         for name, one in rows
@@ -469,11 +630,15 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
 
 
 def ranked_cells(
-    score: Mapping[str, Any], rows: Mapping[str, Mapping[str, Any]], grade: Mapping[str, Any]
+    score: Mapping[str, Any],
+    rows: Mapping[str, Mapping[str, Any]],
+    grade: Mapping[str, Any],
 ) -> list[str]:
     """Return the cells of a configuration in the table of a grade."""
     known = rows[score["configuration"]]
-    episodes = known["episodes"] if grade["constants"] == PUBLISHED else known[EFFECTIVE]
+    episodes = (
+        known["episodes"] if grade["constants"] == PUBLISHED else known[EFFECTIVE]
+    )
     cells = [score["configuration"]]
     for name in grade["ids"]:
         low, high = (round(end) for end in score["ranks"][name])
@@ -485,7 +650,11 @@ def ranked_cells(
 
 def apart_cells(one: Mapping[str, Any]) -> list[str]:
     """Return the scores against real trials, with the published constants and with those of the trials."""
-    return [primary(episodes[name]) for episodes in (one["episodes"], one[EFFECTIVE]) for name in TRIALS]
+    return [
+        primary(episodes[name])
+        for episodes in (one["episodes"], one[EFFECTIVE])
+        for name in TRIALS
+    ]
 
 
 def primary(episode: Mapping[str, Any]) -> str:
@@ -499,7 +668,9 @@ def primary(episode: Mapping[str, Any]) -> str:
 
 def tables(data: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of all tables of the data."""
-    rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
+    rows = [
+        (name_of(one["engine"], one["preset"]), one) for one in data["configurations"]
+    ]
     yield f"Measured with {versions(data)}."
     yield from ("", "### Closed forms", "")
     yield from (
@@ -520,26 +691,56 @@ def tables(data: Mapping[str, Any]) -> Iterator[str]:
     yield ""
     for name, one in rows:
         for title, statuses in zip(("failed", "declined"), COUNTED[1:], strict=True):
-            if found := ", ".join(f"`{check}`" for check in checks_with(one, *statuses)):
+            if found := ", ".join(
+                f"`{check}`" for check in checks_with(one, *statuses)
+            ):
                 yield f"- {name}, {title}: {found}"
     yield from ("", "### Scores against real trials", "")
-    yield from ("Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw.", "")
-    heads = [f"{name.rsplit('-', 1)[1]}, {kind}" for kind in ("aligned", "raw") for name in SLIDES]
-    yield from markdown_table(("configuration", *heads, "ball"), ((name, *trial_cells(one)) for name, one in rows))
+    yield from (
+        "Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw.",
+        "",
+    )
+    heads = [
+        f"{name.rsplit('-', 1)[1]}, {kind}"
+        for kind in ("aligned", "raw")
+        for name in SLIDES
+    ]
+    yield from markdown_table(
+        ("configuration", *heads, "ball"),
+        ((name, *trial_cells(one)) for name, one in rows),
+    )
     yield from ("", "### Scores against recordings and laws, and events", "")
-    yield from ("Normalized RMSE; momentum transfer of the cradle, period over the real one, outcome of the wall.", "")
-    head = ("configuration", *RECORDINGS, "largest of 6 laws", "cradle, MTE", "pendulum, PD", "wall")
+    yield from (
+        "Normalized RMSE; momentum transfer of the cradle, period over the real one, outcome of the wall.",
+        "",
+    )
+    head = (
+        "configuration",
+        *RECORDINGS,
+        "largest of 6 laws",
+        "cradle, MTE",
+        "pendulum, PD",
+        "wall",
+    )
     yield from markdown_table(head, ((name, *other_cells(one)) for name, one in rows))
     yield from ("", "### Cost", "")
-    yield from ("Wall time as a ratio to MuJoCo's default preset in the same run, faster of two runs.", "")
-    costs = ((name, *(number(one["wall_ratios"].get(variant), 2) for variant in TIMED)) for name, one in rows)
+    yield from (
+        "Wall time as a ratio to MuJoCo's default preset in the same run, faster of two runs.",
+        "",
+    )
+    costs = (
+        (name, *(number(one["wall_ratios"].get(variant), 2) for variant in TIMED))
+        for name, one in rows
+    )
     yield from markdown_table(("configuration", *TIMED), costs)
 
 
 def closed_forms(one: Mapping[str, Any]) -> list[str]:
     """Return the cells of the table of closed forms."""
     laws = one["laws"]
-    slides = " / ".join(percent(laws[f"slide {name.rsplit('-', 1)[1]}"]) or "-" for name in SLIDES)
+    slides = " / ".join(
+        percent(laws[f"slide {name.rsplit('-', 1)[1]}"]) or "-" for name in SLIDES
+    )
     counts = [str(len(checks_with(one, *statuses))) for statuses in COUNTED]
     ratios = [percent(law_ratio(one, check)) for check in RATIOS.values()]
     return [*counts, slides, *ratios, energy_loss(one), percent(laws["rebound"])]
@@ -549,7 +750,9 @@ def trial_cells(one: Mapping[str, Any]) -> list[str]:
     """Return the cells of the table of real trials."""
     episodes = one["episodes"]
     metrics = ("rmse_aligned_normalized", "rmse_normalized")
-    slides = [with_interval(episodes[name], metric) for metric in metrics for name in SLIDES]
+    slides = [
+        with_interval(episodes[name], metric) for metric in metrics for name in SLIDES
+    ]
     return [*slides, with_interval(episodes[BALL], "rmse_normalized")]
 
 
@@ -560,7 +763,9 @@ def other_cells(one: Mapping[str, Any]) -> list[str]:
     known = [value for value in laws if value is not None]
     return [
         *(with_interval(episodes[name], "rmse_normalized") for name in RECORDINGS),
-        f"{max(known):.2f}" + ("" if len(known) == len(laws) else f" of {len(known)}") if known else "",
+        f"{max(known):.2f}" + ("" if len(known) == len(laws) else f" of {len(known)}")
+        if known
+        else "",
         with_interval(episodes[CRADLE], "mte"),
         with_interval(episodes[PENDULUM], "pd_normalized"),
         episodes[WALL]["outcome"],
@@ -584,21 +789,44 @@ def measured(options: argparse.Namespace, known: Mapping[str, Any]) -> dict[str,
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument("--docs", action="store_true", help="write the page from the data file")
-    mode.add_argument("--tables", action="store_true", help="print all tables of the data file")
-    mode.add_argument("--check", action="store_true", help="fail if the page is not current")
-    parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
-    parser.add_argument("--grades", action="store_true", help="run what the ranks need, and write scores and ranks")
-    parser.add_argument("--scores", action="store_true", help="write scores and ranks of what the folder holds")
+    mode.add_argument(
+        "--docs", action="store_true", help="write the page from the data file"
+    )
+    mode.add_argument(
+        "--tables", action="store_true", help="print all tables of the data file"
+    )
+    mode.add_argument(
+        "--check", action="store_true", help="fail if the page is not current"
+    )
+    parser.add_argument(
+        "--engine", action="append", help="measure this engine only; repeatable"
+    )
+    parser.add_argument(
+        "--grades",
+        action="store_true",
+        help="run what the ranks need, and write scores and ranks",
+    )
+    parser.add_argument(
+        "--scores",
+        action="store_true",
+        help="write scores and ranks of what the folder holds",
+    )
     options = parser.parse_args(arguments)
     if (options.grades or options.scores) and options.results is None:
         parser.error("--grades and --scores need --results DIR")
     if options.results:
         known = json.loads(DATA.read_text(encoding="utf-8"))
-        write_whole(DATA, (json.dumps(json_ready(measured(options, known)), indent=1) + "\n").encode())
+        write_whole(
+            DATA,
+            (
+                json.dumps(json_ready(measured(options, known)), indent=1) + "\n"
+            ).encode(),
+        )
     data = json.loads(DATA.read_text(encoding="utf-8"))
     if options.tables:
         print("\n".join(tables(data)))

@@ -114,7 +114,11 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
     ),
 }
 
-ENTRIES = {find_variant(entry.name).family: entry for entries in GROUPS.values() for entry in entries}
+ENTRIES = {
+    find_variant(entry.name).family: entry
+    for entries in GROUPS.values()
+    for entry in entries
+}
 """What the picture of each family shows: the variant and the time of the gallery."""
 
 
@@ -125,13 +129,19 @@ def picture_of(family: str) -> Path:
 
 def captions() -> dict[str, str]:
     """Return what each picture shows, by family, as it was drawn."""
-    known: dict[str, str] = json.loads(CAPTIONS.read_text(encoding="utf-8")) if CAPTIONS.is_file() else {}
+    known: dict[str, str] = (
+        json.loads(CAPTIONS.read_text(encoding="utf-8")) if CAPTIONS.is_file() else {}
+    )
     return known
 
 
 def stride_of(entry: Entry, frame_count: int) -> tuple[int, int]:
     """Return the last frame that a picture shows, and the frames between two of its frames."""
-    last = frame_count - 1 if entry.to_s is None else min(round(FRAME_RATE_HZ * entry.to_s), frame_count - 1)
+    last = (
+        frame_count - 1
+        if entry.to_s is None
+        else min(round(FRAME_RATE_HZ * entry.to_s), frame_count - 1)
+    )
     return last, math.ceil(last / MOST_FRAMES)
 
 
@@ -139,7 +149,9 @@ def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
     """Return what the picture of an entry shows."""
     last, stride = stride_of(entry, experiment.frame_count)
     end_s = last / FRAME_RATE_HZ
-    reference = reference_text(band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial)
+    reference = reference_text(
+        band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial
+    )
     red = f"; red: {reference}" if reference else ""
     speed = stride * FPS / FRAME_RATE_HZ
     return (
@@ -161,7 +173,11 @@ def draw(entry: Entry, file: Path) -> str:
     )
     env.reset(seed=0)
     last, stride = stride_of(entry, env.experiment.frame_count)
-    zero = 0 if isinstance(env.action_space, spaces.Discrete) else np.zeros(env.action_space.shape)
+    zero = (
+        0
+        if isinstance(env.action_space, spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     with film_writer(file, size=SIZE, fps=FPS) as writer:
         for frame in range(last + 1):
             if frame:
@@ -180,7 +196,9 @@ def draw_missing() -> None:
         file = picture_of(family)
         if not file.is_file():
             known = captions() | {family: draw(entry, file)}
-            CAPTIONS.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+            CAPTIONS.write_text(
+                json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8"
+            )
             print(f"{file.name}: {file.stat().st_size // 1000} kB", file=sys.stderr)
 
 
@@ -189,7 +207,9 @@ def draw_missing() -> None:
 
 def enclosed(text: str) -> str:
     """Return the text of a page between the marks of generated files."""
-    return f"<!-- page, written by scripts/{SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
+    return (
+        f"<!-- page, written by scripts/{SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
+    )
 
 
 def pages() -> dict[Path, str]:
@@ -201,7 +221,9 @@ def pages() -> dict[Path, str]:
     found = {PAGES / "index.md": enclosed(index_text(families))}
     for family in families:
         picture = f"../images/environments/{family}.webp"
-        document = family_document(family, picture=picture, caption=shown.get(family, ""))
+        document = family_document(
+            family, picture=picture, caption=shown.get(family, "")
+        )
         found[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
     return found
 
@@ -211,8 +233,12 @@ def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
     lines = ["# Experiments", "", INTRODUCTION, ""]
     for title, entries in GROUPS.items():
         lines += [f"## {title}", ""]
-        cells = [index_cell(find_variant(entry.name).family, families) for entry in entries]
-        rows = [cells[first : first + COLUMNS] for first in range(0, len(cells), COLUMNS)]
+        cells = [
+            index_cell(find_variant(entry.name).family, families) for entry in entries
+        ]
+        rows = [
+            cells[first : first + COLUMNS] for first in range(0, len(cells), COLUMNS)
+        ]
         rows[-1] += [""] * (COLUMNS - len(rows[-1]))
         lines += [*markdown_table([""] * COLUMNS, rows), ""]
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *families, "```", ""])
@@ -221,7 +247,9 @@ def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
 def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
     """Return picture, name and numbers of a family, with a link to its page."""
     grades = Counter(band_grade(variant.name) for variant in families[family])
-    count = ", ".join(f"{grades[grade]} x {grade.value}" for grade in BandGrade if grades[grade])
+    count = ", ".join(
+        f"{grades[grade]} x {grade.value}" for grade in BandGrade if grades[grade]
+    )
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"
 
 
@@ -229,10 +257,23 @@ def faults() -> list[str]:
     """Return what is missing or too large: pictures of families, and files that no family has."""
     families = {variant.family for variant in (*variants(), *beyond_variants())}
     files = {file.stem: file.stat().st_size for file in PICTURES.glob("*.webp")}
-    found = [f"{family}: no picture: add an entry, then run {SCRIPT} --pictures" for family in families - set(files)]
-    found += [f"{name}.webp: there is no such family: delete it" for name in set(files) - families]
-    found += [f"{family}: no caption: delete its picture and draw it again" for family in families - set(captions())]
-    found += [f"{name}.webp: {size} bytes" for name, size in files.items() if not 0 < size <= MOST_PICTURE_BYTES]
+    found = [
+        f"{family}: no picture: add an entry, then run {SCRIPT} --pictures"
+        for family in families - set(files)
+    ]
+    found += [
+        f"{name}.webp: there is no such family: delete it"
+        for name in set(files) - families
+    ]
+    found += [
+        f"{family}: no caption: delete its picture and draw it again"
+        for family in families - set(captions())
+    ]
+    found += [
+        f"{name}.webp: {size} bytes"
+        for name, size in files.items()
+        if not 0 < size <= MOST_PICTURE_BYTES
+    ]
     stray = {file.stem for file in PAGES.glob("*.md")} - families - {"index"}
     found += [f"{name}.md: there is no such family: delete it" for name in stray]
     if sum(files.values()) > MOST_BYTES:
@@ -242,9 +283,17 @@ def faults() -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw, write or check; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is not current")
-    parser.add_argument("--pictures", action="store_true", help="draw the pictures that are missing")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if a page is not current",
+    )
+    parser.add_argument(
+        "--pictures", action="store_true", help="draw the pictures that are missing"
+    )
     options = parser.parse_args(arguments)
     if options.pictures:
         draw_missing()

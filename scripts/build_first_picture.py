@@ -42,16 +42,23 @@ TRIAL_WIDTH_MM = 130.0
 
 def heights_mm(engine: str, folder: Path) -> NDArray[np.float64]:
     """Return the ball's height at each frame [mm], shape [frame_count]."""
-    request = RunRequest(NAME, backend=engine, settings=dict(dict(configurations(engine))[OUT_OF_BOX]))
+    request = RunRequest(
+        NAME, backend=engine, settings=dict(dict(configurations(engine))[OUT_OF_BOX])
+    )
     (planned,) = planned_results(request)
     list(run_many([request], out=folder, resume=True))
     trajectory = load_result(folder / result_file_name(planned)).trajectory
     assert trajectory is not None
-    return trajectory.arrays()[1][::SAMPLES_PER_FRAME, trajectory.coordinates.index("ball.z")]
+    return trajectory.arrays()[1][
+        ::SAMPLES_PER_FRAME, trajectory.coordinates.index("ball.z")
+    ]
 
 
 def draw(
-    frame: int, real: NDArray[np.float64], simulated: dict[str, NDArray[np.float64]], radius_mm: float
+    frame: int,
+    real: NDArray[np.float64],
+    simulated: dict[str, NDArray[np.float64]],
+    radius_mm: float,
 ) -> Image.Image:
     """Return the picture of one frame.
 
@@ -64,7 +71,10 @@ def draw(
     figure = new_figure(*SIZE_IN)
     # Every picture has the same places.
     figure.set_layout_engine("none")
-    drops, errors = figure.add_axes((0.0, 0.1, 0.52, 0.9)), figure.add_axes((0.6, 0.16, 0.37, 0.74))
+    drops, errors = (
+        figure.add_axes((0.0, 0.1, 0.52, 0.9)),
+        figure.add_axes((0.6, 0.16, 0.37, 0.74)),
+    )
     mean = real.mean(axis=0)
     for number, trial in enumerate(real):
         x_mm = TRIAL_WIDTH_MM * (number / (len(real) - 1) - 0.5)
@@ -72,22 +82,46 @@ def draw(
     ball(drops, 0.0, mean[frame], radius_mm, edgecolor=REAL, fill=False, lw=2)
     for column, (engine, heights) in enumerate(simulated.items(), start=1):
         for earlier in range(frame):
-            ball(drops, 220.0 * column, heights[earlier], radius_mm, color=OURS[column - 1], alpha=0.08)
+            ball(
+                drops,
+                220.0 * column,
+                heights[earlier],
+                radius_mm,
+                color=OURS[column - 1],
+                alpha=0.08,
+            )
         ball(drops, 220.0 * column, heights[frame], radius_mm, color=OURS[column - 1])
-        ball(drops, 220.0 * column, mean[frame], radius_mm, edgecolor=REAL, fill=False, lw=2)
+        ball(
+            drops,
+            220.0 * column,
+            mean[frame],
+            radius_mm,
+            edgecolor=REAL,
+            fill=False,
+            lw=2,
+        )
         error = np.abs(heights - mean)[: frame + 1]
-        errors.plot(np.arange(frame + 1) / FRAME_RATE_HZ, error, color=OURS[column - 1], lw=4)
-        errors.plot(frame / FRAME_RATE_HZ, error[-1], "o", color=OURS[column - 1], ms=10)
+        errors.plot(
+            np.arange(frame + 1) / FRAME_RATE_HZ, error, color=OURS[column - 1], lw=4
+        )
+        errors.plot(
+            frame / FRAME_RATE_HZ, error[-1], "o", color=OURS[column - 1], ms=10
+        )
         rms_mm = float(np.sqrt(np.mean(np.square(error))))
         errors.text(0.03, 1.0 - 0.12 * column, f"{backend_title(engine)}: {rms_mm:.0f} mm RMS",
             transform=errors.transAxes, color=OURS[column - 1], fontsize=17, weight="bold")  # fmt: skip
     drops.axhline(0.0, color="#808080", lw=3)
     drops.set(xlim=(-110, 550), ylim=(-15, 530), aspect="equal", yticks=[])
-    drops.set_xticks([0.0, 220.0, 440.0], [f"{len(real)} real", *(backend_title(engine) for engine in simulated)])
+    drops.set_xticks(
+        [0.0, 220.0, 440.0],
+        [f"{len(real)} real", *(backend_title(engine) for engine in simulated)],
+    )
     drops.tick_params(length=0, labelsize=19)
     drops.spines[:].set_visible(False)
     tidy_axis(errors)
-    errors.set(xlim=(0, len(mean) / FRAME_RATE_HZ), ylim=(0, 330), yticks=[0, 100, 200, 300])
+    errors.set(
+        xlim=(0, len(mean) / FRAME_RATE_HZ), ylim=(0, 330), yticks=[0, 100, 200, 300]
+    )
     errors.set_title("mm from the real mean", fontsize=17)
     errors.set_xlabel(f"{frame / FRAME_RATE_HZ:.2f} s", fontsize=19)
     errors.tick_params(labelsize=14)
@@ -105,8 +139,15 @@ def ball(axis: Any, x_mm: float, z_mm: float, radius_mm: float, **style: Any) ->
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the picture; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, default=Path("results/first_picture"), help="folder of results")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=Path("results/first_picture"),
+        help="folder of results",
+    )
     parser.add_argument("--out", type=Path, default=OUT, help="the picture")
     options = parser.parse_args(arguments)
     experiment = load_experiment(NAME)
@@ -115,11 +156,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     real = band.trials[:, :, 0]
     radius_mm = 1000.0 * experiment.scene.body("ball").shape.radius_m
     simulated = {engine: heights_mm(engine, options.results) for engine in ENGINES}
-    pictures = [draw(frame, real, simulated, radius_mm) for frame in range(real.shape[1])]
+    pictures = [
+        draw(frame, real, simulated, radius_mm) for frame in range(real.shape[1])
+    ]
     palette = pictures[-1].quantize(64)
-    first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    first, *others = [
+        picture.quantize(palette=palette, dither=Image.Dither.NONE)
+        for picture in pictures
+    ]
     durations = [FRAME_MS] * len(others) + [LAST_MS]
-    first.save(options.out, save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
+    first.save(
+        options.out,
+        save_all=True,
+        append_images=others,
+        duration=durations,
+        loop=0,
+        optimize=True,
+    )
     size = options.out.stat().st_size
     print(f"{options.out}: {size // 1000} kB", file=sys.stderr)
     return int(size > MOST_BYTES)

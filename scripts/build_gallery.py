@@ -38,7 +38,10 @@ from gauge_envs.tools.film import (
 )
 
 ROOT = Path(__file__).parents[1]
-BEGIN, END = "<!-- gallery, written by scripts/build_gallery.py -->", "<!-- end of gallery -->"
+BEGIN, END = (
+    "<!-- gallery, written by scripts/build_gallery.py -->",
+    "<!-- end of gallery -->",
+)
 """Lines of the page that enclose the list."""
 
 STRIP_SIZE = {"width": 320, "height": 240}
@@ -120,7 +123,11 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     note = f"{limit.quantity} {report.reached:.3f}, limit {limit.value:.3f} +- {limit.sigma:.3f}{unit}"
     cropped = around_motion(pictures)
-    return [cropped[index] for index in chosen], [index / FRAME_RATE_HZ for index in chosen], note
+    return (
+        [cropped[index] for index in chosen],
+        [index / FRAME_RATE_HZ for index in chosen],
+        note,
+    )
 
 
 def around_motion(pictures: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
@@ -135,7 +142,12 @@ def around_motion(pictures: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint
     top, left = np.clip(middle - size / 2.0, 0.0, np.array([height, width]) - size)
     box = (left, top, left + size[1], top + size[0])
     shown = (STRIP_SIZE["width"], STRIP_SIZE["height"])
-    return [np.asarray(Image.fromarray(one).resize(shown, Image.Resampling.LANCZOS, box=box)) for one in pictures]
+    return [
+        np.asarray(
+            Image.fromarray(one).resize(shown, Image.Resampling.LANCZOS, box=box)
+        )
+        for one in pictures
+    ]
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -172,11 +184,20 @@ def page_lines(texts: dict[str, str]) -> Iterator[str]:
     yield "## Engines side by side"
     for film in FILMS:
         yield from ("", f"### {film.name} on {engines(film)}", "")
-        yield from (f"![{film.name} on {engines(film)}](images/gallery/{film_name(film)})", "")
+        yield from (
+            f"![{film.name} on {engines(film)}](images/gallery/{film_name(film)})",
+            "",
+        )
         yield f"Speed x {film.speed:g}. `{command(film)}` makes it from results of these engines."
     yield from ("", "## Control tasks")
     for name in CONTROLS:
-        yield from ("", f"### {name}", "", f"![{name} at three times](images/gallery/{picture_name(name)})", "")
+        yield from (
+            "",
+            f"### {name}",
+            "",
+            f"![{name} at three times](images/gallery/{picture_name(name)})",
+            "",
+        )
         yield texts[name]
 
 
@@ -189,12 +210,27 @@ def faults(page: str, folder: Path) -> list[str]:
     """
     wanted = [*map(picture_name, CONTROLS), *map(film_name, FILMS)]
     linked = re.findall(r"\]\(images/gallery/([^)]+)\)", page)
-    files = {file.name: file.stat().st_size for file in folder.iterdir()} if folder.is_dir() else {}
-    found = [f"{name}: there is no such picture" for name in wanted if not files.get(name)]
-    found += [f"{name}: the page does not show it" for name in wanted if name not in linked]
-    found += [f"{name}: it is in the folder, and no entry names it" for name in sorted(set(files) - set(wanted))]
+    files = (
+        {file.name: file.stat().st_size for file in folder.iterdir()}
+        if folder.is_dir()
+        else {}
+    )
+    found = [
+        f"{name}: there is no such picture" for name in wanted if not files.get(name)
+    ]
+    found += [
+        f"{name}: the page does not show it" for name in wanted if name not in linked
+    ]
+    found += [
+        f"{name}: it is in the folder, and no entry names it"
+        for name in sorted(set(files) - set(wanted))
+    ]
     films = [film_name(film) for film in FILMS]
-    found += [f"{name}: larger than {MOST_FILM_BYTES} bytes" for name in films if files.get(name, 0) > MOST_FILM_BYTES]
+    found += [
+        f"{name}: larger than {MOST_FILM_BYTES} bytes"
+        for name in films
+        if files.get(name, 0) > MOST_FILM_BYTES
+    ]
     if sum(files.values()) > MOST_BYTES:
         found.append(f"all pictures: {sum(files.values())} bytes, at most {MOST_BYTES}")
     return found
@@ -220,9 +256,21 @@ def draw_control(name: str, out: Path) -> str:
     """Draw the strip of a control task, and return its sentences."""
     pictures, times_s, note = controlled(name)
     share = f"{100.0 * CONTROL_FRACTION:.0f} %"
-    text = PanelText(title="MuJoCo", detail=f"policy of the law, {share} of its limit", note=note)
-    caption = Caption(title=name, subtitle="Control task with a known optimum", reference="", simulated="")
-    save_still(strip_picture([pictures], [text], caption, [f"{time_s:.2f} s" for time_s in times_s]), out)
+    text = PanelText(
+        title="MuJoCo", detail=f"policy of the law, {share} of its limit", note=note
+    )
+    caption = Caption(
+        title=name,
+        subtitle="Control task with a known optimum",
+        reference="",
+        simulated="",
+    )
+    save_still(
+        strip_picture(
+            [pictures], [text], caption, [f"{time_s:.2f} s" for time_s in times_s]
+        ),
+        out,
+    )
     env = gymnasium.make(f"GAUGE/{name}")
     law = env.unwrapped.LAW
     env.close()
@@ -249,10 +297,23 @@ def report(file: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the gallery or check it; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="draw nothing; fail if a picture is missing")
-    parser.add_argument("--results", type=Path, default=Path("results/gallery"), help="folder of results")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "gallery.md", help="the page")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="draw nothing; fail if a picture is missing",
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        default=Path("results/gallery"),
+        help="folder of results",
+    )
+    parser.add_argument(
+        "--page", type=Path, default=ROOT / "docs" / "gallery.md", help="the page"
+    )
     options = parser.parse_args(arguments)
     folder = options.page.parent / "images" / "gallery"
     page = options.page.read_text(encoding="utf-8")
@@ -260,7 +321,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         texts = draw(options.results, folder)
         before, _, rest = page.partition(BEGIN)
         after = rest.partition(END)[2]
-        page = "\n".join([f"{before}{BEGIN}", "", *page_lines(texts), "", f"{END}{after}"])
+        page = "\n".join(
+            [f"{before}{BEGIN}", "", *page_lines(texts), "", f"{END}{after}"]
+        )
         options.page.write_text(page, encoding="utf-8", newline="\n")
     found = faults(page, folder)
     for fault in found:

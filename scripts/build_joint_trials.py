@@ -115,7 +115,12 @@ def start_rates(times_s: FloatArray, angles_rad: FloatArray) -> FloatArray:
     return np.polyfit(times_s[first] - times_s[0], angles_rad[first], 3)[2]
 
 
-def piece(name: str, times_s: FloatArray, angles_rad: FloatArray, limits_s: tuple[float, float]) -> Trial:
+def piece(
+    name: str,
+    times_s: FloatArray,
+    angles_rad: FloatArray,
+    limits_s: tuple[float, float],
+) -> Trial:
     """Return a part of a recording of 1 kHz at 100 Hz."""
     inside = (times_s >= limits_s[0]) & (times_s < limits_s[1])
     angles = angles_rad[inside]
@@ -124,15 +129,26 @@ def piece(name: str, times_s: FloatArray, angles_rad: FloatArray, limits_s: tupl
 
 def dry_pendulum(archive: Archive) -> tuple[Trial, ...]:
     """Return the two pieces of the free swing."""
-    times_s, angles = archive["free_swing_time_s"], archive["free_swing_angle_rad"][:, None] - np.pi
+    times_s, angles = (
+        archive["free_swing_time_s"],
+        archive["free_swing_angle_rad"][:, None] - np.pi,
+    )
     both = pairwise(DRY_CUTS_S)
-    return tuple(piece(f"free_swing at {low:g} s", times_s, angles, (low, high)) for low, high in both)
+    return tuple(
+        piece(f"free_swing at {low:g} s", times_s, angles, (low, high))
+        for low, high in both
+    )
 
 
 def viscous_pendulum(archive: Archive) -> tuple[Trial, ...]:
     """Return the four pieces of the long swing."""
     return tuple(
-        piece(name, archive[f"{name}_time_s"], archive[f"{name}_angle_rate"][:1].T - np.pi, (0.0, np.inf))
+        piece(
+            name,
+            archive[f"{name}_time_s"],
+            archive[f"{name}_angle_rate"][:1].T - np.pi,
+            (0.0, np.inf),
+        )
         for name in (f"single_{k}" for k in range(4))
     )
 
@@ -156,10 +172,21 @@ def torque_pendulum(archive: Archive) -> tuple[Trial, ...]:
         grid = np.arange(low, min(high, times_s[-1] - 2.0 * INTERVAL_S), INTERVAL_S)
         # A frame's torque holds until the next one, as the controller sent it.
         impulse = np.concatenate([[0.0], np.cumsum(torques[:-1] * np.diff(times_s))])
-        means = (np.interp(grid + INTERVAL_S, times_s, impulse) - np.interp(grid, times_s, impulse)) / INTERVAL_S
+        means = (
+            np.interp(grid + INTERVAL_S, times_s, impulse)
+            - np.interp(grid, times_s, impulse)
+        ) / INTERVAL_S
         inside = times_s >= low
         rates = start_rates(times_s[inside], angles[inside, None])
-        trials.append(Trial(name, INTERVAL_S, np.interp(grid, times_s, angles)[:, None], rates, means[:, None]))
+        trials.append(
+            Trial(
+                name,
+                INTERVAL_S,
+                np.interp(grid, times_s, angles)[:, None],
+                rates,
+                means[:, None],
+            )
+        )
     return tuple(trials)
 
 
@@ -170,7 +197,10 @@ def servo_arm(archive: Archive) -> tuple[Trial, ...]:
         times_s = archive[f"{name}_time_s"]
         interval_s = float(np.polyfit(np.arange(len(times_s)), times_s, 1)[0])
         angles = archive[f"{name}_position_rad"].astype(float)
-        commands, load = archive[f"{name}_command_rad"].astype(float), archive[f"{name}_load"].astype(float)
+        commands, load = (
+            archive[f"{name}_command_rad"].astype(float),
+            archive[f"{name}_load"].astype(float),
+        )
         trials.append(Trial(name, interval_s, angles, np.zeros(6), commands, load))
     return tuple(trials)
 
@@ -187,15 +217,36 @@ def recordings(folder: Path) -> dict[str, Recording]:
     swing = (PENDULUMS, swings, "joint_pendulum")
     return {
         "JointPendulum-dry": Recording(*swing, 1e-5, half_turn, dry_pendulum(pendulum)),
-        "JointPendulum-viscous": Recording(*swing, 1e-4, half_turn, viscous_pendulum(pendulum)),
+        "JointPendulum-viscous": Recording(
+            *swing, 1e-4, half_turn, viscous_pendulum(pendulum)
+        ),
         "DoublePendulum-bars": Recording(
-            PENDULUMS, swings, "double_pendulum", 1e-4, half_turn, double_pendulum(pendulum)
+            PENDULUMS,
+            swings,
+            "double_pendulum",
+            1e-4,
+            half_turn,
+            double_pendulum(pendulum),
         ),
         "TorquePendulum-ak80": Recording(
-            TORQUE, driven, "torque_pendulum", 2e-4, motor, torque_pendulum(archives[TORQUE]), "torque", 0.001
+            TORQUE,
+            driven,
+            "torque_pendulum",
+            2e-4,
+            motor,
+            torque_pendulum(archives[TORQUE]),
+            "torque",
+            0.001,
         ),
         "ServoArm-so101": Recording(
-            ARM, arm, "servo_arm", ENCODER_RAD / 2.0, turn, servo_arm(archives[ARM]), "angle", ENCODER_RAD / 4.0
+            ARM,
+            arm,
+            "servo_arm",
+            ENCODER_RAD / 2.0,
+            turn,
+            servo_arm(archives[ARM]),
+            "angle",
+            ENCODER_RAD / 4.0,
         ),
     }
 
@@ -204,10 +255,16 @@ def arrays_of(recording: Recording) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of a data file."""
     trials = recording.trials
     arrays: dict[str, NDArray[np.generic]] = {
-        "first": np.cumsum([0, *(len(trial.angles_rad) for trial in trials)], dtype=np.int32),
+        "first": np.cumsum(
+            [0, *(len(trial.angles_rad) for trial in trials)], dtype=np.int32
+        ),
         "interval_s": np.array([trial.interval_s for trial in trials]),
-        "angle": counts([trial.angles_rad for trial in trials], recording.angle_unit_rad),
-        "start_angle_rate": np.array([trial.start_rates for trial in trials], dtype=np.float32),
+        "angle": counts(
+            [trial.angles_rad for trial in trials], recording.angle_unit_rad
+        ),
+        "start_angle_rate": np.array(
+            [trial.start_rates for trial in trials], dtype=np.float32
+        ),
     }
     commands = [trial.commands for trial in trials if trial.commands is not None]
     if recording.command_unit is not None:
@@ -223,10 +280,17 @@ def counts(values: list[FloatArray], unit: float) -> NDArray[np.int16]:
 def sidecar_text(folder: Path, recording: Recording) -> str:
     """Return the text of a sidecar."""
     digest = hashlib.sha256((folder / recording.file).read_bytes()).hexdigest()
-    task = tomllib.loads((SCORING.parent / "tasks" / f"{recording.task}.toml").read_text(encoding="utf-8"))
+    task = tomllib.loads(
+        (SCORING.parent / "tasks" / f"{recording.task}.toml").read_text(
+            encoding="utf-8"
+        )
+    )
     hung = chain(task)
     # The farthest centre of mass moves most, by all angles before it.
-    reach_m = sum(float(np.linalg.norm(np.subtract(one["anchor_m"], one["anchor_on_m"]))) for one in hung[1:])
+    reach_m = sum(
+        float(np.linalg.norm(np.subtract(one["anchor_m"], one["anchor_on_m"])))
+        for one in hung[1:]
+    )
     reach_m += float(np.linalg.norm(hung[-1]["anchor_m"]))
     lines = [
         "# Written by scripts/build_joint_trials.py; do not edit.",
@@ -235,7 +299,11 @@ def sidecar_text(folder: Path, recording: Recording) -> str:
         f"trials = {[trial.name for trial in recording.trials]}".replace("'", '"'),
         f"angle_unit_rad = {recording.angle_unit_rad!r}",
         *([f'command = "{recording.command}"'] if recording.command else []),
-        *([f"command_unit = {recording.command_unit!r}"] if recording.command_unit else []),
+        *(
+            [f"command_unit = {recording.command_unit!r}"]
+            if recording.command_unit
+            else []
+        ),
         f"position_noise_m = {recording.noise_rad * reach_m:.3g}",
         'fit = "even"',
         f'source = "{recording.source}"',
@@ -252,12 +320,20 @@ def chain(task: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the hung bodies of a task whose bodies have the axes of the world where all angles are 0."""
     starts = {}
     for name, start in task["initial"]["all"].items():
-        hangs = np.subtract(start.get("hangs_from_m", (0.0, 0.0, 0.0)), (0.0, 0.0, start.get("length_m", 0.0)))
+        hangs = np.subtract(
+            start.get("hangs_from_m", (0.0, 0.0, 0.0)),
+            (0.0, 0.0, start.get("length_m", 0.0)),
+        )
         starts[name] = np.array(start.get("position_m", hangs))
     first, *_ = task["joints"]
-    anchor = first.get("anchor_m", task["initial"]["all"][first["body"]].get("hangs_from_m"))
+    anchor = first.get(
+        "anchor_m", task["initial"]["all"][first["body"]].get("hangs_from_m")
+    )
     hinges = [("world", first["body"], np.array(anchor), first["axis"])]
-    hinges += [(*one["bodies"], np.array(one["anchor_m"]), one["axis"]) for one in task.get("body_hinges", ())]
+    hinges += [
+        (*one["bodies"], np.array(one["anchor_m"]), one["axis"])
+        for one in task.get("body_hinges", ())
+    ]
     starts["world"] = np.zeros(3)
     return [
         {
@@ -273,33 +349,58 @@ def chain(task: dict[str, Any]) -> list[dict[str, Any]]:
 
 def loads(recording: Recording) -> dict[str, NDArray[np.generic]]:
     """Return the loads of the servos in counts, shape [T, 6]."""
-    return {"load": counts([trial.load for trial in recording.trials if trial.load is not None], LOAD_UNIT)}
+    return {
+        "load": counts(
+            [trial.load for trial in recording.trials if trial.load is not None],
+            LOAD_UNIT,
+        )
+    }
 
 
 def main() -> int:
     """Write the files, or check that they are current."""
-    parser = argparse.ArgumentParser(description="Build the recorded motions of joints.")
+    parser = argparse.ArgumentParser(
+        description="Build the recorded motions of joints."
+    )
     parser.add_argument("folder", type=Path, help="folder of the authors' archives")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a file is not current")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if a file is not current",
+    )
     options = parser.parse_args()
     stale = []
     files: dict[Path, tuple[dict[str, NDArray[np.generic]], str | None]] = {}
     for name, recording in recordings(options.folder).items():
-        files[SCORING / "single_shot" / f"{name}.npz"] = arrays_of(recording), sidecar_text(options.folder, recording)
+        files[SCORING / "single_shot" / f"{name}.npz"] = (
+            arrays_of(recording),
+            sidecar_text(options.folder, recording),
+        )
         if recording.file == ARM:
-            files[SCORING.parent / "studies" / "joints" / "so101_load.npz"] = loads(recording), None
+            files[SCORING.parent / "studies" / "joints" / "so101_load.npz"] = (
+                loads(recording),
+                None,
+            )
     for file, (arrays, text) in files.items():
         if not options.check:
             if text is not None:
-                file.with_suffix(".toml").write_text(text, encoding="utf-8", newline="\n")
+                file.with_suffix(".toml").write_text(
+                    text, encoding="utf-8", newline="\n"
+                )
             np.savez_compressed(file, **arrays)
             continue
         with np.load(file) as stored:
             same = same_arrays(dict(stored), arrays)
-        if not same or (text is not None and not same_text(file.with_suffix(".toml").read_text("utf-8"), text)):
+        if not same or (
+            text is not None
+            and not same_text(file.with_suffix(".toml").read_text("utf-8"), text)
+        ):
             stale.append(file)
     for file in stale:
-        print(f"{file} is not current: run python scripts/build_joint_trials.py FOLDER", file=sys.stderr)
+        print(
+            f"{file} is not current: run python scripts/build_joint_trials.py FOLDER",
+            file=sys.stderr,
+        )
     return 1 if stale else 0
 
 

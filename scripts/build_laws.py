@@ -72,11 +72,16 @@ class Slider:
         cube, plate, (driver,) = scene.body("cube"), scene.body("plate"), scene.drivers
         assert isinstance(cube.shape, Box) and isinstance(plate.shape, Cylinder)
         (turning,) = driver.motions
-        (contact,) = (one for one in scene.contacts if "plate" in (*one.first, *one.second))
+        (contact,) = (
+            one for one in scene.contacts if "plate" in (*one.first, *one.second)
+        )
         friction = self.friction_ratio * contact.friction
         half_m, gravity = 0.5 * cube.shape.size_m[0], scene.gravity_m_per_s2
         squared_radius_of_gyration = 2.0 * (2.0 * half_m) ** 2 / 12.0
-        start, axle = np.array(cube.pose.position_m), np.array(plate.pose.position_m)[:2]
+        start, axle = (
+            np.array(cube.pose.position_m),
+            np.array(plate.pose.position_m)[:2],
+        )
         heading = float(cube.pose.rotation.as_rotvec()[2])
 
         def rate(time_s: float, state: FloatArray) -> list[float]:
@@ -84,7 +89,10 @@ class Slider:
             points = self.point_m * CORNERS @ turned(heading)
             omega, arm = turning.rate(time_s), place + points - axle
             sliding = velocity + spin * across(points) - omega * across(arm)
-            direction = sliding / np.sqrt(np.square(sliding).sum(axis=1) + RAMP_M_PER_S**2)[:, None]
+            direction = (
+                sliding
+                / np.sqrt(np.square(sliding).sum(axis=1) + RAMP_M_PER_S**2)[:, None]
+            )
             # Pressure is linear in the place. Its centre is at height * friction / weight, and friction depends on it.
             lever = friction * self.height_m
             moment = lever * (direction.T @ points) / (4.0 * self.point_m**2)
@@ -92,17 +100,31 @@ class Slider:
             shares = 0.25 * (1.0 + points @ centre / self.point_m**2)
             pull = -friction * gravity * shares[:, None] * direction
             torque = float((across(points) * pull).sum())
-            return [*velocity, *pull.sum(axis=0), spin, torque / squared_radius_of_gyration]
+            return [
+                *velocity,
+                *pull.sum(axis=0),
+                spin,
+                torque / squared_radius_of_gyration,
+            ]
 
         times_s = np.arange(experiment.frame_count) / FRAME_RATE_HZ
         begin = [*(start[:2] + self.shift_m), 0.0, 0.0, heading, 0.0]
         span = (0.0, float(times_s[-1]))
-        found = solve_ivp(rate, span, begin, "LSODA", times_s, rtol=1e-9, atol=1e-11, max_step=2e-3)
+        found = solve_ivp(
+            rate, span, begin, "LSODA", times_s, rtol=1e-9, atol=1e-11, max_step=2e-3
+        )
         places = found.y[:2].T
-        corners = np.array([half_m * CORNERS @ turned(angle) for angle in found.y[4]]) + (places - axle)[:, None]
-        is_on_plate = np.linalg.norm(corners, axis=2).max(axis=1) <= plate.shape.radius_m
+        corners = (
+            np.array([half_m * CORNERS @ turned(angle) for angle in found.y[4]])
+            + (places - axle)[:, None]
+        )
+        is_on_plate = (
+            np.linalg.norm(corners, axis=2).max(axis=1) <= plate.shape.radius_m
+        )
         heights = np.full(len(places), start[2])
-        return 1e3 * np.column_stack([places, heights]), np.logical_and.accumulate(is_on_plate)
+        return 1e3 * np.column_stack([places, heights]), np.logical_and.accumulate(
+            is_on_plate
+        )
 
 
 def turned(angle: float) -> FloatArray:
@@ -128,8 +150,15 @@ def uncertainty_mm(material: str, mean: FloatArray) -> FloatArray:
         (Slider(material=material, shift_m=(0.0, start_m)),),
         (Slider(material=material, point_m=0.025),),
     ]
-    squares = [np.mean([np.square(one.positions_mm()[0] - mean) for one in pair], axis=0) for pair in changed]
-    return np.asarray(np.maximum.accumulate(np.sqrt(MEASUREMENT_MM**2 + np.sum(squares, axis=0)), axis=0))
+    squares = [
+        np.mean([np.square(one.positions_mm()[0] - mean) for one in pair], axis=0)
+        for pair in changed
+    ]
+    return np.asarray(
+        np.maximum.accumulate(
+            np.sqrt(MEASUREMENT_MM**2 + np.sum(squares, axis=0)), axis=0
+        )
+    )
 
 
 def generate(scoring: Path) -> dict[Path, str]:
@@ -138,11 +167,17 @@ def generate(scoring: Path) -> dict[Path, str]:
     for material in MATERIALS:
         mean, is_known = Slider(material=material).positions_mm()
         uncertainty = uncertainty_mm(material, mean)
-        header = [f"{quantity}.{axis}" for quantity in ("mean", "uncertainty") for axis in "xyz"]
+        header = [
+            f"{quantity}.{axis}"
+            for quantity in ("mean", "uncertainty")
+            for axis in "xyz"
+        ]
         rows = [",".join(["frame", "time_s", "measured", *header])]
         for frame in np.flatnonzero(is_known):
             numbers = [f"{value:.3f}" for value in (*mean[frame], *uncertainty[frame])]
-            rows.append(",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", "1", *numbers]))
+            rows.append(
+                ",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", "1", *numbers])
+            )
         table = scoring / "bands" / f"Turntable-2-{material}.csv"
         files[table] = "\n".join(rows) + "\n"
         files[table.with_suffix(".toml")] = "\n".join(
@@ -168,7 +203,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 1 if a check found a file that is missing or not current.
     """
     what = "Build the bands of cubes that a turntable throws off."
-    return write_or_check(generate, script=Path(__file__).name, what=what, arguments=arguments)
+    return write_or_check(
+        generate, script=Path(__file__).name, what=what, arguments=arguments
+    )
 
 
 if __name__ == "__main__":

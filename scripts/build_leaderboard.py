@@ -26,7 +26,11 @@ from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
-from gauge_envs.tools.leaderboard.submission import STATEMENT_FILE, board_experiments, installed_package
+from gauge_envs.tools.leaderboard.submission import (
+    STATEMENT_FILE,
+    board_experiments,
+    installed_package,
+)
 from gauge_envs.tools.leaderboard.trajectory import rescored
 
 BOARD = ROOT / "leaderboard"
@@ -51,7 +55,12 @@ def configurations(engine: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     yield OUT_OF_BOX, declared.get(OUT_OF_BOX, {"preset": OUT_OF_BOX})
 
 
-def statement(engine: str, configuration: str, settings: Mapping[str, Any], left_out: Sequence[str]) -> str:
+def statement(
+    engine: str,
+    configuration: str,
+    settings: Mapping[str, Any],
+    left_out: Sequence[str],
+) -> str:
     """Return the text of a `submission.toml`."""
     package = PACKAGES[engine]
     values = {
@@ -62,13 +71,20 @@ def statement(engine: str, configuration: str, settings: Mapping[str, Any], left
         "configuration": configuration,
         "submitter": "gauge-envs",
     }
-    lines = ["format = 1", *(f"{key} = {json.dumps(text)}" for key, text in values.items()), "", "[settings]"]
+    lines = [
+        "format = 1",
+        *(f"{key} = {json.dumps(text)}" for key, text in values.items()),
+        "",
+        "[settings]",
+    ]
     lines += [f"{key} = {json.dumps(value)}" for key, value in settings.items()]
     lines += ["", "[left_out]", *(f'"{name}" = "not supported"' for name in left_out)]
     return "\n".join(lines) + "\n"
 
 
-def submit(engine: str, folder: Path, configuration: str, settings: Mapping[str, Any]) -> None:
+def submit(
+    engine: str, folder: Path, configuration: str, settings: Mapping[str, Any]
+) -> None:
     """Run the experiments of the leaderboard in one configuration, and write the submission."""
     requests = [
         RunRequest(name, backend=engine, settings=dict(settings) or None)
@@ -79,8 +95,12 @@ def submit(engine: str, folder: Path, configuration: str, settings: Mapping[str,
         if result.error is not None:
             print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
             declined.append(result.id.removeprefix("GAUGE/"))
-    (folder / STATEMENT_FILE).write_text(statement(engine, configuration, settings, declined), encoding="utf-8")
-    print(f"{folder}: {len(requests) - len(declined)} of {len(requests)}", file=sys.stderr)
+    (folder / STATEMENT_FILE).write_text(
+        statement(engine, configuration, settings, declined), encoding="utf-8"
+    )
+    print(
+        f"{folder}: {len(requests) - len(declined)} of {len(requests)}", file=sys.stderr
+    )
 
 
 def renew_diagnoses(board: Path) -> None:
@@ -89,16 +109,29 @@ def renew_diagnoses(board: Path) -> None:
         result = load_result(file)
         implied = rescored(result, recorded_experiment(result)).score.implied
         if implied != result.score.implied:
-            write_result(replace(result, score=replace(result.score, implied=implied)), file)
+            write_result(
+                replace(result, score=replace(result.score, implied=implied)), file
+            )
             print(f"{file.name}: implied constants renewed")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the submissions; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--engine", choices=PACKAGES, action="append", help="only this engine; repeatable")
-    parser.add_argument("--board", type=Path, default=BOARD, help="folder of the leaderboard")
-    parser.add_argument("--diagnoses", action="store_true", help="only write what results imply anew")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--engine",
+        choices=PACKAGES,
+        action="append",
+        help="only this engine; repeatable",
+    )
+    parser.add_argument(
+        "--board", type=Path, default=BOARD, help="folder of the leaderboard"
+    )
+    parser.add_argument(
+        "--diagnoses", action="store_true", help="only write what results imply anew"
+    )
     options = parser.parse_args(arguments)
     if options.diagnoses:
         renew_diagnoses(options.board)

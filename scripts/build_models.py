@@ -143,9 +143,14 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
         if vbd:
             for factor in (0.5, 0.25):
                 more = {"iterations": round(default["iterations"] / factor)}
-                levels.append(Level(parameter="iterations", factor=factor, settings=more))
+                levels.append(
+                    Level(parameter="iterations", factor=factor, settings=more)
+                )
         else:
-            tighter = {"tolerance": 1e-2 * default["tolerance"], "iterations": 4 * default["iterations"]}
+            tighter = {
+                "tolerance": 1e-2 * default["tolerance"],
+                "iterations": 4 * default["iterations"],
+            }
             levels.append(Level(parameter="iterations", factor=0.25, settings=tighter))
     if cell_m is not None:
         is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
@@ -173,7 +178,9 @@ def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | No
     return min(edges, default=None)
 
 
-def solve(experiment: Experiment, engine: str, level: Level, *, limit_s: float) -> dict[str, Any]:
+def solve(
+    experiment: Experiment, engine: str, level: Level, *, limit_s: float
+) -> dict[str, Any]:
     """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out.
 
     Args:
@@ -184,7 +191,12 @@ def solve(experiment: Experiment, engine: str, level: Level, *, limit_s: float) 
     """
     start = _processor_s()
     try:
-        env = GaugeEnv(experiment.name, backend=engine, settings=dict(level.settings), marker_proxy="material")
+        env = GaugeEnv(
+            experiment.name,
+            backend=engine,
+            settings=dict(level.settings),
+            marker_proxy="material",
+        )
     except GaugeError as error:
         return {"fault": str(error)}
     space = env.action_space
@@ -199,9 +211,15 @@ def solve(experiment: Experiment, engine: str, level: Level, *, limit_s: float) 
             if _processor_s() - start > limit_s:
                 fault = f"stopped after {limit_s:g} s of processor time"
         trajectory = env.trajectory()
-        points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
+        points = (
+            trajectory.bodies[..., :3]
+            if trajectory.bodies.size
+            else trajectory.markers_m
+        )
         settings = {
-            key: value for key, value in env.simulation.settings.items() if isinstance(value, float | int | str)
+            key: value
+            for key, value in env.simulation.settings.items()
+            if isinstance(value, float | int | str)
         }
         return {
             "frames": trajectory.frames,
@@ -223,7 +241,9 @@ def _processor_s() -> float:
 def wanted_experiments(patterns: Sequence[str]) -> Iterator[Experiment]:
     """Yield the experiments without a real reference whose name matches a pattern, in the order of the patterns."""
     known = [variant.name for variant in variants()]
-    for name in dict.fromkeys(name for pattern in patterns for name in known if fnmatchcase(name, pattern)):
+    for name in dict.fromkeys(
+        name for pattern in patterns for name in known if fnmatchcase(name, pattern)
+    ):
         if band_grade(name) in (BandGrade.NONE, BandGrade.MODEL):
             yield load_experiment(name)
 
@@ -236,7 +256,9 @@ def solve_all(options: argparse.Namespace) -> int:
                 continue
             for level in levels_of(experiment, engine):
                 file = options.runs / experiment.name / f"{engine}-{level.name}.npz"
-                wanted = any(fnmatchcase(level.name, pattern) for pattern in options.levels)
+                wanted = any(
+                    fnmatchcase(level.name, pattern) for pattern in options.levels
+                )
                 if file.exists() or not wanted:
                     continue
                 values = solve(experiment, engine, level, limit_s=options.limit_s)
@@ -278,11 +300,20 @@ def read_runs(folder: Path, frame_count: int) -> list[Run]:
         with np.load(file) as archive:
             values = {name: archive[name] for name in archive.files}
         if not str(values["fault"]) and len(values["frames"]) == frame_count:
-            runs.append(Run(engine=engine, parameter=parameter, factor=float(factor), values=values))
+            runs.append(
+                Run(
+                    engine=engine,
+                    parameter=parameter,
+                    factor=float(factor),
+                    values=values,
+                )
+            )
     return runs
 
 
-def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray, FloatArray, dict[str, Any]]]:
+def solutions(
+    runs: Sequence[Run], quantity: str
+) -> dict[str, tuple[FloatArray, FloatArray, dict[str, Any]]]:
     """Return the solution of each engine, its standard uncertainty, and what was refined.
 
     An engine without a second run of a parameter is left out, because nothing says how far it is from its solution.
@@ -296,13 +327,23 @@ def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray,
         start = base.quantity(quantity)
         total, square, refined = np.zeros_like(start), np.zeros_like(start), {}
         for parameter in dict.fromkeys(run.parameter for run in own if run is not base):
-            levels = sorted([base, *(run for run in own if run.parameter == parameter)], key=lambda run: -run.factor)
+            levels = sorted(
+                [base, *(run for run in own if run.parameter == parameter)],
+                key=lambda run: -run.factor,
+            )
             factors = [run.factor for run in levels]
             if len(levels) < 2:
                 break
             result = extrapolate([run.quantity(quantity) for run in levels], factors)
-            total, square = total + result.correction, square + np.square(result.uncertainty)
-            refined[parameter] = (factors, result, levels[-1].quantity(quantity) - levels[-2].quantity(quantity))
+            total, square = (
+                total + result.correction,
+                square + np.square(result.uncertainty),
+            )
+            refined[parameter] = (
+                factors,
+                result,
+                levels[-1].quantity(quantity) - levels[-2].quantity(quantity),
+            )
         else:
             if "step" in refined:
                 found[engine] = (start + total, np.sqrt(square), refined)
@@ -315,10 +356,16 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     if len(each) < 2:
         return unsolved_reason(experiment, each)
     name, file = experiment.name, folder / f"{experiment.name}.npz"
-    mean, uncertainty, apart = combined([(value, spread) for value, spread, _ in each.values()])
+    mean, uncertainty, apart = combined(
+        [(value, spread) for value, spread, _ in each.values()]
+    )
     baseline = published_baselines(name).get("rmse")
     motion = rms(mean - mean[0])
-    limit = SCATTER_SHARE * baseline.mean if baseline is not None and baseline.mean else MOTION_SHARE * motion
+    limit = (
+        SCATTER_SHARE * baseline.mean
+        if baseline is not None and baseline.mean
+        else MOTION_SHARE * motion
+    )
     count, gap = known_frames(uncertainty, limit)
     known = np.delete(np.arange(count), slice(*gap) if gap else [])
     unit = experiment.score.observable.unit
@@ -328,10 +375,14 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     points = {engine: found for engine, found in points.items() if engine in each}
     point_count, point_gap, point_arrays = None, None, {}
     if points:
-        places, spread, _ = combined([(value, left) for value, left, _ in points.values()])
+        places, spread, _ = combined(
+            [(value, left) for value, left, _ in points.values()]
+        )
         # One number for each marker: the uncertainty of a coordinate of it.
         spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
-        point_count, point_gap = known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0]))
+        point_count, point_gap = known_frames(
+            np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])
+        )
         point_count = max(point_count, 1)
         point_arrays = {
             "points": packed(places[:point_count], POINT_QUANTUM_MM),
@@ -342,7 +393,10 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
             f"the solutions of {', '.join(each)} agree for {count / FRAME_RATE_HZ:.2f} of "
             f"{len(mean) / FRAME_RATE_HZ:.2f} s; then the uncertainty of their mean {exceeds}"
         )
-    quantum = rounded(max(float(np.median(uncertainty[known])), 1e-9 * float(np.abs(mean).max())) / 20.0)
+    quantum = rounded(
+        max(float(np.median(uncertainty[known])), 1e-9 * float(np.abs(mean).max()))
+        / 20.0
+    )
     values = [value[:count] - mean[:count] for value, _, _ in each.values()]
     arrays = {
         "mean": packed(mean[:count], quantum),
@@ -365,7 +419,10 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
         engines=tuple(
             EngineSolution(
                 engine=engine,
-                version=", ".join(f"{key} {text}" for key, text in json.loads(str(base.values["versions"])).items()),
+                version=", ".join(
+                    f"{key} {text}"
+                    for key, text in json.loads(str(base.values["versions"])).items()
+                ),
                 preset=str(json.loads(str(base.values["settings"]))["preset"]),
                 refinements=tuple(
                     Refinement(
@@ -380,14 +437,22 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
                 correction=digits(rms((value - base.quantity("frames"))[known])),
             )
             for engine, (value, _, refined) in each.items()
-            for base in [next(run for run in runs if run.engine == engine and run.parameter == "base")]
+            for base in [
+                next(
+                    run
+                    for run in runs
+                    if run.engine == engine and run.parameter == "base"
+                )
+            ]
         ),
         processor_s=digits(sum(float(run.values["processor_s"]) for run in runs)),
     )
     content = io.BytesIO()
     np.savez_compressed(content, **arrays)
     write_whole(file, content.getvalue())
-    write_whole(file.with_suffix(".json"), (sidecar.model_dump_json(indent=1) + "\n").encode())
+    write_whole(
+        file.with_suffix(".json"), (sidecar.model_dump_json(indent=1) + "\n").encode()
+    )
     return ""
 
 
@@ -408,22 +473,36 @@ def end_statistics(runs: Sequence[Run]) -> dict[str, dict[str, list[float]]]:
     """
     found: dict[str, dict[str, list[float]]] = {name: {} for name in STATISTICS}
     for engine in dict.fromkeys(run.engine for run in runs):
-        points = [np.asarray(run.values["points_m"], dtype=np.float64) for run in runs if run.engine == engine]
+        points = [
+            np.asarray(run.values["points_m"], dtype=np.float64)
+            for run in runs
+            if run.engine == engine
+        ]
         for name, statistic in STATISTICS.items():
             values = [statistic(1e3 * one) for one in points]
             spread = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-            found[name][engine] = [digits(float(np.mean(values))), digits(spread), len(values)]
+            found[name][engine] = [
+                digits(float(np.mean(values))),
+                digits(spread),
+                len(values),
+            ]
     return found
 
 
 def _hull_area_mm2(points_mm: FloatArray) -> float:
     """Return the area that the points cover at the last frame, seen from above; 0 for fewer than four."""
-    return float(ConvexHull(points_mm[-1, :, :2]).volume) if points_mm.shape[1] > 3 else 0.0
+    return (
+        float(ConvexHull(points_mm[-1, :, :2]).volume)
+        if points_mm.shape[1] > 3
+        else 0.0
+    )
 
 
 STATISTICS: Mapping[str, Callable[[FloatArray], float]] = {
     "mean height [mm]": lambda points_mm: float(points_mm[-1, :, 2].mean()),
-    "mean distance moved [mm]": lambda points_mm: float(np.linalg.norm(points_mm[-1] - points_mm[0], axis=1).mean()),
+    "mean distance moved [mm]": lambda points_mm: float(
+        np.linalg.norm(points_mm[-1] - points_mm[0], axis=1).mean()
+    ),
     "share that fell by 10 mm or more": lambda points_mm: float(
         np.mean(points_mm[-1, :, 2] < points_mm[0, :, 2] - 10.0)
     ),
@@ -436,10 +515,18 @@ def coordinate_names(experiment: Experiment, width: int) -> tuple[str, ...]:
     """Return names of the coordinates of g(t)."""
     if experiment.score.observable is Observable.POSITION:
         bodies = experiment.recorded
-        return tuple(f"{body}.{axis}" if len(bodies) > 1 else axis for body in bodies for axis in "xyz")
+        return tuple(
+            f"{body}.{axis}" if len(bodies) > 1 else axis
+            for body in bodies
+            for axis in "xyz"
+        )
     if experiment.score.observable is Observable.MARKER_POSITION:
-        return tuple(f"marker-{index}.{axis}" for index in range(width // 3) for axis in "xyz")
-    return tuple(f"{experiment.score.observable.value}-{index}" for index in range(width))
+        return tuple(
+            f"marker-{index}.{axis}" for index in range(width // 3) for axis in "xyz"
+        )
+    return tuple(
+        f"{experiment.score.observable.value}-{index}" for index in range(width)
+    )
 
 
 def digits(value: float) -> float:
@@ -450,7 +537,9 @@ def digits(value: float) -> float:
 def rounded(value: float) -> float:
     """Return the power of ten below a value, or twice or five times that."""
     power = 10.0 ** math.floor(math.log10(value))
-    return float(f"{max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= value * 1.0001) * power:.1g}")
+    return float(
+        f"{max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= value * 1.0001) * power:.1g}"
+    )
 
 
 def write_all(options: argparse.Namespace) -> int:
@@ -463,12 +552,18 @@ def write_all(options: argparse.Namespace) -> int:
         runs = read_runs(options.runs / experiment.name, experiment.frame_count)
         if not runs:
             if not (folder / f"{experiment.name}.npz").is_file():
-                reasons[experiment.name] = {"reason": unsolved_reason(experiment, ()), "statistics": {}}
+                reasons[experiment.name] = {
+                    "reason": unsolved_reason(experiment, ()),
+                    "statistics": {},
+                }
             continue
         reason = write_model(experiment, runs, folder)
         reasons.pop(experiment.name, None)
         if reason:
-            reasons[experiment.name] = {"reason": reason, "statistics": end_statistics(runs)}
+            reasons[experiment.name] = {
+                "reason": reason,
+                "statistics": end_statistics(runs),
+            }
             for stale in folder.glob(f"{experiment.name}.*"):
                 stale.unlink()
         print(f"{experiment.name}: {reason or 'written'}", flush=True)
@@ -488,7 +583,10 @@ def table(options: argparse.Namespace) -> int:
         spread = rms(band.uncertainty[known])
         orders = [
             f"{one.engine} "
-            + ", ".join(f"{r.parameter} {'-' if r.order is None else f'{r.order:.1f}'}" for r in one.refinements)
+            + ", ".join(
+                f"{r.parameter} {'-' if r.order is None else f'{r.order:.1f}'}"
+                for r in one.refinements
+            )
             for one in sidecar.engines
         ]
         rows.append(
@@ -505,7 +603,17 @@ def table(options: argparse.Namespace) -> int:
         )
     print(
         "\n".join(
-            markdown_table(["id", "frames", "observed order", "families apart", "u", "u over real scatter"], rows)
+            markdown_table(
+                [
+                    "id",
+                    "frames",
+                    "observed order",
+                    "families apart",
+                    "u",
+                    "u over real scatter",
+                ],
+                rows,
+            )
         )
     )
     return 0
@@ -526,14 +634,32 @@ def picture(options: argparse.Namespace) -> int:
         band, baseline = model.band, published_baselines(name).get("rmse")
         known = slice(0, model.sidecar.solved_frames)
         is_published = baseline is not None and baseline.mean
-        scale = baseline.mean if is_published and baseline is not None else rms(band.mean[known] - band.mean[0])
+        scale = (
+            baseline.mean
+            if is_published and baseline is not None
+            else rms(band.mean[known] - band.mean[0])
+        )
         times_s = np.arange(model.sidecar.solved_frames) / FRAME_RATE_HZ
         spread = np.linalg.norm(band.uncertainty[known], axis=1) / scale
         halves = np.array(list(model.others.values()))[:, known]
-        apart = np.linalg.norm(np.abs(halves - band.mean[known]).max(axis=0), axis=1) / scale
-        axis.semilogy(times_s, np.maximum(spread, 1e-5), color="#0b5394", label="uncertainty u")
-        axis.semilogy(times_s, np.maximum(apart, 1e-5), color="#b45f06", lw=0.8, label="distance of the engines")
-        axis.set_title(f"{name}\nover the {'scatter of real trials' if is_published else 'motion'}", fontsize=8)
+        apart = (
+            np.linalg.norm(np.abs(halves - band.mean[known]).max(axis=0), axis=1)
+            / scale
+        )
+        axis.semilogy(
+            times_s, np.maximum(spread, 1e-5), color="#0b5394", label="uncertainty u"
+        )
+        axis.semilogy(
+            times_s,
+            np.maximum(apart, 1e-5),
+            color="#b45f06",
+            lw=0.8,
+            label="distance of the engines",
+        )
+        axis.set_title(
+            f"{name}\nover the {'scatter of real trials' if is_published else 'motion'}",
+            fontsize=8,
+        )
         axis.set_ylim(1e-4, 2.0)
         axis.tick_params(labelsize=7)
         if place == 0:
@@ -546,17 +672,38 @@ def picture(options: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(required=True)
     solving = commands.add_parser("solve")
-    solving.add_argument("--runs", type=Path, required=True, help="folder of the episodes")
-    solving.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
+    solving.add_argument(
+        "--runs", type=Path, required=True, help="folder of the episodes"
+    )
+    solving.add_argument(
+        "--ids",
+        nargs="*",
+        default=["*"],
+        help="variants or patterns, run in this order",
+    )
     solving.add_argument("--engine", nargs="*", help="only these engines")
-    solving.add_argument("--levels", nargs="*", default=["*"], help="only these runs, as base-1 or 'step-*'")
-    solving.add_argument("--limit-s", type=float, default=900.0, help="processor time of an episode at most")
+    solving.add_argument(
+        "--levels",
+        nargs="*",
+        default=["*"],
+        help="only these runs, as base-1 or 'step-*'",
+    )
+    solving.add_argument(
+        "--limit-s",
+        type=float,
+        default=900.0,
+        help="processor time of an episode at most",
+    )
     solving.set_defaults(action=solve_all)
     writing = commands.add_parser("write")
-    writing.add_argument("--runs", type=Path, required=True, help="folder of the episodes")
+    writing.add_argument(
+        "--runs", type=Path, required=True, help="folder of the episodes"
+    )
     writing.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns")
     writing.set_defaults(action=write_all)
     listing = commands.add_parser("table")
@@ -564,7 +711,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     drawing = commands.add_parser("picture")
     drawing.add_argument("file", type=Path, help="PNG file")
     drawing.set_defaults(action=picture)
-    parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
+    parser.add_argument(
+        "--scoring", type=Path, default=SCORING, help="folder of the data"
+    )
     options = parser.parse_args(arguments)
     status: int = options.action(options)
     return status

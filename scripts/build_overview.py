@@ -24,16 +24,28 @@ from gauge_envs.tools.catalog.overview import STORED, inputs
 def generate(_: Path) -> Mapping[Path, str]:
     """Return the file with its text."""
     points = {point.name: point.value for point in engine_points()}
-    bundled = {name: value for name, value in sorted(points.items()) if value.startswith("gauge_envs.")}
+    bundled = {
+        name: value
+        for name, value in sorted(points.items())
+        if value.startswith("gauge_envs.")
+    }
     engines = {name: uninstalled_backend(name) for name in bundled}
-    experiments = [load_experiment(variant) for variant in (*variants(), *beyond_variants())]
+    experiments = [
+        load_experiment(variant) for variant in (*variants(), *beyond_variants())
+    ]
     content = {
         "inputs": inputs(),
         "engines": bundled,
-        "modules": {name: list(getattr(engine, "modules", ())) for name, engine in engines.items()},
+        "modules": {
+            name: list(getattr(engine, "modules", ()))
+            for name, engine in engines.items()
+        },
         "facts": {one.variant.id: facts_of(one) for one in experiments},
         "lacks": {
-            one.variant.id: {name: list(scene_support(engine, one.scene).missing) for name, engine in engines.items()}
+            one.variant.id: {
+                name: list(scene_support(engine, one.scene).missing)
+                for name, engine in engines.items()
+            }
             for one in experiments
         },
     }
@@ -42,7 +54,12 @@ def generate(_: Path) -> Mapping[Path, str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write or check the file."""
-    return write_or_check(generate, script=Path(__file__).name, what="Write the rows of the list.", arguments=arguments)
+    return write_or_check(
+        generate,
+        script=Path(__file__).name,
+        what="Write the rows of the list.",
+        arguments=arguments,
+    )
 
 
 if __name__ == "__main__":

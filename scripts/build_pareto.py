@@ -125,31 +125,50 @@ def sweeps(engine: str) -> Iterator[Sweep]:
     """Yield the sweeps of an engine, the quick variants first."""
     for variant in FEW.get(engine, VARIANTS):
         impact = variant in (BALL, CRADLE)
-        steps = IMPACT_STEPS.get(engine, DEFAULT_STEPS[engine]) if impact else DEFAULT_STEPS[engine]
+        steps = (
+            IMPACT_STEPS.get(engine, DEFAULT_STEPS[engine])
+            if impact
+            else DEFAULT_STEPS[engine]
+        )
         if engine in EVERY_OTHER and variant in LONG:
             steps = steps[::2]
         points = tuple({"timestep_s": INTERVAL_S / count} for count in steps)
         yield Sweep(engine=engine, variant=variant, points=({}, *points))
         if variant == BALL:
-            yield Sweep(engine=engine, variant=variant, points=({}, *points), parameters="recorded")
+            yield Sweep(
+                engine=engine,
+                variant=variant,
+                points=({}, *points),
+                parameters="recorded",
+            )
     if engine in ("mujoco", "rapier", "physx", "newton"):
         chosen: dict[str, Any] = {"preset": "out_of_box"}
         if engine == "mujoco":
             # Its own interval of 2 ms does not divide that of the environments.
             chosen["drive_interval_s"] = INTERVAL_S
         for variant in CONTACTS:
-            own_steps = tuple(chosen | {"timestep_s": INTERVAL_S / count} for count in PRESET_STEPS)
+            own_steps = tuple(
+                chosen | {"timestep_s": INTERVAL_S / count} for count in PRESET_STEPS
+            )
             yield Sweep(engine=engine, variant=variant, points=own_steps)
     if engine in ITERATIONS:
         name, values = ITERATIONS[engine]
         for variant in (SLIDES[0], CRADLE):
-            yield Sweep(engine=engine, variant=variant, points=tuple({name: value} for value in values))
+            yield Sweep(
+                engine=engine,
+                variant=variant,
+                points=tuple({name: value} for value in values),
+            )
 
 
 def request_of(sweep: Sweep, settings: Mapping[str, Any], seed: int) -> RunRequest:
     """Return the request of one run."""
     return RunRequest(
-        sweep.variant, backend=sweep.engine, settings=dict(settings), parameters=sweep.parameters, seed=seed
+        sweep.variant,
+        backend=sweep.engine,
+        settings=dict(settings),
+        parameters=sweep.parameters,
+        seed=seed,
     )
 
 
@@ -160,18 +179,28 @@ def measure(engine: str, folder: Path, limit_s: float) -> None:
     except MissingExtraError as error:
         print(f"note: {engine} is left out: {error}", file=sys.stderr)
         return
-    rounds = [tuple(range(REPEATS))] if engine in KEEPS_MODEL else [(seed,) for seed in range(REPEATS)]
+    rounds = (
+        [tuple(range(REPEATS))]
+        if engine in KEEPS_MODEL
+        else [(seed,) for seed in range(REPEATS)]
+    )
     chosen = list(sweeps(engine))
     for seeds in rounds:
         for sweep in chosen:
             before: Result | None = None
             for settings in sweep.points:
-                if settings in sweep.skipped or _predicted_s(before, settings) > limit_s:
+                if (
+                    settings in sweep.skipped
+                    or _predicted_s(before, settings) > limit_s
+                ):
                     sweep.skipped.append(settings)
                     continue
                 results = [run(sweep, settings, seed, folder) for seed in seeds]
                 spent_s = results[0].cpu_s or 0.0
-                if any(one.error is not None for one in results) or spent_s > REPEAT_BELOW_S:
+                if (
+                    any(one.error is not None for one in results)
+                    or spent_s > REPEAT_BELOW_S
+                ):
                     sweep.skipped.append(settings)
                 if settings.get("timestep_s"):
                     before = results[0]
@@ -187,9 +216,18 @@ def run(sweep: Sweep, settings: Mapping[str, Any], seed: int, folder: Path) -> R
 
 def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
     """Return the CPU time that a run will take, from that with a coarser step; 0 without one."""
-    if before is None or not before.cpu_s or before.diverged or not settings.get("timestep_s"):
+    if (
+        before is None
+        or not before.cpu_s
+        or before.diverged
+        or not settings.get("timestep_s")
+    ):
         return 0.0
-    return before.cpu_s * float(before.settings["timestep_s"]) / float(settings["timestep_s"])
+    return (
+        before.cpu_s
+        * float(before.settings["timestep_s"])
+        / float(settings["timestep_s"])
+    )
 
 
 def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
@@ -201,8 +239,12 @@ def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
     names = {one.name for one in found.phenomena}
     kept = [one for one in stored["tradeoff"]["phenomena"] if one["name"] not in names]
     if kept:
-        made["date"] = " and ".join(sorted({*stored["provenance"]["date"].split(" and "), made["date"]}))
-    new["phenomena"] = sorted([*new["phenomena"], *kept], key=lambda one: str(one["name"]))
+        made["date"] = " and ".join(
+            sorted({*stored["provenance"]["date"].split(" and "), made["date"]})
+        )
+    new["phenomena"] = sorted(
+        [*new["phenomena"], *kept], key=lambda one: str(one["name"])
+    )
     return {"provenance": made, "tradeoff": _rounded(json_ready(new))}
 
 
@@ -211,9 +253,15 @@ def with_floors(found: Tradeoff) -> Tradeoff:
     phenomena = []
     for one in found.phenomena:
         parameters = one.name.partition(", ")[2] or "calibrated"
-        measures = [ErrorMeasure.of(load_experiment(name, parameters=parameters)) for name in one.ids]
+        measures = [
+            ErrorMeasure.of(load_experiment(name, parameters=parameters))
+            for name in one.ids
+        ]
         over_scatter = one.unit == "scatter"
-        families = [with_floor(family, measures, over_scatter=over_scatter) for family in one.families]
+        families = [
+            with_floor(family, measures, over_scatter=over_scatter)
+            for family in one.families
+        ]
         phenomena.append(replace(one, families=tuple(families)))
     values = asdict(replace(found, phenomena=tuple(phenomena)))
     return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(values)))
@@ -221,7 +269,9 @@ def with_floors(found: Tradeoff) -> Tradeoff:
 
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: one if key in EXACT else _rounded(one) for key, one in value.items()}
+        return {
+            key: one if key in EXACT else _rounded(one) for key, one in value.items()
+        }
     if isinstance(value, list):
         return [_rounded(one) for one in value]
     return float(f"{value:.4g}") if isinstance(value, float) else value
@@ -230,8 +280,13 @@ def _rounded(value: Any) -> Any:
 def provenance() -> dict[str, Any]:
     """Return when and on what kind of machine the results were made."""
     cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
-    model = next((line.partition(": ")[2] for line in lines if line.startswith("model name")), platform.machine())
+    lines = (
+        cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    )
+    model = next(
+        (line.partition(": ")[2] for line in lines if line.startswith("model name")),
+        platform.machine(),
+    )
     return {
         "written by": "scripts/build_pareto.py",
         "date": datetime.now(UTC).date().isoformat(),
@@ -242,12 +297,17 @@ def provenance() -> dict[str, Any]:
 def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
     """Return the generated part of the page: the sufficient steps of the default presets, with their costs."""
     families = {
-        (one.name, family.backend): family for one in found.phenomena for family in one.families if family.is_default
+        (one.name, family.backend): family
+        for one in found.phenomena
+        for family in one.families
+        if family.is_default
     }
     engines = sorted({backend for _, backend in families})
     rows = []
     for phenomenon in found.phenomena:
-        cells = [sufficient(families.get((phenomenon.name, engine))) for engine in engines]
+        cells = [
+            sufficient(families.get((phenomenon.name, engine))) for engine in engines
+        ]
         rows.append([phenomenon.name.replace(", ", " "), *cells])
     lines = [
         *markdown_table(("experiment", *engines), rows),
@@ -261,7 +321,14 @@ def sufficient(family: Family | None) -> str:
     """Return the sufficient step of a series and its cost over MuJoCo's; empty if the series did not run."""
     if family is None:
         return ""
-    point = next((p for p in family.points if p.is_on_main_line and p.step_s == family.sufficient_step_s), None)
+    point = next(
+        (
+            p
+            for p in family.points
+            if p.is_on_main_line and p.step_s == family.sufficient_step_s
+        ),
+        None,
+    )
     if family.sufficient_step_s is None or point is None:
         return "not resolved"
     return f"{step_text(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
@@ -269,14 +336,19 @@ def sufficient(family: Family | None) -> str:
 
 def measured(found: Tradeoff) -> str:
     """Return how often the settings ran and how much their costs scatter, and the versions of the engines."""
-    points = [p for one in found.phenomena for family in one.families for p in family.points]
+    points = [
+        p for one in found.phenomena for family in one.families for p in family.points
+    ]
     spreads = sorted(p.cost_most / p.cost for p in points if p.repeats > 1)
     engines = {
         f"{family.backend} {', '.join(f'{key} {text}' for key, text in family.versions.items() if key != 'python')}"
         for phenomenon in found.phenomena
         for family in phenomenon.families
     }
-    few, wide = sum(p.repeats < REPEATS for p in points), sum(one > SPREAD for one in spreads)
+    few, wide = (
+        sum(p.repeats < REPEATS for p in points),
+        sum(one > SPREAD for one in spreads),
+    )
     return (
         f"{len(points)} settings, {few} of them with one or two runs, the others with the least CPU time of {REPEATS} "
         f"or more. The slowest run of a setting took {spreads[len(spreads) // 2]:.2g} times the least in the median, "
@@ -287,15 +359,33 @@ def measured(found: Tradeoff) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument("--docs", action="store_true", help="write floors, page and figure from the stored errors")
-    mode.add_argument("--tables", action="store_true", help="print all statements and tables")
-    mode.add_argument("--check", action="store_true", help="fail if the page is not current")
-    parser.add_argument("--engine", action="append", help="run this engine only, and write nothing; repeatable")
-    parser.add_argument("--no-runs", action="store_true", help="take the results as they are")
-    parser.add_argument("--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]")
+    mode.add_argument(
+        "--docs",
+        action="store_true",
+        help="write floors, page and figure from the stored errors",
+    )
+    mode.add_argument(
+        "--tables", action="store_true", help="print all statements and tables"
+    )
+    mode.add_argument(
+        "--check", action="store_true", help="fail if the page is not current"
+    )
+    parser.add_argument(
+        "--engine",
+        action="append",
+        help="run this engine only, and write nothing; repeatable",
+    )
+    parser.add_argument(
+        "--no-runs", action="store_true", help="take the results as they are"
+    )
+    parser.add_argument(
+        "--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]"
+    )
     options = parser.parse_args(arguments)
     values = json.loads(DATA.read_text(encoding="utf-8"))
     if options.results:
@@ -305,11 +395,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         values = gathered(options.results, values)
     found = with_floors(TypeAdapter(Tradeoff).validate_python(values["tradeoff"]))
-    data = json.dumps(values | {"tradeoff": json_ready(asdict(found))}, separators=(",", ":")) + "\n"
+    data = (
+        json.dumps(
+            values | {"tradeoff": json_ready(asdict(found))}, separators=(",", ":")
+        )
+        + "\n"
+    )
     if options.tables:
         print(f"{measured(found)}\n\n{as_markdown(pareto_document(found))}")
         return 0
-    text = with_part(PAGE.read_text(encoding="utf-8"), "pareto", SCRIPT, page(values["provenance"], found))
+    text = with_part(
+        PAGE.read_text(encoding="utf-8"),
+        "pareto",
+        SCRIPT,
+        page(values["provenance"], found),
+    )
     if not options.check:
         save_png(draw_pareto(found), FIGURE)
     return settle({DATA: data, PAGE: text}, f"{SCRIPT} --docs", check=options.check)

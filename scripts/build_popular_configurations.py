@@ -31,7 +31,13 @@ from generated import ROOT, SCORING, markdown_table, settle, with_part
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity import Report, TrainingConfiguration, Verdict, check, configuration
+from gauge_envs.tools.sanity import (
+    Report,
+    TrainingConfiguration,
+    Verdict,
+    check,
+    configuration,
+)
 from gauge_envs.tools.sanity.gauge_probe import SUFFIX
 from gauge_envs.tools.sanity.phenomena import phenomena
 
@@ -60,7 +66,14 @@ HELD_SHARE = 0.05
 MOST_TARGETS = 4
 """Most tasks of a row that are listed by name."""
 
-GYMNASIUM = ("Ant", "HalfCheetah", "Hopper", "Humanoid", "HumanoidStandup", "InvertedDoublePendulum")
+GYMNASIUM = (
+    "Ant",
+    "HalfCheetah",
+    "Hopper",
+    "Humanoid",
+    "HumanoidStandup",
+    "InvertedDoublePendulum",
+)
 GYMNASIUM += ("InvertedPendulum", "Pusher", "Reacher", "Swimmer", "Walker2d")
 
 
@@ -95,7 +108,9 @@ PACKAGES = {
 # --- measuring -------------------------------------------------------------------------------------------------------
 
 
-def targets_of(package: Package, probes: Path | None) -> tuple[str | None, Sequence[str]]:
+def targets_of(
+    package: Package, probes: Path | None
+) -> tuple[str | None, Sequence[str]]:
     """Return the version of a package and its targets; None and no target where it is not here.
 
     Args:
@@ -103,7 +118,11 @@ def targets_of(package: Package, probes: Path | None) -> tuple[str | None, Seque
         probes: Folder that holds a folder of probe files for each package; None when there is none.
     """
     if package.targets is None:
-        files = [] if probes is None else sorted((probes / package.distribution).glob(f"*{SUFFIX}"))
+        files = (
+            []
+            if probes is None
+            else sorted((probes / package.distribution).glob(f"*{SUFFIX}"))
+        )
         if not files:
             return None, ()
         versions = json.loads(files[0].read_text(encoding="utf-8"))["versions"]
@@ -118,8 +137,19 @@ def key_of(read: TrainingConfiguration) -> str:
     """Return a text that is equal for configurations with equal settings and with feet that carry the same."""
     needs = {need.value: reason for need, reason in read.inapplicable.items()}
     foot = read.foot_geometry
-    carried = None if foot is None else (foot.geoms, f"{foot.load_kg:.3g}", f"{foot.softening or math.nan:.3g}")
-    parts = (read.backend, list(read.contact_sets.values()), read.gravity_m_per_s2, read.up, needs, friction_of(read))
+    carried = (
+        None
+        if foot is None
+        else (foot.geoms, f"{foot.load_kg:.3g}", f"{foot.softening or math.nan:.3g}")
+    )
+    parts = (
+        read.backend,
+        list(read.contact_sets.values()),
+        read.gravity_m_per_s2,
+        read.up,
+        needs,
+        friction_of(read),
+    )
     return json.dumps(json_ready((*parts, carried)), sort_keys=True)
 
 
@@ -155,7 +185,9 @@ def real_value(phenomenon: str) -> float:
     return phenomena([phenomenon])[0].reality.value
 
 
-def row_of(report: Report, package: str, key: str, targets: Sequence[str], packages: str) -> dict[str, Any]:
+def row_of(
+    report: Report, package: str, key: str, targets: Sequence[str], packages: str
+) -> dict[str, Any]:
     """Return the row of one set of settings, JSON-ready."""
     read = report.configuration
     by_id = {row.phenomenon: row for row in report.rows}
@@ -170,7 +202,11 @@ def row_of(report: Report, package: str, key: str, targets: Sequence[str], packa
         "step_s": read.settings.get("timestep_s"),
         "friction": friction_of(read, by_id["slide-wood"].geoms),
         "geoms": {row.phenomenon: row.geoms for row in report.rows if row.geoms},
-        "values": {name: row.configured for name, row in by_id.items() if row.verdict is not Verdict.DECLINED},
+        "values": {
+            name: row.configured
+            for name, row in by_id.items()
+            if row.verdict is not Verdict.DECLINED
+        },
         "verdicts": {name: row.verdict.value for name, row in by_id.items()},
         "advisory": [name for name, row in by_id.items() if row.advisory],
         "remarks": sorted({row.remark for row in report.rows if row.remark}),
@@ -180,7 +216,9 @@ def row_of(report: Report, package: str, key: str, targets: Sequence[str], packa
     }
 
 
-def groups_of(targets: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, TrainingConfiguration], dict[str, str]]:
+def groups_of(
+    targets: Sequence[str],
+) -> tuple[dict[str, list[str]], dict[str, TrainingConfiguration], dict[str, str]]:
     """Return targets by key, one configuration for each key, and what cannot be read with the reason."""
     by_key: dict[str, list[str]] = {}
     read: dict[str, TrainingConfiguration] = {}
@@ -202,16 +240,24 @@ def shown_name(target: str) -> str:
     return Path(target).name.removesuffix(SUFFIX)
 
 
-def measure(name: str, data: dict[str, Any], file: Path, probes: Path | None = None) -> None:
+def measure(
+    name: str, data: dict[str, Any], file: Path, probes: Path | None = None
+) -> None:
     """Measure the rows of a package that the data lack; write the data after each row."""
     found, package_targets = targets_of(PACKAGES[name], probes)
     if found is None:
         print(f"{name} is not here: its rows stay as they are")
         return
     by_key, read, unreadable = groups_of(package_targets)
-    known = {row["key"]: row for row in data["rows"] if row["package"] == name and row["version"] == found}
+    known = {
+        row["key"]: row
+        for row in data["rows"]
+        if row["package"] == name and row["version"] == found
+    }
     others = [row for row in data["rows"] if row["package"] != name]
-    data["unreadable"][name] = {shown_name(target): reason for target, reason in unreadable.items()}
+    data["unreadable"][name] = {
+        shown_name(target): reason for target, reason in unreadable.items()
+    }
     rows = []
     for key, targets in by_key.items():
         row = known.get(key)
@@ -220,8 +266,13 @@ def measure(name: str, data: dict[str, Any], file: Path, probes: Path | None = N
             row = row_of(report, name, key, targets, found)
             # On a CPU, mujoco_warp takes minutes to try changes for a set.
             if row["wrong_count"] >= MANY_WRONG and not read[key].trains_on:
-                row = row_of(check(read[key], only=PHENOMENA), name, key, targets, found)
-            print(f"{name}: {', '.join(targets)}: {row['wrong_count']} wrong, {report.wall_s:.0f} s", flush=True)
+                row = row_of(
+                    check(read[key], only=PHENOMENA), name, key, targets, found
+                )
+            print(
+                f"{name}: {', '.join(targets)}: {row['wrong_count']} wrong, {report.wall_s:.0f} s",
+                flush=True,
+            )
         rows.append({**row, "targets": targets})
         # Rows of tasks that come later are kept until they are measured.
         later = [known[one] for one in list(by_key)[len(rows) :] if one in known]
@@ -234,13 +285,26 @@ def measure(name: str, data: dict[str, Any], file: Path, probes: Path | None = N
 def write_data(data: Mapping[str, Any], file: Path) -> None:
     """Write the data, with rows in the order of packages and tasks."""
     order = list(PACKAGES)
-    rows = sorted(data["rows"], key=lambda row: (order.index(row["package"]), row["targets"]))
-    write_whole(file, (json.dumps({**data, "rows": rows}, indent=1, sort_keys=True) + "\n").encode())
+    rows = sorted(
+        data["rows"], key=lambda row: (order.index(row["package"]), row["targets"])
+    )
+    write_whole(
+        file,
+        (json.dumps({**data, "rows": rows}, indent=1, sort_keys=True) + "\n").encode(),
+    )
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
 
-COLUMNS = ("task", "step [ms]", "stated friction", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
+COLUMNS = (
+    "task",
+    "step [ms]",
+    "stated friction",
+    "met, straight",
+    "met, turned",
+    "creep [mm/s]",
+    "gap [mm]",
+)
 COLUMNS += (
     "own foot creeps [mm/s]",
     "own foot meets",
@@ -261,7 +325,16 @@ WORST_COLUMNS = (
 )
 
 
-SUMMARY = ("package", "tasks", "sets", "wrong or visible", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
+SUMMARY = (
+    "package",
+    "tasks",
+    "sets",
+    "wrong or visible",
+    "met, straight",
+    "met, turned",
+    "creep [mm/s]",
+    "gap [mm]",
+)
 SUMMARY += ("own foot creeps [mm/s]", "own foot meets")
 
 MANY_WRONG = 3
@@ -271,15 +344,23 @@ MANY_WRONG = 3
 def summary(data: Mapping[str, Any]) -> str:
     """Return the generated part of the page: a row for each package, and the sets with many wrong values."""
     rows = [(package_of(data, name), package_cells(data, name)) for name in PACKAGES]
-    worst = [row for row in data["rows"] if row["wrong_count"] >= MANY_WRONG and "slide-wood" in row["values"]]
-    worst.sort(key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"]))
+    worst = [
+        row
+        for row in data["rows"]
+        if row["wrong_count"] >= MANY_WRONG and "slide-wood" in row["values"]
+    ]
+    worst.sort(
+        key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])
+    )
     chosen = [COLUMNS.index(title) for title in WORST_COLUMNS]
     lines = [
         *markdown_table(SUMMARY, ([name, *cells] for name, cells in rows if cells)),
         "",
         f"Sets with {MANY_WRONG} or more wrong values:",
         "",
-        *markdown_table(WORST_COLUMNS, ([cells(row)[place] for place in chosen] for row in worst)),
+        *markdown_table(
+            WORST_COLUMNS, ([cells(row)[place] for place in chosen] for row in worst)
+        ),
     ]
     return "\n".join(lines)
 
@@ -313,16 +394,32 @@ def package_cells(data: Mapping[str, Any], name: str) -> list[str]:
 
 def value_range(rows: Sequence[Mapping[str, Any]], phenomenon: str, digits: int) -> str:
     """Return the least and the greatest value of rows."""
-    values = sorted(value for row in rows if (value := row["values"].get(phenomenon)) is not None)
-    return " to ".join(dict.fromkeys(number(value, digits) for value in (values[0], values[-1]))) if values else ""
+    values = sorted(
+        value for row in rows if (value := row["values"].get(phenomenon)) is not None
+    )
+    return (
+        " to ".join(
+            dict.fromkeys(number(value, digits) for value in (values[0], values[-1]))
+        )
+        if values
+        else ""
+    )
 
 
 def share_range(rows: Sequence[Mapping[str, Any]], phenomenon: str) -> str:
     """Return the least and the greatest share of its friction that slides, and how many sets hold or fail."""
     texts = [met(row, phenomenon) for row in rows]
-    shares = sorted({int(text.removesuffix(" %")) for text in texts if text.endswith("%")})
-    range_text = f"{' to '.join(dict.fromkeys(map(str, (shares[0], shares[-1]))))} %" if shares else ""
-    others = [f"{texts.count(word)} {word}" for word in ("held", "fails") if word in texts]
+    shares = sorted(
+        {int(text.removesuffix(" %")) for text in texts if text.endswith("%")}
+    )
+    range_text = (
+        f"{' to '.join(dict.fromkeys(map(str, (shares[0], shares[-1]))))} %"
+        if shares
+        else ""
+    )
+    others = [
+        f"{texts.count(word)} {word}" for word in ("held", "fails") if word in texts
+    ]
     return ", ".join([range_text, *others] if range_text else others)
 
 
@@ -332,26 +429,46 @@ def tables(data: Mapping[str, Any]) -> Iterator[str]:
         rows = [row for row in data["rows"] if row["package"] == name]
         if not rows:
             continue
-        engines = sorted({f"{row['engine']} {row['engine_version']}".strip() for row in rows})
-        yield from ("", f"### {name} {rows[0]['version']}, run on {' and '.join(engines)}", "")
+        engines = sorted(
+            {f"{row['engine']} {row['engine_version']}".strip() for row in rows}
+        )
+        yield from (
+            "",
+            f"### {name} {rows[0]['version']}, run on {' and '.join(engines)}",
+            "",
+        )
         measured = [row for row in rows if "slide-wood" in row["values"]]
-        measured.sort(key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"]))
+        measured.sort(
+            key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])
+        )
         yield from markdown_table(COLUMNS, map(cells, measured))
-        silent = [target for row in rows if row not in measured for target in row["targets"]]
+        silent = [
+            target for row in rows if row not in measured for target in row["targets"]
+        ]
         if silent:
-            yield from ("", f"No row on contact: {', '.join(silent)}. Nothing can collide, or there is no gravity.")
+            yield from (
+                "",
+                f"No row on contact: {', '.join(silent)}. Nothing can collide, or there is no gravity.",
+            )
         unreadable = data["unreadable"].get(name, {})
         if unreadable:
-            yield from ("", f"Not read here: {', '.join(sorted(unreadable))}. The data state the reasons.")
+            yield from (
+                "",
+                f"Not read here: {', '.join(sorted(unreadable))}. The data state the reasons.",
+            )
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
     """Return the cells of a row of the page."""
     values, targets = row["values"], row["targets"]
     more = len(targets) - MOST_TARGETS
-    names = ", ".join(targets[:MOST_TARGETS]) + (f" and {more} more" if more > 0 else "")
+    names = ", ".join(targets[:MOST_TARGETS]) + (
+        f" and {more} more" if more > 0 else ""
+    )
     flags = f"{row['wrong_count']} wrong" + (
-        f", {row['flag_count'] - row['wrong_count']} visible" if row["flag_count"] > row["wrong_count"] else ""
+        f", {row['flag_count'] - row['wrong_count']} visible"
+        if row["flag_count"] > row["wrong_count"]
+        else ""
     )
     return [
         names + deciding(row),
@@ -381,7 +498,11 @@ def met(row: Mapping[str, Any], phenomenon: str) -> str:
     """Return the share of its own friction that a cube meets, `held` for one that does not slide at all."""
     value = row["values"].get(phenomenon)
     if value is None:
-        return "" if row.get("verdicts", {}).get(phenomenon) == Verdict.DECLINED else "fails"
+        return (
+            ""
+            if row.get("verdicts", {}).get(phenomenon) == Verdict.DECLINED
+            else "fails"
+        )
     if value < HELD_SHARE * real_value(phenomenon):
         return "held"
     share = share_of_friction(phenomenon, value)
@@ -392,7 +513,9 @@ def rebound(row: Mapping[str, Any], phenomenon: str) -> str:
     """Return a rebound, with a star where the target states no restitution; empty when not measured."""
     if phenomenon not in row["verdicts"]:
         return ""
-    return number(row["values"].get(phenomenon), 2) + ("*" if phenomenon in row["advisory"] else "")
+    return number(row["values"].get(phenomenon), 2) + (
+        "*" if phenomenon in row["advisory"] else ""
+    )
 
 
 def number(value: float | None, digits: int) -> str:
@@ -410,25 +533,53 @@ def cure(line: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return the exit status."""
-    parser = argparse.ArgumentParser(description="Measure popular training configurations.")
-    parser.add_argument("--package", action="append", choices=tuple(PACKAGES), help="package; default: all")
-    parser.add_argument("--probes", type=Path, help="folder with a folder of probe files for each package")
+    parser = argparse.ArgumentParser(
+        description="Measure popular training configurations."
+    )
+    parser.add_argument(
+        "--package",
+        action="append",
+        choices=tuple(PACKAGES),
+        help="package; default: all",
+    )
+    parser.add_argument(
+        "--probes",
+        type=Path,
+        help="folder with a folder of probe files for each package",
+    )
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--docs", action="store_true", help="measure nothing; write the page")
-    mode.add_argument("--tables", action="store_true", help="measure nothing; print all rows")
-    mode.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
+    mode.add_argument(
+        "--docs", action="store_true", help="measure nothing; write the page"
+    )
+    mode.add_argument(
+        "--tables", action="store_true", help="measure nothing; print all rows"
+    )
+    mode.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if the page is not current",
+    )
     parser.add_argument("--data", type=Path, default=DATA, help="file of the data")
     parser.add_argument("--page", type=Path, default=PAGE, help="page with the tables")
     options = parser.parse_args(arguments)
     empty: dict[str, Any] = {"rows": [], "unreadable": {}}
-    data = json.loads(options.data.read_text(encoding="utf-8")) if options.data.is_file() else empty
+    data = (
+        json.loads(options.data.read_text(encoding="utf-8"))
+        if options.data.is_file()
+        else empty
+    )
     if not (options.docs or options.tables or options.check):
         for name in options.package or PACKAGES:
             measure(name, data, options.data, options.probes)
     if options.tables:
         print("\n".join(tables(data)).strip())
         return 0
-    text = with_part(options.page.read_text(encoding="utf-8"), "configurations", SCRIPT, summary(data))
+    text = with_part(
+        options.page.read_text(encoding="utf-8"),
+        "configurations",
+        SCRIPT,
+        summary(data),
+    )
     return settle({options.page: text}, f"{SCRIPT} --docs", check=options.check)
 
 

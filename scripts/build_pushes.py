@@ -131,12 +131,25 @@ class Push:
             Distances forward of the origin of the markers, shape of `HEIGHTS_M`; infinite where the cube did not pass.
         """
         edges_m = HALF_EDGE_M * np.array([[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0]])
-        hand, cube = Rotation.from_rotvec(self.hand_turn).inv(), Rotation.from_rotvec(self.cube_turn)
-        low_m, high_m = (hand.apply(self.cube_m + cube.apply(edge) - self.hand_m) for edge in edges_m)
+        hand, cube = (
+            Rotation.from_rotvec(self.hand_turn).inv(),
+            Rotation.from_rotvec(self.cube_turn),
+        )
+        low_m, high_m = (
+            hand.apply(self.cube_m + cube.apply(edge) - self.hand_m) for edge in edges_m
+        )
         rear_m = np.full(len(HEIGHTS_M), np.inf)
-        for frame in np.flatnonzero((self.times_s > PASSAGE_S[0]) & (self.times_s < PASSAGE_S[1])):
+        for frame in np.flatnonzero(
+            (self.times_s > PASSAGE_S[0]) & (self.times_s < PASSAGE_S[1])
+        ):
             low, high = low_m[frame], high_m[frame]
-            passed = np.interp(HEIGHTS_M, [low[2], high[2]], [low[0], high[0]], left=np.inf, right=np.inf)
+            passed = np.interp(
+                HEIGHTS_M,
+                [low[2], high[2]],
+                [low[0], high[0]],
+                left=np.inf,
+                right=np.inf,
+            )
             rear_m = np.minimum(rear_m, passed)
         return rear_m
 
@@ -170,14 +183,29 @@ class Pushes:
         shifts_s = np.zeros(len(moved))
         window_s = np.arange(-0.4, 0.4, 1.0 / RATE_HZ)
         for _ in range(3):
-            shifted = [one.at(one.hand_m[:, [0, 2]], window_s + s) for one, s in zip(moved, shifts_s, strict=True)]
+            shifted = [
+                one.at(one.hand_m[:, [0, 2]], window_s + s)
+                for one, s in zip(moved, shifts_s, strict=True)
+            ]
             mean = np.mean(shifted, axis=0)
             for trial, one in enumerate(moved):
-                fit = least_squares(_misfit, [shifts_s[trial], 0.0, 0.0], args=(one, window_s, mean), x_scale=1e-3)
+                fit = least_squares(
+                    _misfit,
+                    [shifts_s[trial], 0.0, 0.0],
+                    args=(one, window_s, mean),
+                    x_scale=1e-3,
+                )
                 shifts_s[trial] = fit.x[0]
             shifts_s -= shifts_s.mean()
         return [
-            Push(one.name, one.times_s - s, one.cube_m, one.cube_turn, one.hand_m, one.hand_turn)
+            Push(
+                one.name,
+                one.times_s - s,
+                one.cube_m,
+                one.cube_turn,
+                one.hand_m,
+                one.hand_turn,
+            )
             for one, s in zip(moved, shifts_s, strict=True)
         ]
 
@@ -198,23 +226,36 @@ class Pushes:
     @cached_property
     def _hand_starts(self) -> Rotation:
         """Orientations of the end effector before it moves, one a trial."""
-        return Rotation.concatenate([_rotations(q[:BEFORE_MOTION]).mean() for q in self.facts["hand_quaternion"]])
+        return Rotation.concatenate(
+            [
+                _rotations(q[:BEFORE_MOTION]).mean()
+                for q in self.facts["hand_quaternion"]
+            ]
+        )
 
     def _levelled(self, trial: int) -> Push:
         """Return a trial with heights above the table, at time 0 where the hand has advanced by `ADVANCE_M`."""
         facts = self.facts
-        cube_m, hand_m = (_metres(facts[f"{name}_position"][trial]) for name in ("cube", "hand"))
+        cube_m, hand_m = (
+            _metres(facts[f"{name}_position"][trial]) for name in ("cube", "hand")
+        )
         start_m = np.median(cube_m[:BEFORE_MOTION], axis=0)
         for one in (cube_m, hand_m):
-            one[:, 2] -= start_m[2] - HALF_EDGE_M + self.slope * (one[:, 0] - start_m[0])
-        cube_turns, hand_turns = (_rotations(facts[f"{name}_quaternion"][trial]) for name in ("cube", "hand"))
+            one[:, 2] -= (
+                start_m[2] - HALF_EDGE_M + self.slope * (one[:, 0] - start_m[0])
+            )
+        cube_turns, hand_turns = (
+            _rotations(facts[f"{name}_quaternion"][trial]) for name in ("cube", "hand")
+        )
         hand_turn = (hand_turns * self._hand_starts.mean().inv()).as_rotvec()
         cube_turn = (cube_turns * cube_turns[:BEFORE_MOTION].mean().inv()).as_rotvec()
         return Push(
             name=str(facts["trial"][trial]),
             times_s=(np.arange(len(cube_m)) - BEFORE) / RATE_HZ,
             # Hidden markers move the cube by up to 2 mm up and 0.5 degrees for single frames.
-            cube_m=np.column_stack([cube_m[:, 0], median_filter(cube_m[:, 1:], size=(3, 1))]),
+            cube_m=np.column_stack(
+                [cube_m[:, 0], median_filter(cube_m[:, 1:], size=(3, 1))]
+            ),
             cube_turn=median_filter(cube_turn, size=(3, 1)),
             hand_m=savgol_filter(hand_m, 5, 2, axis=0),
             hand_turn=savgol_filter(hand_turn, 5, 2, axis=0),
@@ -229,9 +270,15 @@ def _rotations(counts: NDArray[np.generic]) -> Rotation:
     return Rotation.from_quat(counts.astype(np.float64), scalar_first=True)
 
 
-def _misfit(parameters: FloatArray, push: Push, times_s: FloatArray, mean_m: FloatArray) -> FloatArray:
+def _misfit(
+    parameters: FloatArray, push: Push, times_s: FloatArray, mean_m: FloatArray
+) -> FloatArray:
     """Return how far a trial, shifted in time [s] and along x and z [m], is from the mean path of the hand."""
-    found: FloatArray = (push.at(push.hand_m[:, [0, 2]], times_s + parameters[0]) - mean_m - parameters[1:]).ravel()
+    found: FloatArray = (
+        push.at(push.hand_m[:, [0, 2]], times_s + parameters[0])
+        - mean_m
+        - parameters[1:]
+    ).ravel()
     return found
 
 
@@ -243,18 +290,35 @@ def facts_from(source: Path) -> tuple[bytes, str]:
     for trial in range(len(read["trial"])):
         advance_m = read["end_effector_position_m"][trial, :, 0]
         settled = 1400
-        first = settled + int(np.argmax(advance_m[settled:] > np.median(advance_m[settled - 50 : settled]) + ADVANCE_M))
+        first = settled + int(
+            np.argmax(
+                advance_m[settled:]
+                > np.median(advance_m[settled - 50 : settled]) + ADVANCE_M
+            )
+        )
         window = slice(first - BEFORE, first + AFTER)
         for name, prefix in (("cube", "cube"), ("hand", "end_effector")):
             position = read[f"{prefix}_position_m"][trial, window] / POSITION_UNIT_M
-            quaternion = read[f"{prefix}_quaternion_wxyz"][trial, window] / QUATERNION_UNIT
-            arrays.setdefault(f"{name}_position", []).append(np.round(position).astype(np.int32))
-            arrays.setdefault(f"{name}_quaternion", []).append(np.round(quaternion).astype(np.int16))
+            quaternion = (
+                read[f"{prefix}_quaternion_wxyz"][trial, window] / QUATERNION_UNIT
+            )
+            arrays.setdefault(f"{name}_position", []).append(
+                np.round(position).astype(np.int32)
+            )
+            arrays.setdefault(f"{name}_quaternion", []).append(
+                np.round(quaternion).astype(np.int16)
+            )
         height_m = read["cube_position_m"][trial, :, 2]
-        ends = np.array([np.median(height_m[STILL]), np.median(height_m[first + AFTER :])])
+        ends = np.array(
+            [np.median(height_m[STILL]), np.median(height_m[first + AFTER :])]
+        )
         arrays.setdefault("resting_height_m", []).append(np.round(ends, 6))
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, trial=read["trial"], **{name: np.array(values) for name, values in arrays.items()})
+    np.savez_compressed(
+        buffer,
+        trial=read["trial"],
+        **{name: np.array(values) for name, values in arrays.items()},
+    )
     sidecar = [
         "# Written by scripts/build_pushes.py; do not edit.",
         f'source = "{SOURCE}"',
@@ -277,9 +341,17 @@ def generate(scoring: Path) -> dict[Path, str]:
     pushes = read_pushes(scoring)
     cubes_mm = pushes.cubes_mm()[:, :, 0]
     mean, sigma = cubes_mm.mean(axis=0), cubes_mm.std(axis=0, ddof=1)
-    error = np.hypot(NOISE_MM, ALIGN_ERROR_S * FRAME_RATE_HZ * np.abs(np.gradient(mean)))
-    table = ["frame,mean.cube.x,sigma.cube.x,uncertainty.cube.x", *_rows(np.column_stack([mean, sigma, error]))]
-    singles = [",".join(["frame", *(f"trial.{k + 1}.cube.x" for k in range(len(cubes_mm)))]), *_rows(cubes_mm.T)]
+    error = np.hypot(
+        NOISE_MM, ALIGN_ERROR_S * FRAME_RATE_HZ * np.abs(np.gradient(mean))
+    )
+    table = [
+        "frame,mean.cube.x,sigma.cube.x,uncertainty.cube.x",
+        *_rows(np.column_stack([mean, sigma, error])),
+    ]
+    singles = [
+        ",".join(["frame", *(f"trial.{k + 1}.cube.x" for k in range(len(cubes_mm)))]),
+        *_rows(cubes_mm.T),
+    ]
     sidecar = [
         "# Written by scripts/build_pushes.py; do not edit.",
         'grade = "trials"',
@@ -294,10 +366,20 @@ def generate(scoring: Path) -> dict[Path, str]:
         "# Own starts and driven motions of the trials. Written by scripts/build_pushes.py; do not edit.",
         f"times_s = {driver_values(pushes)[0].round(2).tolist()}",
     ]
-    hands_m = [pushes.hand_path(np.array([START_S]), trial)[0, :3] for trial in range(len(cubes_mm))]
-    places_m = {"cube": [[*(1e-3 * one[0, :2]), HALF_EDGE_M] for one in pushes.cubes_mm()], "hand": hands_m}
+    hands_m = [
+        pushes.hand_path(np.array([START_S]), trial)[0, :3]
+        for trial in range(len(cubes_mm))
+    ]
+    places_m = {
+        "cube": [[*(1e-3 * one[0, :2]), HALF_EDGE_M] for one in pushes.cubes_mm()],
+        "hand": hands_m,
+    }
     for name, several in places_m.items():
-        own += [f"start_m.{name} = [", *(f"    {_numbers(place)}," for place in several), "]"]
+        own += [
+            f"start_m.{name} = [",
+            *(f"    {_numbers(place)}," for place in several),
+            "]",
+        ]
     own.append("motions.hand = [")
     for trial in range(len(cubes_mm)):
         motions = driver_values(pushes, trial)[1].T[[3, 0, 1, 2]]
@@ -314,7 +396,10 @@ def generate(scoring: Path) -> dict[Path, str]:
 
 def _rows(values: FloatArray) -> list[str]:
     """Return the rows of a table, with the number of the frame before them."""
-    return [",".join([str(frame), *(f"{value:.3f}" for value in row)]) for frame, row in enumerate(values)]
+    return [
+        ",".join([str(frame), *(f"{value:.3f}" for value in row)])
+        for frame, row in enumerate(values)
+    ]
 
 
 def _numbers(values: Sequence[float] | FloatArray) -> list[float]:
@@ -322,7 +407,9 @@ def _numbers(values: Sequence[float] | FloatArray) -> list[float]:
     return [round(float(value), 7) + 0.0 for value in values]
 
 
-def driver_values(pushes: Pushes, trial: int | None = None) -> tuple[FloatArray, FloatArray]:
+def driver_values(
+    pushes: Pushes, trial: int | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return the times of an episode [s] and the path of the hand from its start, mean or of one trial.
 
     Returns:
@@ -334,7 +421,9 @@ def driver_values(pushes: Pushes, trial: int | None = None) -> tuple[FloatArray,
     return times_s, path - pushes.hand_path(np.array([START_S]), trial)
 
 
-def pieces_m(front_m: FloatArray, *, width_m: float = WIDTH_M, heights_m: FloatArray = HEIGHTS_M) -> list[FloatArray]:
+def pieces_m(
+    front_m: FloatArray, *, width_m: float = WIDTH_M, heights_m: FloatArray = HEIGHTS_M
+) -> list[FloatArray]:
     """Return the vertices of the two convex pieces of the hand, above and below the joint, in the frame of its body."""
     front = np.column_stack([front_m, heights_m]) - [BODY_ORIGIN_M[0], BODY_ORIGIN_M[2]]
     joint = JOINT_M - BODY_ORIGIN_M[2]
@@ -346,7 +435,11 @@ def pieces_m(front_m: FloatArray, *, width_m: float = WIDTH_M, heights_m: FloatA
     pieces = []
     for outline in outlines:
         corners = np.array(outline)[ConvexHull(np.array(outline)).vertices]
-        pieces.append(np.array([[x, side * 0.5 * width_m, z] for side in (-1, 1) for x, z in corners]))
+        pieces.append(
+            np.array(
+                [[x, side * 0.5 * width_m, z] for side in (-1, 1) for x, z in corners]
+            )
+        )
     return pieces
 
 
@@ -359,13 +452,27 @@ def task_text(pushes: Pushes) -> str:
     ]
     lines += ["[bodies.hand]", 'shape = { kind = "convex_union", pieces_m = [']
     for piece in pieces_m(pushes.front_m()):
-        lines += ["    [", *(f"        {(vertex + 0.0).round(5).tolist()}," for vertex in piece), "    ],"]
+        lines += [
+            "    [",
+            *(f"        {(vertex + 0.0).round(5).tolist()}," for vertex in piece),
+            "    ],",
+        ]
     lines += ["] }"]
     axes = ("[1.0, 0.0, 0.0]", "[0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]")
     motions = [("rotate", axes[1], "values_deg", np.degrees(values[:, 3]).round(3))]
-    motions += [("translate", axis, "values_m", values[:, k].round(5)) for k, axis in enumerate(axes)]
+    motions += [
+        ("translate", axis, "values_m", values[:, k].round(5))
+        for k, axis in enumerate(axes)
+    ]
     for kind, axis, key, column in motions:
-        lines += ["", "[[drivers.motions]]", f'kind = "{kind}"', f"axis = {axis}", "", "[[drivers.motions.profile]]"]
+        lines += [
+            "",
+            "[[drivers.motions]]",
+            f'kind = "{kind}"',
+            f"axis = {axis}",
+            "",
+            "[[drivers.motions.profile]]",
+        ]
         lines += ['kind = "sampled"']
         for name, numbers in (("times_s", times_s.round(2)), (key, column + 0.0)):
             text = ", ".join(str(float(number)) for number in numbers) + ","

@@ -37,14 +37,38 @@ SCRIPT = Path(__file__).name
 
 Record = dict[str, Any]
 
-CONTACT_COLUMNS = ("friction", "friction set", "friction reached", "friction hopping", "single plates", "restitution")
-CONTACT_COLUMNS += ("restitution reached", "single drops", "mass [kg]", "step [s]", "hop [mm]", "depth [mm]")
+CONTACT_COLUMNS = (
+    "friction",
+    "friction set",
+    "friction reached",
+    "friction hopping",
+    "single plates",
+    "restitution",
+)
+CONTACT_COLUMNS += (
+    "restitution reached",
+    "single drops",
+    "mass [kg]",
+    "step [s]",
+    "hop [mm]",
+    "depth [mm]",
+)
 CONTACT_COLUMNS += ("creep [mm/s]", "wall [s]", "missed", "explanation")
 
-FABRIC_COLUMNS = ("fabric", "stretch [N/m]", "stretch reached", "bend [uN m]", "bend reached", "bending length [mm]")
+FABRIC_COLUMNS = (
+    "fabric",
+    "stretch [N/m]",
+    "stretch reached",
+    "bend [uN m]",
+    "bend reached",
+    "bending length [mm]",
+)
 FABRIC_COLUMNS += ("bending length reached", "wall [s]", "missed", "explanation")
 
-COLUMNS = {"contacts": ("engine", "versions", *CONTACT_COLUMNS), "fabrics": ("engine", "versions", *FABRIC_COLUMNS)}
+COLUMNS = {
+    "contacts": ("engine", "versions", *CONTACT_COLUMNS),
+    "fabrics": ("engine", "versions", *FABRIC_COLUMNS),
+}
 """Columns of the tables of the study."""
 
 AIMS = (
@@ -65,10 +89,20 @@ AIMS = (
 def records(kind: str) -> list[Record]:
     """Return what was measured of a kind of recipe, the last measurement last."""
     path = RECORDS / f"{kind.replace(' ', '-')}.jsonl"
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+    return (
+        [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        if path.exists()
+        else []
+    )
 
 
-def measure(kind: str, key: str, asked: Any, versions: dict[str, str], recipe: Callable[[], Record]) -> None:
+def measure(
+    kind: str,
+    key: str,
+    asked: Any,
+    versions: dict[str, str],
+    recipe: Callable[[], Record],
+) -> None:
     """Measure a recipe, unless it was measured with these versions, and keep it.
 
     Args:
@@ -85,26 +119,55 @@ def measure(kind: str, key: str, asked: Any, versions: dict[str, str], recipe: C
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
         file.write(json.dumps(found) + "\n")
-    print(kind, found["asked"], found["reached"], f"{found['wall_s']:.1f} s", file=sys.stderr, flush=True)
+    print(
+        kind,
+        found["asked"],
+        found["reached"],
+        f"{found['wall_s']:.1f} s",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def contact_row(record: Record) -> list[str]:
     """Return the cells of a contact; values that were not found are `-`."""
     asked, reached, detail = record["asked"], record["reached"], record["detail"]
-    friction, hopping, plates, restitution, drops, small = "-", "-", "-", "-", "-", ["-", "-", "-"]
+    friction, hopping, plates, restitution, drops, small = (
+        "-",
+        "-",
+        "-",
+        "-",
+        "-",
+        ["-", "-", "-"],
+    )
     if reached["friction"] is not None:
-        friction, restitution = f"{reached['friction']:.4f}", f"{reached['restitution']:.3f}"
+        friction, restitution = (
+            f"{reached['friction']:.4f}",
+            f"{reached['restitution']:.3f}",
+        )
         hopping = f"{reached['friction_hopping']:.3f}"
         plates = f"{detail['friction_hopping_low']:.3f} to {detail['friction_hopping_high']:.3f}"
         drops = f"{detail['restitution_low']:.2f} to {detail['restitution_high']:.2f}"
         # Rounding of single precision has either sign.
-        values = (1e3 * value for value in (detail["hop_m"], reached["penetration_m"], reached["creep_m_s"]))
+        values = (
+            1e3 * value
+            for value in (
+                detail["hop_m"],
+                reached["penetration_m"],
+                reached["creep_m_s"],
+            )
+        )
         small = [f"{value:.2g}" if abs(value) >= 5e-5 else "0" for value in values]
     missed = "all" if friction == "-" else ", ".join(record["misses"])
     stated = f"{record['settings'][engine_settings(record['engine']).friction_field]:g}"
     start = [f"{asked['friction']:g}", stated, friction, hopping, plates]
     start += [f"{asked['restitution']:g}", restitution, drops]
-    start += [f"{asked['mass_kg']:g}", f"{asked['timestep_s']:.3g}", *small, f"{record['wall_s']:.1f}"]
+    start += [
+        f"{asked['mass_kg']:g}",
+        f"{asked['timestep_s']:.3g}",
+        *small,
+        f"{record['wall_s']:.1f}",
+    ]
     return [*start, missed, record["explanation"] if missed else ""]
 
 
@@ -117,7 +180,10 @@ def fabric_row(record: Record) -> list[str]:
         ("bending_length_m", "bending length", 1e3),
     ):
         value = record["reached"][name]
-        cells += [f"{scale * record['asked'][name]:.4g}", "-" if value is None else f"{scale * value:.4g}"]
+        cells += [
+            f"{scale * record['asked'][name]:.4g}",
+            "-" if value is None else f"{scale * value:.4g}",
+        ]
         missed += [title] if value is None or name in record["misses"] else []
     lost = "" if record["explanation"] == NOTHING_LOST else record["explanation"]
     return [*cells, f"{record['wall_s']:.1f}", ", ".join(missed), lost]
@@ -126,14 +192,26 @@ def fabric_row(record: Record) -> list[str]:
 def rows_of(kind: str, engine: str) -> list[list[str]]:
     """Return the rows of an engine that were measured, in the order of the requests."""
     if kind == "contacts":
-        by_asked = {json.dumps(one["asked"]): one for one in records(f"recipes of {engine}")}
-        known = [by_asked[key] for key in (json.dumps(dict(aim.asked())) for aim in AIMS) if key in by_asked]
+        by_asked = {
+            json.dumps(one["asked"]): one for one in records(f"recipes of {engine}")
+        }
+        known = [
+            by_asked[key]
+            for key in (json.dumps(dict(aim.asked())) for aim in AIMS)
+            if key in by_asked
+        ]
         cells = [contact_row(one) for one in known]
     else:
         by_name = {one["material"]: one for one in records(f"fabrics of {engine}")}
-        known = [by_name[name] for name in fabrics("TextileFlinging") if name in by_name]
+        known = [
+            by_name[name] for name in fabrics("TextileFlinging") if name in by_name
+        ]
         cells = [fabric_row(one) for one in known]
-    versions = ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items()) if known else ""
+    versions = (
+        ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items())
+        if known
+        else ""
+    )
     return [[engine, versions, *row] for row in cells]
 
 
@@ -162,12 +240,23 @@ def summary() -> str:
         cells = [engine]
         for rows in (contacts, cloth):
             own = [row for row in rows if row["engine"] == engine]
-            cells.append(f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else "")
+            cells.append(
+                f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else ""
+            )
         rows = [row for row in contacts if row["engine"] == engine]
-        for name, digits in (("friction reached", 2), ("friction hopping", 1), ("single plates", 1)):
+        for name, digits in (
+            ("friction reached", 2),
+            ("friction hopping", 1),
+            ("single plates", 1),
+        ):
             # A range begins with its smallest value.
-            errors = [100.0 * (float(row[name].split()[0]) / float(row["friction"]) - 1.0) for row in rows]
-            cells.append(f"{max(errors, key=abs) if digits == 2 else min(errors):+.{digits}f} %")
+            errors = [
+                100.0 * (float(row[name].split()[0]) / float(row["friction"]) - 1.0)
+                for row in rows
+            ]
+            cells.append(
+                f"{max(errors, key=abs) if digits == 2 else min(errors):+.{digits}f} %"
+            )
         walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
         lines.append([*cells, f"{min(walls):.2g} to {max(walls):.3g}"])
     misses = [
@@ -177,9 +266,21 @@ def summary() -> str:
         if row["missed"]
     ]
     head = ("engine", "contacts within the tolerance", "fabrics within the tolerance")
-    head += ("friction of bodies that hold, largest error", "of plates that hop, lowest mean", "lowest plate")
+    head += (
+        "friction of bodies that hold, largest error",
+        "of plates that hop, lowest mean",
+        "lowest plate",
+    )
     head += ("wall time of a contact [s]",)
-    return "\n".join([*markdown_table(head, lines), "", "Contacts outside the tolerance:", "", *misses])
+    return "\n".join(
+        [
+            *markdown_table(head, lines),
+            "",
+            "Contacts outside the tolerance:",
+            "",
+            *misses,
+        ]
+    )
 
 
 def measure_engine(engine: str) -> None:
@@ -198,24 +299,41 @@ def measure_engine(engine: str) -> None:
             versions,
             lambda aim=aim: find_recipe(settings, aim).json(),  # type: ignore[misc]
         )
-    if backend_class(engine).fabric_constants(fabrics("TextileFlinging")["satin"]) is not None:
+    if (
+        backend_class(engine).fabric_constants(fabrics("TextileFlinging")["satin"])
+        is not None
+    ):
         for name, fabric in fabrics("TextileFlinging").items():
             measure(
                 f"fabrics of {engine}",
                 "material",
                 name,
                 versions,
-                lambda name=name, fabric=fabric: fabric_recipe(name, fabric, engine).json(),  # type: ignore[misc]
+                lambda name=name, fabric=fabric: fabric_recipe(
+                    name, fabric, engine
+                ).json(),  # type: ignore[misc]
             )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure the engines of the command line, and write their rows and the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("engines", nargs="*", default=list(engine_names()), metavar="ENGINE")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "engines", nargs="*", default=list(engine_names()), metavar="ENGINE"
+    )
     mode = parser.add_mutually_exclusive_group()
-    mode.add_argument("--docs", action="store_true", help="measure nothing; write the summary of the page")
-    mode.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
+    mode.add_argument(
+        "--docs",
+        action="store_true",
+        help="measure nothing; write the summary of the page",
+    )
+    mode.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if the page is not current",
+    )
     given = parser.parse_args(arguments)
     for engine in () if given.docs or given.check else given.engines:
         try:

@@ -44,14 +44,20 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 GENERATED = "# Written by scripts/build_recordings.py; do not edit."
 SOURCE = "Published recording {video} of one trial (GAUGE project page): {method}"
-STATISTICS_SOURCE = "Markers of one trial in the published recording {video} (GAUGE project page)"
+STATISTICS_SOURCE = (
+    "Markers of one trial in the published recording {video} (GAUGE project page)"
+)
 LARGEST_GAP = 1.5
 """Number of intervals between two pictures above which a picture is missing between them."""
 
 ROUNDING_S = 1e-6
 """Largest time outside of the pictures at which a frame counts as on the first or the last of them [s]."""
 
-EVENTS = {"leaves": "last_ball_leaves_s", "returns": "last_ball_returns_s", "rests": "last_ball_at_rest_s"}
+EVENTS = {
+    "leaves": "last_ball_leaves_s",
+    "returns": "last_ball_returns_s",
+    "rests": "last_ball_at_rest_s",
+}
 """Fact of a recording that gives each quantity of an event."""
 
 FloatArray = NDArray[np.float64]
@@ -83,11 +89,17 @@ def read_table(file: Path) -> dict[str, FloatArray]:
     """Return the columns of a table of measurements, NaN where a field is empty; its header comments start with `#`."""
     with file.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
-    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+    return {
+        name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]
+    }
 
 
 def at_frames(
-    times_s: FloatArray, values: FloatArray, frame_times_s: FloatArray, *, interval_s: float
+    times_s: FloatArray,
+    values: FloatArray,
+    frame_times_s: FloatArray,
+    *,
+    interval_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return a measured quantity and its rate at the frames.
 
@@ -104,13 +116,18 @@ def at_frames(
     times_s, values = times_s[known], values[known]
     found, rate = np.full((2, len(frame_times_s)), np.nan)
     breaks = np.flatnonzero(np.diff(times_s) > LARGEST_GAP * interval_s) + 1
-    for run_times_s, run in zip(np.split(times_s, breaks), np.split(values, breaks), strict=True):
+    for run_times_s, run in zip(
+        np.split(times_s, breaks), np.split(values, breaks), strict=True
+    ):
         if len(run) < 2:
             continue
         curve = PchipInterpolator(run_times_s, run, extrapolate=False)
         within_s = np.clip(frame_times_s, run_times_s[0], run_times_s[-1])
         inside = np.abs(frame_times_s - within_s) < ROUNDING_S
-        found[inside], rate[inside] = curve(within_s[inside]), curve(within_s[inside], 1)
+        found[inside], rate[inside] = (
+            curve(within_s[inside]),
+            curve(within_s[inside], 1),
+        )
     return found, rate
 
 
@@ -128,7 +145,10 @@ def sigma_of(baseline: Baseline, width: int) -> float:
 
 
 def recorded_band(
-    variant: str, recording: Mapping[str, Any], layout: Mapping[str, Any], table: Mapping[str, FloatArray]
+    variant: str,
+    recording: Mapping[str, Any],
+    layout: Mapping[str, Any],
+    table: Mapping[str, FloatArray],
 ) -> RecordedBand:
     """Return the band of a variant from one recording.
 
@@ -139,18 +159,26 @@ def recorded_band(
     frame_count = experiment.frame_count
     baseline = published_baselines(variant).get("rmse")
     if baseline is not None and baseline.frames != frame_count:
-        raise ValueError(f"{variant} has {frame_count} frames, published are {baseline.frames}")
+        raise ValueError(
+            f"{variant} has {frame_count} frames, published are {baseline.frames}"
+        )
     frame_times_s = recording["frame_zero_s"] + np.arange(frame_count) / FRAME_RATE_HZ
     interval_s = 1.0 / recording["pictures_per_s"]
     if (width := len(experiment.coordinates)) != layout["width"]:
-        raise ValueError(f"{variant} has {width} coordinates, the layout {layout['width']}")
+        raise ValueError(
+            f"{variant} has {width} coordinates, the layout {layout['width']}"
+        )
     used = table.get("used", np.ones_like(table["time_s"])) == 1
     mean, uncertainty = [], []
     for coordinate in layout["coordinates"]:
-        in_sight = seen_well(table[coordinate["column"]], recording.get("pictures_before_hidden", 0))
+        in_sight = seen_well(
+            table[coordinate["column"]], recording.get("pictures_before_hidden", 0)
+        )
         seen = np.where(used, in_sight, np.nan)
         values = coordinate.get("offset", 0.0) + coordinate.get("scale", 1.0) * seen
-        value, rate = at_frames(table["time_s"], values, frame_times_s, interval_s=interval_s)
+        value, rate = at_frames(
+            table["time_s"], values, frame_times_s, interval_s=interval_s
+        )
         if not np.isfinite(value).any():
             raise ValueError(f"{variant}: {coordinate['name']} is measured at no frame")
         mean.append(value)
@@ -165,10 +193,16 @@ def recorded_band(
 
 
 def placement_sigma(
-    stated: Mapping[str, Any], table: Mapping[str, FloatArray], value: FloatArray, frame_times_s: FloatArray
+    stated: Mapping[str, Any],
+    table: Mapping[str, FloatArray],
+    value: FloatArray,
+    frame_times_s: FloatArray,
 ) -> FloatArray:
     """Return the 1-sigma uncertainty of a coordinate at the frames without that of their time, [frame_count]."""
-    parts = [stated.get("constant", 0.0) * np.ones_like(value), stated.get("relative", 0.0) * np.abs(value)]
+    parts = [
+        stated.get("constant", 0.0) * np.ones_like(value),
+        stated.get("relative", 0.0) * np.abs(value),
+    ]
     if "column" in stated:
         parts.append(np.interp(frame_times_s, table["time_s"], table[stated["column"]]))
     return np.sqrt(np.square(parts).sum(axis=0))
@@ -176,17 +210,36 @@ def placement_sigma(
 
 def band_csv(band: RecordedBand) -> str:
     """Return the text of a band's table, down to the last measured frame."""
-    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in band.names]
+    columns = [
+        f"{quantity}.{name}"
+        for quantity in ("mean", "uncertainty")
+        for name in band.names
+    ]
     lines = [",".join(["frame", "time_s", "measured", *columns])]
     for frame in range(int(np.flatnonzero(band.measured)[-1]) + 1):
         numbers = np.concatenate([band.mean[frame], band.uncertainty[frame]])
-        fields = ["" if math.isnan(number) else f"{number + 0.0:.2f}" for number in numbers]
-        lines.append(",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", str(int(band.measured[frame])), *fields]))
+        fields = [
+            "" if math.isnan(number) else f"{number + 0.0:.2f}" for number in numbers
+        ]
+        lines.append(
+            ",".join(
+                [
+                    str(frame),
+                    f"{frame / FRAME_RATE_HZ:.6f}",
+                    str(int(band.measured[frame])),
+                    *fields,
+                ]
+            )
+        )
     return "\n".join(lines) + "\n"
 
 
 def band_toml(
-    variant: str, band: RecordedBand, name: str, recording: Mapping[str, Any], layout: Mapping[str, Any]
+    variant: str,
+    band: RecordedBand,
+    name: str,
+    recording: Mapping[str, Any],
+    layout: Mapping[str, Any],
 ) -> str:
     """Return the text of a band's sidecar: what the table's numbers are."""
     coordinates = layout["coordinates"]
@@ -199,9 +252,14 @@ def band_toml(
         f"coordinates = {json.dumps(band.names)}",
     ]
     if "index" in coordinates[0]:
-        lines += [f"width = {layout['width']}", f"indices = {[coordinate['index'] for coordinate in coordinates]}"]
+        lines += [
+            f"width = {layout['width']}",
+            f"indices = {[coordinate['index'] for coordinate in coordinates]}",
+        ]
     else:
-        lines.append(f"projection = {[coordinate['direction'] for coordinate in coordinates]}")
+        lines.append(
+            f"projection = {[coordinate['direction'] for coordinate in coordinates]}"
+        )
     if band.sigma is not None:
         lines.append(f"sigma = {band.sigma:.6f}  # of each coordinate, at every frame")
     if "withheld" in recording:
@@ -210,14 +268,26 @@ def band_toml(
         lines.append("normalized_by_baseline = false")
     lines.append(f"source = {json.dumps(SOURCE.format(**recording))}")
     lines += ["", f"# facts/recordings/{name}.csv, recordings.toml", "[recording]"]
-    kept = ("video", "sha256", "identity", "frame_zero_s", "time_sigma_s", "pictures_per_s", "assumed", "not_measured")
+    kept = (
+        "video",
+        "sha256",
+        "identity",
+        "frame_zero_s",
+        "time_sigma_s",
+        "pictures_per_s",
+        "assumed",
+        "not_measured",
+    )
     lines += [f"{key} = {json.dumps(recording[key])}" for key in kept]
     return "\n".join(lines) + "\n"
 
 
 def events_toml(recordings: Mapping[str, Any]) -> str:
     """Return the text of the table of recorded events."""
-    lines = [GENERATED, "# Times of events in the published recordings: facts/recordings/recordings.toml."]
+    lines = [
+        GENERATED,
+        "# Times of events in the published recordings: facts/recordings/recordings.toml.",
+    ]
     for recording in recordings.values():
         facts = recording.get("facts", {})
         for quantity, name in EVENTS.items():
@@ -261,7 +331,9 @@ class RecordedStatistics:
     uncertainty: FloatArray
 
 
-def marker_positions_m(stated: Mapping[str, Any], table: Mapping[str, FloatArray]) -> FloatArray:
+def marker_positions_m(
+    stated: Mapping[str, Any], table: Mapping[str, FloatArray]
+) -> FloatArray:
     """Return the positions of the stated markers [m], shape [picture_count, marker_count, 3]; NaN: out of sight."""
     fixed = stated.get("fixed_mm", {})
     shape = table["time_s"].shape
@@ -269,7 +341,9 @@ def marker_positions_m(stated: Mapping[str, Any], table: Mapping[str, FloatArray
         [
             np.stack(
                 [
-                    np.full(shape, fixed[axis]) if axis in fixed else table[f"marker_{marker}_{axis}_mm"]
+                    np.full(shape, fixed[axis])
+                    if axis in fixed
+                    else table[f"marker_{marker}_{axis}_mm"]
                     for axis in "xyz"
                 ],
                 axis=-1,
@@ -281,7 +355,10 @@ def marker_positions_m(stated: Mapping[str, Any], table: Mapping[str, FloatArray
 
 
 def section_errors_m(
-    stated: Mapping[str, Any], rest_m: FloatArray, markers_m: FloatArray, experiment: Experiment
+    stated: Mapping[str, Any],
+    rest_m: FloatArray,
+    markers_m: FloatArray,
+    experiment: Experiment,
 ) -> FloatArray:
     """Return independent 1-sigma error patterns of markers that a model of cross-sections placed.
 
@@ -317,7 +394,10 @@ def section_errors_m(
             for size, unit in zip(errors["shift_mm"], np.eye(3), strict=True)
         ),
         errors["rotation_rad"] * np.cross([0.0, 0.0, 1.0], arms),
-        *(size * np.cross(unit, arms) for size, unit in zip(errors["tilt_rad"], np.eye(3)[:2], strict=True)),
+        *(
+            size * np.cross(unit, arms)
+            for size, unit in zip(errors["tilt_rad"], np.eye(3)[:2], strict=True)
+        ),
     ]
     patterns = [
         np.where((heights == height)[:, None], generator, 0.0)
@@ -328,7 +408,10 @@ def section_errors_m(
 
 
 def recorded_statistics(
-    variant: str, recording: Mapping[str, Any], stated: Mapping[str, Any], table: Mapping[str, FloatArray]
+    variant: str,
+    recording: Mapping[str, Any],
+    stated: Mapping[str, Any],
+    table: Mapping[str, FloatArray],
 ) -> RecordedStatistics:
     """Return the statistics of deformation of a variant from the markers of one recording.
 
@@ -351,19 +434,27 @@ def recorded_statistics(
     columns = [STATISTICS.index(name) for name in stated["statistics"]]
     values, sigmas = np.full((2, len(times_s), len(columns)), np.nan)
     for picture in np.flatnonzero(np.isfinite(positions_m).all(axis=(1, 2))):
-        found, sigma = picture_statistics(stated, rest_m, positions_m[picture], spread_m, solid, experiment)
+        found, sigma = picture_statistics(
+            stated, rest_m, positions_m[picture], spread_m, solid, experiment
+        )
         values[picture], sigmas[picture] = found[columns], sigma[columns]
-    frame_times_s = recording["frame_zero_s"] + np.arange(experiment.frame_count) / FRAME_RATE_HZ
+    frame_times_s = (
+        recording["frame_zero_s"] + np.arange(experiment.frame_count) / FRAME_RATE_HZ
+    )
     mean, uncertainty = [], []
     for column, sigma in zip(values.T, sigmas.T, strict=True):
-        value, rate = at_frames(times_s, column, frame_times_s, interval_s=1.0 / recording["pictures_per_s"])
+        value, rate = at_frames(
+            times_s, column, frame_times_s, interval_s=1.0 / recording["pictures_per_s"]
+        )
         known = np.isfinite(sigma)
         at_frame = np.interp(frame_times_s, times_s[known], sigma[known])
         mean.append(value)
         uncertainty.append(np.hypot(at_frame, recording["time_sigma_s"] * rate))
     if not np.isfinite(mean).any():
         raise ValueError(f"{variant}: no statistic is known at any frame")
-    return RecordedStatistics(mean=np.column_stack(mean), uncertainty=np.column_stack(uncertainty))
+    return RecordedStatistics(
+        mean=np.column_stack(mean), uncertainty=np.column_stack(uncertainty)
+    )
 
 
 def picture_statistics(
@@ -376,13 +467,20 @@ def picture_statistics(
 ) -> tuple[FloatArray, FloatArray]:
     """Return statistics of one picture and their uncertainty, each of shape [10]."""
     if "sections" in stated:
-        noise, unseen = spread_m, section_errors_m(stated, rest_m, markers_m, experiment)
+        noise, unseen = (
+            spread_m,
+            section_errors_m(stated, rest_m, markers_m, experiment),
+        )
     else:
-        single = independent_noise(np.tile(1e-3 * np.array(stated["markers_mm"]), (len(rest_m), 1)))
+        single = independent_noise(
+            np.tile(1e-3 * np.array(stated["markers_mm"]), (len(rest_m), 1))
+        )
         none = np.zeros((0, *single.shape[1:]))
         noise, unseen = (single, none) if stated.get("read") else (spread_m, single)
     found = deformation_statistics(rest_m, markers_m[None], solid, noise_m=noise)[0]
-    return found, statistic_uncertainty(rest_m, markers_m, solid, noise_m=noise, unseen_m=unseen)
+    return found, statistic_uncertainty(
+        rest_m, markers_m, solid, noise_m=noise, unseen_m=unseen
+    )
 
 
 def statistic_uncertainty(
@@ -409,11 +507,21 @@ def statistic_uncertainty(
     Returns:
         Uncertainty of each statistic in its unit, shape [10]; NaN where the statistic is.
     """
-    noise, markers = np.asarray(noise_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
-    unseen = np.zeros((0, *markers.shape)) if unseen_m is None else np.asarray(unseen_m, dtype=np.float64)
+    noise, markers = (
+        np.asarray(noise_m, dtype=np.float64),
+        np.asarray(markers_m, dtype=np.float64),
+    )
+    unseen = (
+        np.zeros((0, *markers.shape))
+        if unseen_m is None
+        else np.asarray(unseen_m, dtype=np.float64)
+    )
     patterns = np.concatenate([noise, unseen])
     value = deformation_statistics(rest_m, markers[None], solid, noise_m=noise)[0]
-    forward, backward = (deformation_statistics(rest_m, markers + sign * patterns, solid) for sign in (1, -1))
+    forward, backward = (
+        deformation_statistics(rest_m, markers + sign * patterns, solid)
+        for sign in (1, -1)
+    )
     sigma = np.asarray(np.sqrt(np.square(0.5 * (forward - backward)).sum(axis=0)))
     residual = affine_map(rest_m, markers[None]).residual_m[0]
     seen = np.isfinite(residual).all(axis=1)
@@ -423,23 +531,35 @@ def statistic_uncertainty(
     gram = np.einsum("kmc,lmc->kl", left, left) / count
     # Displacement that is not seen also adds to the mean square, by the trace of its share.
     added = float(np.trace(gram[len(noise) :, len(noise) :]))
-    square_sigma = 1e6 * float(np.sqrt(np.square(slopes).sum() + 2.0 * np.square(gram).sum() + added**2))
+    square_sigma = 1e6 * float(
+        np.sqrt(np.square(slopes).sum() + 2.0 * np.square(gram).sum() + added**2)
+    )
     sigma[9] = np.sqrt(value[9] ** 2 + square_sigma) - value[9]
     return sigma
 
 
 def statistics_csv(statistics: RecordedStatistics, names: Sequence[str]) -> str:
     """Return the text of a table of statistics, down to the last measured frame."""
-    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in names]
+    columns = [
+        f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in names
+    ]
     lines = [",".join(["frame", "time_s", *columns])]
-    for frame in range(int(np.flatnonzero(np.isfinite(statistics.mean).any(axis=1))[-1]) + 1):
-        numbers = np.concatenate([statistics.mean[frame], statistics.uncertainty[frame]])
-        fields = ["" if math.isnan(number) else f"{number + 0.0:.4f}" for number in numbers]
+    for frame in range(
+        int(np.flatnonzero(np.isfinite(statistics.mean).any(axis=1))[-1]) + 1
+    ):
+        numbers = np.concatenate(
+            [statistics.mean[frame], statistics.uncertainty[frame]]
+        )
+        fields = [
+            "" if math.isnan(number) else f"{number + 0.0:.4f}" for number in numbers
+        ]
         lines.append(",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", *fields]))
     return "\n".join(lines) + "\n"
 
 
-def statistics_toml(variant: str, recording: Mapping[str, Any], stated: Mapping[str, Any]) -> str:
+def statistics_toml(
+    variant: str, recording: Mapping[str, Any], stated: Mapping[str, Any]
+) -> str:
     """Return the text of the sidecar of a table of statistics."""
     lines = [
         GENERATED,
@@ -453,7 +573,10 @@ def statistics_toml(variant: str, recording: Mapping[str, Any], stated: Mapping[
         "",
         f"# facts/recordings/{stated['table']}.csv, recordings.toml, statistics.toml",
         "[recording]",
-        *(f"{key} = {json.dumps(recording[key])}" for key in ("video", "sha256", "frame_zero_s", "time_sigma_s")),
+        *(
+            f"{key} = {json.dumps(recording[key])}"
+            for key in ("video", "sha256", "frame_zero_s", "time_sigma_s")
+        ),
         *(f"{key} = {json.dumps(stated[key])}" for key in ("assumed", "not_measured")),
     ]
     return "\n".join(lines) + "\n"
@@ -464,12 +587,21 @@ def statistics_files(scoring: Path) -> dict[Path, str]:
     folder = scoring / "facts" / "recordings"
     recordings = tomllib.loads((folder / "recordings.toml").read_text(encoding="utf-8"))
     files = {}
-    for name, stated in tomllib.loads((folder / "statistics.toml").read_text(encoding="utf-8")).items():
-        recording, table = recordings[name], read_table(folder / f"{stated['table']}.csv")
+    for name, stated in tomllib.loads(
+        (folder / "statistics.toml").read_text(encoding="utf-8")
+    ).items():
+        recording, table = (
+            recordings[name],
+            read_table(folder / f"{stated['table']}.csv"),
+        )
         for variant in recording["variants"]:
             statistics = recorded_statistics(variant, recording, stated, table)
-            files[scoring / "statistics" / f"{variant}.csv"] = statistics_csv(statistics, stated["statistics"])
-            files[scoring / "statistics" / f"{variant}.toml"] = statistics_toml(variant, recording, stated)
+            files[scoring / "statistics" / f"{variant}.csv"] = statistics_csv(
+                statistics, stated["statistics"]
+            )
+            files[scoring / "statistics" / f"{variant}.toml"] = statistics_toml(
+                variant, recording, stated
+            )
     return files
 
 
@@ -483,7 +615,9 @@ def generated_files(scoring: Path) -> dict[Path, str]:
         for variant in recording["variants"]:
             band = recorded_band(variant, recording, layout, table)
             files[scoring / "bands" / f"{variant}.csv"] = band_csv(band)
-            files[scoring / "bands" / f"{variant}.toml"] = band_toml(variant, band, name, recording, layout)
+            files[scoring / "bands" / f"{variant}.toml"] = band_toml(
+                variant, band, name, recording, layout
+            )
     return files | statistics_files(scoring)
 
 

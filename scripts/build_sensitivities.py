@@ -28,22 +28,35 @@ ENGINES = ("mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the tables; return the exit status."""
-    parser = argparse.ArgumentParser(description="Build the tables of sensitivities by simulation.")
-    parser.add_argument("--backend", action="append", choices=ENGINES, help="engine; default: all")
+    parser = argparse.ArgumentParser(
+        description="Build the tables of sensitivities by simulation."
+    )
+    parser.add_argument(
+        "--backend", action="append", choices=ENGINES, help="engine; default: all"
+    )
     parser.add_argument("--ids", default="*", help="pattern of variants")
     parser.add_argument("--out", type=Path, default=SCORING / "sensitivities")
     options = parser.parse_args(arguments)
     for engine in options.backend or ENGINES:
         for variant in variants():
             band = reference_band(load_experiment(variant.name))
-            is_scored = band is not None and band.grade is not BandGrade.MODEL and band.normalized_by_baseline
+            is_scored = (
+                band is not None
+                and band.grade is not BandGrade.MODEL
+                and band.normalized_by_baseline
+            )
             if not (is_scored and fnmatchcase(variant.name, options.ids)):
                 continue
             file = options.out / engine / f"{variant.name}.json"
             file.parent.mkdir(parents=True, exist_ok=True)
             table = measure_sensitivities(RunRequest(variant.name, backend=engine))
             file.write_text(sensitivities_text(table), encoding="utf-8", newline="\n")
-            print(f"{engine} {variant.name}: {len(table.inputs)} inputs", *table.left_out, sep="; ", flush=True)
+            print(
+                f"{engine} {variant.name}: {len(table.inputs)} inputs",
+                *table.left_out,
+                sep="; ",
+                flush=True,
+            )
     return 0
 
 

@@ -84,7 +84,9 @@ class Release:
     def at_frames(self) -> FloatArray:
         """Return the height of the end over its held one at the 30 Hz frames after the release [mm]."""
         times_s = np.arange(len(self.heights_mm)) / RATE_HZ
-        return CubicSpline(times_s, self.depth_mm())(self.start_s()[0] + np.arange(FRAMES) / FRAME_RATE_HZ)
+        return CubicSpline(times_s, self.depth_mm())(
+            self.start_s()[0] + np.arange(FRAMES) / FRAME_RATE_HZ
+        )
 
 
 def facts_from(source: Path) -> tuple[str, str]:
@@ -97,7 +99,9 @@ def facts_from(source: Path) -> tuple[str, str]:
         content = (source / name).read_bytes()
         hashes.append(f'"{name}" = "{hashlib.sha256(content).hexdigest()}"')
         with (source / name).open("rb") as stream:
-            points = np.array([points[:, 0] for _, points, _ in c3d.Reader(stream).read_frames()])
+            points = np.array(
+                [points[:, 0] for _, points, _ in c3d.Reader(stream).read_frames()]
+            )
         for frame in range(first - HELD_FRAMES, first + last):
             heights = ",".join(f"{1e3 * height:.3f}" for height in points[frame, :3])
             rows.append(f"{load},{number},{frame},{heights}")
@@ -118,7 +122,9 @@ def releases(facts: Path) -> dict[str, list[Release]]:
     heights: dict[tuple[str, str], list[list[float]]] = {}
     with facts.open(encoding="utf-8", newline="") as stream:
         for row in csv.DictReader(stream):
-            heights.setdefault((row["load"], row["release"]), []).append([float(row[name]) for name in COLUMNS[3:]])
+            heights.setdefault((row["load"], row["release"]), []).append(
+                [float(row[name]) for name in COLUMNS[3:]]
+            )
     found: dict[str, list[Release]] = {}
     for (load, _), values in heights.items():
         found.setdefault(load, []).append(Release(np.array(values)))
@@ -133,14 +139,30 @@ def generate(scoring: Path) -> dict[Path, str]:
         # The end starts at a height of 200 mm in the task.
         ends = 200.0 + np.array([release.at_frames() for release in both])
         mean = ends.mean(axis=0)
-        sigma = float(np.sqrt(np.square(ends - mean).sum() / (ends.shape[1] * (len(ends) - 1))))
-        uncertainty = np.hypot(NOISE_MM, RELEASE_STD_S * FRAME_RATE_HZ * np.gradient(mean))
-        rows = [f"{k},{value:.4f},{error:.4f}" for k, (value, error) in enumerate(zip(mean, uncertainty, strict=True))]
-        files[scoring / "bands" / f"{variant}.csv"] = "\n".join(["frame,mean.end.z,uncertainty.end.z", *rows]) + "\n"
+        sigma = float(
+            np.sqrt(np.square(ends - mean).sum() / (ends.shape[1] * (len(ends) - 1)))
+        )
+        uncertainty = np.hypot(
+            NOISE_MM, RELEASE_STD_S * FRAME_RATE_HZ * np.gradient(mean)
+        )
+        rows = [
+            f"{k},{value:.4f},{error:.4f}"
+            for k, (value, error) in enumerate(zip(mean, uncertainty, strict=True))
+        ]
+        files[scoring / "bands" / f"{variant}.csv"] = (
+            "\n".join(["frame,mean.end.z,uncertainty.end.z", *rows]) + "\n"
+        )
         files[scoring / "bands" / f"{variant}.toml"] = sidecar_text(sigma)
-        singles = [",".join([str(k), *(f"{value:.4f}" for value in column)]) for k, column in enumerate(ends.T)]
-        header = ",".join(["frame", *(f"trial.{k + 1}.end.z" for k in range(len(both)))])
-        files[scoring / "trials" / f"{variant}.csv"] = "\n".join([header, *singles]) + "\n"
+        singles = [
+            ",".join([str(k), *(f"{value:.4f}" for value in column)])
+            for k, column in enumerate(ends.T)
+        ]
+        header = ",".join(
+            ["frame", *(f"trial.{k + 1}.end.z" for k in range(len(both)))]
+        )
+        files[scoring / "trials" / f"{variant}.csv"] = (
+            "\n".join([header, *singles]) + "\n"
+        )
     return files
 
 

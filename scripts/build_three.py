@@ -66,31 +66,55 @@ def bundle() -> tuple[bytes, bytes]:
         folder = Path(name)
         (folder / "package.json").write_text('{"private": true}')
         packages = [f"three@{THREE}", f"esbuild@{ESBUILD}"]
-        subprocess.run([npm, "install", "--no-audit", "--no-fund", *packages], cwd=folder, check=True)
+        subprocess.run(
+            [npm, "install", "--no-audit", "--no-fund", *packages],
+            cwd=folder,
+            check=True,
+        )
         (folder / "entry.js").write_text(
             f"export {{ {', '.join(USED)} }} from 'three';\n"
             "export { OrbitControls } from 'three/addons/controls/OrbitControls.js';\n"
         )
         out = folder / "three.min.js"
-        options = ["--bundle", "--minify", "--format=iife", "--global-name=THREE", "--target=es2020"]
+        options = [
+            "--bundle",
+            "--minify",
+            "--format=iife",
+            "--global-name=THREE",
+            "--target=es2020",
+        ]
         banner = f"/*! three.js {THREE}, MIT licence: three.LICENSE.txt. Bundled by esbuild {ESBUILD}. */"
         tool = folder / "node_modules" / ".bin" / "esbuild"
-        command = [tool, "entry.js", *options, "--legal-comments=none", f"--banner:js={banner}", f"--outfile={out}"]
+        command = [
+            tool,
+            "entry.js",
+            *options,
+            "--legal-comments=none",
+            f"--banner:js={banner}",
+            f"--outfile={out}",
+        ]
         subprocess.run(command, cwd=folder, check=True)
-        return out.read_bytes(), (folder / "node_modules" / "three" / "LICENSE").read_bytes()
+        return out.read_bytes(), (
+            folder / "node_modules" / "three" / "LICENSE"
+        ).read_bytes()
 
 
 def main() -> None:
     """Write the bundle, or compare it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare with the files; write nothing")
+    parser.add_argument(
+        "--check", action="store_true", help="compare with the files; write nothing"
+    )
     check = parser.parse_args().check
     script, licence = bundle()
     digest = hashlib.sha256(script).hexdigest()
     print(f"{len(script)} bytes, SHA-256 {digest}")
     files = {ASSETS / "three.min.js": script, ASSETS / "three.LICENSE.txt": licence}
     if check:
-        sys.exit(any(file.read_bytes() != content for file, content in files.items()) or digest != SHA256)
+        sys.exit(
+            any(file.read_bytes() != content for file, content in files.items())
+            or digest != SHA256
+        )
     for file, content in files.items():
         file.write_bytes(content)
     if digest != SHA256:

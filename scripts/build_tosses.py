@@ -71,7 +71,9 @@ class Toss:
     def corners_m(self) -> FloatArray:
         """Corners of the cube, shape [T, 8, 3]."""
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        turned: FloatArray = np.einsum("tij,vj->tvi", self.rotations.as_matrix(), HALF_WIDTH_M * signs)
+        turned: FloatArray = np.einsum(
+            "tij,vj->tvi", self.rotations.as_matrix(), HALF_WIDTH_M * signs
+        )
         return self.positions_m[:, None] + turned
 
     @property
@@ -94,7 +96,9 @@ def read_tosses(source: Path) -> list[Toss]:
         state = states[numbers == number]
         rotations = Rotation.from_quat(state[:, 3:7], scalar_first=True)
         scaled = HALF_WIDTH_M * state[:, [0, 1, 2, 7, 8, 9]]
-        tosses.append(Toss(int(number), scaled[:, :3], rotations, scaled[:, 3:], state[:, 10:13]))
+        tosses.append(
+            Toss(int(number), scaled[:, :3], rotations, scaled[:, 3:], state[:, 10:13])
+        )
     return tosses
 
 
@@ -108,14 +112,20 @@ def nuisances(fit: list[Toss]) -> dict[str, float]:
         line = np.polyfit(times_s, toss.positions_m[:count], 2)
         fall.append(-2.0 * line[0, 2])
         fitted = np.vander(times_s, 3) @ line
-        residuals.append((toss.positions_m[:count] - fitted) * np.sqrt(count / (count - 3.0)))
+        residuals.append(
+            (toss.positions_m[:count] - fitted) * np.sqrt(count / (count - 3.0))
+        )
         lags.append((toss.velocities[0, 2] - line[1, 2]) / fall[-1])
         turned = (toss.rotations[:count] * toss.rotations[0].inv()).as_rotvec()
         rate = np.polyfit(times_s, turned, 1)
-        turning.append((turned - np.vander(times_s, 2) @ rate) * np.sqrt(count / (count - 2.0)))
+        turning.append(
+            (turned - np.vander(times_s, 2) @ rate) * np.sqrt(count / (count - 2.0))
+        )
     accelerations = np.array(fall)
     scale = GRAVITY_M_PER_S2 / float(np.median(accelerations))
-    rest_m = np.array([scale * toss.positions_m[-REST_FRAMES:, 2].mean() for toss in fit])
+    rest_m = np.array(
+        [scale * toss.positions_m[-REST_FRAMES:, 2].mean() for toss in fit]
+    )
     upward = np.array([np.abs(toss.rotations[-1].as_matrix()[2]).max() for toss in fit])
     noise_m = scale * spread(np.concatenate(residuals).ravel())
     noise_rad = spread(np.concatenate(turning).ravel())
@@ -128,7 +138,9 @@ def nuisances(fit: list[Toss]) -> dict[str, float]:
         "position_noise_m": noise_m,
         "rotation_noise_deg": float(np.degrees(noise_rad)),
         "rest_height_std_m": spread(rest_m),
-        "rest_tilt_deg": float(np.degrees(np.sqrt(np.mean(np.arccos(np.minimum(upward, 1.0)) ** 2)))),
+        "rest_tilt_deg": float(
+            np.degrees(np.sqrt(np.mean(np.arccos(np.minimum(upward, 1.0)) ** 2)))
+        ),
         "start_velocity_std_m_per_s": noise_m * float(np.median(errors)),
         "start_angular_velocity_std_rad_per_s": noise_rad * float(np.median(errors)),
     }
@@ -148,18 +160,28 @@ def start_of(toss: Toss, scale: float) -> tuple[FloatArray, FloatArray]:
 def arrays_of(tosses: list[Toss], scale: float) -> dict[str, NDArray[np.generic]]:
     """Return the arrays of the data file."""
     starts = [start_of(toss, scale) for toss in tosses]
-    quaternions = np.concatenate([toss.rotations.as_quat(scalar_first=True) for toss in tosses])
+    quaternions = np.concatenate(
+        [toss.rotations.as_quat(scalar_first=True) for toss in tosses]
+    )
     return {
         "source_number": np.array([toss.number for toss in tosses], dtype=np.int16),
-        "first": np.cumsum([0, *(len(toss.positions_m) for toss in tosses)], dtype=np.int32),
-        "position": np.round(np.concatenate([t.positions_m for t in tosses]) / POSITION_UNIT_M).astype(np.int16),
+        "first": np.cumsum(
+            [0, *(len(toss.positions_m) for toss in tosses)], dtype=np.int32
+        ),
+        "position": np.round(
+            np.concatenate([t.positions_m for t in tosses]) / POSITION_UNIT_M
+        ).astype(np.int16),
         "quaternion": np.round(quaternions * QUATERNION_COUNTS).astype(np.int16),
         "start_velocity": np.array([linear for linear, _ in starts], dtype=np.float32),
-        "start_angular_velocity_body": np.array([angular for _, angular in starts], dtype=np.float32),
+        "start_angular_velocity_body": np.array(
+            [angular for _, angular in starts], dtype=np.float32
+        ),
     }
 
 
-def sidecar_text(source: Path, count: int, repeats: dict[int, int], found: dict[str, float]) -> str:
+def sidecar_text(
+    source: Path, count: int, repeats: dict[int, int], found: dict[str, float]
+) -> str:
     """Return the text of the sidecar."""
     head = sidecar_head(
         source,
@@ -184,7 +206,13 @@ def generate(source: Path) -> tuple[dict[str, NDArray[np.generic]], str]:
     tosses = read_tosses(source)
     repeats = copies([toss.corners_m for toss in tosses])
     found = nuisances(tosses[::2])
-    without = nuisances([toss for trial, toss in enumerate(tosses) if trial % 2 == 0 and trial not in repeats])
+    without = nuisances(
+        [
+            toss
+            for trial, toss in enumerate(tosses)
+            if trial % 2 == 0 and trial not in repeats
+        ]
+    )
     for name, value in found.items():
         print(f"{name}: {value:.6g}, without copies {without[name]:.6g}")
     # The text rounds the scale, and the start velocities contain it.

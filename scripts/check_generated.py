@@ -27,12 +27,18 @@ def entries() -> list[dict[str, Any]]:
 
 def hash_of(files: Sequence[str]) -> str:
     """Return the SHA-256 of the contents of files, one after another."""
-    return hashlib.sha256(b"".join((ROOT / file).read_bytes() for file in files)).hexdigest()
+    return hashlib.sha256(
+        b"".join((ROOT / file).read_bytes() for file in files)
+    ).hexdigest()
 
 
 def faults(entry: Mapping[str, Any]) -> list[str]:
     """Return what is wrong with the files of a row; the check of a script prints more."""
-    missing = [f"{pattern}: no such file" for pattern in entry["files"] if not any(ROOT.glob(pattern))]
+    missing = [
+        f"{pattern}: no such file"
+        for pattern in entry["files"]
+        if not any(ROOT.glob(pattern))
+    ]
     if "check" in entry:
         file = ROOT / entry["script"]
         sys.path.insert(0, str(file.parent))
@@ -48,13 +54,19 @@ def faults(entry: Mapping[str, Any]) -> list[str]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the checks; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--list", action="store_true", help="print the table, and check nothing")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="print the table, and check nothing"
+    )
     options = parser.parse_args(arguments)
     found = []
     for entry in entries():
         if options.list:
-            how = entry.get("measured") or ("checked" if "check" in entry else "inputs checked")
+            how = entry.get("measured") or (
+                "checked" if "check" in entry else "inputs checked"
+            )
             print(f"{entry['script']}: {', '.join(entry['files'])} ({how})")
         else:
             found += faults(entry)

@@ -92,14 +92,22 @@ class _Names:
             return "all ids"
         texts = []
         for pattern in self._patterns:
-            matching = {name for name in self._all if fnmatchcase(name, f"{self._family}-{pattern}")}
+            matching = {
+                name
+                for name in self._all
+                if fnmatchcase(name, f"{self._family}-{pattern}")
+            }
             if matching <= left:
                 texts.append(pattern)
                 left -= matching
-        texts += [name.removeprefix(f"{self._family}-") for name in self._all if name in left]
+        texts += [
+            name.removeprefix(f"{self._family}-") for name in self._all if name in left
+        ]
         return ", ".join(texts)
 
-    def grouped(self, members: Iterable[Values], value: Callable[[Values], Any]) -> list[tuple[str, Any, list[Values]]]:
+    def grouped(
+        self, members: Iterable[Values], value: Callable[[Values], Any]
+    ) -> list[tuple[str, Any, list[Values]]]:
         """Return each different value of members, but None and empty ones, with names and members that have it."""
         groups: list[tuple[Any, list[Values]]] = []
         for values in members:
@@ -110,7 +118,11 @@ class _Names:
                     break
             else:
                 groups.append((found, [values]))
-        return [(self.short(short_id(one["id"]) for one in having), found, having) for found, having in groups if found]
+        return [
+            (self.short(short_id(one["id"]) for one in having), found, having)
+            for found, having in groups
+            if found
+        ]
 
 
 def _summary(values: Values) -> Iterator[str]:
@@ -124,18 +136,27 @@ def _summary(values: Values) -> Iterator[str]:
 def _ids(members: Sequence[Values]) -> Table:
     def known(values: Values) -> str:
         count = values["reference"]["known_frames"]
-        return "-" if count is None or values["reference"]["grade"] == BandGrade.NONE else str(count)
+        return (
+            "-"
+            if count is None or values["reference"]["grade"] == BandGrade.NONE
+            else str(count)
+        )
 
     columns = (
         Column("id", "id", Markdown),
         *([Column("subtask", "subtask")] if members[0]["subtask"] else []),
         Column("frames", "frames", is_number=True),
-        Column("duration_s", "duration [s]", lambda value: f"{value:.3f}", is_number=True),
+        Column(
+            "duration_s", "duration [s]", lambda value: f"{value:.3f}", is_number=True
+        ),
         Column("reference.grade", "grade of the reference"),
         Column("reference.trial_count", "real trials", is_number=True),
         Column("", "frames with a mean", known, is_number=True),
     )
-    notes = dict.fromkeys(f"{values['reference']['grade']}: {grade_note(values['reference'])}." for values in members)
+    notes = dict.fromkeys(
+        f"{values['reference']['grade']}: {grade_note(values['reference'])}."
+        for values in members
+    )
     return Table(columns=columns, rows=members, notes=tuple(notes))
 
 
@@ -143,9 +164,15 @@ def _ids(members: Sequence[Values]) -> Table:
 
 
 def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
-    for key, title in (("action", "Action space"), ("observation", "Observation space")):
+    for key, title in (
+        ("action", "Action space"),
+        ("observation", "Observation space"),
+    ):
         yield Heading(title)
-        groups = names.grouped(({"id": values["id"], "rows": values[key]} for values in members), _without_ranges)
+        groups = names.grouped(
+            ({"id": values["id"], "rows": values[key]} for values in members),
+            _without_ranges,
+        )
         for label, _, having in groups:
             if len(groups) > 1:
                 yield Paragraph(f"Ids {label}:")
@@ -154,7 +181,10 @@ def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 
 
 def _without_ranges(values: Values) -> list[dict[str, Any]]:
-    return [{key: value for key, value in row.items() if key not in ("low", "high")} for row in values["rows"]]
+    return [
+        {key: value for key, value in row.items() if key not in ("low", "high")}
+        for row in values["rows"]
+    ]
 
 
 def _space_table(spaces: Sequence[Sequence[dict[str, Any]]]) -> Table:
@@ -162,7 +192,10 @@ def _space_table(spaces: Sequence[Sequence[dict[str, Any]]]) -> Table:
     rows = []
     for same in zip(*spaces, strict=True):
         low, high = ([row[bound] for row in same] for bound in ("low", "high"))
-        rows.append(same[0] | ({} if None in (*low, *high) else {"low": min(low), "high": max(high)}))
+        rows.append(
+            same[0]
+            | ({} if None in (*low, *high) else {"low": min(low), "high": max(high)})
+        )
     return Table(
         columns=(
             Column("name", "entry", lambda name: Markdown(f"`{name}`")),
@@ -177,18 +210,36 @@ def _space_table(spaces: Sequence[Sequence[dict[str, Any]]]) -> Table:
 
 def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     yield Heading("Reward")
-    yield Bullets(_listed(names, members, lambda values: f"{values['reference']['reward']}."))
+    yield Bullets(
+        _listed(names, members, lambda values: f"{values['reference']['reward']}.")
+    )
     yield Heading("Reference")
-    used = [values for values in members if values["reference"]["grade"] != BandGrade.NONE]
-    lines = _listed(names, used, lambda values: values["reference"]["source"] and f"{values['reference']['source']}.")
+    used = [
+        values for values in members if values["reference"]["grade"] != BandGrade.NONE
+    ]
+    lines = _listed(
+        names,
+        used,
+        lambda values: (
+            values["reference"]["source"] and f"{values['reference']['source']}."
+        ),
+    )
     lines += _listed(names, used, _sigma)
     lines += _listed(names, members, _withheld)
     if bare := [short_id(values["id"]) for values in members if values not in used]:
         lines.append(_of(names.short(bare), f"{GRADE_NOTES[BandGrade.NONE]}."))
-    lines += _listed(names, members, lambda values: _unsolved(values)["reason"] and f"{_unsolved(values)['reason']}.")
+    lines += _listed(
+        names,
+        members,
+        lambda values: (
+            _unsolved(values)["reason"] and f"{_unsolved(values)['reason']}."
+        ),
+    )
     yield Bullets(lines)
     if rows := list(_statistics(names, members)):
-        yield Paragraph("In place of a solution, the last frame: mean +- scatter of runs with other steps and cells.")
+        yield Paragraph(
+            "In place of a solution, the last frame: mean +- scatter of runs with other steps and cells."
+        )
         columns = list(dict.fromkeys(name for row in rows for name in row))
         yield grid(columns, [[row.get(name, "-") for name in columns] for row in rows])
 
@@ -201,11 +252,24 @@ def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, 
     """Yield statistics of the last frame, a row for each id and engine."""
     for values in members:
         statistics = _unsolved(values)["statistics"]
-        for engine in dict.fromkeys(engine for found in statistics.values() for engine in found):
-            cells = {name: found[engine] for name, found in statistics.items() if engine in found}
+        for engine in dict.fromkeys(
+            engine for found in statistics.values() for engine in found
+        ):
+            cells = {
+                name: found[engine]
+                for name, found in statistics.items()
+                if engine in found
+            }
             runs = str(next(iter(cells.values()))[2])
-            texts = {name: f"{mean:.4g} +- {spread:.2g}" for name, (mean, spread, _) in cells.items()}
-            yield {"id": names.short([short_id(values["id"])]), "engine": backend_title(engine), "runs": runs} | texts
+            texts = {
+                name: f"{mean:.4g} +- {spread:.2g}"
+                for name, (mean, spread, _) in cells.items()
+            }
+            yield {
+                "id": names.short([short_id(values["id"])]),
+                "engine": backend_title(engine),
+                "runs": runs,
+            } | texts
 
 
 def _sigma(values: Values) -> str:
@@ -214,16 +278,23 @@ def _sigma(values: Values) -> str:
     if reference["single_shot"]:
         return f"{text} Each trial has a start of its own; a reset with a trial or a seed selects another one."
     if reference["normalized_by_baseline"] is False:
-        text += " Not normalized: the published baseline is of another span of the motion."
+        text += (
+            " Not normalized: the published baseline is of another span of the motion."
+        )
     return text
 
 
 def _withheld(values: Values) -> str | None:
     reason = values["reference"]["withheld"]
-    return reason and f"A recording is withheld from scores: {reason}. `use_withheld=True` scores on it."
+    return (
+        reason
+        and f"A recording is withheld from scores: {reason}. `use_withheld=True` scores on it."
+    )
 
 
-def _listed(names: _Names, members: Sequence[Values], text: Callable[[Values], str | None]) -> list[str]:
+def _listed(
+    names: _Names, members: Sequence[Values], text: Callable[[Values], str | None]
+) -> list[str]:
     """Return each different text, behind the variants that it is of."""
     groups = names.grouped(members, text)
     return [_of(label, found) for label, found, _ in groups]
@@ -242,9 +313,17 @@ def _of(label: str, text: str) -> str:
 
 
 def _published(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
-    lines = [{"id": names.short([short_id(one["id"])])} | line for one in members for line in one["baselines"]]
+    lines = [
+        {"id": names.short([short_id(one["id"])])} | line
+        for one in members
+        for line in one["baselines"]
+    ]
     yield Heading("Published scores")
-    yield published_table(lines, columns=(Column("id", "id"),)) if lines else Paragraph("None.")
+    yield (
+        published_table(lines, columns=(Column("id", "id"),))
+        if lines
+        else Paragraph("None.")
+    )
 
 
 def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
@@ -253,9 +332,15 @@ def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     for engine in filter(is_bundled, backend_names()):
         title = f"[{backend_title(engine)}](../engines/{engine}.md)"
         rows += ({"engine": title} | row for row in _running(names, members, engine))
-        declined += (f"{title} declines {reason}" for reason in _reasons(names, members, engine))
+        declined += (
+            f"{title} declines {reason}" for reason in _reasons(names, members, engine)
+        )
     yield Heading("Engines")
-    yield Paragraph(Markdown(f"`{EnvArguments.backend}` is the default; the preset follows from the scene."))
+    yield Paragraph(
+        Markdown(
+            f"`{EnvArguments.backend}` is the default; the preset follows from the scene."
+        )
+    )
     yield Table(
         columns=(
             Column("engine", "engine", Markdown),
@@ -268,7 +353,9 @@ def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         rows=rows,
     )
     yield Paragraph(
-        Markdown("[Cost of an episode](../../studies/cost/README.md) says how processor time was measured; - was not.")
+        Markdown(
+            "[Cost of an episode](../../studies/cost/README.md) says how processor time was measured; - was not."
+        )
     )
     yield Bullets(declined) if declined else Paragraph("No engine declines.")
     yield from _convergence(names, members)
@@ -280,10 +367,14 @@ def _reasons(names: _Names, members: Sequence[Values], engine: str) -> list[str]
     def reason(values: Values) -> str:
         return reasons_text(_of_engine(values, engine)["missing"])
 
-    return [f"{_code(label)}: {text}." for label, text, _ in names.grouped(members, reason)]
+    return [
+        f"{_code(label)}: {text}." for label, text, _ in names.grouped(members, reason)
+    ]
 
 
-def _running(names: _Names, members: Sequence[Values], engine: str) -> Iterator[dict[str, Any]]:
+def _running(
+    names: _Names, members: Sequence[Values], engine: str
+) -> Iterator[dict[str, Any]]:
     """Yield preset, step and cost of the members that an engine runs."""
     keys = ("preset", "timestep_s", "cpu_s_per_s")
 
@@ -318,12 +409,20 @@ def _limits(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     found: dict[str, list[str]] = {}
     for values in members:
         for limit in values["limits"]:
-            study = f" ([study](../../studies/{limit['study']}/README.md))" if limit["study"] else ""
+            study = (
+                f" ([study](../../studies/{limit['study']}/README.md))"
+                if limit["study"]
+                else ""
+            )
             found.setdefault(limit["text"] + study, []).append(short_id(values["id"]))
     labels = {text: names.short(having) for text, having in found.items()}
     lines = [_of(label, text) for text, label in labels.items()]
     yield Heading("Known limits")
-    yield Bullets(lines) if lines else Paragraph(Markdown("None but those of [all experiments](../limits.md)."))
+    yield (
+        Bullets(lines)
+        if lines
+        else Paragraph(Markdown("None but those of [all experiments](../limits.md)."))
+    )
 
 
 # --- constants and their sources --------------------------------------------------------------------------------------
@@ -331,7 +430,10 @@ def _limits(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 
 def _driven(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     def drivers(values: Values) -> str:
-        return " ".join(f"{one['body']} ({one['provenance']}): {one['note']}." for one in values["drivers"])
+        return " ".join(
+            f"{one['body']} ({one['provenance']}): {one['note']}."
+            for one in values["drivers"]
+        )
 
     if lines := _listed(names, members, drivers):
         yield Heading("Driven motion")
@@ -342,7 +444,10 @@ def _constants(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     yield Heading("Constants")
     groups = names.grouped(members, lambda values: values["constants"])
     places = dict.fromkeys(
-        (body, key) for values in members for body, table in values["constants"].items() for key in table
+        (body, key)
+        for values in members
+        for body, table in values["constants"].items()
+        for key in table
     )
     rows = []
     for body, key in places:
@@ -355,7 +460,9 @@ def _constants(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 
 def _origin(values: Values) -> Iterator[Part]:
     yield Heading("Where the numbers are from")
-    rows = [(Markdown(f"`{key}`"), source) for key, source in values["provenance"].items()]
+    rows = [
+        (Markdown(f"`{key}`"), source) for key, source in values["provenance"].items()
+    ]
     yield grid(("numbers", "source"), rows)
     if values["decisions"]:
         yield Heading("Decisions")

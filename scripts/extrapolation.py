@@ -40,7 +40,9 @@ class Extrapolated:
     order: float | None
 
 
-def observed_order(runs: Sequence[FloatArray], factors: Sequence[float]) -> float | None:
+def observed_order(
+    runs: Sequence[FloatArray], factors: Sequence[float]
+) -> float | None:
     """Return the order p at which three runs converge, coarse to fine; None if they do not.
 
     The error is C f^p for a refinement factor f. So the ratio of the two changes is (f1^p - f2^p) / (f2^p - f3^p). The
@@ -80,20 +82,31 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
 
     if order is None:
         # Of close runs the difference is small by chance; the default one is the farthest that is not coarse.
-        other = next((place for place, factor in enumerate(factors[:-1]) if factor <= 1.0), len(factors) - 2)
+        other = next(
+            (place for place, factor in enumerate(factors[:-1]) if factor <= 1.0),
+            len(factors) - 2,
+        )
         spread = 0.5 * LONE_SAFETY * smoothed(left(1.0, other))
         return Extrapolated(correction=fine - base, uncertainty=spread, order=None)
     uncertainty = 0.5 * SAFETY * smoothed(left(min(order, 1.0)))
-    return Extrapolated(correction=fine - base + left(order), uncertainty=uncertainty, order=order)
+    return Extrapolated(
+        correction=fine - base + left(order), uncertainty=uncertainty, order=order
+    )
 
 
 def smoothed(values: FloatArray) -> FloatArray:
     """Return the root mean square over `WINDOW` frames, so that a passage through zero is no certainty."""
     # The running sum of the filter may end a little below zero.
-    return np.sqrt(np.maximum(uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"), 0.0))
+    return np.sqrt(
+        np.maximum(
+            uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"), 0.0
+        )
+    )
 
 
-def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def combined(
+    each: Sequence[tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the weighted mean of solutions, its standard uncertainty, and the distance of the families from it.
 
     A weight is the inverse of the mean square of an engine's uncertainty plus that of the distance of the families, as
@@ -103,18 +116,26 @@ def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray,
     values = np.array([value for value, _ in each])
     squares = np.array([np.square(uncertainty) for _, uncertainty in each])
     between = np.square(values - values.mean(axis=0)).max(axis=0).mean()
-    weights = 1.0 / np.maximum(squares.mean(axis=(1, 2)) + between, np.finfo(float).tiny)
+    weights = 1.0 / np.maximum(
+        squares.mean(axis=(1, 2)) + between, np.finfo(float).tiny
+    )
     weights /= weights.sum()
     mean = np.tensordot(weights, values, axes=1)
     apart = smoothed(np.abs(values - mean).max(axis=0))
-    return mean, np.sqrt(np.tensordot(weights, squares, axes=1) + np.square(apart)), apart
+    return (
+        mean,
+        np.sqrt(np.tensordot(weights, squares, axes=1) + np.square(apart)),
+        apart,
+    )
 
 
 LEAST_SPAN = 0.25
 """Share of an episode that a reference covers at least, and its part after a gap."""
 
 
-def known_frames(uncertainty: FloatArray, limit: float) -> tuple[int, tuple[int, int] | None]:
+def known_frames(
+    uncertainty: FloatArray, limit: float
+) -> tuple[int, tuple[int, int] | None]:
     """Return the end of the frames at which the uncertainty, as a norm over coordinates, is at most a limit, and a gap.
 
     They end where it first exceeds the limit. Where it stays below the limit from a later frame on, for a good part of

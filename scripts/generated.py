@@ -37,7 +37,10 @@ def with_part(page: str, name: str, script: str, part: str) -> str:
     Raises:
         ValueError: The page does not have both lines, once each and in order.
     """
-    begin, end = f"<!-- {name}, written by scripts/{script} -->", f"<!-- end of {name} -->"
+    begin, end = (
+        f"<!-- {name}, written by scripts/{script} -->",
+        f"<!-- end of {name} -->",
+    )
     before, first, rest = page.partition(begin)
     _, last, after = rest.partition(end)
     if not (first and last) or begin in after:
@@ -59,11 +62,18 @@ def same_text(stored: str, generated: str) -> bool:
     """
     # `split` yields the text between numbers at even places and the numbers at odd ones.
     old, new = NUMBER.split(stored), NUMBER.split(generated)
-    return len(old) == len(new) and old[::2] == new[::2] and all(map(_same_number, old[1::2], new[1::2]))
+    return (
+        len(old) == len(new)
+        and old[::2] == new[::2]
+        and all(map(_same_number, old[1::2], new[1::2]))
+    )
 
 
 def same_arrays(
-    stored: Mapping[str, NDArray[np.generic]], generated: Mapping[str, NDArray[np.generic]], *, fitted: float = 1e-6
+    stored: Mapping[str, NDArray[np.generic]],
+    generated: Mapping[str, NDArray[np.generic]],
+    *,
+    fitted: float = 1e-6,
 ) -> bool:
     """Return whether two archives have the same arrays.
 
@@ -132,7 +142,11 @@ def settle(files: Mapping[Path, str], script: str, *, check: bool) -> int:
 
 
 def write_or_check(
-    generate: Callable[[Path], Mapping[Path, str]], *, script: str, what: str, arguments: Sequence[str] | None
+    generate: Callable[[Path], Mapping[Path, str]],
+    *,
+    script: str,
+    what: str,
+    arguments: Sequence[str] | None,
 ) -> int:
     """Run the command line of a script that generates files from the data in `scoring/`.
 
@@ -146,7 +160,13 @@ def write_or_check(
         Exit status: 1 if a check found a file that is missing or not current.
     """
     parser = argparse.ArgumentParser(description=what)
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a file is not current")
-    parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if a file is not current",
+    )
+    parser.add_argument(
+        "--scoring", type=Path, default=SCORING, help="folder of the data"
+    )
     options = parser.parse_args(arguments)
     return settle(generate(options.scoring), script, check=options.check)

@@ -21,12 +21,42 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from typing import Any
 
-PACKAGES = ("isaaclab", "isaaclab_tasks", "isaaclab_assets", "isaaclab_rl", "isaaclab_contrib", "isaaclab_mimic")
+PACKAGES = (
+    "isaaclab",
+    "isaaclab_tasks",
+    "isaaclab_assets",
+    "isaaclab_rl",
+    "isaaclab_contrib",
+    "isaaclab_mimic",
+)
 """Source packages inside the wheel."""
 
 ABSENT = (
-    *("carb", "einops", "flatdict", "h5py", "hid", "hydra", "isaacsim", "isaacteleop", "nvidia", "omegaconf", "omni"),
-    *("onnx", "pink", "pinocchio", "prettytable", "pxr", "toml", "torchvision", "transformers", "trimesh", "usdrt"),
+    *(
+        "carb",
+        "einops",
+        "flatdict",
+        "h5py",
+        "hid",
+        "hydra",
+        "isaacsim",
+        "isaacteleop",
+        "nvidia",
+        "omegaconf",
+        "omni",
+    ),
+    *(
+        "onnx",
+        "pink",
+        "pinocchio",
+        "prettytable",
+        "pxr",
+        "toml",
+        "torchvision",
+        "transformers",
+        "trimesh",
+        "usdrt",
+    ),
     "warp",
 )
 """Packages that are replaced by empty modules."""
@@ -87,8 +117,14 @@ class _AbsentModule(types.ModuleType):
 class _Absent(MetaPathFinder, Loader):
     """Finder of absent packages."""
 
-    def find_spec(self, name: str, path: Sequence[str] | None, target: Any = None) -> ModuleSpec | None:
-        return ModuleSpec(name, self, is_package=True) if name.partition(".")[0] in ABSENT else None
+    def find_spec(
+        self, name: str, path: Sequence[str] | None, target: Any = None
+    ) -> ModuleSpec | None:
+        return (
+            ModuleSpec(name, self, is_package=True)
+            if name.partition(".")[0] in ABSENT
+            else None
+        )
 
     def create_module(self, spec: ModuleSpec) -> types.ModuleType:
         module = _AbsentModule(spec.name)
@@ -99,13 +135,18 @@ class _Absent(MetaPathFinder, Loader):
         if module.__name__ == "toml":
             module.load = lambda file: {"package": {"version": "unknown"}}
         if module.__name__ == "carb.settings":
-            module.get_settings = lambda: types.SimpleNamespace(get=lambda key: "nucleus")
+            module.get_settings = lambda: types.SimpleNamespace(
+                get=lambda key: "nucleus"
+            )
 
 
 def main() -> None:
     """Write the file that a training run of the task would write."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("module", help="module of the configuration, such as isaaclab_tasks.direct.cartpole...")
+    parser.add_argument(
+        "module",
+        help="module of the configuration, such as isaaclab_tasks.direct.cartpole...",
+    )
     parser.add_argument("name", help="class of the configuration, such as G1FlatEnvCfg")
     parser.add_argument("file", type=Path)
     given = parser.parse_args()
@@ -119,7 +160,9 @@ def main() -> None:
 
     carb.settings = importlib.import_module("carb.settings")
     cfg = getattr(importlib.import_module(given.module), given.name)()
-    importlib.import_module("isaaclab.utils.io").dump_yaml(str(given.file.resolve()), cfg)
+    importlib.import_module("isaaclab.utils.io").dump_yaml(
+        str(given.file.resolve()), cfg
+    )
 
 
 if __name__ == "__main__":

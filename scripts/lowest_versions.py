@@ -30,21 +30,33 @@ def constraints(pyproject: Path, extras: Sequence[str] = ()) -> list[str]:
         ValueError: A requirement has no lower bound.
     """
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
-    return sorted({_lowest(requirement, pyproject) for requirement in requirements(project, extras)})
+    return sorted(
+        {
+            _lowest(requirement, pyproject)
+            for requirement in requirements(project, extras)
+        }
+    )
 
 
-def requirements(project: dict[str, Any], extras: Sequence[str]) -> Iterator[Requirement]:
+def requirements(
+    project: dict[str, Any], extras: Sequence[str]
+) -> Iterator[Requirement]:
     """Yield what a project and its extras require; in place of the project itself, what its named extras do.
 
     Args:
         project: Table `project` of a `pyproject.toml`.
         extras: Names of the extras.
     """
-    chosen = [project["dependencies"], *(project["optional-dependencies"][extra] for extra in extras)]
+    chosen = [
+        project["dependencies"],
+        *(project["optional-dependencies"][extra] for extra in extras),
+    ]
     for text in (text for group in chosen for text in group):
         requirement = Requirement(text)
         if requirement.name == project["name"]:
-            yield from requirements({**project, "dependencies": []}, sorted(requirement.extras))
+            yield from requirements(
+                {**project, "dependencies": []}, sorted(requirement.extras)
+            )
         else:
             yield requirement
 
@@ -53,7 +65,9 @@ def _lowest(requirement: Requirement, pyproject: Path) -> str:
     for bound in requirement.specifier:
         if bound.operator == ">=":
             return f"{requirement.name}=={bound.version}"
-    raise ValueError(f"{pyproject}: requirement '{requirement}' has no lower bound; write one as name>=version")
+    raise ValueError(
+        f"{pyproject}: requirement '{requirement}' has no lower bound; write one as name>=version"
+    )
 
 
 if __name__ == "__main__":

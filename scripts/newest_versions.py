@@ -34,7 +34,9 @@ def main() -> None:
             continue
         # A build for one kind of device, as 2.13.0+cpu, is the same version.
         found[requirement.name] = installed.partition("+")[0]
-    FILE.write_text("".join(f"{name}=={found[name]}\n" for name in sorted(found)), encoding="utf-8")
+    FILE.write_text(
+        "".join(f"{name}=={found[name]}\n" for name in sorted(found)), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

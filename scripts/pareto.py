@@ -63,11 +63,19 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
     """
     scene = experiment.scene
     is_alone = len(scene.dynamic_bodies) == 1 and not scene.deformables
-    if experiment.score.observable is not Observable.POSITION or len(experiment.recorded) != 1 or not is_alone:
+    if (
+        experiment.score.observable is not Observable.POSITION
+        or len(experiment.recorded) != 1
+        or not is_alone
+    ):
         return None
     body = scene.body(experiment.recorded[0])
     if any(isinstance(joint, Hinge) for joint in scene.joints):
-        return None if scene.contacts or scene.drivers else _swing(scene, body.name, experiment.frame_count)
+        return (
+            None
+            if scene.contacts or scene.drivers
+            else _swing(scene, body.name, experiment.frame_count)
+        )
     stated = _stated(experiment)
     if stated is not None:
         return stated
@@ -81,14 +89,20 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
 def _stated(experiment: Experiment) -> FloatArray | None:
     """Return the law that the package states for an experiment, if it gives all three coordinates."""
     band = reference_band(experiment)
-    if band is None or band.grade is not BandGrade.LAW or band.projection.shape != (3, 3):
+    if (
+        band is None
+        or band.grade is not BandGrade.LAW
+        or band.projection.shape != (3, 3)
+    ):
         return None
     return np.asarray(band.mean @ np.linalg.inv(band.projection).T)
 
 
 def _swing(scene: Scene, body: str, frame_count: int) -> FloatArray:
     pendulum = Pendulum.of(scene, body)
-    return pendulum.positions_mm(pendulum.released_rad(np.arange(frame_count) / FRAME_RATE_HZ))
+    return pendulum.positions_mm(
+        pendulum.released_rad(np.arange(frame_count) / FRAME_RATE_HZ)
+    )
 
 
 def _slide(scene: Scene, body: RigidBody, frame_count: int) -> FloatArray | None:
@@ -107,7 +121,10 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
     if len(planes) != 1 or not isinstance(planes[0].shape, Plane):
         return None
     pair = {ball.name, planes[0].name}
-    contact = next((one for one in scene.contacts if pair in map(set, scene.colliding_pairs(one))), None)
+    contact = next(
+        (one for one in scene.contacts if pair in map(set, scene.colliding_pairs(one))),
+        None,
+    )
     normal = planes[0].pose.rotation.apply([0.0, 0.0, 1.0])
     if contact is None or normal[2] < 1.0 - 1e-9:
         return None
@@ -116,7 +133,10 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
     start = np.array(ball.pose.position_m)
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     heights_m = np.maximum(drop_m - 0.5 * gravity * times_s**2, 0.0)
-    speed, begin_s = restitution * math.sqrt(2.0 * gravity * drop_m), math.sqrt(2.0 * drop_m / gravity)
+    speed, begin_s = (
+        restitution * math.sqrt(2.0 * gravity * drop_m),
+        math.sqrt(2.0 * drop_m / gravity),
+    )
     while begin_s < times_s[-1] and speed**2 / (2.0 * gravity) > LEAST_APEX_M:
         since_s = times_s - begin_s
         inside = (since_s >= 0.0) & (since_s <= 2.0 * speed / gravity)
@@ -126,25 +146,42 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
     return 1e3 * (start + np.outer(heights_m - drop_m, [0.0, 0.0, 1.0]))
 
 
-def parametric_floor(measure: ErrorMeasure, backend: str | None) -> tuple[float, str] | None:
+def parametric_floor(
+    measure: ErrorMeasure, backend: str | None
+) -> tuple[float, str] | None:
     """Return the parametric floor and its origin; None without stored sensitivities, or with other constants.
 
     It is the root sum of squares, over the uncertain inputs, of the distance by which one standard uncertainty of the
     input moves the simulated motion: the root mean square of up and down, where these differ.
     """
-    table = None if measure.metric != "rmse" else experiment_sensitivities(measure.experiment, backend)
+    table = (
+        None
+        if measure.metric != "rmse"
+        else experiment_sensitivities(measure.experiment, backend)
+    )
     if table is None or measure.experiment.overrides:
         return None
     is_exact = measure.band is not None and not measure.band.grade.is_real
     # A law keeps the body where it starts, so another start moves simulation and law alike.
     kinds = [kind for kind in INPUT_KINDS if not (is_exact and kind == "start")]
     count = measure.experiment.frame_count
-    inputs = [one for one in table.inputs if one.kind in kinds and len(one.change) >= count]
+    inputs = [
+        one for one in table.inputs if one.kind in kinds and len(one.change) >= count
+    ]
     if not inputs:
         return None
-    pairs = [(one.change, one.change if one.change_below is None else one.change_below) for one in inputs]
-    squares = [measure.distance(side[:count], np.zeros_like(side[:count])) ** 2 for pair in pairs for side in pair]
-    return math.sqrt(sum(squares) / 2.0), f"{len(inputs)} inputs, sensitivities of {table.backend}"
+    pairs = [
+        (one.change, one.change if one.change_below is None else one.change_below)
+        for one in inputs
+    ]
+    squares = [
+        measure.distance(side[:count], np.zeros_like(side[:count])) ** 2
+        for pair in pairs
+        for side in pair
+    ]
+    return math.sqrt(
+        sum(squares) / 2.0
+    ), f"{len(inputs)} inputs, sensitivities of {table.backend}"
 
 
 @dataclass
@@ -181,7 +218,9 @@ class Member:
     def model(self) -> float | None:
         """Model error."""
         settings = zip(self.curve.settings, self.exact, strict=True)
-        return next((distance for setting, distance in settings if setting.is_converged), None)
+        return next(
+            (distance for setting, distance in settings if setting.is_converged), None
+        )
 
 
 def tradeoff(results: Iterable[Result]) -> Tradeoff:
@@ -201,7 +240,11 @@ def tradeoff(results: Iterable[Result]) -> Tradeoff:
         cost=curves[0].time,
         reference=f"{REFERENCE_ENGINE} with its default settings, on the same experiments",
         phenomena=tuple(phenomena),
-        versions={name: versions[name] for name in ("gauge-envs", "python") if name in versions},
+        versions={
+            name: versions[name]
+            for name in ("gauge-envs", "python")
+            if name in versions
+        },
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -217,7 +260,11 @@ def _phenomenon(name: str, members: Sequence[Member], notes: list[str]) -> Pheno
     """Return the families that ran all experiments of a phenomenon."""
     first = members[0].curve.measure
     ids = sorted({member.id for member in members})
-    scatter = {one.id: one.curve.measure.scatter for one in members if one.curve.measure.scatter is not None}
+    scatter = {
+        one.id: one.curve.measure.scatter
+        for one in members
+        if one.curve.measure.scatter is not None
+    }
     over_scatter = len(scatter) == len(ids)
     by_key: dict[str, list[Member]] = {}
     for member in members:
@@ -227,17 +274,29 @@ def _phenomenon(name: str, members: Sequence[Member], notes: list[str]) -> Pheno
         if missing:
             one = group[0].curve.first
             which = f"{one.backend} with {other_settings(one) or 'its presets'}"
-            notes.append(f"{name}: {which} is left out, as it did not run {', '.join(sorted(missing))}")
+            notes.append(
+                f"{name}: {which} is left out, as it did not run {', '.join(sorted(missing))}"
+            )
             del by_key[key]
     unit_cost = _reference_cost(by_key.values())
-    families = [_family(group, unit_cost, over_scatter=over_scatter) for group in by_key.values()]
+    families = [
+        _family(group, unit_cost, over_scatter=over_scatter)
+        for group in by_key.values()
+    ]
     return Phenomenon(
         name=name,
         ids=tuple(ids),
         metric=first.metric,
         unit="scatter" if over_scatter else first.unit,
         scatter=scatter if over_scatter else {},
-        families=tuple(_with_fronts(sorted(families, key=lambda one: (one.backend, not one.is_default, one.name)))),
+        families=tuple(
+            _with_fronts(
+                sorted(
+                    families,
+                    key=lambda one: (one.backend, not one.is_default, one.name),
+                )
+            )
+        ),
     )
 
 
@@ -248,7 +307,10 @@ def _reference_cost(groups: Iterable[Sequence[Member]]) -> float | None:
             setting
             for member in group
             for setting in member.curve.settings
-            if any(one.backend == REFERENCE_ENGINE and not one.settings_given for one in setting.results)
+            if any(
+                one.backend == REFERENCE_ENGINE and not one.settings_given
+                for one in setting.results
+            )
         ]
         if len(chosen) == len(group):
             return _common_costs(chosen)[0]
@@ -263,17 +325,29 @@ def _common_costs(settings: Sequence[SettingCost]) -> tuple[float, float]:
     return float(least), float(most)
 
 
-def _family(group: Sequence[Member], unit_cost: float | None, *, over_scatter: bool) -> Family:
+def _family(
+    group: Sequence[Member], unit_cost: float | None, *, over_scatter: bool
+) -> Family:
     """Return a family over all experiments of a phenomenon."""
     curves = [member.curve for member in group]
     first = curves[0].first
-    units = [(curve.measure.scatter or 1.0) if over_scatter else 1.0 for curve in curves]
+    units = [
+        (curve.measure.scatter or 1.0) if over_scatter else 1.0 for curve in curves
+    ]
     points = []
     for one in curves[0].settings:
-        found = [(member, number) for member in group for number in _numbers(member.curve, one.effort)]
+        found = [
+            (member, number)
+            for member in group
+            for number in _numbers(member.curve, one.effort)
+        ]
         if len(found) == len(group):
             points.append(_point(found, units, unit_cost))
-    presets = dict.fromkeys(str(one.results[0].settings.get("preset", "")) for c in curves for one in c.settings)
+    presets = dict.fromkeys(
+        str(one.results[0].settings.get("preset", ""))
+        for c in curves
+        for one in c.settings
+    )
     given = other_settings(first)
     family = Family(
         backend=first.backend or "file",
@@ -285,7 +359,9 @@ def _family(group: Sequence[Member], unit_cost: float | None, *, over_scatter: b
         resolution=_worst([curve.resolution for curve in curves], units),
         model=_worst([member.model for member in group], units),
     )
-    return with_floor(family, [curve.measure for curve in curves], over_scatter=over_scatter)
+    return with_floor(
+        family, [curve.measure for curve in curves], over_scatter=over_scatter
+    )
 
 
 def _numbers(curve: CostCurve, effort: dict[str, float]) -> list[int]:
@@ -293,21 +369,35 @@ def _numbers(curve: CostCurve, effort: dict[str, float]) -> list[int]:
     return [number for number, one in enumerate(curve.settings) if one.effort == effort]
 
 
-def with_floor(family: Family, measures: Sequence[ErrorMeasure], *, over_scatter: bool) -> Family:
+def with_floor(
+    family: Family, measures: Sequence[ErrorMeasure], *, over_scatter: bool
+) -> Family:
     """Return a family with the parametric floor of its experiments, and the step that is sufficient for it."""
     found = [parametric_floor(measure, family.backend) for measure in measures]
     units = [one.scatter or 1.0 if over_scatter else 1.0 for one in measures]
-    floors = [floor[0] / unit for floor, unit in zip(found, units, strict=True) if floor is not None]
-    limits = floors + [one.scatter / unit for one, unit in zip(measures, units, strict=True) if one.scatter]
+    floors = [
+        floor[0] / unit
+        for floor, unit in zip(found, units, strict=True)
+        if floor is not None
+    ]
+    limits = floors + [
+        one.scatter / unit
+        for one, unit in zip(measures, units, strict=True)
+        if one.scatter
+    ]
     return replace(
         family,
         floor=min(floors) if len(floors) == len(found) else None,
-        floor_source="; ".join(dict.fromkeys(floor[1] for floor in found if floor is not None)),
+        floor_source="; ".join(
+            dict.fromkeys(floor[1] for floor in found if floor is not None)
+        ),
         sufficient_step_s=_sufficient_step_s(family, min(limits)) if limits else None,
     )
 
 
-def _point(found: Sequence[tuple[Member, int]], units: Sequence[float], unit_cost: float | None) -> Point:
+def _point(
+    found: Sequence[tuple[Member, int]], units: Sequence[float], unit_cost: float | None
+) -> Point:
     settings = [member.curve.settings[number] for member, number in found]
     cost, cost_most = _common_costs(settings)
     # The shortest request for the setting is that of a user.
@@ -322,7 +412,9 @@ def _point(found: Sequence[tuple[Member, int]], units: Sequence[float], unit_cos
         repeats=min(len(one.results) for one in settings),
         diverged=any(one.frames is None for one in settings),
         numerical=_worst([one.numerical for one in settings], units),
-        to_closed_form=_worst([member.exact[number] for member, number in found], units),
+        to_closed_form=_worst(
+            [member.exact[number] for member, number in found], units
+        ),
         to_reality=_worst([one.real for one in settings], units),
         is_reference=all(one.is_converged for one in settings),
         is_on_main_line=all(one.is_main for one in settings),
@@ -331,31 +423,46 @@ def _point(found: Sequence[tuple[Member, int]], units: Sequence[float], unit_cos
 
 def _worst(values: Sequence[float | None], units: Sequence[float]) -> float | None:
     """Return the largest error over its unit; None if one is unknown."""
-    known = [value / unit for value, unit in zip(values, units, strict=True) if value is not None]
+    known = [
+        value / unit
+        for value, unit in zip(values, units, strict=True)
+        if value is not None
+    ]
     return max(known) if len(known) == len(values) else None
 
 
 def _sufficient_step_s(family: Family, limit: float) -> float | None:
     """Return the largest step from which on the numerical error stays below a limit; None if there is none."""
     line = sorted(
-        (one for one in family.points if one.is_on_main_line and one.step_s), key=lambda one: one.step_s or 0.0
+        (one for one in family.points if one.is_on_main_line and one.step_s),
+        key=lambda one: one.step_s or 0.0,
     )
     # The converged motion itself proves nothing where its own resolution is above the limit.
     if family.resolution is None or family.resolution > limit:
         return None
-    enough = takewhile(lambda one: one.numerical is not None and one.numerical <= limit, line)
+    enough = takewhile(
+        lambda one: one.numerical is not None and one.numerical <= limit, line
+    )
     return max((one.step_s or 0.0 for one in enough), default=None)
 
 
 def _with_fronts(families: Sequence[Family]) -> list[Family]:
     """Return the families with their points marked that lie on a front."""
-    every = [(family, point) for family in families for point in family.points if not point.diverged]
+    every = [
+        (family, point)
+        for family in families
+        for point in family.points
+        if not point.diverged
+    ]
     fronts: dict[int, list[str]] = {}
     for error in ERRORS:
         lowest = float("inf")
         # A numerical error is at least the resolution, as the converged motion has 0 itself.
         known = [
-            (max(value, family.resolution or 0.0) if error == "numerical" else value, point)
+            (
+                max(value, family.resolution or 0.0) if error == "numerical" else value,
+                point,
+            )
             for family, point in every
             if (value := getattr(point, error)) is not None
         ]
@@ -364,6 +471,11 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
                 lowest = value
                 fronts.setdefault(id(point), []).append(error)
     return [
-        replace(one, points=tuple(replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points))
+        replace(
+            one,
+            points=tuple(
+                replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points
+            ),
+        )
         for one in families
     ]

@@ -104,7 +104,11 @@ class Family:
     def name(self) -> str:
         """Short name, as `rapier` or `rapier out_of_box`."""
         extra = [] if self.is_default else [self.preset]
-        extra += [f"{key}={value}" for key, value in self.given.items() if key != "drive_interval_s"]
+        extra += [
+            f"{key}={value}"
+            for key, value in self.given.items()
+            if key != "drive_interval_s"
+        ]
         return " ".join([self.backend, *extra])
 
     @property
@@ -133,7 +137,9 @@ class Phenomenon:
     scatter: Mapping[str, float]
     families: tuple[Family, ...]
 
-    def cheapest(self, error: str, limit: float, backend: str | None = None) -> tuple[Family, Point] | None:
+    def cheapest(
+        self, error: str, limit: float, backend: str | None = None
+    ) -> tuple[Family, Point] | None:
         """Return the cheapest setting with an error of at most a limit.
 
         Args:
@@ -145,13 +151,20 @@ class Phenomenon:
             (family, point)
             for family in self.families
             for point in family.points
-            if backend in (None, family.backend) and (value := getattr(point, error)) is not None and value <= limit
+            if backend in (None, family.backend)
+            and (value := getattr(point, error)) is not None
+            and value <= limit
         ]
         return min(within, key=lambda pair: pair[1].cost, default=None)
 
     def best(self, error: str) -> tuple[Family, Point] | None:
         """Return the setting with the smallest error."""
-        known = [(f, p) for f in self.families for p in f.points if getattr(p, error) is not None]
+        known = [
+            (f, p)
+            for f in self.families
+            for p in f.points
+            if getattr(p, error) is not None
+        ]
         return min(known, key=lambda pair: getattr(pair[1], error), default=None)
 
 

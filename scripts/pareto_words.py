@@ -14,7 +14,14 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id
-from gauge_envs.tools.compare.cost import GREY, MIN_SHOWN, ROW_IN, STEP, set_ticks, step_text
+from gauge_envs.tools.compare.cost import (
+    GREY,
+    MIN_SHOWN,
+    ROW_IN,
+    STEP,
+    set_ticks,
+    step_text,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +30,12 @@ if TYPE_CHECKING:
 SCATTER = 1.0
 """Error that equals the real scatter, in units of it."""
 
-TITLES = {"rmse": "RMSE over frames", "pd": "period", "mte": "momentum transfer", "lsd": "longest rest"}
+TITLES = {
+    "rmse": "RMSE over frames",
+    "pd": "period",
+    "mte": "momentum transfer",
+    "lsd": "longest rest",
+}
 
 
 def pareto_document(tradeoff: Tradeoff) -> Document:
@@ -36,7 +48,12 @@ def pareto_document(tradeoff: Tradeoff) -> Document:
     for phenomenon in tradeoff.phenomena:
         lines = list(phenomenon_statements(phenomenon, tradeoff))
         statements += [f"{phenomenon.name}: {line}" for line in lines]
-        parts += [Heading(phenomenon.name, 3), Paragraph(_heading(phenomenon)), Bullets(lines), _table(phenomenon)]
+        parts += [
+            Heading(phenomenon.name, 3),
+            Paragraph(_heading(phenomenon)),
+            Bullets(lines),
+            _table(phenomenon),
+        ]
     return Document(parts=parts, rows=[asdict(tradeoff) | {"statements": statements}])
 
 
@@ -44,17 +61,31 @@ def phenomenon_statements(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Iterato
     """Yield what the numbers of a phenomenon say: the cheapest sufficient setting, steps, and errors of the model."""
     if phenomenon.unit == "scatter":
         yield _reality(phenomenon, tradeoff)
-    known = [family for family in phenomenon.families if family.sufficient_step_s is not None]
+    known = [
+        family for family in phenomenon.families if family.sufficient_step_s is not None
+    ]
     if known:
-        words = [f"{family.name} {step_text(family.sufficient_step_s)}" for family in known]
+        words = [
+            f"{family.name} {step_text(family.sufficient_step_s)}" for family in known
+        ]
         yield f"Largest step whose numerical error is below {_limit(known)}: {', '.join(words)}."
-    unresolved = [family for family in phenomenon.families if family.converged and family.sufficient_step_s is None]
+    unresolved = [
+        family
+        for family in phenomenon.families
+        if family.converged and family.sufficient_step_s is None
+    ]
     if unresolved:
-        words = [f"{family.name} (resolved to {_number(family.resolution)})" for family in unresolved]
+        words = [
+            f"{family.name} (resolved to {_number(family.resolution)})"
+            for family in unresolved
+        ]
         yield f"No step has a numerical error known to be below {_limit(unresolved)}: {', '.join(words)}."
     off = [family for family in phenomenon.families if _is_model_limited(family)]
     if off:
-        words = [f"{one.name} {_number(one.model)} (numerical error known to {_number(one.resolution)})" for one in off]
+        words = [
+            f"{one.name} {_number(one.model)} (numerical error known to {_number(one.resolution)})"
+            for one in off
+        ]
         yield (
             "A finer step does not help these, whose converged motion differs from the exact one by more than the "
             f"parametric floor or the real scatter: {', '.join(words)}."
@@ -108,23 +139,47 @@ def _heading(phenomenon: Phenomenon) -> str:
     unit = "the real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
     worst = ", of the worst experiment" if len(phenomenon.ids) > 1 else ""
     title = TITLES.get(phenomenon.metric, phenomenon.metric)
-    return f"{title[0].upper()}{title[1:]} of {names}; errors in units of {unit}{worst}."
+    return (
+        f"{title[0].upper()}{title[1:]} of {names}; errors in units of {unit}{worst}."
+    )
 
 
 def _table(phenomenon: Phenomenon) -> Table:
     def usual(family: Family) -> Point | None:
-        return next((p for p in family.points if p.is_on_main_line and STEP not in p.settings_given), None)
+        return next(
+            (
+                p
+                for p in family.points
+                if p.is_on_main_line and STEP not in p.settings_given
+            ),
+            None,
+        )
 
     def enough(family: Family) -> Point | None:
         step_s = family.sufficient_step_s
-        return next((p for p in family.points if step_s and p.is_on_main_line and p.step_s == step_s), None)
+        return next(
+            (
+                p
+                for p in family.points
+                if step_s and p.is_on_main_line and p.step_s == step_s
+            ),
+            None,
+        )
 
     def cheapest(family: Family) -> Point | None:
-        within = [p for p in family.points if p.to_reality is not None and p.to_reality <= SCATTER]
+        within = [
+            p
+            for p in family.points
+            if p.to_reality is not None and p.to_reality <= SCATTER
+        ]
         return min(within, key=lambda point: point.cost, default=None)
 
     def column(
-        title: str, found: Callable[[Family], Point | None], text: Callable[[Point], str], *, is_number: bool = True
+        title: str,
+        found: Callable[[Family], Point | None],
+        text: Callable[[Point], str],
+        *,
+        is_number: bool = True,
     ) -> Column:
         def cell(family: Family) -> str:
             point = found(family)
@@ -135,11 +190,25 @@ def _table(phenomenon: Phenomenon) -> Table:
     return Table(
         columns=(
             Column("name", "engine"),
-            Column("", "parametric floor", lambda family: _number(family.floor), is_number=True),
-            Column("", "model error", lambda family: _number(family.model), is_number=True),
-            Column("", "sufficient step", lambda family: step_text(family.sufficient_step_s), is_number=True),
+            Column(
+                "",
+                "parametric floor",
+                lambda family: _number(family.floor),
+                is_number=True,
+            ),
+            Column(
+                "", "model error", lambda family: _number(family.model), is_number=True
+            ),
+            Column(
+                "",
+                "sufficient step",
+                lambda family: step_text(family.sufficient_step_s),
+                is_number=True,
+            ),
             column("its cost", enough, _ratio),
-            column("cheapest within real scatter", cheapest, setting_words, is_number=False),
+            column(
+                "cheapest within real scatter", cheapest, setting_words, is_number=False
+            ),
             column("its cost", cheapest, _ratio),
             column("default step", usual, lambda point: step_text(point.step_s)),
             column("its cost", usual, _ratio),
@@ -152,7 +221,11 @@ def setting_words(point: Point) -> str:
     """Return the effort of a setting in words, as `a step of 1/1800 s`."""
     words = [] if point.step_s is None else [f"a step of {step_text(point.step_s)}"]
     if not point.is_on_main_line:
-        words += [f"{name}={value:g}" for name, value in point.effort.items() if name in point.settings_given]
+        words += [
+            f"{name}={value:g}"
+            for name, value in point.effort.items()
+            if name in point.settings_given
+        ]
     return ", ".join(words) or "its settings"
 
 
@@ -164,7 +237,11 @@ def _cost(point: Point, tradeoff: Tradeoff) -> str:
 
 
 def _ratio(point: Point) -> str:
-    return f"{point.cost:.3g} s/s" if point.cost_ratio is None else f"{point.cost_ratio:.2g}"
+    return (
+        f"{point.cost:.3g} s/s"
+        if point.cost_ratio is None
+        else f"{point.cost_ratio:.2g}"
+    )
 
 
 def _number(value: float | None) -> str:
@@ -190,13 +267,17 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
         if phenomenon.best("to_reality") is not None:
             _panel(right, phenomenon, "to_reality", "error against reality")
         else:
-            _panel(right, phenomenon, "to_closed_form", "error against the exact motion")
+            _panel(
+                right, phenomenon, "to_closed_form", "error against the exact motion"
+            )
         left.set_title(phenomenon.name, loc="left", fontsize=11, fontweight="bold")
     unit = "CPU" if tradeoff.cost == "cpu" else "wall"
     for axis in grid[-1]:
         axis.set_xlabel(f"{unit} seconds per simulated second", fontsize=9)
     handles = list(_legend(tradeoff))
-    figure.legend(handles=handles, loc="outside upper left", ncols=5, frameon=False, fontsize=9)
+    figure.legend(
+        handles=handles, loc="outside upper left", ncols=5, frameon=False, fontsize=9
+    )
     figure.supxlabel(
         "Each line is one engine with one preset, from its coarsest step (left) to its finest (right). "
         "Crosses: other iterations.\nThe converged motion itself, with numerical error 0, is not drawn. "
@@ -216,28 +297,72 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
     axis.set_yscale("log")
     for family in phenomenon.families:
         style = _style(family)
-        line = [p for p in family.points if p.is_on_main_line and _value(p, error) is not None]
+        line = [
+            p
+            for p in family.points
+            if p.is_on_main_line and _value(p, error) is not None
+        ]
         line.sort(key=lambda point: -(point.step_s or 0.0))
         if line:
-            axis.plot([p.cost for p in line], [_value(p, error) or math.nan for p in line], **style)
+            axis.plot(
+                [p.cost for p in line],
+                [_value(p, error) or math.nan for p in line],
+                **style,
+            )
             if error == "numerical" and family.is_default and style["color"] == GREY:
                 # The name of an engine without a colour of its own stands at the end of its line.
                 end = (line[-1].cost, _value(line[-1], error) or MIN_SHOWN)
-                place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
-                axis.annotate(family.backend, end, fontsize=7.5, color=style["color"], annotation_clip=False, **place)
-        others = [p for p in family.points if not p.is_on_main_line and _value(p, error) is not None]
+                place: dict[str, Any] = {
+                    "xytext": (5, 0),
+                    "textcoords": "offset points",
+                    "va": "center",
+                }
+                axis.annotate(
+                    family.backend,
+                    end,
+                    fontsize=7.5,
+                    color=style["color"],
+                    annotation_clip=False,
+                    **place,
+                )
+        others = [
+            p
+            for p in family.points
+            if not p.is_on_main_line and _value(p, error) is not None
+        ]
         if others:
-            cross: dict[str, Any] = {"marker": "x", "ms": 6, "mew": 1.6, "ls": "", "color": style["color"]}
-            axis.plot([p.cost for p in others], [_value(p, error) or math.nan for p in others], **cross)
+            cross: dict[str, Any] = {
+                "marker": "x",
+                "ms": 6,
+                "mew": 1.6,
+                "ls": "",
+                "color": style["color"],
+            }
+            axis.plot(
+                [p.cost for p in others],
+                [_value(p, error) or math.nan for p in others],
+                **cross,
+            )
     unit = "real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
     axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
     axis.tick_params(labelsize=8)
     axis.margins(x=0.12)
-    floors = [family.floor for family in phenomenon.families if family.floor is not None and family.floor > MIN_SHOWN]
+    floors = [
+        family.floor
+        for family in phenomenon.families
+        if family.floor is not None and family.floor > MIN_SHOWN
+    ]
     if phenomenon.unit == "scatter":
         axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
     if floors:
-        axis.axhspan(min(floors) * 0.97, max(floors) * 1.03, color="#9a9a9a", alpha=0.55, lw=0.0, zorder=1)
+        axis.axhspan(
+            min(floors) * 0.97,
+            max(floors) * 1.03,
+            color="#9a9a9a",
+            alpha=0.55,
+            lw=0.0,
+            zorder=1,
+        )
     set_ticks(axis)
 
 
@@ -251,16 +376,32 @@ def _value(point: Point, error: str) -> float | None:
 
 def _style(family: Family) -> dict[str, Any]:
     engine = backend_class(family.backend)
-    shared = {"color": engine.color or GREY, "marker": engine.marker, "ms": 5, "lw": 1.3}
-    return shared if family.is_default else shared | {"ls": (0, (4, 2)), "mfc": "white", "lw": 1.0, "ms": 4.5}
+    shared = {
+        "color": engine.color or GREY,
+        "marker": engine.marker,
+        "ms": 5,
+        "lw": 1.3,
+    }
+    return (
+        shared
+        if family.is_default
+        else shared | {"ls": (0, (4, 2)), "mfc": "white", "lw": 1.0, "ms": 4.5}
+    )
 
 
 def _legend(tradeoff: Tradeoff) -> Sequence[Any]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    every = [family for phenomenon in tradeoff.phenomena for family in phenomenon.families]
-    named = {family.name: family for family in sorted(every, key=lambda one: (one.backend, not one.is_default))}
-    lines: list[Any] = [Line2D([], [], label=name, **_style(family)) for name, family in named.items()]
+    every = [
+        family for phenomenon in tradeoff.phenomena for family in phenomenon.families
+    ]
+    named = {
+        family.name: family
+        for family in sorted(every, key=lambda one: (one.backend, not one.is_default))
+    }
+    lines: list[Any] = [
+        Line2D([], [], label=name, **_style(family)) for name, family in named.items()
+    ]
     lines.append(Line2D([], [], color=REAL, lw=1.0, label="scatter of real trials"))
     return [*lines, Patch(facecolor="#9a9a9a", alpha=0.55, label="parametric floor")]

@@ -68,10 +68,16 @@ class Room:
         self.lines += len(written)
         self.characters += sum(map(len, written))
         for node in ast.walk(tree):
-            self.comprehensions += isinstance(node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp)
+            self.comprehensions += isinstance(
+                node, ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
+            )
             self.conditional_expressions += isinstance(node, ast.IfExp)
-            is_packed = isinstance(node, ast.Assign) and isinstance(node.value, ast.Tuple)
-            self.packed_assignments += is_packed and isinstance(node.targets[0], ast.Tuple)
+            is_packed = isinstance(node, ast.Assign) and isinstance(
+                node.value, ast.Tuple
+            )
+            self.packed_assignments += is_packed and isinstance(
+                node.targets[0], ast.Tuple
+            )
 
 
 def _docstring_lines(tree: ast.Module) -> Iterator[int]:
@@ -98,7 +104,9 @@ def rooms(root: Path) -> dict[str, Room]:
     for folder in FOLDERS:
         for file in (root / folder).rglob("*"):
             if file.is_file() and "__pycache__" not in file.parts:
-                found.setdefault(room_of(file.relative_to(root).parts), Room()).add(file)
+                found.setdefault(room_of(file.relative_to(root).parts), Room()).add(
+                    file
+                )
     return dict(sorted(found.items(), key=lambda entry: -entry[1].tokens))
 
 
@@ -108,19 +116,31 @@ def main(arguments: list[str]) -> None:
     found = rooms(root)
     print("  tokens  tokens/line  room")
     for name, room in found.items():
-        density = f"{room.tokens / room.code_lines:11.1f}" if room.code_lines else " " * 11
+        density = (
+            f"{room.tokens / room.code_lines:11.1f}" if room.code_lines else " " * 11
+        )
         print(f"{room.tokens:8}  {density}  {name}")
     totals: Counter[str] = Counter()
     package = Room()
     for name, room in found.items():
         if name.startswith("gauge_envs"):
-            totals["tools" if "/tools" in name else "engines" if _is_guest_engine(name) else "core"] += room.tokens
+            totals[
+                "tools"
+                if "/tools" in name
+                else "engines"
+                if _is_guest_engine(name)
+                else "core"
+            ] += room.tokens
             for field in vars(room):
                 setattr(package, field, getattr(package, field) + getattr(room, field))
     parts = ", ".join(f"{name} {count}" for name, count in totals.items())
-    print(f"package {package.tokens}: {parts}; {package.tokens / package.code_lines:.1f} tokens on a line of code")
+    print(
+        f"package {package.tokens}: {parts}; {package.tokens / package.code_lines:.1f} tokens on a line of code"
+    )
     comments = _per(package.comments, package, 100)
-    print(f"mean width of a line {package.characters / package.lines:.1f}; comments in 100 lines {comments}")
+    print(
+        f"mean width of a line {package.characters / package.lines:.1f}; comments in 100 lines {comments}"
+    )
     print(
         f"in 1,000 lines: comprehensions {_per(package.comprehensions, package, 1000)}, conditional expressions "
         f"{_per(package.conditional_expressions, package, 1000)}, packed assignments "
@@ -129,7 +149,10 @@ def main(arguments: list[str]) -> None:
 
 
 def _is_guest_engine(name: str) -> bool:
-    return name.startswith("gauge_envs/backends/") and name.rpartition("/")[2] not in CORE_BACKENDS
+    return (
+        name.startswith("gauge_envs/backends/")
+        and name.rpartition("/")[2] not in CORE_BACKENDS
+    )
 
 
 def _per(count: int, room: Room, lines: int) -> str:

@@ -28,7 +28,17 @@ from lowest_versions import PYPROJECT, constraints
 ROOT = PYPROJECT.parent
 EXTRAS = ("plot",)
 TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
-COPIED = ("benchmarks", "docs", "examples", "scoring", "scripts", "studies", "tests", "README.md", "pyproject.toml")
+COPIED = (
+    "benchmarks",
+    "docs",
+    "examples",
+    "scoring",
+    "scripts",
+    "studies",
+    "tests",
+    "README.md",
+    "pyproject.toml",
+)
 RESOLUTIONS = ("newest", "lowest")
 LOWEST_WITH_DEFORMABLES = "mujoco==4.0.0"
 FAILS_ITSELF = {"grasp-creep", "oblique-slip-rebound", "rebound-flat"}
@@ -49,7 +59,9 @@ class Entry:
         """Read `3.12:lowest`."""
         python, _, resolution = text.partition(":")
         if resolution not in RESOLUTIONS:
-            raise argparse.ArgumentTypeError(f"{text!r}: write VERSION:{' or VERSION:'.join(RESOLUTIONS)}")
+            raise argparse.ArgumentTypeError(
+                f"{text!r}: write VERSION:{' or VERSION:'.join(RESOLUTIONS)}"
+            )
         return cls(python, resolution)
 
     def __str__(self) -> str:
@@ -60,7 +72,11 @@ def interpreter(version: str) -> Path | None:
     """Find a working interpreter of a version: the variable, the PATH, then what pyenv holds."""
     for candidate in _candidates(version):
         found = subprocess.run(
-            [candidate, "-c", "import sys, venv; print('%d.%d' % sys.version_info[:2])"],
+            [
+                candidate,
+                "-c",
+                "import sys, venv; print('%d.%d' % sys.version_info[:2])",
+            ],
             capture_output=True,
             text=True,
             check=False,
@@ -75,16 +91,36 @@ def _candidates(version: str) -> Iterator[str]:
     names = (named, f"python{version}", "python3", sys.executable)
     yield from (path for name in names if name and (path := shutil.which(name)))
     pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
-    yield from (str(path) for path in sorted(pyenv.glob(f"versions/{version}.*/bin/python")))
+    yield from (
+        str(path) for path in sorted(pyenv.glob(f"versions/{version}.*/bin/python"))
+    )
 
 
 def build_wheel(out: Path) -> Path:
     """Build the wheel of this checkout into a folder."""
-    _run([sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)])
+    _run(
+        [
+            sys.executable,
+            "-m",
+            "build",
+            "--wheel",
+            "--no-isolation",
+            "--outdir",
+            str(out),
+            str(ROOT),
+        ]
+    )
     return next(out.glob("*.whl"))
 
 
-def make_environment(folder: Path, *, python: Path, wheel: Path, extras: Sequence[str], lowest: bool = False) -> Path:
+def make_environment(
+    folder: Path,
+    *,
+    python: Path,
+    wheel: Path,
+    extras: Sequence[str],
+    lowest: bool = False,
+) -> Path:
     """Make an environment that holds the wheel and what it requires, and nothing else.
 
     Args:
@@ -102,7 +138,18 @@ def make_environment(folder: Path, *, python: Path, wheel: Path, extras: Sequenc
     lines = constraints(PYPROJECT, extras) if lowest else []
     bounds = folder / "constraints.txt"
     bounds.write_text("\n".join(lines), encoding="utf-8")
-    _run([str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", "-c", str(bounds), chosen])
+    _run(
+        [
+            str(folder / "bin" / "python"),
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "-c",
+            str(bounds),
+            chosen,
+        ]
+    )
     return folder / "bin"
 
 
@@ -111,11 +158,22 @@ def _variables() -> dict[str, str]:
 
     Where PYTHONPATH leads to another copy of the same version, pip installs nothing and succeeds.
     """
-    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    return {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("PYTHON")
+    }
 
 
 def _run(command: list[str], limit_s: float | None = None) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=limit_s, env=_variables())
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=limit_s,
+        env=_variables(),
+    )
     if done.returncode:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stdout}\n{done.stderr}")
 
@@ -124,20 +182,42 @@ def _check(commands: Path, out: Path) -> None:
     """Run the conformance checks of MuJoCo; end where others than `FAILS_ITSELF` fail."""
     command = [str(commands / "gauge"), "backend", "check", "mujoco", "--out", str(out)]
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, timeout=CONFORMANCE_LIMIT_S, env=_variables()
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=CONFORMANCE_LIMIT_S,
+        env=_variables(),
     )
-    findings = json.loads(out.read_text(encoding="utf-8"))["columns"][0]["findings"] if out.exists() else {}
-    failed = {name for name, finding in findings.items() if finding["status"] not in ("pass", "declined")}
+    findings = (
+        json.loads(out.read_text(encoding="utf-8"))["columns"][0]["findings"]
+        if out.exists()
+        else {}
+    )
+    failed = {
+        name
+        for name, finding in findings.items()
+        if finding["status"] not in ("pass", "declined")
+    }
     if failed != FAILS_ITSELF:
-        raise SystemExit(f"{' '.join(command)}: {failed} failed, not {FAILS_ITSELF}:\n{done.stdout}\n{done.stderr}")
+        raise SystemExit(
+            f"{' '.join(command)}: {failed} failed, not {FAILS_ITSELF}:\n{done.stdout}\n{done.stderr}"
+        )
 
 
 def _test(
-    entry: Entry, python: Path, wheel: Path, tests: Sequence[str], rigid_tests: Sequence[str], folder: Path
+    entry: Entry,
+    python: Path,
+    wheel: Path,
+    tests: Sequence[str],
+    rigid_tests: Sequence[str],
+    folder: Path,
 ) -> int:
     start = time.perf_counter()
     is_lowest = entry.resolution == "lowest"
-    commands = make_environment(folder / "venv", python=python, wheel=wheel, extras=EXTRAS, lowest=is_lowest)
+    commands = make_environment(
+        folder / "venv", python=python, wheel=wheel, extras=EXTRAS, lowest=is_lowest
+    )
     _run([str(commands / "python"), "-m", "pip", "install", "--quiet", *TEST_TOOLS])
     checkout = folder / "checkout"
     checkout.mkdir()
@@ -146,25 +226,55 @@ def _test(
         copy = shutil.copytree if source.is_dir() else shutil.copy
         copy(source, checkout / name)
     installed_s = time.perf_counter() - start
-    print(f"{entry}: installed in {installed_s:.0f} s; {_versions(commands / 'python')}", flush=True)
+    print(
+        f"{entry}: installed in {installed_s:.0f} s; {_versions(commands / 'python')}",
+        flush=True,
+    )
     _check(commands, folder / "checks.json")
-    print(f"{entry}: MuJoCo conforms after {time.perf_counter() - start - installed_s:.0f} s", flush=True)
+    print(
+        f"{entry}: MuJoCo conforms after {time.perf_counter() - start - installed_s:.0f} s",
+        flush=True,
+    )
     code = 0
     if is_lowest:
         code = _pytest(commands, rigid_tests, checkout)
         # MuJoCo 4 consists of several packages; pip would remove their files with the single older one afterwards.
-        _run([str(commands / "python"), "-m", "pip", "uninstall", "--quiet", "--yes", "mujoco"])
-        _run([str(commands / "python"), "-m", "pip", "install", "--quiet", LOWEST_WITH_DEFORMABLES])
+        _run(
+            [
+                str(commands / "python"),
+                "-m",
+                "pip",
+                "uninstall",
+                "--quiet",
+                "--yes",
+                "mujoco",
+            ]
+        )
+        _run(
+            [
+                str(commands / "python"),
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                LOWEST_WITH_DEFORMABLES,
+            ]
+        )
         print(f"{entry}: goes on with {_versions(commands / 'python')}", flush=True)
     code = _pytest(commands, tests, checkout) or code
-    print(f"{entry}: pytest exits with {code} after {time.perf_counter() - start - installed_s:.0f} s", flush=True)
+    print(
+        f"{entry}: pytest exits with {code} after {time.perf_counter() - start - installed_s:.0f} s",
+        flush=True,
+    )
     return code
 
 
 def _pytest(commands: Path, tests: Sequence[str], checkout: Path) -> int:
     # The command `pytest`, unlike `python -m pytest`, leaves the working directory out of the path.
     command = [str(commands / "pytest"), "-n", "2", *tests]
-    return subprocess.run(command, cwd=checkout, check=False, env=_variables()).returncode
+    return subprocess.run(
+        command, cwd=checkout, check=False, env=_variables()
+    ).returncode
 
 
 def _versions(python: Path) -> str:
@@ -173,16 +283,29 @@ def _versions(python: Path) -> str:
         "assert Path(gauge_envs.__file__).is_relative_to(sys.prefix), gauge_envs.__file__\n"
         "print(', '.join(f'{name} {version(name)}' for name in ('gymnasium', 'mujoco', 'numpy', 'scipy', 'usd-core')))"
     )
-    done = subprocess.run([str(python), "-I", "-c", script], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [str(python), "-I", "-c", script], capture_output=True, text=True, check=True
+    )
     return done.stdout.strip()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Test every entry; returns 1 when tests of one fail."""
-    parser = argparse.ArgumentParser(description="Test the built wheel on several Python versions.")
-    parser.add_argument("entries", nargs="+", type=Entry.parse, metavar="VERSION:RESOLUTION")
-    parser.add_argument("--tests", nargs="+", required=True, help="test files and folders")
-    parser.add_argument("--rigid-tests", nargs="+", required=True, help="those that pass with the lowest MuJoCo")
+    parser = argparse.ArgumentParser(
+        description="Test the built wheel on several Python versions."
+    )
+    parser.add_argument(
+        "entries", nargs="+", type=Entry.parse, metavar="VERSION:RESOLUTION"
+    )
+    parser.add_argument(
+        "--tests", nargs="+", required=True, help="test files and folders"
+    )
+    parser.add_argument(
+        "--rigid-tests",
+        nargs="+",
+        required=True,
+        help="those that pass with the lowest MuJoCo",
+    )
     options = parser.parse_args(arguments)
     failed, skipped = [], []
     with tempfile.TemporaryDirectory(prefix="gauge-test-matrix-") as temporary:
@@ -193,14 +316,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 skipped.append(entry)
                 variable = f"PYTHON{entry.python.replace('.', '_')}"
                 print(
-                    f"{entry}: SKIPPED, no interpreter python{entry.python}; install one or set {variable}", flush=True
+                    f"{entry}: SKIPPED, no interpreter python{entry.python}; install one or set {variable}",
+                    flush=True,
                 )
                 continue
             folder = Path(temporary) / str(number)
             folder.mkdir()
             if _test(entry, python, wheel, options.tests, options.rigid_tests, folder):
                 failed.append(entry)
-    done = [entry for entry in options.entries if entry not in failed and entry not in skipped]
+    done = [
+        entry
+        for entry in options.entries
+        if entry not in failed and entry not in skipped
+    ]
     for word, those in (("passed", done), ("failed", failed), ("skipped", skipped)):
         for entry in those:
             print(f"{word}: {entry}")

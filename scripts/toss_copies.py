@@ -35,7 +35,9 @@ WINDOW = 40
 EDGES_MM = (0.0, 0.01, 0.1, 1.0, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0, np.inf)
 
 
-def height_distances_m(corners_m: Sequence[FloatArray], *, parts: int = 1) -> tuple[FloatArray, FloatArray]:
+def height_distances_m(
+    corners_m: Sequence[FloatArray], *, parts: int = 1
+) -> tuple[FloatArray, FloatArray]:
     """Return how far the sorted heights of the corners of tosses are apart, root mean square.
 
     The first `WINDOW` frames of one toss are compared with each stretch of the other one.
@@ -51,7 +53,11 @@ def height_distances_m(corners_m: Sequence[FloatArray], *, parts: int = 1) -> tu
     heights = []
     for corners in corners_m:
         times = np.arange(parts * (len(corners) - 1) + 1) / parts
-        heights.append(np.sort(CubicSpline(np.arange(len(corners)), corners[:, :, 2])(times), axis=1))
+        heights.append(
+            np.sort(
+                CubicSpline(np.arange(len(corners)), corners[:, :, 2])(times), axis=1
+            )
+        )
     span, count = parts * (WINDOW - 1) + 1, len(heights)
     size = WINDOW * heights[0].shape[1]
     whole = [place for place, one in enumerate(heights) if len(one) >= span]
@@ -59,8 +65,14 @@ def height_distances_m(corners_m: Sequence[FloatArray], *, parts: int = 1) -> tu
     nearest, shift = np.full((count, count), np.inf), np.zeros((count, count))
     for begin in range(max(map(len, heights)) - span + 1):
         long = [place for place in whole if len(heights[place]) >= begin + span]
-        later = np.array([heights[place][begin : begin + span : parts].ravel() for place in long])
-        square = np.sum(first**2, axis=1)[:, None] + np.sum(later**2, axis=1) - 2.0 * first @ later.T
+        later = np.array(
+            [heights[place][begin : begin + span : parts].ravel() for place in long]
+        )
+        square = (
+            np.sum(first**2, axis=1)[:, None]
+            + np.sum(later**2, axis=1)
+            - 2.0 * first @ later.T
+        )
         found, cells = np.sqrt(np.maximum(square, 0.0) / size), np.ix_(whole, long)
         closer = found < nearest[cells]
         nearest[cells] = np.where(closer, found, nearest[cells])
@@ -81,11 +93,24 @@ def placed_distance_m(one_m: FloatArray, other_m: FloatArray) -> float:
     """
     found = []
     for sign in (1.0, -1.0):
-        flat, placed = (corners[..., 0] + 1j * corners[..., 1] for corners in (one_m, other_m * [1.0, sign, 1.0]))
+        flat, placed = (
+            corners[..., 0] + 1j * corners[..., 1]
+            for corners in (one_m, other_m * [1.0, sign, 1.0])
+        )
         flat, placed = flat - flat.mean(), placed - placed.mean()
-        placed = placed * np.exp(1j * np.angle(np.sum(flat.mean(axis=1) * np.conj(placed.mean(axis=1)))))
-        clouds = [np.stack([at.real, at.imag, up[..., 2]], -1) for at, up in ((flat, one_m), (placed, other_m))]
-        found.append(max(cKDTree(here).query(there)[0].max() for here, there in zip(*clouds, strict=True)))
+        placed = placed * np.exp(
+            1j * np.angle(np.sum(flat.mean(axis=1) * np.conj(placed.mean(axis=1))))
+        )
+        clouds = [
+            np.stack([at.real, at.imag, up[..., 2]], -1)
+            for at, up in ((flat, one_m), (placed, other_m))
+        ]
+        found.append(
+            max(
+                cKDTree(here).query(there)[0].max()
+                for here, there in zip(*clouds, strict=True)
+            )
+        )
     return float(min(found))
 
 
@@ -100,14 +125,22 @@ def copies(corners_m: Sequence[FloatArray]) -> dict[int, int]:
     """
     distances, shifts = height_distances_m(corners_m)
     found: dict[int, int] = {}
-    for one, other in np.argwhere(np.triu(np.minimum(distances, distances.T) < TOLERANCE_M)).tolist():
+    for one, other in np.argwhere(
+        np.triu(np.minimum(distances, distances.T) < TOLERANCE_M)
+    ).tolist():
         # The toss whose first frames are compared begins later.
-        late, early = (one, other) if distances[one, other] <= distances[other, one] else (other, one)
+        late, early = (
+            (one, other)
+            if distances[one, other] <= distances[other, one]
+            else (other, one)
+        )
         rows = corners_m[early][round(float(shifts[late, early])) :]
         length = min(len(rows), len(corners_m[late]))
         apart_m = placed_distance_m(corners_m[late][:length], rows[:length])
         if apart_m > TOLERANCE_M:
-            raise ValueError(f"tosses {one} and {other} have equal heights, but are {1e3 * apart_m:.3g} mm apart")
+            raise ValueError(
+                f"tosses {one} and {other} have equal heights, but are {1e3 * apart_m:.3g} mm apart"
+            )
         found.setdefault(other, found.get(one, one))
     return found
 
@@ -123,7 +156,9 @@ def recorded_corners_m(variant: str) -> list[FloatArray]:
         for shot in (shots.shot(trial, body) for body in shots.sidecar.bodies):
             shape = scene.body(shot.body).shape
             assert isinstance(shape, Box)
-            turned = np.einsum("tij,vj->tvi", shot.rotations.as_matrix(), shape.corners_m)
+            turned = np.einsum(
+                "tij,vj->tvi", shot.rotations.as_matrix(), shape.corners_m
+            )
             clouds.append(shot.positions_m[:, None] + turned)
         found.append(np.concatenate(clouds, axis=1))
     return found
@@ -131,17 +166,30 @@ def recorded_corners_m(variant: str) -> list[FloatArray]:
 
 def main() -> None:
     """Print how many pairs of tosses are how far apart."""
-    parser = argparse.ArgumentParser(description="Count pairs of recorded tosses by their distance.")
+    parser = argparse.ArgumentParser(
+        description="Count pairs of recorded tosses by their distance."
+    )
     parser.add_argument("variant")
-    parser.add_argument("--parts", type=int, default=10, help="parts of a frame by which tosses are shifted in time")
+    parser.add_argument(
+        "--parts",
+        type=int,
+        default=10,
+        help="parts of a frame by which tosses are shifted in time",
+    )
     options = parser.parse_args()
     corners_m = recorded_corners_m(options.variant)
     repeats = copies(corners_m)
     distances, _ = height_distances_m(corners_m, parts=options.parts)
-    pairs_mm = 1e3 * np.sort(np.minimum(distances, distances.T)[np.triu_indices(len(corners_m), 1)])
+    pairs_mm = 1e3 * np.sort(
+        np.minimum(distances, distances.T)[np.triu_indices(len(corners_m), 1)]
+    )
     print(f"{len(corners_m)} tosses, {len(repeats)} of them copies: {repeats}")
-    print(f"closest pairs: {', '.join(f'{value:.4f}' for value in pairs_mm[: len(repeats) + 3])} mm")
-    for low, high, count in zip(EDGES_MM, EDGES_MM[1:], np.histogram(pairs_mm, EDGES_MM)[0], strict=False):
+    print(
+        f"closest pairs: {', '.join(f'{value:.4f}' for value in pairs_mm[: len(repeats) + 3])} mm"
+    )
+    for low, high, count in zip(
+        EDGES_MM, EDGES_MM[1:], np.histogram(pairs_mm, EDGES_MM)[0], strict=False
+    ):
         print(f"{low} to {high} mm: {count} pairs")
 
 

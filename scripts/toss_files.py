@@ -94,8 +94,15 @@ def sidecar_head(
 def _copies_lines(copies: Mapping[int, int]) -> list[str]:
     if not copies:
         return []
-    rows = [f"    {{ trial = {trial}, of = {copies[trial]} }}," for trial in sorted(copies)]
-    return ["# The same recording as an earlier one, laid elsewhere on the table.", "copies = [", *rows, "]"]
+    rows = [
+        f"    {{ trial = {trial}, of = {copies[trial]} }}," for trial in sorted(copies)
+    ]
+    return [
+        "# The same recording as an earlier one, laid elsewhere on the table.",
+        "copies = [",
+        *rows,
+        "]",
+    ]
 
 
 def write_or_check(
@@ -119,8 +126,14 @@ def write_or_check(
         Exit status: 1 if a check found a file that is not current.
     """
     parser = argparse.ArgumentParser(description=what)
-    parser.add_argument("source", type=Path, help="NumPy archive of the authors' tosses")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if a file is not current")
+    parser.add_argument(
+        "source", type=Path, help="NumPy archive of the authors' tosses"
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if a file is not current",
+    )
     options = parser.parse_args()
     arrays, text = generate(options.source)
     file = Path(__file__).parents[1] / "scoring" / "single_shot" / f"{name}.npz"
@@ -132,7 +145,12 @@ def write_or_check(
     with np.load(file) as stored:
         current = same_arrays(dict(stored), arrays, fitted=fitted)
     described = same_text(sidecar.read_text("utf-8"), text)
-    stale = [path for path, is_so in ((file, current), (sidecar, described)) if not is_so]
+    stale = [
+        path for path, is_so in ((file, current), (sidecar, described)) if not is_so
+    ]
     for path in stale:
-        print(f"{path} is not current: run python scripts/{script} SOURCE", file=sys.stderr)
+        print(
+            f"{path} is not current: run python scripts/{script} SOURCE",
+            file=sys.stderr,
+        )
     return 1 if stale else 0

@@ -47,7 +47,9 @@ def pytest_configure() -> None:
 
         settings.register_profile("same everywhere", deadline=None, derandomize=True)
         settings.load_profile("same everywhere")
-    os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
+    os.environ["GAUGE_DATA_DIR"] = str(
+        Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}"
+    )
 
 
 def pytest_collection_finish() -> None:
@@ -83,7 +85,9 @@ def unused_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(autouse=True)
-def gauge_data_dir(unused_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch) -> Path:
+def gauge_data_dir(
+    unused_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch
+) -> Path:
     """The user's data folder, empty for each test."""
     folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
@@ -91,7 +95,9 @@ def gauge_data_dir(unused_folders: Iterator[Path], monkeypatch: pytest.MonkeyPat
 
 
 @pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+def installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Callable[..., None]]:
     """Installs hostile backends, as in `installed("crash", "greedy")`."""
     folder = tmp_path / "site"
     folder.mkdir()
@@ -111,7 +117,9 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves the MuJoCo backend alone, declining deformable bodies as an engine that knows only rigid ones does."""
 
     def supports(self: BackendMuJoCo, scene: Scene) -> Support:
-        return Support(tuple(f"{body.name!r} is a deformable body" for body in scene.deformables))
+        return Support(
+            tuple(f"{body.name!r} is a deformable body" for body in scene.deformables)
+        )
 
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
     for module in (arguments, listing):
@@ -123,10 +131,16 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
 def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
     """Runs one episode, or its first frames, with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 
-    def run(name: str, *, frames: int | None = None, **options: object) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
+    def run(
+        name: str, *, frames: int | None = None, **options: object
+    ) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
         env = gymnasium.make(f"GAUGE/{name}", **options)
         env.reset(seed=0)
-        zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+        zero = (
+            0
+            if isinstance(env.action_space, gymnasium.spaces.Discrete)
+            else np.zeros(env.action_space.shape)
+        )
         over = False
         while not over:
             *_, terminated, truncated, info = env.step(zero)

@@ -21,7 +21,9 @@ Travel = Callable[[float, float, float], float]
 """Distance [m] along the slope of an engine: acceleration [m/s^2], time [s], step [s]."""
 
 
-def euler(acceleration: float, time_s: float, step_s: float, *, step_error: float = 0.0) -> float:
+def euler(
+    acceleration: float, time_s: float, step_s: float, *, step_error: float = 0.0
+) -> float:
     """Semi-implicit Euler, first order; a share of the step is added where the velocity is updated."""
     count = round(time_s / step_s)
     return 0.5 * acceleration * (1.0 + step_error) * step_s**2 * count * (count + 1)
@@ -54,8 +56,12 @@ def made(
     """A result as an engine with that motion would leave it."""
     experiment = load_experiment(name)
     law = slide(experiment.scene, "cube", "board")
-    times_s = np.arange(round((experiment.frame_count - 1) / 30 * RATE_HZ) + 1) / RATE_HZ
-    way_m = np.array([travel(law.acceleration_m_per_s2, time_s, step_s) for time_s in times_s])
+    times_s = (
+        np.arange(round((experiment.frame_count - 1) / 30 * RATE_HZ) + 1) / RATE_HZ
+    )
+    way_m = np.array(
+        [travel(law.acceleration_m_per_s2, time_s, step_s) for time_s in times_s]
+    )
     samples = 1e3 * (law.start_m + way_m[:, None] * law.direction)
     settings = {"timestep_s": step_s} if given is None else given
     values: dict[str, Any] = {
@@ -63,7 +69,11 @@ def made(
         "outcome": Outcome.FINISHED,
         "parameters": "calibrated",
         "score": Score(
-            grade="trials", unit="mm", primary="rmse_aligned", rmse_aligned=2.0, rmse_aligned_normalized=0.5
+            grade="trials",
+            unit="mm",
+            primary="rmse_aligned",
+            rmse_aligned=2.0,
+            rmse_aligned_normalized=0.5,
         ),
         "task_sha256": experiment.file_sha256,
         "backend": backend,
@@ -71,7 +81,12 @@ def made(
         "wall_s": 1e-3 / step_s,
         "cpu_s": 5e-4 / step_s,
         "sim_s": float(times_s[-1]),
-        "settings": {"preset": "contact", "timestep_s": step_s, "iterations": 10, **settings},
+        "settings": {
+            "preset": "contact",
+            "timestep_s": step_s,
+            "iterations": 10,
+            **settings,
+        },
         "settings_given": settings,
         "versions": {backend: "1.0", **versions()},
         "seed": 0,
@@ -80,5 +95,7 @@ def made(
     return Result(**(values | changes))
 
 
-def sweep(travel: Travel = euler, steps_s: Sequence[float] = STEPS_S, **changes: Any) -> list[Result]:
+def sweep(
+    travel: Travel = euler, steps_s: Sequence[float] = STEPS_S, **changes: Any
+) -> list[Result]:
     return [made(travel, step_s, **changes) for step_s in steps_s]

@@ -63,11 +63,15 @@ def trial_folder(name: str) -> str:
     return f"{folder}/{FABRICS.get(variant.material, variant.material)}{task}"
 
 
-def write_trial(root: Path, name: str, number: int, content: Mapping[str, Any] | bytes) -> Path:
+def write_trial(
+    root: Path, name: str, number: int, content: Mapping[str, Any] | bytes
+) -> Path:
     """Write one trial file of a variant."""
     file = root / trial_folder(name) / f"trial-{number}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(content if isinstance(content, bytes) else json.dumps(content).encode())
+    file.write_bytes(
+        content if isinstance(content, bytes) else json.dumps(content).encode()
+    )
     return file
 
 
@@ -76,19 +80,27 @@ def trial_content(assets: Mapping[str, Any]) -> dict[str, Any]:
     return {"FPS": 30, "translation unit": "mm", **assets}
 
 
-def body_asset(positions_mm: FloatArray, rotations: Rotation | None = None) -> dict[str, list[float]]:
+def body_asset(
+    positions_mm: FloatArray, rotations: Rotation | None = None
+) -> dict[str, list[float]]:
     """A rigid body: positions [mm], shape [frame_count, 3], and orientations, upright where none are given."""
     rotations = rotations or Rotation.identity(len(positions_mm))
     columns = [*zip("xyz", np.asarray(positions_mm).T, strict=True)]
     columns += zip(("qx", "qy", "qz", "qw"), rotations.as_quat().T, strict=True)
-    columns += zip(("ex", "ey", "ez"), rotations.as_rotvec(degrees=True).T, strict=True)  # never read
+    columns += zip(
+        ("ex", "ey", "ez"), rotations.as_rotvec(degrees=True).T, strict=True
+    )  # never read
     return {key: values.tolist() for key, values in columns}
 
 
-def marker_asset(positions_mm: FloatArray, ids: Sequence[int]) -> dict[str, dict[str, list[float]]]:
+def marker_asset(
+    positions_mm: FloatArray, ids: Sequence[int]
+) -> dict[str, dict[str, list[float]]]:
     """A marker set: positions [mm], shape [frame_count, marker_count, 3]."""
     return {
-        str(marker): {axis: positions_mm[:, number, k].tolist() for k, axis in enumerate("xyz")}
+        str(marker): {
+            axis: positions_mm[:, number, k].tolist() for k, axis in enumerate("xyz")
+        }
         for number, marker in enumerate(ids)
     }
 
@@ -109,7 +121,9 @@ class Synthetic:
     coordinates: dict[str, FloatArray]
 
 
-def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_after: int = FRAMES_AFTER) -> Synthetic:
+def synthetic_trials(
+    name: str, amounts: Sequence[float] = AMOUNTS, *, frames_after: int = FRAMES_AFTER
+) -> Synthetic:
     """Trials that differ by a constant.
 
     Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
@@ -128,18 +142,23 @@ def synthetic_trials(name: str, amounts: Sequence[float] = AMOUNTS, *, frames_af
             positions[experiment.frame_count :] = 1e4
             assets[body] = body_asset(positions)
         if scene.markers is not None:
-            positions = np.repeat(scaled_markers(experiment, amount)[None], count, axis=0)
-            positions[experiment.frame_count :] = 1e4
-            ids = 5 + 3 * np.arange(positions.shape[1])  # from one digit to three: as text, 11 comes before 5
-            order = np.argsort(ids.astype(str))
-            assets["markers" if len(scene.markers.bodies) > 1 else scene.markers.bodies[0]] = marker_asset(
-                positions[:, order], ids[order].tolist()
+            positions = np.repeat(
+                scaled_markers(experiment, amount)[None], count, axis=0
             )
+            positions[experiment.frame_count :] = 1e4
+            ids = 5 + 3 * np.arange(
+                positions.shape[1]
+            )  # from one digit to three: as text, 11 comes before 5
+            order = np.argsort(ids.astype(str))
+            assets[
+                "markers" if len(scene.markers.bodies) > 1 else scene.markers.bodies[0]
+            ] = marker_asset(positions[:, order], ids[order].tolist())
         for driver in scene.drivers:
             assets[driver.body] = driven_asset(experiment, driver.body, count)
         contents.append(trial_content(assets))
     coordinates = {
-        driver.body: driver_coordinates(len(driver.motions), experiment.frame_count) for driver in scene.drivers
+        driver.body: driver_coordinates(len(driver.motions), experiment.frame_count)
+        for driver in scene.drivers
     }
     return Synthetic(experiment, contents, coordinates)
 
@@ -156,13 +175,17 @@ def driver_coordinates(motion_count: int, frame_count: int) -> FloatArray:
     return 1e-3 * np.arange(frame_count)[:, None] * np.arange(1, motion_count + 1)
 
 
-def driven_asset(experiment: Experiment, body: str, count: int) -> dict[str, list[float]]:
+def driven_asset(
+    experiment: Experiment, body: str, count: int
+) -> dict[str, list[float]]:
     """A driven body on its way, by composing its driver's motions in order."""
     driver = next(driver for driver in experiment.scene.drivers if driver.body == body)
     start = experiment.scene.body(body).pose
     positions = np.repeat(np.asarray(start.position_m)[None], count, axis=0)
     rotations = Rotation.concatenate([start.rotation] * count)
-    for motion, values in zip(driver.motions, driver_coordinates(len(driver.motions), count).T, strict=True):
+    for motion, values in zip(
+        driver.motions, driver_coordinates(len(driver.motions), count).T, strict=True
+    ):
         axis = np.asarray(motion.axis)
         if motion.kind == "translate":
             positions = positions + values[:, None] * axis
@@ -173,7 +196,9 @@ def driven_asset(experiment: Experiment, body: str, count: int) -> dict[str, lis
     return body_asset(1e3 * positions, rotations)
 
 
-def write_synthetic(root: Path, name: str, amounts: Sequence[float] = AMOUNTS) -> Synthetic:
+def write_synthetic(
+    root: Path, name: str, amounts: Sequence[float] = AMOUNTS
+) -> Synthetic:
     """Write the synthetic trials of a variant."""
     synthetic = synthetic_trials(name, amounts)
     for number, content in enumerate(synthetic.contents, start=1):

@@ -138,7 +138,12 @@ def start() -> tuple[subprocess.Popen[bytes], str]:
         [sys.executable, "-u", "-P", "-c", SERVER, str(listener.fileno())],
         stdin=subprocess.PIPE,
         pass_fds=[listener.fileno()],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"},
+        env={
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "OMP_NUM_THREADS": "1",
+            "PXR_WORK_THREAD_LIMIT": "1",
+        },
     )
     listener.close()
     return server, address
@@ -150,7 +155,9 @@ def stop() -> None:
         start()[0].communicate()
 
 
-def _forked(command: Sequence[str], streams: Sequence[int], env: Mapping[str, str] | None) -> Fork:
+def _forked(
+    command: Sequence[str], streams: Sequence[int], env: Mapping[str, str] | None
+) -> Fork:
     python, *options = command
     code = options.index("-c")
     assert python == sys.executable and set(options[:code]) <= {"-u", "-P"}, command
@@ -169,7 +176,14 @@ def _forked(command: Sequence[str], streams: Sequence[int], env: Mapping[str, st
         return Fork(client)
 
 
-def popen(command: Sequence[str], *, stdin: int, stdout: int, env: Mapping[str, str], start_new_session: bool) -> Fork:
+def popen(
+    command: Sequence[str],
+    *,
+    stdin: int,
+    stdout: int,
+    env: Mapping[str, str],
+    start_new_session: bool,
+) -> Fork:
     """Start a child with pipes to its standard input and from its standard output."""
     assert stdin == stdout == subprocess.PIPE and start_new_session
     (reads, writes), (reads_back, writes_back) = os.pipe(), os.pipe()
@@ -181,11 +195,21 @@ def popen(command: Sequence[str], *, stdin: int, stdout: int, env: Mapping[str, 
 
 
 def run(
-    command: Sequence[str], *, input: bytes, capture_output: bool, timeout: float, env: Mapping[str, str], check: bool
+    command: Sequence[str],
+    *,
+    input: bytes,
+    capture_output: bool,
+    timeout: float,
+    env: Mapping[str, str],
+    check: bool,
 ) -> subprocess.CompletedProcess[bytes]:
     """Run a child to its end, and return its output."""
     assert capture_output and not check
-    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as output, tempfile.TemporaryFile() as errors:
+    with (
+        tempfile.TemporaryFile() as given,
+        tempfile.TemporaryFile() as output,
+        tempfile.TemporaryFile() as errors,
+    ):
         given.write(input)
         given.seek(0)
         fork = _forked(command, (given.fileno(), output.fileno(), errors.fileno()), env)

@@ -81,9 +81,20 @@ def run_forks(
     outputs = folder / "outputs"
     outputs.mkdir()
     done = subprocess.run(
-        [sys.executable, "-c", DRIVER, json.dumps([asdict(case) for case in cases.values()]), str(outputs)],
+        [
+            sys.executable,
+            "-c",
+            DRIVER,
+            json.dumps([asdict(case) for case in cases.values()]),
+            str(outputs),
+        ],
         cwd=folder,
-        env={**environment, "PYTHONPATH": os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parent)])},
+        env={
+            **environment,
+            "PYTHONPATH": os.pathsep.join(
+                [environment["PYTHONPATH"], str(Path(__file__).parent)]
+            ),
+        },
         capture_output=True,
         text=True,
         check=True,
@@ -95,6 +106,10 @@ def run_forks(
         return file.read_text(encoding="utf-8") if file.exists() else ""
 
     return {
-        name: subprocess.CompletedProcess(case.arguments, code, text(number, "stdout"), text(number, "stderr"))
-        for number, ((name, case), code) in enumerate(zip(cases.items(), codes, strict=True))
+        name: subprocess.CompletedProcess(
+            case.arguments, code, text(number, "stdout"), text(number, "stderr")
+        )
+        for number, ((name, case), code) in enumerate(
+            zip(cases.items(), codes, strict=True)
+        )
     }

@@ -10,7 +10,9 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 
-def element_stiffness(size_m: NDArray[np.float64], young_pa: float, poisson: float) -> NDArray[np.float64]:
+def element_stiffness(
+    size_m: NDArray[np.float64], young_pa: float, poisson: float
+) -> NDArray[np.float64]:
     """Stiffness of one box element with two Gauss points a direction, shape [24, 24]."""
     shear = young_pa / (2.0 * (1.0 + poisson))
     law = np.zeros((6, 6))
@@ -23,31 +25,57 @@ def element_stiffness(size_m: NDArray[np.float64], young_pa: float, poisson: flo
         factors = 1.0 + corners * np.array(point) / np.sqrt(3.0)
         strain = np.zeros((6, 24))
         for index, (corner, factor) in enumerate(zip(corners, factors, strict=True)):
-            x, y, z = corner * factor[[1, 0, 0]] * factor[[2, 2, 1]] / 8.0 * 2.0 / size_m
-            strain[:, 3 * index : 3 * index + 3] = [[x, 0, 0], [0, y, 0], [0, 0, z], [y, x, 0], [0, z, y], [z, 0, x]]
+            x, y, z = (
+                corner * factor[[1, 0, 0]] * factor[[2, 2, 1]] / 8.0 * 2.0 / size_m
+            )
+            strain[:, 3 * index : 3 * index + 3] = [
+                [x, 0, 0],
+                [0, y, 0],
+                [0, 0, z],
+                [y, x, 0],
+                [0, z, y],
+                [z, 0, x],
+            ]
         stiffness += strain.T @ law @ strain * np.prod(size_m) / 8.0
     return stiffness
 
 
 def end_force(
-    cells: tuple[int, int], *, edge_m: float, length_m: float, young_pa: float, poisson: float, axis: int
+    cells: tuple[int, int],
+    *,
+    edge_m: float,
+    length_m: float,
+    young_pa: float,
+    poisson: float,
+    axis: int,
 ) -> float:
     """Force per displacement [N/m] of one clamped end of a bar along z that is moved along an axis, the other held."""
     across, along = cells
     size = np.array([edge_m / across, edge_m / across, length_m / along])
-    numbers = np.arange((across + 1) ** 2 * (along + 1)).reshape(across + 1, across + 1, along + 1)
+    numbers = np.arange((across + 1) ** 2 * (along + 1)).reshape(
+        across + 1, across + 1, along + 1
+    )
     i, j, k = np.meshgrid(range(across), range(across), range(along), indexing="ij")
-    nodes = np.stack([numbers[i + a, j + b, k + c].ravel() for a, b, c in product((0, 1), repeat=3)], axis=1)
+    nodes = np.stack(
+        [numbers[i + a, j + b, k + c].ravel() for a, b, c in product((0, 1), repeat=3)],
+        axis=1,
+    )
     dofs = (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 24)
     values = np.tile(element_stiffness(size, young_pa, poisson).ravel(), len(nodes))
-    matrix = csr_matrix((values, (np.repeat(dofs, 24, axis=1).ravel(), np.tile(dofs, (1, 24)).ravel())))
-    low, high = (3 * numbers[:, :, end].reshape(-1, 1) + np.arange(3) for end in (0, -1))
+    matrix = csr_matrix(
+        (values, (np.repeat(dofs, 24, axis=1).ravel(), np.tile(dofs, (1, 24)).ravel()))
+    )
+    low, high = (
+        3 * numbers[:, :, end].reshape(-1, 1) + np.arange(3) for end in (0, -1)
+    )
     moved = np.zeros(matrix.shape[0])
     moved[high[:, axis]] = 1.0
     held = np.concatenate([low.ravel(), high.ravel()])
     free = np.setdiff1d(np.arange(len(moved)), held)
     inner = matrix[free][:, free]
-    moved[free], failed = cg(inner, -(matrix[free] @ moved), rtol=1e-8, M=diags(1.0 / inner.diagonal()))
+    moved[free], failed = cg(
+        inner, -(matrix[free] @ moved), rtol=1e-8, M=diags(1.0 / inner.diagonal())
+    )
     assert not failed
     return float((matrix @ moved)[high[:, axis]].sum())
 

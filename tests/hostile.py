@@ -174,6 +174,10 @@ def install(folder: Path, *names: str) -> None:
     (folder / "hostile_engines.py").write_text(SOURCE)
     info = folder / "hostile_engines-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile-engines\nVersion: 1.0\n")
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: hostile-engines\nVersion: 1.0\n"
+    )
     lines = [f"{name} = hostile_engines:{BACKENDS[name]}" for name in names]
-    (info / "entry_points.txt").write_text("\n".join(["[gauge_envs.backends]", *lines, ""]))
+    (info / "entry_points.txt").write_text(
+        "\n".join(["[gauge_envs.backends]", *lines, ""])
+    )

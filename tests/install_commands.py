@@ -44,7 +44,9 @@ class Table:
         content: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
         return cls(
             pages=tuple(content["pages"]),
-            environments={name: tuple(extras) for name, extras in content["environments"].items()},
+            environments={
+                name: tuple(extras) for name, extras in content["environments"].items()
+            },
             page_environments=content["page_environments"],
             page_folders=content["page_folders"],
             scripts=content["scripts"],
@@ -53,7 +55,11 @@ class Table:
 
     def rule(self, page: str, text: str) -> Mapping[str, str] | None:
         """Find the first rule that matches a command."""
-        fitting = (one for one in self.rules if one.get("page", page) == page and fnmatchcase(text, one["command"]))
+        fitting = (
+            one
+            for one in self.rules
+            if one.get("page", page) == page and fnmatchcase(text, one["command"])
+        )
         return next(fitting, None)
 
     def command(self, page: str, text: str) -> Command:
@@ -66,11 +72,25 @@ class Table:
         """Every command of every page in a checkout, in the order of the pages, and the scripts last."""
         # A build of the site leaves copies of the notes of studies.
         files = sorted(
-            {file for pattern in self.pages for file in root.glob(pattern)} - set(root.glob("docs/studies/*"))
+            {file for pattern in self.pages for file in root.glob(pattern)}
+            - set(root.glob("docs/studies/*"))
         )
-        pages = [(file.relative_to(root).as_posix(), file.read_text(encoding="utf-8")) for file in files]
-        found = [self.command(page, text) for page, content in pages for text in shell_commands(content)]
-        return (*found, *(Command("scripts", text, environment) for text, environment in self.scripts.items()))
+        pages = [
+            (file.relative_to(root).as_posix(), file.read_text(encoding="utf-8"))
+            for file in files
+        ]
+        found = [
+            self.command(page, text)
+            for page, content in pages
+            for text in shell_commands(content)
+        ]
+        return (
+            *found,
+            *(
+                Command("scripts", text, environment)
+                for text, environment in self.scripts.items()
+            ),
+        )
 
 
 def shell_commands(markdown: str) -> Iterator[str]:

@@ -49,11 +49,17 @@ class StubIsaacSim:
             def close(self) -> None:
                 stub.log.append("close")
 
-        modules = {name: ModuleType(name) for name in ("isaacsim", "carb", "omni", "omni.usd", "omni.physx")}
+        modules = {
+            name: ModuleType(name)
+            for name in ("isaacsim", "carb", "omni", "omni.usd", "omni.physx")
+        }
         modules["isaacsim"].SimulationApp = SimulationApp
         modules["carb"].settings = ModuleType("carb.settings")
         modules["carb"].settings.get_settings = lambda: self
-        modules["omni"].usd, modules["omni"].physx = modules["omni.usd"], modules["omni.physx"]
+        modules["omni"].usd, modules["omni"].physx = (
+            modules["omni.usd"],
+            modules["omni.physx"],
+        )
         modules["omni.usd"].get_context = lambda: self
         modules["omni.physx"].get_physx_simulation_interface = lambda: self
         for name, module in modules.items():
@@ -94,7 +100,9 @@ class StubIsaacSim:
         for prim in self.get_stage().Traverse():
             if prim.GetAttribute("physics:kinematicEnabled").Get():
                 # A kinematic target is the pose at the default time; time samples would hide it.
-                matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(Usd.TimeCode(1e6))
+                matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(
+                    Usd.TimeCode(1e6)
+                )
                 self.placed.setdefault(str(prim.GetPath()), []).append(matrix)
 
     def fetch_results(self) -> None:

@@ -5,5 +5,6 @@ from ctypes.util import find_library
 import pytest
 
 needs_opengl = pytest.mark.skipif(
-    not (find_library("EGL") or find_library("OSMesa")), reason="no OpenGL library: the error is tested instead"
+    not (find_library("EGL") or find_library("OSMesa")),
+    reason="no OpenGL library: the error is tested instead",
 )

@@ -21,7 +21,9 @@ from gauge_envs.tools.sweep.folder import earlier_episodes
 from gauge_envs.tools.sweep.plan import SweepPlan, remaining_tasks
 from gauge_envs.tools.sweep.run import run_sweep
 
-needs_rapier = pytest.mark.skipif(find_spec("rapier3d") is None, reason="extra 'rapier' is absent")
+needs_rapier = pytest.mark.skipif(
+    find_spec("rapier3d") is None, reason="extra 'rapier' is absent"
+)
 """For tests of an engine whose repeats share worlds, or that declines deformable bodies."""
 
 

@@ -20,7 +20,15 @@ CORE_INSTRUMENTS = {"catalog", "run"}
 
 CORE_BACKENDS = {"mujoco", "shared"}
 
-GUEST_PACKAGES = ("imageio", "matplotlib", "newton", "packaging", "pxr", "sapien", "yaml")
+GUEST_PACKAGES = (
+    "imageio",
+    "matplotlib",
+    "newton",
+    "packaging",
+    "pxr",
+    "sapien",
+    "yaml",
+)
 """Packages that the core does without."""
 
 BLOCKER = f"""
@@ -49,7 +57,12 @@ for name in sys.argv[1:]:
     print(name)
 """
 
-ONE_OF_EACH_GROUP = ("SlopeSlider-2-wood", "RopeWinding-rubber", "TextileBending-satin", "CantileverBeam-hard")
+ONE_OF_EACH_GROUP = (
+    "SlopeSlider-2-wood",
+    "RopeWinding-rubber",
+    "TextileBending-satin",
+    "CantileverBeam-hard",
+)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +70,9 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the core of the package, its data, and a start file that hides the packages of guests."""
     folder = tmp_path_factory.mktemp("core")
     package = folder / "gauge_envs"
-    shutil.copytree(ROOT / "gauge_envs", package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "gauge_envs", package, ignore=shutil.ignore_patterns("__pycache__")
+    )
     shutil.copy(ROOT / "gauge_command.py", folder)
     for name in ("assets", "scoring", "tasks"):
         (folder / name).symlink_to(ROOT / name)
@@ -74,7 +89,12 @@ def python(core: Path, *arguments: str) -> str:
     """What a program that sees only the core prints."""
     environment = {**os.environ, "PYTHONPATH": str(core)}
     done = subprocess.run(
-        [sys.executable, *arguments], cwd=core, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, *arguments],
+        cwd=core,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -89,7 +109,11 @@ def test_the_copy_is_used_and_guests_are_absent(core: Path) -> None:
     shown = python(core, "-c", "import gauge_envs; print(gauge_envs.__file__)")
     assert Path(shown.strip()).is_relative_to(core)
     for package in GUEST_PACKAGES:
-        python(core, "-c", f"try:\n import {package}\nexcept ImportError:\n pass\nelse:\n raise SystemExit(1)")
+        python(
+            core,
+            "-c",
+            f"try:\n import {package}\nexcept ImportError:\n pass\nelse:\n raise SystemExit(1)",
+        )
 
 
 def test_the_core_lists_all_ids_on_its_engine(core: Path) -> None:
@@ -99,7 +123,9 @@ def test_the_core_lists_all_ids_on_its_engine(core: Path) -> None:
 
 
 def test_the_core_shows_an_experiment(core: Path) -> None:
-    (shown,) = map(json.loads, gauge(core, "show", "SlopeSlider-2-wood", "--json").splitlines())
+    (shown,) = map(
+        json.loads, gauge(core, "show", "SlopeSlider-2-wood", "--json").splitlines()
+    )
     assert [row["engine"] for row in shown["engines"]] == ["mujoco"]
 
 
@@ -114,16 +140,24 @@ def scored(text: str) -> list[dict[str, Any]]:
     return [{key: row[key] for key in ("id", "outcome", "score")} for row in rows]
 
 
-def test_the_core_runs_and_scores_as_the_whole_package(core: Path, tmp_path: Path) -> None:
+def test_the_core_runs_and_scores_as_the_whole_package(
+    core: Path, tmp_path: Path
+) -> None:
     command = ("run", "SlopeSlider-2-*", "BouncingBall-rubber", "--json", "--out")
-    assert scored(gauge(core, *command, str(tmp_path / "core"))) == scored(gauge(ROOT, *command, str(tmp_path / "all")))
+    assert scored(gauge(core, *command, str(tmp_path / "core"))) == scored(
+        gauge(ROOT, *command, str(tmp_path / "all"))
+    )
 
 
 @pytest.mark.parametrize(
     "names",
     [
         pytest.param(ONE_OF_EACH_GROUP, id="groups"),
-        pytest.param(tuple(variant.name for variant in variants()), id="all", marks=pytest.mark.slow),
+        pytest.param(
+            tuple(variant.name for variant in variants()),
+            id="all",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_the_core_builds_and_steps(core: Path, names: tuple[str, ...]) -> None:

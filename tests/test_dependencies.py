@@ -15,7 +15,9 @@ from packaging.requirements import Requirement
 from places import ROOT
 
 PACKAGE = ROOT / "gauge_envs"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+    "project"
+]
 
 DISTRIBUTION = {
     "cv2": "opencv-python-headless",
@@ -73,7 +75,11 @@ def imported(text: str) -> tuple[set[str], set[str]]:
     waiting: list[tuple[ast.AST, bool]] = [(ast.parse(text), False)]
     while waiting:
         node, is_later = waiting.pop()
-        is_later = is_later or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda) or _for_types(node)
+        is_later = (
+            is_later
+            or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            or _for_types(node)
+        )
         waiting += [(inner, is_later) for inner in ast.iter_child_nodes(node)]
         if isinstance(node, ast.Import):
             tops = {alias.name.partition(".")[0] for alias in node.names}
@@ -81,7 +87,10 @@ def imported(text: str) -> tuple[set[str], set[str]]:
             tops = {str(node.module).partition(".")[0]}
         else:
             continue
-        names = {canonical(DISTRIBUTION.get(top, top)) for top in tops - sys.stdlib_module_names - {"gauge_envs"}}
+        names = {
+            canonical(DISTRIBUTION.get(top, top))
+            for top in tops - sys.stdlib_module_names - {"gauge_envs"}
+        }
         everything |= names
         at_once |= set() if is_later else names
     return everything, at_once
@@ -102,7 +111,9 @@ def files() -> Files:
 
 def test_every_import_is_of_a_declared_dependency(files: Files) -> None:
     allowed = BASE.union(*EXTRAS.values())
-    assert {file: names - allowed for file, (names, _) in files.items() if names - allowed} == {}
+    assert {
+        file: names - allowed for file, (names, _) in files.items() if names - allowed
+    } == {}
 
 
 def test_every_declared_dependency_is_imported_or_has_a_reason(files: Files) -> None:
@@ -112,7 +123,9 @@ def test_every_declared_dependency_is_imported_or_has_a_reason(files: Files) -> 
 
 def test_extras_are_imported_at_first_use(files: Files) -> None:
     extras = set().union(*EXTRAS.values()) - BASE
-    at_once = {file: names & extras for file, (_, names) in files.items() if names & extras}
+    at_once = {
+        file: names & extras for file, (_, names) in files.items() if names & extras
+    }
     own = (
         "backends/drake/",
         "backends/genesis/",
@@ -126,7 +139,9 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         "tools/diagnose/",
         "tools/transfer/",
     )
-    assert {file: names for file, names in at_once.items() if not file.startswith(own)} == {}
+    assert {
+        file: names for file, names in at_once.items() if not file.startswith(own)
+    } == {}
 
 
 @pytest.mark.parametrize(
@@ -135,27 +150,40 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         ("import left_pad", {"left-pad"}, {"left-pad"}),
         ("from left_pad.inner import pad", {"left-pad"}, {"left-pad"}),
         ("def later():\n    import pxr", {"usd-core"}, set()),
-        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pxr", {"usd-core"}, set()),
+        (
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import pxr",
+            {"usd-core"},
+            set(),
+        ),
         ("import math\nimport gauge_envs.scene", set(), set()),
     ],
     ids=["module", "name", "function", "types", "own"],
 )
-def test_the_scan_finds_imports_wherever_they_are(text: str, everything: set[str], at_once: set[str]) -> None:
+def test_the_scan_finds_imports_wherever_they_are(
+    text: str, everything: set[str], at_once: set[str]
+) -> None:
     assert imported(text) == (everything, at_once)
 
 
 def test_every_requirement_has_a_lower_bound() -> None:
-    extras = [one for requirements in PROJECT["optional-dependencies"].values() for one in requirements]
+    extras = [
+        one
+        for requirements in PROJECT["optional-dependencies"].values()
+        for one in requirements
+    ]
     requirements = [Requirement(one) for one in (*PROJECT["dependencies"], *extras)]
     without = [
         str(one)
         for one in requirements
-        if one.name != PROJECT["name"] and not any(bound.operator == ">=" for bound in one.specifier)
+        if one.name != PROJECT["name"]
+        and not any(bound.operator == ">=" for bound in one.specifier)
     ]
     assert without == []
 
 
-def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed() -> None:
+def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed() -> (
+    None
+):
     found = newest()
     assert list(found) == sorted(found)
     extras = sorted(PROJECT["optional-dependencies"].keys() - INSTALLED_LATER)
@@ -171,11 +199,18 @@ def test_constraints_are_the_lower_bounds(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     assert constraints(file) == ["mujoco==4.0", "numpy==1.26"]
-    assert constraints(file, ["plot"]) == ["dm-env==1.6", "matplotlib==3.8", "mujoco==4.0", "numpy==1.26"]
+    assert constraints(file, ["plot"]) == [
+        "dm-env==1.6",
+        "matplotlib==3.8",
+        "mujoco==4.0",
+        "numpy==1.26",
+    ]
 
 
 def test_a_requirement_without_a_lower_bound_is_named(tmp_path: Path) -> None:
     file = tmp_path / "pyproject.toml"
-    file.write_text('[project]\nname = "mine"\ndependencies = ["numpy<3"]\n', encoding="utf-8")
+    file.write_text(
+        '[project]\nname = "mine"\ndependencies = ["numpy<3"]\n', encoding="utf-8"
+    )
     with pytest.raises(ValueError, match=r"'numpy<3' has no lower bound"):
         constraints(file)

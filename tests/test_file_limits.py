@@ -17,11 +17,24 @@ import pytest
 from pxr import Sdf, Usd
 
 from gauge_envs import files, load_experiment
-from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFileError, TrajectoryFileError
+from gauge_envs.errors import (
+    AssetError,
+    GaugeError,
+    ReferenceFileError,
+    TaskFileError,
+    TrajectoryFileError,
+)
 from gauge_envs.evaluation import trajectory_file
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
-from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
+from gauge_envs.files import (
+    MEGABYTE,
+    json_document,
+    npz_arrays,
+    read_regular,
+    toml_document,
+    write_whole,
+)
 from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
@@ -51,7 +64,10 @@ def folder(file: Path) -> None:
     file.mkdir()
 
 
-SPECIAL = {"it is not a regular file": (fifo, device, folder), "1e+06 MB, the limit is": (sparse,)}
+SPECIAL = {
+    "it is not a regular file": (fifo, device, folder),
+    "1e+06 MB, the limit is": (sparse,),
+}
 
 READERS: dict[str, Callable[[Path], object]] = {
     "result.json": load_result,
@@ -71,7 +87,10 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.parametrize(("reason", "make"), [(reason, make) for reason, made in SPECIAL.items() for make in made])
+@pytest.mark.parametrize(
+    ("reason", "make"),
+    [(reason, make) for reason, made in SPECIAL.items() for make in made],
+)
 def test_only_regular_files_of_limited_size_are_read(
     name: str, reason: str, make: Callable[[Path], None], tmp_path: Path
 ) -> None:
@@ -122,7 +141,9 @@ def places(tmp_path: Path) -> SimpleNamespace:
     inside.mkdir()
     secret = tmp_path / "secret.usda"
     secret.write_text(f"#usda 1.0\n{SECRET}\n")
-    layer = (Path(source.__file__).parents[3] / "assets" / "usd" / f"{NAME}.usda").read_text(encoding="utf-8")
+    layer = (
+        Path(source.__file__).parents[3] / "assets" / "usd" / f"{NAME}.usda"
+    ).read_text(encoding="utf-8")
     (inside / "scene.usda").write_text(layer, encoding="utf-8")
     (inside / "link.usda").symlink_to(secret)
     return SimpleNamespace(inside=inside, secret=secret)
@@ -130,12 +151,16 @@ def places(tmp_path: Path) -> SimpleNamespace:
 
 @pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "link.usda"])
 @pytest.mark.parametrize("key", ["usd", "band.file"])
-def test_an_experiment_file_names_no_file_outside_its_folder(key: str, name: str, places: SimpleNamespace) -> None:
+def test_an_experiment_file_names_no_file_outside_its_folder(
+    key: str, name: str, places: SimpleNamespace
+) -> None:
     name = name.format(secret=places.secret)
     file = places.inside / "own.toml"
     usd, band = (name, "") if key == "usd" else ("scene.usda", BAND.format(file=name))
     file.write_text(OWN.format(usd=usd, band=band))
-    with pytest.raises(TaskFileError, match=r"is outside the folder of own\.toml: move it there") as caught:
+    with pytest.raises(
+        TaskFileError, match=r"is outside the folder of own\.toml: move it there"
+    ) as caught:
         load_experiment_file(file)
     assert key in str(caught.value) and SECRET not in str(caught.value)
 
@@ -157,9 +182,13 @@ def test_a_link_to_an_experiment_file_finds_its_layer(places: SimpleNamespace) -
     assert load_experiment_file(whole / "own.toml").frame_count == 19
 
 
-@pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "./link.usda", "file:///etc/passwd"])
+@pytest.mark.parametrize(
+    "name", ["../secret.usda", "{secret}", "./link.usda", "file:///etc/passwd"]
+)
 @pytest.mark.parametrize("kind", COMPOSED)
-def test_a_layer_refers_to_no_file_outside_its_folder(kind: str, name: str, places: SimpleNamespace) -> None:
+def test_a_layer_refers_to_no_file_outside_its_folder(
+    kind: str, name: str, places: SimpleNamespace
+) -> None:
     name = name.format(secret=places.secret)
     file = places.inside / "own.usda"
     file.write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
@@ -174,16 +203,24 @@ def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(
 ) -> None:
     (places.inside / "parts").mkdir()
     (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
-    (places.inside / "parts" / "part.usda").write_text("#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n")
+    (places.inside / "parts" / "part.usda").write_text(
+        "#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n"
+    )
     file = places.inside / "own.usda"
-    file.write_text('#usda 1.0\n(\n  metersPerUnit = 1\n  upAxis = "Z"\n  subLayers = [@./parts/part.usda@]\n)\n')
-    with pytest.raises(AssetError, match=r"it refers to '../../scene\.usda', outside its folder"):
+    file.write_text(
+        '#usda 1.0\n(\n  metersPerUnit = 1\n  upAxis = "Z"\n  subLayers = [@./parts/part.usda@]\n)\n'
+    )
+    with pytest.raises(
+        AssetError, match=r"it refers to '../../scene\.usda', outside its folder"
+    ):
         from_usd(file, duration_s=1.0)
     monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
     assert from_usd(file, duration_s=1.0).bodies
 
 
-def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_grows_while_it_is_read_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "a"
     file.write_bytes(b"1234567")
     monkeypatch.setattr("gauge_envs.files._check_regular", lambda *_: None)
@@ -257,7 +294,9 @@ def npy(values: np.ndarray) -> bytes:
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_arrays_are_those_of_numpy(dtype: str, order: str) -> None:
     values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype, order=order)
-    (found,) = npz_arrays(npz(a=npy(values), b=b"damaged"), ["a", "gone"], MEGABYTE).values()
+    (found,) = npz_arrays(
+        npz(a=npy(values), b=b"damaged"), ["a", "gone"], MEGABYTE
+    ).values()
     np.testing.assert_array_equal(found, values)
     assert found.dtype == values.dtype
 
@@ -268,24 +307,35 @@ def test_an_array_that_is_not_used_is_not_read() -> None:
     npz_arrays(content, ["a"], MEGABYTE)
     assert tracemalloc.get_traced_memory()[1] < 5 * MEGABYTE
     tracemalloc.stop()
-    with pytest.raises(ValueError, match="bomb: it has 40000128 bytes, the limit of all arrays is 1000000"):
+    with pytest.raises(
+        ValueError,
+        match="bomb: it has 40000128 bytes, the limit of all arrays is 1000000",
+    ):
         npz_arrays(content, ["a", "bomb"], MEGABYTE)
 
 
 def test_a_header_that_states_more_than_the_file_holds_is_refused() -> None:
     header = npy(np.ones((1, 1))).replace(b"(1, 1)", b"(9**9,)")
-    for content in (header, npy(np.ones((2, 2))).replace(b"(2, 2)", b"(9, 9)"), npy(np.array([{}], dtype=object))):
+    for content in (
+        header,
+        npy(np.ones((2, 2))).replace(b"(2, 2)", b"(9, 9)"),
+        npy(np.array([{}], dtype=object)),
+    ):
         with pytest.raises(ValueError, match=r".+"):
             npz_arrays(npz(a=content), ["a"], MEGABYTE)
 
 
-def test_a_trajectory_in_a_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_trajectory_in_a_bomb_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert trajectory_file.MOST_ARRAY_BYTES < 300 * MEGABYTE
     monkeypatch.setattr(trajectory_file, "MOST_ARRAY_BYTES", 30 * MEGABYTE)
     file = tmp_path / "g.npz"
     file.write_bytes(npz(g=npy(np.zeros((4_000_000, 1)))))
     assert len(file.read_bytes()) < MEGABYTE
-    with pytest.raises(TrajectoryFileError, match="g: it has 32000128 bytes, the limit"):
+    with pytest.raises(
+        TrajectoryFileError, match="g: it has 32000128 bytes, the limit"
+    ):
         read_trajectory(file, load_experiment(NAME))
 
 
@@ -305,27 +355,40 @@ def exponential(levels: int) -> str:
     """A layer in which each class refers ten times to the one before it."""
     layers = ['class "L0" { double a = 1 }']
     for level in range(1, levels):
-        children = "\n".join(f'def "c{k}" (inherits = </L{level - 1}>) {{}}' for k in range(10))
+        children = "\n".join(
+            f'def "c{k}" (inherits = </L{level - 1}>) {{}}' for k in range(10)
+        )
         layers.append(f'class "L{level}" {{\n{children}\n}}')
-    return HEADER + "\n".join(layers) + f'\ndef "World" (inherits = </L{levels - 1}>) {{}}\n'
+    return (
+        HEADER
+        + "\n".join(layers)
+        + f'\ndef "World" (inherits = </L{levels - 1}>) {{}}\n'
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        (HEADER + "\n".join(f'def "p{n}" {{}}' for n in range(30_000)), "more than 20000 prims"),
+        (
+            HEADER + "\n".join(f'def "p{n}" {{}}' for n in range(30_000)),
+            "more than 20000 prims",
+        ),
         (exponential(9), "prims|memory|processor time"),
     ],
     ids=["many prims", "exponential"],
 )
-def test_a_layer_of_too_many_prims_is_refused(text: str, reason: str, tmp_path: Path) -> None:
+def test_a_layer_of_too_many_prims_is_refused(
+    text: str, reason: str, tmp_path: Path
+) -> None:
     file = tmp_path / "bomb.usda"
     file.write_text(text)
     with pytest.raises(AssetError, match=reason):
         from_usd(file, duration_s=1.0)
 
 
-def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_the_child_cannot_read_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A damaged layer took 4 GB before USD found the damage; the child stops at its limit."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(HEADER + 'def "World" {}\n')
@@ -337,9 +400,14 @@ def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeyp
         from_usd(file)
 
 
-def test_a_binary_layer_with_an_endless_array_is_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_binary_layer_with_an_endless_array_is_not_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.ImportFromString(HEADER + f'def "World" {{\n    custom int[] a = {[7 * n * n for n in range(20)]}\n}}\n')
+    layer.ImportFromString(
+        HEADER
+        + f'def "World" {{\n    custom int[] a = {[7 * n * n for n in range(20)]}\n}}\n'
+    )
     file = tmp_path / "bomb.usdc"
     layer.Export(str(file))
     count, endless = struct.pack("<Q", 20), struct.pack("<Q", 2**31)
@@ -355,7 +423,10 @@ def test_a_binary_layer_with_an_endless_array_is_not_opened(tmp_path: Path, monk
 @pytest.mark.parametrize(
     ("body", "reason"),
     [
-        ('<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "memory|too large|MuJoCo"),
+        (
+            '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
+            "memory|too large|MuJoCo",
+        ),
         (
             '<worldbody><replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate></worldbody>',
             "memory|processor time",

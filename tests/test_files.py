@@ -15,7 +15,9 @@ from gauge_envs.errors import first_fault
 from gauge_envs.files import MEGABYTE, csv_text, limited_memory, write_whole
 
 
-def test_a_failed_write_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_write_leaves_the_old_content(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "a.json"
     write_whole(file, b"old")
 
@@ -75,13 +77,18 @@ class Drawing(BaseModel):
         (3, "", " (given: 3)"),
     ],
 )
-def test_the_first_fault_has_a_place_and_a_reason(values: object, place: str, reason: str) -> None:
+def test_the_first_fault_has_a_place_and_a_reason(
+    values: object, place: str, reason: str
+) -> None:
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate(values)
     found_place, found_reason = first_fault(caught.value)
     # The words before the value are pydantic's.
     assert found_place == place
-    assert (found_reason.endswith(reason) and found_reason != reason) or reason in ("missing key", "unknown key")
+    assert (found_reason.endswith(reason) and found_reason != reason) or reason in (
+        "missing key",
+        "unknown key",
+    )
 
 
 def test_the_noun_of_a_field_can_be_chosen() -> None:
@@ -100,7 +107,10 @@ def test_the_noun_of_a_field_can_be_chosen() -> None:
     ],
 )
 def test_csv_of_a_spreadsheet_is_read(content: bytes) -> None:
-    assert [row for row in csv.reader(csv_text(content)) if row[0][0] != "#"] == [["frame", "mean.x"], ["0", "1.5"]]
+    assert [row for row in csv.reader(csv_text(content)) if row[0][0] != "#"] == [
+        ["frame", "mean.x"],
+        ["0", "1.5"],
+    ]
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="needs Linux")

@@ -35,7 +35,9 @@ def page_runs() -> dict[tuple[str, str], list[Command]]:
         (environment, page): [
             one
             for one in COMMANDS
-            if one.page == page and one.skip is None and one.environment in {environment, DEFAULT}
+            if one.page == page
+            and one.skip is None
+            and one.environment in {environment, DEFAULT}
         ]
         for page, environments in needed.items()
         for environment in sorted(environments)
@@ -55,7 +57,9 @@ def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
         if environment not in made:
             folder = tmp_path_factory.mktemp(environment) / "venv"
             extras = TABLE.environments[environment]
-            made[environment] = make_environment(folder, python=Path(sys.executable), wheel=wheel, extras=extras)
+            made[environment] = make_environment(
+                folder, python=Path(sys.executable), wheel=wheel, extras=extras
+            )
         return made[environment]
 
     return make
@@ -64,13 +68,21 @@ def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 @pytest.mark.slow
 @pytest.mark.parametrize(("environment", "page"), list(RUNS), ids=map("-".join, RUNS))
 def test_commands_of_a_page(
-    commands_of: Callable[[str], Path], environment: str, page: str, tmp_path: Path, gauge_data_dir: Path
+    commands_of: Callable[[str], Path],
+    environment: str,
+    page: str,
+    tmp_path: Path,
+    gauge_data_dir: Path,
 ) -> None:
     checkout = tmp_path / "checkout"
     checkout.mkdir()
     shutil.copytree(ROOT / "examples", checkout / "examples")
     folder = commands_of(environment)
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")} | {
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("PYTHON")
+    } | {
         "PATH": os.pathsep.join([str(folder), os.environ["PATH"]]),
         "VIRTUAL_ENV": str(folder.parent),
         "GAUGE_DATA_DIR": str(gauge_data_dir),
@@ -87,14 +99,22 @@ def test_commands_of_a_page(
             check=False,
         )
         # A sanity check that finds flags ends with 1, and so does the whole check of MuJoCo (test_engines_conform).
-        codes = (0, 1) if command.text.startswith(("gauge sanity ", "gauge backend check mujoco")) else (0,)
-        assert done.returncode in codes, f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        codes = (
+            (0, 1)
+            if command.text.startswith(("gauge sanity ", "gauge backend check mujoco"))
+            else (0,)
+        )
+        assert done.returncode in codes, (
+            f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        )
 
 
 def test_the_first_command_of_a_reader_is_run() -> None:
     texts = [command.text for command in RUNS["default", "README.md"]]
     assert "gauge sanity HalfCheetah-v5" in texts
-    assert [command.text for command in RUNS["plot", "scripts"]] == ["python examples/quickstart.py"]
+    assert [command.text for command in RUNS["plot", "scripts"]] == [
+        "python examples/quickstart.py"
+    ]
 
 
 def test_a_page_names_the_extras_that_its_commands_need() -> None:
@@ -103,7 +123,10 @@ def test_a_page_names_the_extras_that_its_commands_need() -> None:
         for environment, page in RUNS
         if page != "scripts"
         for extra in TABLE.environments[environment]
-        if not re.search(rf"`{extra}`|\[[\w,]*\b{extra}\b[\w,]*\]", (ROOT / page).read_text(encoding="utf-8"))
+        if not re.search(
+            rf"`{extra}`|\[[\w,]*\b{extra}\b[\w,]*\]",
+            (ROOT / page).read_text(encoding="utf-8"),
+        )
     ]
     assert missing == []
 
@@ -125,7 +148,11 @@ def test_blocks_give_commands_without_comments_and_prompts() -> None:
         "text\n```sh\ngauge list   # all ids\n# a comment\n\n$ gauge run 'a#b' \\\n  --out results\n```\n"
         "```python\nimport gauge_envs\n```\n```{code-block} bash\nmake test\n```\n"
     )
-    assert list(shell_commands(page)) == ["gauge list", "gauge run 'a#b' --out results", "make test"]
+    assert list(shell_commands(page)) == [
+        "gauge list",
+        "gauge run 'a#b' --out results",
+        "make test",
+    ]
 
 
 def test_the_first_rule_decides(tmp_path: Path) -> None:
@@ -137,7 +164,9 @@ def test_the_first_rule_decides(tmp_path: Path) -> None:
         '[[rules]]\ncommand = "gauge plot*"\nenvironment = "plot"\n',
         encoding="utf-8",
     )
-    (tmp_path / "a.md").write_text("```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n", encoding="utf-8")
+    (tmp_path / "a.md").write_text(
+        "```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n", encoding="utf-8"
+    )
     assert Table.read(file).commands(tmp_path) == (
         Command("a.md", "gauge list", "default"),
         Command("a.md", "gauge plot r", "plot"),

@@ -48,11 +48,15 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder.mkdir()
     (folder / "__init__.py").touch()
     (folder / "command.py").write_text(COMMAND, encoding="utf-8")
-    (folder / "layers.py").write_text("read_scene = read_points = write_scene = None\n", encoding="utf-8")
+    (folder / "layers.py").write_text(
+        "read_scene = read_points = write_scene = None\n", encoding="utf-8"
+    )
     (folder / "instrument.toml").write_text(DECLARATION, encoding="utf-8")
     point = EntryPoint("drift", "drift_tools", registry.INSTRUMENTS_GROUP)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [point] if group == point.group else [])
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: [point] if group == point.group else []
+    )
     clear()
     yield folder
     monkeypatch.undo()
@@ -69,19 +73,27 @@ def test_each_folder_with_a_declaration_is_an_instrument() -> None:
     folder = Path(registry.__file__).parent / "tools"
     declared = {file.parent.name for file in folder.glob("*/instrument.toml")}
     assert declared == {one.name for one in registry.bundled_instruments()}
-    assert declared >= {one.name for one in folder.iterdir() if (one / "command.py").is_file()}
+    assert declared >= {
+        one.name for one in folder.iterdir() if (one / "command.py").is_file()
+    }
 
 
-def test_a_foreign_instrument_has_its_commands_listings_and_scene_files(foreign: Path) -> None:
+def test_a_foreign_instrument_has_its_commands_listings_and_scene_files(
+    foreign: Path,
+) -> None:
     shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["--help"]).stdout
     # Those of this package come first, whatever position another one asks for.
     assert shown.index(" list ") < shown.index(" drift ")
     assert CliRunner().invoke(app, ["drift", "--cm", "3"]).stdout == "drift 3\n"
-    assert registry.instruments_by("listings")["drifts"].function("list drifts")([]) == []
+    assert (
+        registry.instruments_by("listings")["drifts"].function("list drifts")([]) == []
+    )
     assert registry.scene_files(".drift").__name__ == "drift_tools.layers"
 
 
-def test_a_foreign_instrument_cannot_take_a_command_of_this_package(foreign: Path) -> None:
+def test_a_foreign_instrument_cannot_take_a_command_of_this_package(
+    foreign: Path,
+) -> None:
     text = DECLARATION.replace("drift =", "list =")
     (foreign / "instrument.toml").write_text(text, encoding="utf-8")
     assert registry.instruments_by("commands")["list"].name == "catalog"
@@ -96,8 +108,12 @@ def test_a_foreign_instrument_cannot_take_a_command_of_this_package(foreign: Pat
         ('module = "layers"', "", "module"),
     ],
 )
-def test_a_wrong_declaration_is_an_error_that_names_the_file(foreign: Path, old: str, new: str, place: str) -> None:
-    (foreign / "instrument.toml").write_text(DECLARATION.replace(old, new), encoding="utf-8")
+def test_a_wrong_declaration_is_an_error_that_names_the_file(
+    foreign: Path, old: str, new: str, place: str
+) -> None:
+    (foreign / "instrument.toml").write_text(
+        DECLARATION.replace(old, new), encoding="utf-8"
+    )
     with pytest.raises(RegistryError, match="instrument 'drift'") as caught:
         registry.instruments()
     assert place in str(caught.value) and str(foreign) in str(caught.value)

@@ -18,7 +18,17 @@ NAMES = sorted({*FAMILIES, *(path.stem for path in task_files() if "_" in path.s
 """Families, and the names of their files unless they are single English words."""
 
 BACKENDS = sorted((PACKAGE / "backends").rglob("*.py"))
-CORE_ROOMS = ("scene", "references", "observables", "experiments", "evaluation", "envs", "runs", "pages", "cli")
+CORE_ROOMS = (
+    "scene",
+    "references",
+    "observables",
+    "experiments",
+    "evaluation",
+    "envs",
+    "runs",
+    "pages",
+    "cli",
+)
 CORE = sorted(file for room in CORE_ROOMS for file in (PACKAGE / room).rglob("*.py"))
 ID = re.compile(rf"(GAUGE/)?({'|'.join(FAMILIES)})(-[\w*-]*)?")
 
@@ -30,24 +40,34 @@ def named(text: str) -> list[str]:
 def ids_in_code(text: str) -> Iterator[str]:
     """Strings that are the name of a family or an id. Those inside a sentence are examples of messages."""
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and ID.fullmatch(node.value):
+        if (
+            isinstance(node, ast.Constant)
+            and isinstance(node.value, str)
+            and ID.fullmatch(node.value)
+        ):
             yield node.value
 
 
 def test_the_searches_find_a_name() -> None:
     assert len(NAMES) > 20 and len(BACKENDS) > 30 and len(CORE) > 60
     assert named("if scene.name == 'SlopeSlider-2-wood':") == ["SlopeSlider"]
-    assert list(ids_in_code("if name in ('Pendulum', 'GAUGE/SlopeSlider-*', 'as Funnel'): pass")) == [
+    assert list(
+        ids_in_code("if name in ('Pendulum', 'GAUGE/SlopeSlider-*', 'as Funnel'): pass")
+    ) == [
         "Pendulum",
         "GAUGE/SlopeSlider-*",
     ]
 
 
-@pytest.mark.parametrize("path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+@pytest.mark.parametrize(
+    "path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix()
+)
 def test_no_backend_names_a_task(path: Path) -> None:
     assert named(path.read_text(encoding="utf-8")) == []
 
 
 def test_the_core_treats_no_task_specially() -> None:
-    found = {path.name: list(ids_in_code(path.read_text(encoding="utf-8"))) for path in CORE}
+    found = {
+        path.name: list(ids_in_code(path.read_text(encoding="utf-8"))) for path in CORE
+    }
     assert {name: ids for name, ids in found.items() if ids} == {}

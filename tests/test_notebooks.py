@@ -16,13 +16,19 @@ NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 def cells(notebook: Path) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    found: list[dict[str, Any]] = json.loads(notebook.read_text(encoding="utf-8"))[
+        "cells"
+    ]
     return found
 
 
 def run(notebook: Path) -> dict[str, Any]:
     """Run the code of a notebook in one namespace, and return it; the first cell installs."""
-    code = ["".join(cell["source"]) for cell in cells(notebook) if cell["cell_type"] == "code"]
+    code = [
+        "".join(cell["source"])
+        for cell in cells(notebook)
+        if cell["cell_type"] == "code"
+    ]
     namespace: dict[str, Any] = {"__name__": "__main__"}
     for number, text in enumerate(code[1:], start=2):
         exec(compile(text, f"{notebook.name}, code {number}", "exec"), namespace)
@@ -30,13 +36,21 @@ def run(notebook: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: file.stem)
-def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(notebook: Path) -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(
+    notebook: Path,
+) -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]["optional-dependencies"]
     code = [cell for cell in cells(notebook) if cell["cell_type"] == "code"]
-    installed = re.fullmatch(r'# [\w ]+\.\n%pip install -q "../..\[([\w,]+)\]"', "".join(code[0]["source"]))
+    installed = re.fullmatch(
+        r'# [\w ]+\.\n%pip install -q "../..\[([\w,]+)\]"', "".join(code[0]["source"])
+    )
     assert installed is not None
     assert set(installed[1].split(",")) <= set(extras)
-    assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    assert all(
+        cell["outputs"] == [] and cell["execution_count"] is None for cell in code
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -55,7 +69,9 @@ def test_your_engine() -> None:
 def test_training_setup() -> None:
     found = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
     before = {row.phenomenon: row.verdict.value for row in found["before"].rows}
-    assert before["foot-creep"] == before["creep-wood"] == before["rest-height"] == "wrong"
+    assert (
+        before["foot-creep"] == before["creep-wood"] == before["rest-height"] == "wrong"
+    )
     assert {row.verdict.value for row in found["after"].rows} == {"inside"}
 
 
@@ -63,6 +79,11 @@ def test_trials_to_settings() -> None:
     found = run(ROOT / "examples" / "notebooks" / "trials_to_settings.ipynb")
     # 0.2571 is the mean of all twenty in scoring/facts/slope_slider_30deg_summary.toml, made by another program.
     assert found["friction"] == pytest.approx(0.2571, abs=3 * found["error"])
-    apart = {name: abs(value - found["real"].mean()) for name, value in found["accelerations"].items()}
+    apart = {
+        name: abs(value - found["real"].mean())
+        for name, value in found["accelerations"].items()
+    }
     assert apart["yours"] < apart["published"]
-    assert found["recipe"].reached["friction"] == pytest.approx(found["aim"].friction, abs=0.002)
+    assert found["recipe"].reached["friction"] == pytest.approx(
+        found["aim"].friction, abs=0.002
+    )

@@ -17,15 +17,32 @@ from places import ROOT
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
     # The wheel is built from the sdist.
-    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(ROOT)]
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--no-isolation",
+        "--outdir",
+        str(out),
+        str(ROOT),
+    ]
     subprocess.run(command, check=True, capture_output=True)
-    assert {path.suffix for path in out.iterdir() if path.stat().st_size < 12e6} == {".gz", ".whl"}
+    assert {path.suffix for path in out.iterdir() if path.stat().st_size < 12e6} == {
+        ".gz",
+        ".whl",
+    }
     return next(out.glob("*.whl"))
 
 
 def test_wheel_carries_the_data(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
-    assert sum(name.startswith("gauge_envs/tasks/") and name.endswith(".toml") for name in names) >= 23
+    assert (
+        sum(
+            name.startswith("gauge_envs/tasks/") and name.endswith(".toml")
+            for name in names
+        )
+        >= 23
+    )
     assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.npz" in names
     assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.LICENSE" in names
     assert "gauge_envs/scoring/single_shot/ElbowToss-blocks.npz" in names
@@ -38,13 +55,22 @@ def test_wheel_carries_the_data(wheel: Path) -> None:
 
 
 @pytest.mark.slow  # `make test-matrix` installs the wheel too, and runs more than this.
-def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, tmp_path: Path) -> None:
+def test_installed_wheel_makes_an_environment_outside_the_checkout(
+    wheel: Path, tmp_path: Path
+) -> None:
     venv.create(tmp_path / "venv", with_pip=True)
     python = tmp_path / "venv" / "bin" / "python"
     # Where PYTHONPATH leads to another copy with the same version, pip installs nothing and succeeds.
-    variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    variables = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("PYTHON")
+    }
     subprocess.run(
-        [python, "-m", "pip", "install", "--quiet", str(wheel)], check=True, capture_output=True, env=variables
+        [python, "-m", "pip", "install", "--quiet", str(wheel)],
+        check=True,
+        capture_output=True,
+        env=variables,
     )
     script = (
         "import sys, gymnasium, gauge_envs\n"
@@ -54,7 +80,13 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, 
         "assert 'matplotlib' not in sys.modules and 'warp' not in sys.modules\n"
         "print(gauge_envs.__file__, len(gauge_envs.variants()), info['score'].rmse_normalized)\n"
     )
-    run = subprocess.run([python, "-I", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    run = subprocess.run(
+        [python, "-I", "-c", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     file, count, rmse = run.stdout.split()
     assert Path(file).is_relative_to(tmp_path)
@@ -62,7 +94,14 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel: Path, 
     assert float(rmse) == pytest.approx(14.1, abs=0.1)
     # `gauge sanity` reads Gymnasium's MuJoCo environments, which import more than Gymnasium declares.
     subprocess.run(
-        [python, "-I", "-c", "import gymnasium; gymnasium.make('HalfCheetah-v5').reset()"], cwd=tmp_path, check=True
+        [
+            python,
+            "-I",
+            "-c",
+            "import gymnasium; gymnasium.make('HalfCheetah-v5').reset()",
+        ],
+        cwd=tmp_path,
+        check=True,
     )
     listed = subprocess.run(
         [tmp_path / "venv" / "bin" / "gauge", "list"],
@@ -81,5 +120,7 @@ def test_importing_is_light() -> None:
         "print([m for m in ('matplotlib', 'warp', 'newton', 'cv2', 'pandas', 'torch', 'huggingface_hub', 'pxr')"
         " if m in sys.modules])"
     )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
     assert run.stdout.strip() == "[]"

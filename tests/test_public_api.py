@@ -23,7 +23,9 @@ def test_all_is_sorted_and_says_each_name_once() -> None:
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
-    with pytest.raises(AttributeError, match="'gauge_envs' has no attribute 'GaugeEnvs'"):
+    with pytest.raises(
+        AttributeError, match="'gauge_envs' has no attribute 'GaugeEnvs'"
+    ):
         _ = gauge_envs.GaugeEnvs
 
 
@@ -42,5 +44,7 @@ def test_lazy_names_pickle(name: str) -> None:
 def test_the_import_loads_neither_an_engine_nor_scipy_nor_pydantic() -> None:
     heavy = ("scipy", "mujoco", "pydantic", "newton", "warp", "matplotlib")
     code = f"import sys, gauge_envs; print([name for name in {heavy!r} if name in sys.modules])"
-    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
     assert run.stdout.strip() == "[]"

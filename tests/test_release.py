@@ -33,13 +33,17 @@ def test_the_version_is_the_same_everywhere() -> None:
     version = PROJECT["project"]["version"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     headings = re.findall(
-        r"^## \[(.+)\](?: - (\S+))?$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^## \[(.+)\](?: - (\S+))?$",
+        (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     )
     released = [one for one in headings if one[0] != "Unreleased"]
     assert released[0] == (version, str(citation["date-released"]))
     assert citation["version"] == version
     stated = [
-        file for file in (ROOT / "gauge_envs").rglob("*.py") if f'"{version}"' in file.read_text(encoding="utf-8")
+        file
+        for file in (ROOT / "gauge_envs").rglob("*.py")
+        if f'"{version}"' in file.read_text(encoding="utf-8")
     ]
     assert stated == []
 
@@ -48,16 +52,24 @@ def test_a_workflow_may_only_read_but_to_publish() -> None:
     for file in WORKFLOWS:
         content = workflow(file)
         assert content["permissions"] == {"contents": "read"}
-        writing = {(file.name, name) for name, job in content["jobs"].items() if "permissions" in job}
+        writing = {
+            (file.name, name)
+            for name, job in content["jobs"].items()
+            if "permissions" in job
+        }
         assert writing <= PUBLISHERS
         assert all("environment" in content["jobs"][name] for _, name in writing)
         assert "secrets." not in file.read_text(encoding="utf-8")
 
 
 def test_actions_are_of_a_stated_version() -> None:
-    used = [step["uses"] for file in WORKFLOWS for step in steps(file) if "uses" in step]
+    used = [
+        step["uses"] for file in WORKFLOWS for step in steps(file) if "uses" in step
+    ]
     assert used
-    assert [one for one in used if not re.fullmatch(r"[\w./-]+@(v\d+|release/v\d+)", one)] == []
+    assert [
+        one for one in used if not re.fullmatch(r"[\w./-]+@(v\d+|release/v\d+)", one)
+    ] == []
 
 
 def test_releases_are_installed_on_the_versions_that_the_package_states() -> None:
@@ -73,7 +85,9 @@ def test_releases_are_installed_on_the_versions_that_the_package_states() -> Non
 
 @pytest.mark.parametrize("file", WORKFLOWS, ids=lambda file: file.name)
 def test_commands_of_a_workflow_exist(file: Path) -> None:
-    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    targets = re.findall(
+        r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )
     extras = PROJECT["project"]["optional-dependencies"]
     for command in (step["run"] for step in steps(file) if "run" in step):
         for target in re.findall(r"\bmake ([\w-]+)", command):
@@ -82,6 +96,10 @@ def test_commands_of_a_workflow_exist(file: Path) -> None:
             assert set(listed.split(",")) <= set(extras)
         if command.startswith("gauge ") and command != "gauge --version":
             words = shlex.split(command.partition(" >>")[0])[1:]
-            name = next(name for name in (" ".join(words[:2]), words[0]) if name in command_lines())
+            name = next(
+                name
+                for name in (" ".join(words[:2]), words[0])
+                if name in command_lines()
+            )
             found = load_command(name)
             found.make_context(name, words[len(name.split()) :])

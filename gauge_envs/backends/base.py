@@ -167,7 +167,13 @@ class World(ABC):
     settings: Mapping[str, Any]
 
     @abstractmethod
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe the uniformly accelerated motion of a kinematic body during the next `advance`.
 
         It is called before every `advance`; t seconds later the body is at pose + v t + a t^2 / 2. With piecewise
@@ -220,7 +226,9 @@ class World(ABC):
         Raises:
             BackendError: The engine has no motors.
         """
-        raise BackendError(f"{type(self).__name__} moves no joint: it does not implement World.command")
+        raise BackendError(
+            f"{type(self).__name__} moves no joint: it does not implement World.command"
+        )
 
     def fault(self) -> str | None:
         """Return why the engine itself gave up the state since the last reset, or None.
@@ -234,7 +242,9 @@ class World(ABC):
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points of a deformable body, if the engine locates them better than its nodes do.
 
         Args:
@@ -269,7 +279,9 @@ class Simulation(World):
     def advance(self, seconds: float) -> None:
         """Simulate an interval [s]. Environments pass multiples of 1/180 s."""
 
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample_positions(
+        self, names: Sequence[str], count: int, interval_s: float
+    ) -> NDArray[np.float64]:
         """Advance `count` intervals and read body positions after each. An engine may override it with a faster loop.
 
         Args:
@@ -342,7 +354,9 @@ class Worlds(ABC):
         """
         world = self.worlds[number]
         if not isinstance(world, Simulation):
-            raise BackendError(f"{type(self).__name__} returns to the start only all worlds at once: call reset")
+            raise BackendError(
+                f"{type(self).__name__} returns to the start only all worlds at once: call reset"
+            )
         world.reset(0)
 
     @abstractmethod
@@ -370,7 +384,9 @@ class Worlds(ABC):
         """
         return self.body_states(names)[:, :, :3].copy()
 
-    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+    def drive(
+        self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> None:
         """Prescribe the motion of a kinematic body in some worlds during the next `advance`; see `World.drive`.
 
         Args:
@@ -397,11 +413,15 @@ class Worlds(ABC):
     def faults(self) -> Mapping[int, str]:
         """Return why the engine itself gave up the state of a world, by its number; see `World.fault`."""
         found = {
-            number: world.fault() for number, world in enumerate(self.worlds) if type(world).fault is not World.fault
+            number: world.fault()
+            for number, world in enumerate(self.worlds)
+            if type(world).fault is not World.fault
         }
         return {number: fault for number, fault in found.items() if fault is not None}
 
-    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+    def record(
+        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
+    ) -> Recording:
         """Advance all worlds from now on, and record them on the engine's device without a copy to the host.
 
         Args:
@@ -413,7 +433,9 @@ class Worlds(ABC):
         Raises:
             BackendError: The engine records nothing; `can_record` is false.
         """
-        raise BackendError(f"{type(self).__name__} records nothing on a device: read body_states after each advance")
+        raise BackendError(
+            f"{type(self).__name__} records nothing on a device: read body_states after each advance"
+        )
 
     @abstractmethod
     def close(self) -> None:
@@ -453,19 +475,27 @@ class ArrayWorlds(Worlds):
     """
 
     def __init__(self, settings: Mapping[str, Any], world_count: int) -> None:
-        self.worlds = [_ArrayWorld(self, settings, number) for number in range(world_count)]
+        self.worlds = [
+            _ArrayWorld(self, settings, number) for number in range(world_count)
+        ]
 
     @abstractmethod
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return the current poses and velocities of bodies in all worlds; see `Worlds.body_states`."""
 
-    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+    def drive(
+        self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> None:
         """Prescribe the motion of a kinematic body in some worlds; see `Worlds.drive`."""
-        raise BackendError(f"{type(self).__name__} drives no body {body!r}: it does not implement Worlds.drive")
+        raise BackendError(
+            f"{type(self).__name__} drives no body {body!r}: it does not implement Worlds.drive"
+        )
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds; see `Worlds.nodes`."""
-        raise BackendError(f"{type(self).__name__} has no nodes of {name!r}: it does not implement Worlds.nodes")
+        raise BackendError(
+            f"{type(self).__name__} has no nodes of {name!r}: it does not implement Worlds.nodes"
+        )
 
     def faults(self) -> Mapping[int, str]:
         """Return why the engine gave up the state of a world, by its number; none here."""
@@ -475,13 +505,23 @@ class ArrayWorlds(Worlds):
 class _ArrayWorld(World):
     """One of several worlds in arrays, for what an environment asks of a single one."""
 
-    def __init__(self, worlds: ArrayWorlds, settings: Mapping[str, Any], number: int) -> None:
+    def __init__(
+        self, worlds: ArrayWorlds, settings: Mapping[str, Any], number: int
+    ) -> None:
         self.settings = settings
         self._worlds = worlds
         self._number = number
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        motion = np.concatenate([pose.position_m, pose.quaternion, velocity, acceleration])
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
+        motion = np.concatenate(
+            [pose.position_m, pose.quaternion, velocity, acceleration]
+        )
         self._worlds.drive(body, motion[None], np.array([self._number]))
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
@@ -608,7 +648,9 @@ class Backend(ABC):
         """Return whether `build` can build a scene, without building it."""
 
     @abstractmethod
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene and return a simulation at the scene's start.
 
         Args:
@@ -619,7 +661,9 @@ class Backend(ABC):
             ParameterError: A setting does not exist or has an invalid value.
         """
 
-    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    def build_worlds(
+        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
+    ) -> Worlds:
         """Build several instances of a scene. An engine with batched worlds overrides it.
 
         Args:
@@ -632,7 +676,9 @@ class Backend(ABC):
         """
         return _SeparateWorlds([self.build(scene, settings) for scene in scenes])
 
-    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any] | None:
+    def resolved_settings(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Mapping[str, Any] | None:
         """Return the numerical settings that `build` would use, without building; None where an engine does not tell.
 
         A sweep checks its settings with it before anything runs, and finds settings that are the same.
@@ -664,9 +710,13 @@ class Backend(ABC):
         Raises:
             AssetError: The file cannot be read, or lacks a part of the scene.
         """
-        raise UnsupportedSceneError(f"backend {self.name!r} reads no model files: use a USD layer")
+        raise UnsupportedSceneError(
+            f"backend {self.name!r} reads no model files: use a USD layer"
+        )
 
-    def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build_file(
+        self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build the model of a file and return a simulation at the file's start.
 
         Args:
@@ -678,11 +728,17 @@ class Backend(ABC):
             AssetError: The file cannot be read, lacks a part of the scene, or has other start poses than the scene.
             ParameterError: A setting cannot replace one of the file.
         """
-        raise UnsupportedSceneError(f"backend {self.name!r} builds no model files: use a USD layer")
+        raise UnsupportedSceneError(
+            f"backend {self.name!r} builds no model files: use a USD layer"
+        )
 
 
 def worlds_of(
-    engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None, *, restart_alone: bool = False
+    engine: Backend,
+    scenes: Sequence[Scene],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    restart_alone: bool = False,
 ) -> Worlds:
     """Build several instances of a scene that may differ in starts and constants.
 
@@ -699,19 +755,28 @@ def worlds_of(
         return Backend.build_worlds(engine, scenes, settings)
     first = scenes[0]
     alike = all(_soft_constants(scene) == _soft_constants(first) for scene in scenes)
-    same = alike and all(_rigid_constants(scene) == _rigid_constants(first) for scene in scenes)
+    same = alike and all(
+        _rigid_constants(scene) == _rigid_constants(first) for scene in scenes
+    )
     if same or (alike and engine.worlds_mix_constants and not first.deformables):
         return engine.build_worlds(scenes, settings)
     return Backend.build_worlds(engine, scenes, settings)
 
 
 def _rigid_constants(scene: Scene) -> tuple[object, ...]:
-    return (*((body.mass_kg, body.inertia_kg_m2) for body in scene.bodies), *scene.contacts)
+    return (
+        *((body.mass_kg, body.inertia_kg_m2) for body in scene.bodies),
+        *scene.contacts,
+    )
 
 
 def _soft_constants(scene: Scene) -> tuple[object, ...]:
     origin = Pose(position_m=(0.0, 0.0, 0.0))
-    return (*(replace(body, pose=origin) for body in scene.deformables), *scene.joints, scene.air)
+    return (
+        *(replace(body, pose=origin) for body in scene.deformables),
+        *scene.joints,
+        scene.air,
+    )
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:
@@ -723,29 +788,51 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     """Return what an engine's `supports` returned for a scene, with the features that its class does not declare."""
     # The last sentence of each feature.
     needed = dict(_needed_features(scene))
-    reasons = tuple(reason for feature, reason in needed.items() if feature not in engine.features)
+    reasons = tuple(
+        reason for feature, reason in needed.items() if feature not in engine.features
+    )
     return Support((*support.missing, *reasons)) if reasons else support
 
 
 def _needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
     """Yield the optional features that a scene needs, each with the sentence of a backend that lacks it."""
     if scene.air:
-        yield Feature.AIR, "the scene has air around its cloth, which this backend does not apply"
+        yield (
+            Feature.AIR,
+            "the scene has air around its cloth, which this backend does not apply",
+        )
     for hinge in scene.body_hinges[:1]:
         bodies = f"{hinge.first!r} and {hinge.second!r}"
-        yield Feature.BODY_HINGES, f"{bodies} are joined by a hinge, which this backend does not build"
-    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+        yield (
+            Feature.BODY_HINGES,
+            f"{bodies} are joined by a hinge, which this backend does not build",
+        )
+    joined = {
+        name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)
+    }
     for name in joined & {*scene.hung}:
-        yield Feature.CHAINS, f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
+        yield (
+            Feature.CHAINS,
+            f"a chain of hinges hangs on the world by {name!r}, which this backend does not build",
+        )
     yield from _needed_joint_features(scene)
     for contact in scene.contacts:
         bodies = f"{contact.first[0]!r} and {contact.second[0]!r}"
-        for feature, length_m in ((Feature.TORSION, contact.torsion_m), (Feature.ROLLING, contact.rolling_m)):
+        for feature, length_m in (
+            (Feature.TORSION, contact.torsion_m),
+            (Feature.ROLLING, contact.rolling_m),
+        ):
             if length_m:
-                yield feature, f"{bodies} touch with {feature.value}, which this backend does not build"
+                yield (
+                    feature,
+                    f"{bodies} touch with {feature.value}, which this backend does not build",
+                )
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
-            yield Feature.STATED_INERTIA, f"{body.name!r} states its inertia, which this backend does not read"
+            yield (
+                Feature.STATED_INERTIA,
+                f"{body.name!r} states its inertia, which this backend does not read",
+            )
 
 
 def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
@@ -753,15 +840,24 @@ def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
         name = hinge.body if isinstance(hinge, Hinge) else hinge.second
         terms = {
             Feature.DRY_FRICTION: (hinge.dynamics.dry_friction_n_m, "dry friction"),
-            Feature.VISCOUS_FRICTION: (hinge.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
+            Feature.VISCOUS_FRICTION: (
+                hinge.dynamics.viscous_friction_n_m_s_per_rad,
+                "viscous friction",
+            ),
             Feature.ARMATURE: (hinge.dynamics.armature_kg_m2, "armature"),
             Feature.BACKLASH: (hinge.dynamics.backlash_rad, "backlash"),
             Feature.SERVO: (isinstance(hinge.motor, Servo), "a position servo"),
-            Feature.TORQUE_MOTOR: (isinstance(hinge.motor, TorqueMotor), "a torque motor"),
+            Feature.TORQUE_MOTOR: (
+                isinstance(hinge.motor, TorqueMotor),
+                "a torque motor",
+            ),
         }
         for feature, (value, noun) in terms.items():
             if value:
-                yield feature, f"the joint of {name!r} has {noun}, which this backend does not build"
+                yield (
+                    feature,
+                    f"the joint of {name!r} has {noun}, which this backend does not build",
+                )
 
 
 class FileBackend(Backend):
@@ -785,9 +881,15 @@ class FileBackend(Backend):
         """Return whether the engine reads files with this suffix and can build the scene itself."""
         if self._path.suffix not in self._engine.file_suffixes:
             known = ", ".join(self._engine.file_suffixes) or "none"
-            return Support((f"{self._path.name} is a model of another engine; this engine reads: {known}",))
+            return Support(
+                (
+                    f"{self._path.name} is a model of another engine; this engine reads: {known}",
+                )
+            )
         return self._engine.supports(scene)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build the model file; see `Backend.build_file`."""
         return self._engine.build_file(self._path, scene, settings)

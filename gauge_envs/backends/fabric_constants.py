@@ -51,4 +51,6 @@ class FabricConstants:
         if self.has_shear_constant and math.isclose(shear, measured, rel_tol=1e-9):
             return ()
         reason = "" if self.has_shear_constant else "no such constant, "
-        return (f"shear: {reason}{shear:.4g} N/m instead of {measured:.4g} ({shear / measured - 1.0:+.0%})",)
+        return (
+            f"shear: {reason}{shear:.4g} N/m instead of {measured:.4g} ({shear / measured - 1.0:+.0%})",
+        )

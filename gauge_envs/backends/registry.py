@@ -31,7 +31,9 @@ def backend(name: str) -> Backend:
             with _as_backend_error(place):
                 engine = point.load()()
             if not isinstance(engine, Backend):
-                raise BackendError(f"{place}: the entry point gives a {type(engine).__name__}, expected a Backend")
+                raise BackendError(
+                    f"{place}: the entry point gives a {type(engine).__name__}, expected a Backend"
+                )
             if engine.name != name:
                 raise BackendError(
                     f"{place}: the class has the name {engine.name!r}. "
@@ -85,7 +87,9 @@ def _as_backend_error(place: str) -> Iterator[None]:
     except (GaugeError, KeyboardInterrupt):
         raise
     except BaseException as error:  # Also SystemExit.
-        raise BackendError(f"{place}: {type(error).__name__}: {error}".removesuffix(": ")) from error
+        raise BackendError(
+            f"{place}: {type(error).__name__}: {error}".removesuffix(": ")
+        ) from error
 
 
 @contextmanager
@@ -118,7 +122,9 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
     with engine_call(name, "supports"):
         support = engine.supports(scene)
     if not isinstance(support, Support):
-        raise BackendError(f"backend {name!r}: supports returned a {type(support).__name__}, expected a Support")
+        raise BackendError(
+            f"backend {name!r}: supports returned a {type(support).__name__}, expected a Support"
+        )
     return with_declared(engine, scene, support)
 
 
@@ -132,7 +138,9 @@ def versions_of(name: str) -> dict[str, str]:
     with engine_call(name, "versions"):
         versions = dict(engine.versions())
     if not all(isinstance(part, str) for pair in versions.items() for part in pair):
-        raise BackendError(f"backend {name!r}: versions returned {versions!r}, expected texts by package")
+        raise BackendError(
+            f"backend {name!r}: versions returned {versions!r}, expected texts by package"
+        )
     return versions
 
 
@@ -146,7 +154,9 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
         ParameterError: The name is no text.
     """
     if not isinstance(name, str):
-        raise ParameterError(f"backend {name!r}: expected the name of a backend, as 'mujoco'")
+        raise ParameterError(
+            f"backend {name!r}: expected the name of a backend, as 'mujoco'"
+        )
     engine = backend(name)
     return engine if model_file is None else FileBackend(engine, model_file)
 

@@ -10,7 +10,13 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gauge_envs.errors import BackendError, ParameterError, UnknownNameError, first_fault, nearest
+from gauge_envs.errors import (
+    BackendError,
+    ParameterError,
+    UnknownNameError,
+    first_fault,
+    nearest,
+)
 from gauge_envs.files import json_ready
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
@@ -87,11 +93,18 @@ def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any
 
 def load_presets(settings: type[Settings], module: str) -> dict[str, Settings]:
     """Return the presets that `presets.toml` beside an engine's module states, as its settings, by name."""
-    return {name: settings(preset=name, **values) for name, values in read_presets(module).items()}
+    return {
+        name: settings(preset=name, **values)
+        for name, values in read_presets(module).items()
+    }
 
 
 def resolve_settings(
-    engine: str, presets: Mapping[str, Settings], *, preset: str, changes: Mapping[str, Any] | None
+    engine: str,
+    presets: Mapping[str, Settings],
+    *,
+    preset: str,
+    changes: Mapping[str, Any] | None,
 ) -> Settings:
     """Return the settings of a preset with a user's changes.
 
@@ -102,7 +115,9 @@ def resolve_settings(
         changes: Settings that replace those of the preset.
     """
     if not isinstance(changes, Mapping | None):
-        raise ParameterError(f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 0.0005}}")
+        raise ParameterError(
+            f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 0.0005}}"
+        )
     values = dict(changes or {})
     name = values.pop("preset", None) or preset
     if not isinstance(name, str) or name not in presets:
@@ -112,8 +127,14 @@ def resolve_settings(
         settings = type(start).model_validate(start.model_dump() | values)
     except ValidationError as error:
         key, reason = first_fault(error, noun="setting")
-        hint = f"; {nearest(key, type(start).model_fields)}" if reason == "unknown setting" else ""
-        raise ParameterError(f"{engine} setting {key!r} in preset {name!r}: {reason}{hint}") from error
+        hint = (
+            f"; {nearest(key, type(start).model_fields)}"
+            if reason == "unknown setting"
+            else ""
+        )
+        raise ParameterError(
+            f"{engine} setting {key!r} in preset {name!r}: {reason}{hint}"
+        ) from error
     interval = settings.drive_interval_s
     steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
@@ -134,10 +155,16 @@ def check_kept(engine: str, asked: Mapping[str, Any], kept: Any) -> None:
         kept: Object or mapping of the engine, which is read now. Names that a mapping lacks are left out.
     """
     for name, value in asked.items():
-        now = kept.get(name, value) if isinstance(kept, Mapping) else getattr(kept, name)
+        now = (
+            kept.get(name, value) if isinstance(kept, Mapping) else getattr(kept, name)
+        )
         is_number = isinstance(value, float | int) and isinstance(now, float | int)
         # Engines in single precision round to 6e-8.
-        if not (math.isclose(now, value, rel_tol=1e-6, abs_tol=1e-30) if is_number else now == value):
+        if not (
+            math.isclose(now, value, rel_tol=1e-6, abs_tol=1e-30)
+            if is_number
+            else now == value
+        ):
             raise BackendError(
                 f"{engine} setting {name!r}: {value} was asked and {now} is in force, as the engine clamps or ignores "
                 f"it: set {now}, or a value that the engine takes"

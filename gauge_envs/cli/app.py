@@ -54,14 +54,20 @@ class _Command(typer.core.TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        known = {option for one in self.params for option in (*one.opts, *one.secondary_opts)}
+        known = {
+            option for one in self.params for option in (*one.opts, *one.secondary_opts)
+        }
         if "--format" in known and "--json" in args:
             if any(word.startswith("--format") for word in args):
                 raise ParameterError("--json is --format json: give one of them")
             args = ["--format=json" if word == "--json" else word for word in args]
         for option in (word.partition("=")[0] for word in args):
             if len(option) > 2 and option.startswith("--") and option not in known:
-                check_spelling(str(self.name), option, re.findall(r"\b([a-z]\w*)=", self.help or ""))
+                check_spelling(
+                    str(self.name),
+                    option,
+                    re.findall(r"\b([a-z]\w*)=", self.help or ""),
+                )
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -69,7 +75,10 @@ class _Command(typer.core.TyperCommand):
             try:
                 has_failed = super().invoke(ctx)
             except SystemExit as error:
-                message(f"an engine or a library ended the command: SystemExit: {error}", "error")
+                message(
+                    f"an engine or a library ended the command: SystemExit: {error}",
+                    "error",
+                )
                 has_failed = True
         if has_failed:
             # True is a failure, and a number is the exit code itself.
@@ -79,8 +88,12 @@ class _Command(typer.core.TyperCommand):
 class _Named(typer.core.TyperCommand):
     """Name and line of a command, which is imported when it gets its arguments."""
 
-    def make_context(self, info_name: Any, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        return load_command(str(info_name)).make_context(info_name, args, parent=parent, **extra)
+    def make_context(
+        self, info_name: Any, args: list[str], parent: Any = None, **extra: Any
+    ) -> Any:
+        return load_command(str(info_name)).make_context(
+            info_name, args, parent=parent, **extra
+        )
 
 
 class _Group(typer.core.TyperGroup):
@@ -92,14 +105,20 @@ class _Group(typer.core.TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         full = self._full(cmd_name)
-        return _Named(name=cmd_name, help=command_lines()[full]) if full in command_lines() else None
+        return (
+            _Named(name=cmd_name, help=command_lines()[full])
+            if full in command_lines()
+            else None
+        )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
             if name in command_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
-        raise UnknownNameError("command", name, map(self._full, self.list_commands(ctx)))
+        raise UnknownNameError(
+            "command", name, map(self._full, self.list_commands(ctx))
+        )
 
     def _full(self, name: str) -> str:
         return f"{self.name} {name}" if self.name in command_lines() else name
@@ -155,7 +174,13 @@ def _print_version(is_asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_print_version,
+            is_eager=True,
+            help="Show the version and exit.",
+        ),
     ] = False,
 ) -> None:
     """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""

@@ -20,22 +20,45 @@ from gauge_envs.errors import ParameterError, UnknownNameError, first_fault, nea
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
 
-Form = Annotated[Format, typer.Option("--format", help="wide has all columns; --json is short for json, a line a row.")]
+Form = Annotated[
+    Format,
+    typer.Option(
+        "--format", help="wide has all columns; --json is short for json, a line a row."
+    ),
+]
 
-Sources = Annotated[list[str] | None, typer.Argument(metavar="[DIR or FILE]...", help="Results; results/ by default.")]
+Sources = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[DIR or FILE]...", help="Results; results/ by default."),
+]
 
-Backends = Annotated[list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")]
+Backends = Annotated[
+    list[str] | None,
+    typer.Option("--backend", help="Engine; repeatable; mujoco by default."),
+]
 
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Setting of the engine, as timestep_s=0.0005.")
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Setting of the engine, as timestep_s=0.0005.",
+    ),
 ]
 
 Asset = Annotated[
-    Path | None, typer.Option("--asset", help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.")
+    Path | None,
+    typer.Option(
+        "--asset",
+        help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.",
+    ),
 ]
 
 Parameters = Annotated[
-    str | None, typer.Option(help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1")
+    str | None,
+    typer.Option(
+        help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"
+    ),
 ]
 
 Use = Annotated[
@@ -50,11 +73,16 @@ Use = Annotated[
 Limits = Annotated[
     str,
     typer.Option(
-        "--limits", metavar="LIMITS", help="Process of its own with limits, as 3600s,4GB; isolate for one without."
+        "--limits",
+        metavar="LIMITS",
+        help="Process of its own with limits, as 3600s,4GB; isolate for one without.",
     ),
 ]
 
-Only = Annotated[list[str] | None, typer.Option("--only", metavar="ID", help="Ids or patterns; repeatable.")]
+Only = Annotated[
+    list[str] | None,
+    typer.Option("--only", metavar="ID", help="Ids or patterns; repeatable."),
+]
 
 USES = {
     "imported": ("drivers", "reference"),
@@ -122,13 +150,23 @@ def parsed_use(text: str, *names: str) -> dict[str, Any]:
         if word not in known:
             raise UnknownNameError("word of --use", word, known)
         used.update(USES[word])
-    sources = {name: DataSource.IMPORTED if name in used else DataSource.BUNDLED for name in names}
-    return sources | ({"use_withheld": "use_withheld" in used} if "use_withheld" in names else {})
+    sources = {
+        name: DataSource.IMPORTED if name in used else DataSource.BUNDLED
+        for name in names
+    }
+    return sources | (
+        {"use_withheld": "use_withheld" in used} if "use_withheld" in names else {}
+    )
 
 
 def parsed_limits(text: str) -> tuple[bool, float | None, float | None]:
     """Return whether there is a process of its own, its limit of time [s] and of memory [GB], of `3600s,4GB`."""
-    values = quantities("--limits", ",".join(word for word in text.split(",") if word != "isolate"), s=3600.0, GB=4.0)
+    values = quantities(
+        "--limits",
+        ",".join(word for word in text.split(",") if word != "isolate"),
+        s=3600.0,
+        GB=4.0,
+    )
     return bool(text), values.get("s"), values.get("GB")
 
 
@@ -136,7 +174,9 @@ def parsed_jitter(text: str) -> dict[str, float]:
     """Return the standard deviations that `jitter` states, as `1mm,0.5deg`, by the names of `gauge_envs.Jitter`."""
     values = quantities("jitter", text, mm=1.0, deg=0.5)
     position = {"position_m": 1e-3 * values["mm"]} if "mm" in values else {}
-    return position | ({"angle_rad": math.radians(values["deg"])} if "deg" in values else {})
+    return position | (
+        {"angle_rad": math.radians(values["deg"])} if "deg" in values else {}
+    )
 
 
 def quantities(name: str, text: str, **units: float) -> dict[str, float]:
@@ -149,15 +189,21 @@ def quantities(name: str, text: str, **units: float) -> dict[str, float]:
     """
     values = {}
     for part in filter(None, text.split(",")):
-        found = re.fullmatch(r"((?:\d+|\d*\.\d+)(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip())
+        found = re.fullmatch(
+            r"((?:\d+|\d*\.\d+)(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip()
+        )
         if found is None or found[2] not in units:
             example = ",".join(f"{value:g}{unit}" for unit, value in units.items())
-            raise ParameterError(f"{name} {text!r}: expected numbers with units, as {example}")
+            raise ParameterError(
+                f"{name} {text!r}: expected numbers with units, as {example}"
+            )
         values[found[2]] = float(found[1])
     return values
 
 
-def split_details(words: Sequence[str] | None, **known: Any) -> tuple[list[str], dict[str, Any]]:
+def split_details(
+    words: Sequence[str] | None, **known: Any
+) -> tuple[list[str], dict[str, Any]]:
     """Return the words of a command that are no details, and its details by name.
 
     Args:
@@ -174,8 +220,14 @@ def split_details(words: Sequence[str] | None, **known: Any) -> tuple[list[str],
             continue
         name, text = found.groups()
         if name not in known:
-            raise ParameterError(f"unknown detail {name!r}; {nearest(name, known)}; other values have options: --help")
-        convert = known[name] if isfunction(known[name]) else TypeAdapter(known[name]).validate_python
+            raise ParameterError(
+                f"unknown detail {name!r}; {nearest(name, known)}; other values have options: --help"
+            )
+        convert = (
+            known[name]
+            if isfunction(known[name])
+            else TypeAdapter(known[name]).validate_python
+        )
         try:
             values[name] = convert(text)
         except ValidationError as error:
@@ -192,30 +244,51 @@ def check_spelling(command: str, option: str, details: Iterable[str]) -> None:
         details: Names of its details, NAME=VALUE.
     """
     plain = option.removeprefix("--").replace("-", "_")
-    similar = [name for name in details if name.startswith(plain) or plain.startswith(f"{name}_")]
+    similar = [
+        name
+        for name in details
+        if name.startswith(plain) or plain.startswith(f"{name}_")
+    ]
     if similar:
         nearest = min(similar, key=lambda name: abs(len(name) - len(plain)))
-        raise ParameterError(f"`gauge {command} {option}` is `gauge {command} {nearest}=...`")
+        raise ParameterError(
+            f"`gauge {command} {option}` is `gauge {command} {nearest}=...`"
+        )
 
 
 def split_subject(words: Sequence[str], **known: Any) -> tuple[str, dict[str, Any]]:
     """Return the one word of a command that is no detail, and its details by name."""
     others, values = split_details(words, **known)
     if len(others) != 1:
-        raise ParameterError(f"{' and '.join(others) or 'nothing'}: expected one name beside NAME=VALUE")
+        raise ParameterError(
+            f"{' and '.join(others) or 'nothing'}: expected one name beside NAME=VALUE"
+        )
     return others[0], values
 
 
-def matching(tables: Sequence[Table], patterns: Sequence[str], *, kind: str) -> list[Table]:
+def matching(
+    tables: Sequence[Table], patterns: Sequence[str], *, kind: str
+) -> list[Table]:
     """Return tables with the rows whose first column matches a name or a pattern; all rows without patterns."""
-    named = [[(str(table.columns[0].value(row)), row) for row in table.rows] for table in tables]
+    named = [
+        [(str(table.columns[0].value(row)), row) for row in table.rows]
+        for table in tables
+    ]
     names = [name for rows in named for name, _ in rows]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in names):
             raise UnknownNameError(kind, pattern, names)
-    chosen = {name for name in names if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)}
+    chosen = {
+        name
+        for name in names
+        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+    }
     kept = [[row for name, row in rows if name in chosen] for rows in named]
-    return [replace(table, rows=rows) for table, rows in zip(tables, kept, strict=True) if rows]
+    return [
+        replace(table, rows=rows)
+        for table, rows in zip(tables, kept, strict=True)
+        if rows
+    ]
 
 
 def by_suffix(files: Sequence[Path] | None, *suffixes: str) -> dict[str, Path]:
@@ -231,6 +304,8 @@ def by_suffix(files: Sequence[Path] | None, *suffixes: str) -> dict[str, Path]:
             names = ", ".join(suffix or "none for a folder" for suffix in suffixes)
             raise ParameterError(f"--out {file}: expected a suffix of {names}")
         if file.suffix in found:
-            raise ParameterError(f"--out {file}: {found[file.suffix]} has the same suffix; give one of them")
+            raise ParameterError(
+                f"--out {file}: {found[file.suffix]} has the same suffix; give one of them"
+            )
         found[file.suffix] = file
     return found

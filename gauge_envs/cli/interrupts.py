@@ -74,14 +74,19 @@ def _on_signal(number: int, frame: Any) -> None:
         os._exit(EXIT_INTERRUPTED)
     _State.came, _State.since_s = True, _State.since_s or time.monotonic()
     # Extensions print the traceback of an error that their import meets, so Ctrl-C waits for the end of an import.
-    if _State.is_in_hook or (_is_import(frame) and time.monotonic() < _State.since_s + LONGEST_WAIT_S):
+    if _State.is_in_hook or (
+        _is_import(frame) and time.monotonic() < _State.since_s + LONGEST_WAIT_S
+    ):
         _repeat_soon()
     else:
         raise KeyboardInterrupt
 
 
 def _is_import(frame: Any) -> bool:
-    while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
+    while (
+        frame is not None
+        and frame.f_code.co_filename != "<frozen importlib._bootstrap>"
+    ):
         frame = frame.f_back
     return frame is not None
 

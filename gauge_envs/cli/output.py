@@ -17,7 +17,13 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import typer
-from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
+from rich.console import (
+    Console,
+    ConsoleOptions,
+    ConsoleRenderable,
+    RenderHook,
+    RenderResult,
+)
 from rich.control import Control
 from rich.segment import Segment
 
@@ -70,9 +76,13 @@ def _prepared(console: Console) -> Console:
 class _PrintableHook(RenderHook):
     """Hook of a console that makes all texts printable; styles and the control codes of rich stay."""
 
-    def process_renderables(self, renderables: list[ConsoleRenderable]) -> list[ConsoleRenderable]:
+    def process_renderables(
+        self, renderables: list[ConsoleRenderable]
+    ) -> list[ConsoleRenderable]:
         """Return renderables whose texts are printable."""
-        return [one if isinstance(one, Control) else _Printable(one) for one in renderables]
+        return [
+            one if isinstance(one, Control) else _Printable(one) for one in renderables
+        ]
 
 
 @dataclass(frozen=True)
@@ -81,7 +91,9 @@ class _Printable:
 
     inner: ConsoleRenderable
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         """Yield the segments of the renderable."""
         for segment in console.render(self.inner, options):
             if segment.control or segment.text.isprintable():
@@ -120,13 +132,33 @@ class Progress:
         line_interval_s: Least time between two lines where there is no terminal [s]; None for no lines.
     """
 
-    def __init__(self, noun: str, total: int | None, *, done: int = 0, line_interval_s: float | None = None) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    def __init__(
+        self,
+        noun: str,
+        total: int | None,
+        *,
+        done: int = 0,
+        line_interval_s: float | None = None,
+    ) -> None:
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+        )
 
         console = stderr_console()
-        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        columns = (
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}"),
+        )
         self._is_terminal = console.is_terminal
-        self._bar = Progress(*columns, console=console, transient=True, disable=not self._is_terminal)
+        self._bar = Progress(
+            *columns, console=console, transient=True, disable=not self._is_terminal
+        )
         self._task = self._bar.add_task(noun, total=total, completed=done)
         self._total, self._first, self._done = total, done, done
         self._interval_s = line_interval_s
@@ -136,7 +168,12 @@ class Progress:
         self._bar.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self._bar.stop()
 
     def advance(self, text: object = "") -> None:
@@ -148,8 +185,16 @@ class Progress:
             self._start_s = now_s  # The first step also loads the engine.
         if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
             self._line_s = now_s
-            left_s = ((self._total or 0) - self._done) * (now_s - self._start_s) / max(self._done - self._first - 1, 1)
-            left = f", about {left_s / 60.0:.1f} min left" if self._interval_s and left_s else ""
+            left_s = (
+                ((self._total or 0) - self._done)
+                * (now_s - self._start_s)
+                / max(self._done - self._first - 1, 1)
+            )
+            left = (
+                f", about {left_s / 60.0:.1f} min left"
+                if self._interval_s and left_s
+                else ""
+            )
             self.line(f"{self._done}/{self._total} {text}{left}")
 
     def line(self, text: str) -> None:
@@ -157,9 +202,13 @@ class Progress:
         if not self._is_terminal:
             message(text)
 
-    def show(self, text: object, done: int | None = None, total: int | None = None) -> None:
+    def show(
+        self, text: object, done: int | None = None, total: int | None = None
+    ) -> None:
         """Show what is done at the moment, and how many steps of all."""
-        self._bar.update(self._task, completed=done, total=total, description=plain_text(str(text)))
+        self._bar.update(
+            self._task, completed=done, total=total, description=plain_text(str(text))
+        )
 
 
 def echo(text: object, *, nl: bool = True) -> None:
@@ -171,7 +220,11 @@ def echo(text: object, *, nl: bool = True) -> None:
         text: The text.
         nl: Whether to end the line.
     """
-    typer.echo(UNSAFE.sub(lambda found: printable(found[0]), str(text)), file=result_stream(), nl=nl)
+    typer.echo(
+        UNSAFE.sub(lambda found: printable(found[0]), str(text)),
+        file=result_stream(),
+        nl=nl,
+    )
 
 
 class Format(StrEnum):
@@ -210,7 +263,14 @@ def print_document(
         if suffix in (others := writers or {}):
             message(others[suffix](file))
         else:
-            message(save_file(file, json_text(as_rows(shown)) if suffix == ".json" else as_markdown(shown)))
+            message(
+                save_file(
+                    file,
+                    json_text(as_rows(shown))
+                    if suffix == ".json"
+                    else as_markdown(shown),
+                )
+            )
 
 
 def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:

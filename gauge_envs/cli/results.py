@@ -27,7 +27,11 @@ def loaded_results(
     from gauge_envs.runs.configuration import RunConfiguration
     from gauge_envs.runs.result_file import load_result, recorded_experiment
 
-    files = dict.fromkeys(file.resolve() for source in sources or ["results"] for file in _result_files(Path(source)))
+    files = dict.fromkeys(
+        file.resolve()
+        for source in sources or ["results"]
+        for file in _result_files(Path(source))
+    )
     results: dict[Path, Result] = {}
     for file in files:
         try:
@@ -38,9 +42,16 @@ def loaded_results(
         except GaugeError as error:
             message(f"{file}: {str(error).removeprefix(f'{file}: ')}", "skipped")
     skipped = len(files) - len(results)
-    kept = {file: one for file, one in results.items() if corrected or RunConfiguration.of(one).physics != "corrected"}
+    kept = {
+        file: one
+        for file, one in results.items()
+        if corrected or RunConfiguration.of(one).physics != "corrected"
+    }
     if len(kept) < len(results):
-        message(f"{counted(len(results) - len(kept), 'result')} with corrections by this package", "left out")
+        message(
+            f"{counted(len(results) - len(kept), 'result')} with corrections by this package",
+            "left out",
+        )
     return kept, skipped
 
 

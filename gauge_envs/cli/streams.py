@@ -15,7 +15,11 @@ def open_closed_streams() -> None:
 
     The next file that is opened would otherwise get their descriptor, and what C code prints would go into that file.
     """
-    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+    for number, name, mode in (
+        (0, "stdin", "r"),
+        (1, "stdout", "w"),
+        (2, "stderr", "w"),
+    ):
         try:
             os.fstat(number)
         except OSError:
@@ -23,7 +27,11 @@ def open_closed_streams() -> None:
             if opened != number:
                 os.dup2(opened, number)
                 os.close(opened)
-            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8", errors="backslashreplace"))
+            setattr(
+                sys,
+                name,
+                os.fdopen(number, mode, encoding="utf-8", errors="backslashreplace"),
+            )
 
 
 def result_stream() -> TextIO:
@@ -62,6 +70,8 @@ def _has_descriptors() -> bool:
 @cache
 def _stream_of_process() -> TextIO:
     """Return a stream on the stdout of the process, and point file descriptor 1 to stderr."""
-    stream = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors)
+    stream = os.fdopen(
+        os.dup(1), "w", encoding=sys.stdout.encoding, errors=sys.stdout.errors
+    )
     os.dup2(2, 1)
     return stream

@@ -12,7 +12,14 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
-from gauge_envs.errors import ActionError, GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
+from gauge_envs.errors import (
+    ActionError,
+    GaugeError,
+    NoRewardWarning,
+    ParameterError,
+    UnsupportedSceneError,
+    chosen,
+)
 from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
@@ -66,7 +73,11 @@ class EnvArguments:
     def _check_types(self) -> None:
         """Raise an error for an argument of a type that no run can use."""
         expected: tuple[tuple[str, type | tuple[type, ...], str], ...] = (
-            ("variant", (str, Variant), "a Variant or its name, as 'SlopeSlider-2-wood'"),
+            (
+                "variant",
+                (str, Variant),
+                "a Variant or its name, as 'SlopeSlider-2-wood'",
+            ),
             ("backend", str, "the name of a backend, as 'mujoco'"),
             ("settings", (Mapping, type(None)), "a mapping, as {'timestep_s': 0.0005}"),
             ("asset", (str, PathLike, type(None)), "the path of a file"),
@@ -77,7 +88,9 @@ class EnvArguments:
                 raise ParameterError(f"{name} is {value!r}, expected {text}")
         for name in ("parameters", "settings"):
             value = getattr(self, name)
-            if isinstance(value, Mapping) and not all(isinstance(key, str) for key in value):
+            if isinstance(value, Mapping) and not all(
+                isinstance(key, str) for key in value
+            ):
                 raise ParameterError(f"{name} {value!r}: expected texts as keys")
 
     @property
@@ -93,7 +106,11 @@ class EnvArguments:
     def experiment(self) -> Experiment:
         """Load the experiment."""
         return resolve_experiment(
-            self.variant, self.parameters, drivers=self.drivers, reference=self.reference, asset=self.asset
+            self.variant,
+            self.parameters,
+            drivers=self.drivers,
+            reference=self.reference,
+            asset=self.asset,
         )
 
     def band(self, experiment: Experiment) -> Band | None:
@@ -118,7 +135,9 @@ def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
     """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts."""
     if spec is None:
         return None
-    return replace(spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()})
+    return replace(
+        spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()}
+    )
 
 
 def _plain(name: str, value: Any) -> Any:
@@ -155,7 +174,9 @@ def checked_action(action: Any, space: spaces.Space[Any]) -> FloatArray:
         is_zero = isinstance(action, int | np.integer) and action == 0
         if is_zero or (isinstance(action, np.ndarray) and space.contains(action)):
             return NO_RATES
-        raise ActionError(f"action {action!r}: this experiment has no driven body, so the only action is 0")
+        raise ActionError(
+            f"action {action!r}: this experiment has no driven body, so the only action is 0"
+        )
     try:
         numbers = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -187,24 +208,36 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
     """Return the start that the options of a reset ask for, or None for the calibrated start."""
     unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
     if unknown:
-        raise ParameterError(f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}")
+        raise ParameterError(
+            f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}"
+        )
     trial = options.get("trial")
     if trial is not None:
         if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
-            raise ParameterError(f"option 'trial' is {trial!r}, expected the number of a trial, from 0")
+            raise ParameterError(
+                f"option 'trial' is {trial!r}, expected the number of a trial, from 0"
+            )
         if options.get("jitter"):
-            raise ParameterError("options 'jitter' and 'trial' both state a start: give one of them")
+            raise ParameterError(
+                "options 'jitter' and 'trial' both state a start: give one of them"
+            )
         return TrialStart(int(trial))
     value = options.get("jitter", False)
     if isinstance(value, bool):
         return Jitter() if value else None
     if not isinstance(value, Jitter):
-        raise ParameterError(f"option 'jitter' is {value!r}, expected True, False or a gauge_envs.Jitter")
+        raise ParameterError(
+            f"option 'jitter' is {value!r}, expected True, False or a gauge_envs.Jitter"
+        )
     return value
 
 
 def jittered_experiment(
-    experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int, backend: str
+    experiment: Experiment,
+    jitter: Jitter | TrialStart | None,
+    *,
+    seed: int,
+    backend: str,
 ) -> Experiment:
     """Return an experiment with a start that is moved at random, or with the start of an imported trial.
 
@@ -230,7 +263,9 @@ def jittered_experiment(
     return moved
 
 
-def start_of(experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int) -> Jitter | TrialStart | None:
+def start_of(
+    experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int
+) -> Jitter | TrialStart | None:
     """Return the start of an episode: what was asked for, else for single-shot trials the one that the seed selects.
 
     Args:
@@ -249,20 +284,30 @@ def check_support(experiment: Experiment, backend: str) -> None:
     """Raise an error if a backend cannot build an experiment."""
     support = support_of(backend, experiment.scene, experiment.model_file)
     if not support:
-        raise UnsupportedSceneError(_unsupported_message(experiment, backend, support.missing))
+        raise UnsupportedSceneError(
+            _unsupported_message(experiment, backend, support.missing)
+        )
 
 
-def _unsupported_message(experiment: Experiment, asked: str, missing: tuple[str, ...]) -> str:
+def _unsupported_message(
+    experiment: Experiment, asked: str, missing: tuple[str, ...]
+) -> str:
     able = []
     for name in backend_names():
         try:
             # An engine outside this package might crash here and take the run along.
-            if name != asked and is_bundled(name) and support_of(name, experiment.scene, experiment.model_file):
+            if (
+                name != asked
+                and is_bundled(name)
+                and support_of(name, experiment.scene, experiment.model_file)
+            ):
                 able.append(name)
         except GaugeError:
             continue
     reasons = "; ".join(missing)
-    others = f"backend={able[0]!r} can" if able else "no other backend of this package can"
+    others = (
+        f"backend={able[0]!r} can" if able else "no other backend of this package can"
+    )
     return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"
 
 
@@ -295,7 +340,8 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
         )
         if band.grade is BandGrade.END:
             message = (
-                f"{experiment.id}: engines disagree on its motion. Only the last frame is rewarded, nothing is scored."
+                f"{experiment.id}: engines disagree on its motion. "
+                "Only the last frame is rewarded, nothing is scored."
             )
         elif last >= experiment.frame_count - 1:
             return
@@ -308,12 +354,16 @@ def _no_reward_message(experiment: Experiment) -> str:
     missing = f"{experiment.id} has no reference in use, so every reward is 0."
     if experiment.asset is not None and experiment.reference is not None:
         return f"{missing} Add a table 'band' to {experiment.asset.path.name}."
-    remedies = ["import its real trials with 'gauge data import', then pass reference='imported'"]
+    remedies = [
+        "import its real trials with 'gauge data import', then pass reference='imported'"
+    ]
     if has_import(experiment.name):
         remedies = ["pass reference='imported', as its real trials are imported"]
     stored = load_band(experiment.name, experiment.reference_source)
     if stored is not None and stored.withheld is not None:
         name = experiment.name
-        remedies.append(f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld")
+        remedies.append(
+            f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld"
+        )
     remedies.append("choose an id that 'gauge list --scored' shows")
     return f"{missing} To get one, {'; or '.join(remedies)}."

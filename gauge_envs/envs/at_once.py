@@ -49,30 +49,49 @@ class EpisodesAtOnce(EpisodesOneByOne):
         # The bounds of each deformable body, over the worlds.
         self._deformable_bounds = [
             DeformableBoundsOfWorlds(bounds)
-            for bounds in zip(*(episode.deformable_bounds for episode in episodes), strict=True)
+            for bounds in zip(
+                *(episode.deformable_bounds for episode in episodes), strict=True
+            )
         ]
-        observers = [one.observer for one in episodes if isinstance(one.observer, ObserverMarkers)]
+        observers = [
+            one.observer
+            for one in episodes
+            if isinstance(one.observer, ObserverMarkers)
+        ]
         self._markers = MarkersOfWorlds(observers, worlds) if observers else None
         driven_frames = frame_count + first.later_limit
-        self._drivers = [DriverPathOfWorlds(driver, scenes, driven_frames) for driver in scenes[0].drivers]
+        self._drivers = [
+            DriverPathOfWorlds(driver, scenes, driven_frames)
+            for driver in scenes[0].drivers
+        ]
         self._commands = motor_commands(scenes[0], driven_frames * SAMPLES_PER_FRAME)
         self._driven = tuple(driver.body for driver in scenes[0].drivers)
         # Time comes first, so that a sample of all worlds is one block of memory.
         sample_count, width = first.sample_shape
         self._samples = np.full((sample_count, count, width), np.nan)
         self._bodies = np.full((frame_count, count, len(self._recorded), 13), np.nan)
-        self._markers_m = np.full((frame_count, count, *first.observer.markers_m.shape), np.nan)
+        self._markers_m = np.full(
+            (frame_count, count, *first.observer.markers_m.shape), np.nan
+        )
         self._driver_states = np.full((count, len(self._driven), 13), np.nan)
         for number, episode in enumerate(episodes):
-            episode.record_in(self._samples[:, number], self._bodies[:, number], self._markers_m[:, number])
+            episode.record_in(
+                self._samples[:, number],
+                self._bodies[:, number],
+                self._markers_m[:, number],
+            )
         self._every = np.arange(count)
-        self._no_rates = np.zeros((count, sum(driver.motion_count for driver in self._drivers)))
+        self._no_rates = np.zeros(
+            (count, sum(driver.motion_count for driver in self._drivers))
+        )
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
         bands = {id(episode.reward_band): episode.reward_band for episode in episodes}
         self._rewards = []
         for key, band in bands.items():
-            has_band = np.array([id(episode.reward_band) == key for episode in episodes])
+            has_band = np.array(
+                [id(episode.reward_band) == key for episode in episodes]
+            )
             self._rewards.append((_BatchReward(band), has_band))
         self._frame = 0
         self._faults: dict[int, str] = {}
@@ -85,13 +104,20 @@ class EpisodesAtOnce(EpisodesOneByOne):
         if self._is_behind:
             self._is_behind = False
             for number, frame in enumerate(self._shown.tolist()):
-                self._episodes[number].frame, self._episodes[number].fault = frame, self._faults.get(number)
+                self._episodes[number].frame, self._episodes[number].fault = (
+                    frame,
+                    self._faults.get(number),
+                )
         return self._episodes
 
     @property
     def running(self) -> Numbers:
         """Numbers of the worlds whose episodes are not over."""
-        return self.ran[:0] if self._frame == len(self._bodies) - 1 else self.ran[~self._diverged[self.ran]]
+        return (
+            self.ran[:0]
+            if self._frame == len(self._bodies) - 1
+            else self.ran[~self._diverged[self.ran]]
+        )
 
     def begin(self, seed: int) -> None:
         """Return all worlds to their starts, and record frame 0."""
@@ -124,20 +150,28 @@ class EpisodesAtOnce(EpisodesOneByOne):
         is_array = isinstance(actions, np.ndarray) and actions.dtype.kind in "fiu"
         # Episodes without drivers take zeros alone; any other action is an error, which its check states.
         if not self._drivers:
-            if not (is_array and actions.shape == self._shown.shape and not actions.any()):
+            if not (
+                is_array and actions.shape == self._shown.shape and not actions.any()
+            ):
                 self._rates(actions)
             return self._no_rates
         running = self.running
         rates = np.zeros_like(self._no_rates)
         # A comparison with NaN is false.
-        if is_array and actions.shape == rates.shape and (np.abs(actions[running]) <= 1.0).all():
+        if (
+            is_array
+            and actions.shape == rates.shape
+            and (np.abs(actions[running]) <= 1.0).all()
+        ):
             rates[running] = actions[running]
         else:
             for number, one in self._rates(actions).items():
                 rates[number] = one
         return rates
 
-    def _simulated(self, running: Numbers, frame: int, rates: FloatArray) -> tuple[FloatArray, dict[int, str]]:
+    def _simulated(
+        self, running: Numbers, frame: int, rates: FloatArray
+    ) -> tuple[FloatArray, dict[int, str]]:
         """Drive and advance all worlds from a frame to the next, and record g(t) of some.
 
         Returns:
@@ -147,13 +181,20 @@ class EpisodesAtOnce(EpisodesOneByOne):
         for sample in range(frame * SAMPLES_PER_FRAME, (frame + 1) * SAMPLES_PER_FRAME):
             first = 0
             for driver in self._drivers:
-                motions = driver.interval(sample, rates[:, first : first + driver.motion_count])
+                motions = driver.interval(
+                    sample, rates[:, first : first + driver.motion_count]
+                )
                 self.worlds.drive(driver.body, motions, self._every)
                 first += driver.motion_count
             if self._commands.size:
                 self.worlds.command(self._commands[sample])
             self.worlds.advance(SAMPLE_INTERVAL_S)
-            g = self._observed(frame + 1 if sample % SAMPLES_PER_FRAME == SAMPLES_PER_FRAME - 1 else None, running)
+            g = self._observed(
+                frame + 1
+                if sample % SAMPLES_PER_FRAME == SAMPLES_PER_FRAME - 1
+                else None,
+                running,
+            )
             # A whole block is copied faster than chosen rows.
             if len(running) == len(g):
                 self._samples[sample + 1] = g
@@ -165,14 +206,21 @@ class EpisodesAtOnce(EpisodesOneByOne):
             suspects |= bounds.suspects(self.worlds.nodes(bounds.name))
         suspects[[*self.worlds.faults()]] = True
         found = {
-            number: self._episodes[number].fault_of(states[number]) for number in running[suspects[running]].tolist()
+            number: self._episodes[number].fault_of(states[number])
+            for number in running[suspects[running]].tolist()
         }
-        return states, {number: fault for number, fault in found.items() if fault is not None}
+        return states, {
+            number: fault for number, fault in found.items() if fault is not None
+        }
 
-    def _observed(self, frame: int | None, running: Numbers | None = None) -> FloatArray:
+    def _observed(
+        self, frame: int | None, running: Numbers | None = None
+    ) -> FloatArray:
         """Return g(t) of all worlds now, shape [world_count, width]; record the markers of some at a frame, if any."""
         if self._markers is None:
-            return 1e3 * self.worlds.body_positions(self._recorded).reshape(len(self._every), -1)
+            return 1e3 * self.worlds.body_positions(self._recorded).reshape(
+                len(self._every), -1
+            )
         markers_m = self._markers.positions()
         if frame is not None and frame < len(self._markers_m):
             chosen = slice(None) if running is None else running
@@ -184,7 +232,9 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._bodies[self._frame, running] = states[running][:, self._rows]
         self._shown[running] = self._frame
         if self._driven:
-            self._driver_states[running] = self.worlds.body_states(self._driven)[running]
+            self._driver_states[running] = self.worlds.body_states(self._driven)[
+                running
+            ]
 
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
@@ -193,15 +243,27 @@ class EpisodesAtOnce(EpisodesOneByOne):
         if not len(running):
             return
         moving = (*self._dynamic, *self._driven)
-        poses, counts = self.worlds.body_states(moving)[:, :, :7], np.zeros(len(episodes), dtype=np.intp)
-        nodes = {bounds.name: self.worlds.nodes(bounds.name) for bounds in self._deformable_bounds}
+        poses, counts = (
+            self.worlds.body_states(moving)[:, :, :7],
+            np.zeros(len(episodes), dtype=np.intp),
+        )
+        nodes = {
+            bounds.name: self.worlds.nodes(bounds.name)
+            for bounds in self._deformable_bounds
+        }
         for number in started.tolist():
             view = {name: one[number].copy() for name, one in nodes.items()}
-            episodes[number].begin_later_frame((dict(zip(moving, poses[number], strict=True)), view))
+            episodes[number].begin_later_frame(
+                (dict(zip(moving, poses[number], strict=True)), view)
+            )
         for later in range(episodes[started[0]].later_limit):
             first = (self._frame + later) * SAMPLES_PER_FRAME + 1
-            _, faults = self._simulated(running, int(self._frame) + later, self._no_rates)
-            is_finite = np.isfinite(self._samples[first : first + SAMPLES_PER_FRAME, running]).all(axis=(0, 2))
+            _, faults = self._simulated(
+                running, int(self._frame) + later, self._no_rates
+            )
+            is_finite = np.isfinite(
+                self._samples[first : first + SAMPLES_PER_FRAME, running]
+            ).all(axis=(0, 2))
             running = running[is_finite & ~np.isin(running, [*faults])]
             counts[running] = later + 1
             if not len(running):
@@ -212,11 +274,18 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
         every, shown = self._every, self._shown
-        found = {"bodies": self._bodies[shown, every]} if self._recorded else {"markers": self._markers_m[shown, every]}
+        found = (
+            {"bodies": self._bodies[shown, every]}
+            if self._recorded
+            else {"markers": self._markers_m[shown, every]}
+        )
         if self._driven:
             found["driver"] = self._driver_states.copy()
         observable = self._samples[shown * SAMPLES_PER_FRAME, every]
-        return found | {"observable": observable, "time": (shown / FRAME_RATE_HZ)[:, None]}
+        return found | {
+            "observable": observable,
+            "time": (shown / FRAME_RATE_HZ)[:, None],
+        }
 
     def rewards(self) -> FloatArray:
         """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
@@ -224,7 +293,11 @@ class EpisodesAtOnce(EpisodesOneByOne):
         g = self._samples[self._frame * SAMPLES_PER_FRAME]
         for reward, has_band in self._rewards:
             ran = self.ran[has_band[self.ran]]
-            here = 1e3 * self._markers_m[self._frame, ran].reshape(len(ran), -1) if reward.has_points else g[ran]
+            here = (
+                1e3 * self._markers_m[self._frame, ran].reshape(len(ran), -1)
+                if reward.has_points
+                else g[ran]
+            )
             rewards[ran] = reward.of(here, self._frame)
         return rewards
 
@@ -244,20 +317,31 @@ class EpisodesAtOnce(EpisodesOneByOne):
 
     def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return terminations and truncations, shape [world_count] each."""
-        return self._diverged.copy(), ~self._diverged & (self._frame == len(self._bodies) - 1)
+        return self._diverged.copy(), ~self._diverged & (
+            self._frame == len(self._bodies) - 1
+        )
 
     def trajectories(self) -> tuple[FloatArray, FloatArray]:
         """Return times [s] and g(t) of all worlds; samples that a world did not reach are NaN."""
         numbers = np.arange(len(self._samples))
         counts = np.array([episode.sample_count for episode in self.episodes])
-        samples = np.where((numbers[:, None] < counts)[:, :, None], self._samples, np.nan)
-        return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(1, 0, 2)
+        samples = np.where(
+            (numbers[:, None] < counts)[:, :, None], self._samples, np.nan
+        )
+        return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(
+            1, 0, 2
+        )
 
     # --- on a device ---
 
     def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
         """Run the episodes on the engine's device, or return None if the engine records nothing."""
-        if not self.worlds.can_record or self._driven or self._markers is not None or self._deformable_bounds:
+        if (
+            not self.worlds.can_record
+            or self._driven
+            or self._markers is not None
+            or self._deformable_bounds
+        ):
             return None
         for one in actions:
             if np.any(one):
@@ -267,23 +351,36 @@ class EpisodesAtOnce(EpisodesOneByOne):
         if keep:
             self._keep(recorded)
         device = recorded.recording.device
-        return Rollout(scores=scores, diverged=recorded.faults, frames=recorded.frames, device=device)
+        return Rollout(
+            scores=scores,
+            diverged=recorded.faults,
+            frames=recorded.frames,
+            device=device,
+        )
 
     def _keep(self, recorded: RecordedEpisodes) -> None:
         """Copy the record of episodes to the host, after which they are as if they had been stepped."""
         recording = recorded.recording
         copied = host_array if recording.kernels is None else recording.kernels.copied
         positions, states = copied(recording.positions_m), copied(recording.states)
-        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
+        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(
+            self._samples.shape
+        )
         self._bodies[:] = states[: len(self._bodies), :, self._rows]
         self._frame = int(recorded.frames.max())
         self.ran = self.ran[:0]
-        self._shown[:], self._faults, self._is_behind = recorded.frames, dict(recorded.faults), True
+        self._shown[:], self._faults, self._is_behind = (
+            recorded.frames,
+            dict(recorded.faults),
+            True,
+        )
         self._diverged[[*self._faults]] = True
         for number, episode in enumerate(self.episodes):
             last = states[min(int(self._shown[number]), len(self._bodies) - 1), number]
             if episode.runs_on:
-                episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
+                episode.begin_later_frame(
+                    (dict(zip(self._dynamic, last[:, :7], strict=True)), {})
+                )
                 episode.count_later_frames(int(recorded.later[number]))
 
 
@@ -302,7 +399,9 @@ class _BatchReward:
         self.has_points = band is not None and band.points is not None
         projection = None if self._terms is None else self._terms[0]
         # A product with the identity changes no bit of what is finite.
-        is_identity = projection is not None and np.array_equal(projection, np.eye(projection.shape[1]))
+        is_identity = projection is not None and np.array_equal(
+            projection, np.eye(projection.shape[1])
+        )
         self._projection = None if is_identity else projection
 
     def of(self, g: FloatArray, frame: int) -> FloatArray:
@@ -332,7 +431,9 @@ class RecordedEpisodes:
         later: Number of frames after the last one that count for the release alignment, shape [world_count].
     """
 
-    def __init__(self, episodes: Sequence[Episode], worlds: Worlds, bounds: RigidBoundsOfWorlds) -> None:
+    def __init__(
+        self, episodes: Sequence[Episode], worlds: Worlds, bounds: RigidBoundsOfWorlds
+    ) -> None:
         experiment = episodes[0].experiment
         dynamic = [body.name for body in experiment.scene.dynamic_bodies]
         self._episodes = episodes
@@ -361,47 +462,73 @@ class RecordedEpisodes:
         # A world without samples has no score.
         counts[list(self.faults)] = 0
         return score_recording(
-            first.experiment, first.band, recording=self.recording, rows=self.rows, sample_counts=counts
+            first.experiment,
+            first.band,
+            recording=self.recording,
+            rows=self.rows,
+            sample_counts=counts,
         )
 
     def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
         recording, later = self.recording, self._last + 1
         if recording.kernels is None:
-            states, positions = host_array(recording.states), host_array(recording.positions_m)
+            states, positions = (
+                host_array(recording.states),
+                host_array(recording.positions_m),
+            )
             firsts = _first_suspects_on_host(states, positions, bounds, later=later)
             suspects = np.flatnonzero(firsts < len(states))
             near, places = states[:, suspects], positions[:, suspects]
         else:
-            firsts, near, places = recording.kernels.suspects(recording, bounds, later=later)
+            firsts, near, places = recording.kernels.suspects(
+                recording, bounds, later=later
+            )
             suspects = np.flatnonzero(firsts < recording.states.shape[0])
         for column, world in enumerate(suspects.tolist()):
             self._decide(world, int(firsts[world]), near[:, column], places[:, column])
 
-    def _decide(self, world: int, first: int, states: FloatArray, positions_m: FloatArray) -> None:
+    def _decide(
+        self, world: int, first: int, states: FloatArray, positions_m: FloatArray
+    ) -> None:
         """Judge a world from a frame on, as `EpisodesAtOnce` does frame by frame."""
         episode = self._episodes[world]
         for frame in range(first, self._last + int(self.later[world]) + 1):
             fault = episode.fault_of(states[frame])
             if frame <= self._last:
                 if fault is not None:
-                    self.faults[world], self.frames[world], self.later[world] = fault, frame, 0
+                    self.faults[world], self.frames[world], self.later[world] = (
+                        fault,
+                        frame,
+                        0,
+                    )
                     return
                 continue
-            samples = positions_m[(frame - 1) * SAMPLES_PER_FRAME + 1 : frame * SAMPLES_PER_FRAME + 1, self.rows]
+            samples = positions_m[
+                (frame - 1) * SAMPLES_PER_FRAME + 1 : frame * SAMPLES_PER_FRAME + 1,
+                self.rows,
+            ]
             if fault is not None or not np.isfinite(samples).all():
                 self.later[world] = frame - 1 - self._last
                 return
 
 
 def _first_suspects_on_host(
-    states: FloatArray, positions: FloatArray, bounds: RigidBoundsOfWorlds, *, later: int
+    states: FloatArray,
+    positions: FloatArray,
+    bounds: RigidBoundsOfWorlds,
+    *,
+    later: int,
 ) -> NDArray[np.intp]:
     """Return the first frame in which each world may be out of bounds, shape [world_count]; the frame count if none.
 
     In frames from `later` on, a sample that is not finite counts too.
     """
-    suspects = np.array([bounds.suspects(frame) for frame in states[1:]]).reshape(len(states) - 1, -1)
-    samples = positions[1:].reshape(len(states) - 1, SAMPLES_PER_FRAME, positions.shape[1], -1)
+    suspects = np.array([bounds.suspects(frame) for frame in states[1:]]).reshape(
+        len(states) - 1, -1
+    )
+    samples = positions[1:].reshape(
+        len(states) - 1, SAMPLES_PER_FRAME, positions.shape[1], -1
+    )
     suspects[later - 1 :] |= ~np.isfinite(samples[later - 1 :]).all(axis=(1, 3))
     return np.where(suspects.any(axis=0), suspects.argmax(axis=0) + 1, len(states))
 
@@ -430,7 +557,9 @@ def episodes_in_lockstep(
         Episode(
             one,
             world,
-            band=band if one.trial is None and one.overrides == stated.overrides else arguments.band(one),
+            band=band
+            if one.trial is None and one.overrides == stated.overrides
+            else arguments.band(one),
             marker_proxy=arguments.proxy,
             backend=arguments.default_backend,
         )

@@ -43,11 +43,19 @@ class EngineEnvironment:
         render_mode: None or `rgb_array`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": int(FRAME_RATE_HZ)}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [*RENDER_MODES],
+        "render_fps": int(FRAME_RATE_HZ),
+    }
     _spec: EnvSpec | None = None
 
     def __init__(
-        self, experiment: Experiment, pictures: Pictures, *, backend: str, settings: Mapping[str, Any] | None
+        self,
+        experiment: Experiment,
+        pictures: Pictures,
+        *,
+        backend: str,
+        settings: Mapping[str, Any] | None,
     ) -> None:
         check_support(experiment, backend)
         self.experiment = experiment
@@ -79,7 +87,9 @@ class EngineEnvironment:
     def _check_open(self, call: str) -> None:
         """Raise an error if a method is called after `close`."""
         if self._is_closed:
-            raise EpisodeError(f"{self._label}: {call} after close; make the environment again")
+            raise EpisodeError(
+                f"{self._label}: {call} after close; make the environment again"
+            )
 
     def _check_started(self, call: str, *, started: bool) -> None:
         """Raise an error if a method is called before the first reset, or after `close`.
@@ -113,7 +123,9 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
             experiment: The experiment with the start that applies now.
         """
         self._built = experiment
-        self.simulation: Simulation = self._engine.build(experiment.scene, self._settings)
+        self.simulation: Simulation = self._engine.build(
+            experiment.scene, self._settings
+        )
 
     def _state(self) -> dict[str, Any]:
         """Return the state of what `_build` makes."""
@@ -125,7 +137,11 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the plain attributes and the state of the simulation; an engine's model does not pickle."""
-        attributes = {name: value for name, value in vars(self).items() if name not in self.REBUILT}
+        attributes = {
+            name: value
+            for name, value in vars(self).items()
+            if name not in self.REBUILT
+        }
         return {"attributes": attributes, "state": self._state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -180,7 +196,9 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
         if isinstance(seed, int | np.integer):
             return list(range(int(seed), int(seed) + self.num_envs))
         if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
-            raise ParameterError(f"seed {seed!r}: expected a number of 0 or more, or one for each world")
+            raise ParameterError(
+                f"seed {seed!r}: expected a number of 0 or more, or one for each world"
+            )
         if len(seed) != self.num_envs:
             raise ParameterError(
                 f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
@@ -207,15 +225,23 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
         self._pictures.close()
 
 
-def world_constants(num_envs: int, world_parameters: Sequence[Mapping[str, Any]] | None) -> list[Mapping[str, Any]]:
+def world_constants(
+    num_envs: int, world_parameters: Sequence[Mapping[str, Any]] | None
+) -> list[Mapping[str, Any]]:
     """Return the constants of each world, or raise an error for an impossible number of worlds or of constants.
 
     Args:
         num_envs: Number of worlds.
         world_parameters: Overrides for each world, or None.
     """
-    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool) or not 1 <= num_envs <= WORLD_LIMIT:
-        raise ParameterError(f"num_envs is {num_envs!r}, expected a whole number from 1 to {WORLD_LIMIT}")
+    if (
+        not isinstance(num_envs, int | np.integer)
+        or isinstance(num_envs, bool)
+        or not 1 <= num_envs <= WORLD_LIMIT
+    ):
+        raise ParameterError(
+            f"num_envs is {num_envs!r}, expected a whole number from 1 to {WORLD_LIMIT}"
+        )
     if world_parameters is not None and len(world_parameters) != num_envs:
         raise ParameterError(
             f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"

@@ -9,7 +9,9 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 
 
-def speed_fault(names: Sequence[str], velocities: FloatArray, limit_m_per_s: float) -> str | None:
+def speed_fault(
+    names: Sequence[str], velocities: FloatArray, limit_m_per_s: float
+) -> str | None:
     """Return why speeds are out of bounds, or None.
 
     Args:
@@ -32,7 +34,9 @@ class RigidBounds:
 
     def __init__(self, scene: Scene) -> None:
         self._names = tuple(body.name for body in scene.dynamic_bodies)
-        self._masses = np.array([body.mass_kg for body in scene.dynamic_bodies]).reshape(-1, 1)
+        self._masses = np.array(
+            [body.mass_kg for body in scene.dynamic_bodies]
+        ).reshape(-1, 1)
         self._energy_j = scene.kinetic_energy_limit_j
         self._limits = np.concatenate(
             [
@@ -81,7 +85,9 @@ class RigidBoundsOfWorlds:
     """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
-        self.masses_kg = np.array([[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes])
+        self.masses_kg = np.array(
+            [[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes]
+        )
         self.distances_m = np.array([scene.distance_limit_m for scene in scenes])
         self.speeds_m_per_s = np.array([scene.speed_limit_m_per_s for scene in scenes])
         self.energies_j = np.array([scene.kinetic_energy_limit_j for scene in scenes])
@@ -96,11 +102,17 @@ class RigidBoundsOfWorlds:
             Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
         """
         with np.errstate(invalid="ignore", over="ignore"):
-            energies_j = 0.5 * (self.masses_kg * np.square(states[:, :, 7:10]).sum(axis=2)).sum(axis=1)
+            energies_j = 0.5 * (
+                self.masses_kg * np.square(states[:, :, 7:10]).sum(axis=2)
+            ).sum(axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
-            within = (np.abs(states[:, :, :3]) <= self.distances_m[:, None, None]).all(axis=(1, 2))
+            within = (np.abs(states[:, :, :3]) <= self.distances_m[:, None, None]).all(
+                axis=(1, 2)
+            )
             within &= (np.abs(states[:, :, 3:7]) <= 2.0).all(axis=(1, 2))
-            within &= (np.abs(states[:, :, 7:10]) <= self.speeds_m_per_s[:, None, None]).all(axis=(1, 2))
+            within &= (
+                np.abs(states[:, :, 7:10]) <= self.speeds_m_per_s[:, None, None]
+            ).all(axis=(1, 2))
             within &= np.isfinite(states[:, :, 10:]).all(axis=(1, 2))
             within &= energies_j <= self.energies_j * (1.0 - 1e-9)
         return ~within
@@ -176,7 +188,9 @@ class DeformableBoundsOfWorlds:
             extents_m = np.linalg.norm(most - least, axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
             within = extents_m <= self._extents_m * (1.0 - 1e-9)
-            return ~(within & (np.maximum(most, -least).max(axis=1) <= self._distances_m))
+            return ~(
+                within & (np.maximum(most, -least).max(axis=1) <= self._distances_m)
+            )
 
 
 def _extent_m(nodes: FloatArray) -> float:

@@ -32,7 +32,13 @@ SCORED = "gauge_envs.envs.wrappers:scored_env"
 """Entry point of the ids that are experiments; control tasks have others."""
 
 
-def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, **arguments: Any) -> DmEnvironment:
+def load(
+    name: str,
+    *,
+    seed: int = 0,
+    options: Mapping[str, Any] | None = None,
+    **arguments: Any,
+) -> DmEnvironment:
     """Return an experiment as a `dm_env.Environment`.
 
     Args:
@@ -50,7 +56,9 @@ def load(name: str, *, seed: int = 0, options: Mapping[str, Any] | None = None, 
         >>> step.discount, round(env.score.rmse_normalized, 2)
         (1.0, 0.41)
     """
-    scored = [spec.name for spec in gymnasium.registry.values() if spec.entry_point == SCORED]
+    scored = [
+        spec.name for spec in gymnasium.registry.values() if spec.entry_point == SCORED
+    ]
     variant = name.removeprefix("GAUGE/")
     if variant not in scored:
         raise UnknownNameError("experiment", name, scored)
@@ -74,7 +82,13 @@ class DmEnvironment(dm_env.Environment):
         info: Gymnasium's `info` of the last step.
     """
 
-    def __init__(self, env: gymnasium.Env, *, seed: int = 0, options: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        *,
+        seed: int = 0,
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
         self.score: Score | None = None
         self.info: Mapping[str, Any] = {}
         self._env = env
@@ -84,7 +98,9 @@ class DmEnvironment(dm_env.Environment):
 
     def reset(self) -> dm_env.TimeStep:
         """Start an episode."""
-        observation, self.info = self._env.reset(seed=self._next_seed, options=self._options)
+        observation, self.info = self._env.reset(
+            seed=self._next_seed, options=self._options
+        )
         self._next_seed += 1
         self._is_over = False
         return dm_env.restart(observation)
@@ -112,7 +128,11 @@ class DmEnvironment(dm_env.Environment):
     def action_spec(self) -> specs.BoundedArray:
         """Return the spec of a velocity in [-1, 1] for each driven motion, or of the single action 0."""
         space = self._env.action_space
-        return specs.DiscreteArray(1, name="action") if isinstance(space, spaces.Discrete) else _array("action", space)
+        return (
+            specs.DiscreteArray(1, name="action")
+            if isinstance(space, spaces.Discrete)
+            else _array("action", space)
+        )
 
     def reward_spec(self) -> specs.BoundedArray:
         """Return the spec of a number of at most 0."""
@@ -129,4 +149,6 @@ class DmEnvironment(dm_env.Environment):
 
 def _array(name: str, space: spaces.Space[Any]) -> specs.BoundedArray:
     assert isinstance(space, spaces.Box)
-    return specs.BoundedArray(space.shape, space.dtype, space.low, space.high, name=name)
+    return specs.BoundedArray(
+        space.shape, space.dtype, space.low, space.high, name=name
+    )

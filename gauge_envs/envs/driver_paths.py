@@ -25,11 +25,18 @@ class DriverPaths:
         no_rates: Residual rates of zero, shape [motion_count].
     """
 
-    def __init__(self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S) -> None:
+    def __init__(
+        self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S
+    ) -> None:
         frame_count = 2 + math.ceil(seconds * FRAME_RATE_HZ)
         self._interval_s = interval_s
-        self._commands = motor_commands(scene, math.ceil(seconds / interval_s) + 1, interval_s)
-        self._paths = [DriverPath(driver, scene, frame_count, interval_s=interval_s) for driver in scene.drivers]
+        self._commands = motor_commands(
+            scene, math.ceil(seconds / interval_s) + 1, interval_s
+        )
+        self._paths = [
+            DriverPath(driver, scene, frame_count, interval_s=interval_s)
+            for driver in scene.drivers
+        ]
         self.is_passive = not self._paths and not self._commands.size
         self.no_rates = np.zeros(sum(path.motion_count for path in self._paths))
 

@@ -101,10 +101,17 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_overlay: bool = False,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
-        pictures = Pictures(render_mode, width=width, height=height, has_overlay=render_overlay)
+        pictures = Pictures(
+            render_mode, width=width, height=height, has_overlay=render_overlay
+        )
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
-        super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
+        super().__init__(
+            experiment,
+            pictures,
+            backend=self.arguments.backend,
+            settings=self.arguments.settings,
+        )
         self.band = self.arguments.band(experiment)
         self.seed_used: int | None = None
         self.jitter: Jitter | TrialStart | None = None
@@ -151,18 +158,26 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         self._check_open("reset")
         super().reset(seed=seed)
         self.seed_used = 0 if seed is None else seed
-        jitter = start_of(self.experiment, jitter_option(options or {}), seed=self.seed_used)
+        jitter = start_of(
+            self.experiment, jitter_option(options or {}), seed=self.seed_used
+        )
         if jitter is not None or self.jitter is not None:
-            experiment = jittered_experiment(self.experiment, jitter, seed=self.seed_used, backend=self.backend_name)
+            experiment = jittered_experiment(
+                self.experiment, jitter, seed=self.seed_used, backend=self.backend_name
+            )
             self._free()
-            self.band = self.arguments.band(self.experiment if experiment.trial is None else experiment)
+            self.band = self.arguments.band(
+                self.experiment if experiment.trial is None else experiment
+            )
             self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self.episode.begin()
         return self.episode.observation(), self.episode.info()
 
-    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Any
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulate one frame, 1/30 s.
 
         Raises:
@@ -174,7 +189,13 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         episode.advance(episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
-        return episode.observation(), episode.reward(), bool(fault), truncated, episode.info()
+        return (
+            episode.observation(),
+            episode.reward(),
+            bool(fault),
+            truncated,
+            episode.info(),
+        )
 
     def trajectory(self) -> Trajectory:
         """Return what the current episode has recorded so far.

@@ -23,7 +23,12 @@ from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
+from gauge_envs.observables.observer import (
+    MarkerProxy,
+    Observer,
+    ObserverMarkers,
+    ObserverPositions,
+)
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
@@ -67,7 +72,10 @@ class Trajectory:
     @property
     def dense(self) -> tuple[FloatArray, FloatArray]:
         """All times [s], shape [sample_count + later_count], and g(t) at those times."""
-        return (np.concatenate([self.times_s, self.later_times_s]), np.concatenate([self.samples, self.later_samples]))
+        return (
+            np.concatenate([self.times_s, self.later_times_s]),
+            np.concatenate([self.samples, self.later_samples]),
+        )
 
 
 class Episode:
@@ -112,23 +120,34 @@ class Episode:
         self.fault: str | None = None
         self._backend = backend
         self._world = world
-        is_aligned = band is not None and band.grade.is_real and experiment.trial is None
+        is_aligned = (
+            band is not None and band.grade.is_real and experiment.trial is None
+        )
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later = 0
         self._later_limit = self._later_frames
         self._last_view: View | None = None
-        self._drivers = DriverPaths(scene, (experiment.frame_count + self._later_frames) / FRAME_RATE_HZ)
+        self._drivers = DriverPaths(
+            scene, (experiment.frame_count + self._later_frames) / FRAME_RATE_HZ
+        )
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in experiment.recorded]
         # A slice reads faster than an index array, and most experiments record all dynamic bodies.
-        self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
+        self._recorded_rows = (
+            slice(None) if rows == list(range(len(self._dynamic))) else rows
+        )
         self.reward_band = reward_band(experiment, band)
         self._reward_terms = reward_terms(self.reward_band)
-        self._rewards_points = self.reward_band is not None and self.reward_band.points is not None
+        self._rewards_points = (
+            self.reward_band is not None and self.reward_band.points is not None
+        )
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
-        self.deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
+        self.deformable_bounds = [
+            DeformableBounds(name, scene, rest)
+            for name, rest in self.rest_nodes_m.items()
+        ]
         observable = experiment.score.observable
         self.observer: Observer
         if observable is Observable.POSITION:
@@ -136,7 +155,9 @@ class Episode:
         else:
             self.observer = ObserverMarkers(scene, observable, world, marker_proxy)
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
-        reward_grade = self._grade if self.reward_band is None else self.reward_band.grade.value
+        reward_grade = (
+            self._grade if self.reward_band is None else self.reward_band.grade.value
+        )
         # What `info` states of every frame.
         self._origin: dict[str, Any] = {
             "reference": reward_grade,
@@ -192,7 +213,9 @@ class Episode:
         """Residual rates of zero, which replay the recorded motion, shape [motion_count]."""
         return self._drivers.no_rates
 
-    def simulated(self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None) -> Generator[None]:
+    def simulated(
+        self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None
+    ) -> Generator[None]:
         """Drive and observe the next frame. It yields where a world that someone else advances must do so, by 1/180 s.
 
         A world that is a simulation of its own advances here, and nothing is yielded: engines advance and read it
@@ -207,7 +230,9 @@ class Episode:
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
         simulation = world if isinstance(world, Simulation) else None
         if simulation is not None and self._drivers.is_passive and after_sample is None:
-            rows[:] = self.observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
+            rows[:] = self.observer.sample(
+                simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S
+            )
             return
         for sample, row in enumerate(rows):
             self._drivers.drive(world, first + sample, rates)
@@ -219,7 +244,9 @@ class Episode:
             if after_sample is not None:
                 after_sample(sample)
 
-    def advance(self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None) -> None:
+    def advance(
+        self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None
+    ) -> None:
         """Run the next frame of a world that is a simulation of its own; the arguments are those of `simulated`."""
         next(self.simulated(rates, after_sample=after_sample), None)
 
@@ -248,7 +275,9 @@ class Episode:
     @property
     def runs_on(self) -> bool:
         """Whether the world must run on after the last frame before the episode can be scored."""
-        return self.is_complete and self.fault is None and self._later < self._later_limit
+        return (
+            self.is_complete and self.fault is None and self._later < self._later_limit
+        )
 
     def run_on(self) -> None:
         """Simulate on past the last frame, so that the release alignment knows the later motion.
@@ -275,7 +304,10 @@ class Episode:
         """Count a frame after the last one; a world that diverges there ends before it."""
         self._later += 1
         states = self._world.body_states(self._dynamic)
-        if self.fault_of(states) is not None or not np.isfinite(self._later_rows()).all():
+        if (
+            self.fault_of(states) is not None
+            or not np.isfinite(self._later_rows()).all()
+        ):
             self.count_later_frames(self._later - 1)
 
     def count_later_frames(self, count: int) -> None:
@@ -311,7 +343,9 @@ class Episode:
         for record, kept in zip(self._records(), state["recorded"], strict=True):
             record[:] = kept
 
-    def record_in(self, samples: FloatArray, bodies: FloatArray, markers_m: FloatArray) -> None:
+    def record_in(
+        self, samples: FloatArray, bodies: FloatArray, markers_m: FloatArray
+    ) -> None:
         """Record in arrays of the caller from now on, which may be parts of those of many worlds.
 
         Args:
@@ -319,7 +353,11 @@ class Episode:
             bodies: Place of the states of the recorded bodies at the frames, shape [frame_count, body_count, 13].
             markers_m: Place of the markers at the frames [m], shape [frame_count, marker_count, 3].
         """
-        samples[:], bodies[:], markers_m[:] = self._samples, self._bodies, self._markers_m
+        samples[:], bodies[:], markers_m[:] = (
+            self._samples,
+            self._bodies,
+            self._markers_m,
+        )
         self._samples, self._bodies, self._markers_m = samples, bodies, markers_m
 
     @property
@@ -347,23 +385,38 @@ class Episode:
             frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
             bodies=self._bodies[: self.frame + 1].copy(),
             markers_m=self._markers_m[: self.frame + 1].copy(),
-            later_times_s=(last + np.arange(len(self._later_rows()), dtype=np.float64)) * SAMPLE_INTERVAL_S,
+            later_times_s=(last + np.arange(len(self._later_rows()), dtype=np.float64))
+            * SAMPLE_INTERVAL_S,
             later_samples=self._later_rows().copy(),
         )
 
     def score(self) -> Score:
         """Return the score of the episode; if it diverged, the score has a grade and no metric."""
         if not self.is_over:
-            raise EpisodeError(f"{self.experiment.id}: no score before the episode is over")
+            raise EpisodeError(
+                f"{self.experiment.id}: no score before the episode is over"
+            )
         if self.fault is not None:
-            return Score(grade=self._grade, unit=self.experiment.score.observable.unit, edited=self.experiment.edited)
+            return Score(
+                grade=self._grade,
+                unit=self.experiment.score.observable.unit,
+                edited=self.experiment.edited,
+            )
         times_s, values = self.trajectory().dense
-        return score_trajectory(self.experiment, self.band, times_s=times_s, values=values, backend=self._backend)
+        return score_trajectory(
+            self.experiment,
+            self.band,
+            times_s=times_s,
+            values=values,
+            backend=self._backend,
+        )
 
     def deformation(self) -> DeformationScore | None:
         """Return the statistics of deformation beside real ones; None without them, or if the episode diverged."""
         if not self.is_over:
-            raise EpisodeError(f"{self.experiment.id}: no statistics of deformation before the episode is over")
+            raise EpisodeError(
+                f"{self.experiment.id}: no statistics of deformation before the episode is over"
+            )
         if self.fault is not None or not self._markers_m.size:
             return None
         return score_deformation(self.experiment, self._markers_m)
@@ -381,7 +434,10 @@ class Episode:
         """Return the nodes of each deformable body [m], shape [node_count, 3]."""
         if self._last_view is not None:
             return self._last_view[1]
-        return {body.name: self._world.nodes(body.name).copy() for body in self.experiment.scene.deformables}
+        return {
+            body.name: self._world.nodes(body.name).copy()
+            for body in self.experiment.scene.deformables
+        }
 
     def _record(self) -> FloatArray:
         """Record bodies and markers of the frame; return the states of the dynamic bodies, shape [body_count, 13]."""
@@ -456,21 +512,27 @@ class Episode:
 def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
     """Return the action space of an experiment: one entry for each motion of a driver; `Discrete(1)` without any."""
     motions = sum(len(driver.motions) for driver in experiment.scene.drivers)
-    return spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+    return (
+        spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+    )
 
 
 def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
     """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
     scene = experiment.scene
     distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
-    state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
+    state = np.concatenate(
+        [np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)]
+    )
 
     def states(count: int) -> spaces.Box:
         bound = np.tile(state, (count, 1))
         return spaces.Box(-bound, bound, dtype=np.float64)
 
     entries: dict[str, spaces.Space[Any]] = {
-        "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (len(experiment.coordinates),), np.float64),
+        "observable": spaces.Box(
+            -1e3 * distance, 1e3 * distance, (len(experiment.coordinates),), np.float64
+        ),
         "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
     }
     if experiment.recorded:
@@ -483,14 +545,18 @@ def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
     return cast("spaces.Space[Observation]", spaces.Dict(entries))
 
 
-def run_on_together(episodes: Sequence[Episode], advance: Callable[[Sequence[int]], None]) -> None:
+def run_on_together(
+    episodes: Sequence[Episode], advance: Callable[[Sequence[int]], None]
+) -> None:
     """Simulate worlds on past the last frame, so that the release alignment knows the later motion.
 
     Args:
         episodes: The episode of each world.
         advance: Function that advances the worlds of some numbers by a frame without actions.
     """
-    while running := [number for number, episode in enumerate(episodes) if episode.runs_on]:
+    while running := [
+        number for number, episode in enumerate(episodes) if episode.runs_on
+    ]:
         for number in running:
             episodes[number].begin_later_frame()
         advance(running)
@@ -508,7 +574,11 @@ def reward_terms(band: Band | None) -> tuple[FloatArray, FloatArray, FloatArray]
     if band is None:
         return None
     band = band.points or band
-    scale = band.sigma if band.uncertainty is None else np.fmax(band.sigma, band.uncertainty)
+    scale = (
+        band.sigma
+        if band.uncertainty is None
+        else np.fmax(band.sigma, band.uncertainty)
+    )
     usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
@@ -527,12 +597,18 @@ def reward_text(band: Band | None) -> str:
     known = np.flatnonzero(terms[2].any(axis=1))
     if not len(known):
         return "0 at every frame: the reference has no scatter"
-    span = f"frames {known[0]} to {known[-1]}" if len(known) > 1 else f"frame {known[0]}"
+    span = (
+        f"frames {known[0]} to {known[-1]}" if len(known) > 1 else f"frame {known[0]}"
+    )
     if known[-1] - known[0] + 1 != len(known):
         span = f"{len(known)} of the {span}"
     elsewhere = "" if len(known) == len(band.mean) else "; 0 at the others"
     compared = band.points or band
-    names = compared.coordinates if len(compared.coordinates) < 4 else (f"{len(compared.coordinates)} coordinates",)
+    names = (
+        compared.coordinates
+        if len(compared.coordinates) < 4
+        else (f"{len(compared.coordinates)} coordinates",)
+    )
     scale = "sigma"
     if band.grade is BandGrade.END:
         height_mm, left_mm = terms[1][known[0], 0], 1.0 / terms[2][known[0], 0]

@@ -98,11 +98,19 @@ class EpisodesOneByOne:
     def _rates(self, actions: Any) -> dict[int, FloatArray]:
         """Return the residual rates of the running worlds."""
         check_length(actions, len(self.episodes))
-        return {number: self.episodes[number].checked(actions[number]) for number in self.running.tolist()}
+        return {
+            number: self.episodes[number].checked(actions[number])
+            for number in self.running.tolist()
+        }
 
     def _advance(self, rates: Mapping[int, FloatArray]) -> None:
         """Drive, advance and observe a frame of the worlds of some numbers."""
-        self._stepper.run({number: self.episodes[number].simulated(one) for number, one in rates.items()})
+        self._stepper.run(
+            {
+                number: self.episodes[number].simulated(one)
+                for number, one in rates.items()
+            }
+        )
 
     def play(self, seed: int) -> None:
         """Run all episodes without actions to their ends, and past them as far as their scores need.
@@ -118,7 +126,10 @@ class EpisodesOneByOne:
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
         run_on_together(
-            self.episodes, lambda numbers: self._advance({one: self.episodes[one].no_rates for one in numbers})
+            self.episodes,
+            lambda numbers: self._advance(
+                {one: self.episodes[one].no_rates for one in numbers}
+            ),
         )
 
     def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
@@ -140,7 +151,9 @@ class EpisodesOneByOne:
     def rewards(self) -> FloatArray:
         """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
         rewards = np.zeros(len(self.episodes))
-        rewards[self.ran] = [self.episodes[number].reward() for number in self.ran.tolist()]
+        rewards[self.ran] = [
+            self.episodes[number].reward() for number in self.ran.tolist()
+        ]
         return rewards
 
     def infos(self, add: AddInfo) -> dict[str, Any]:
@@ -173,6 +186,8 @@ def check_length(actions: Any, count: int) -> None:
     try:
         found = len(actions)
     except TypeError as error:
-        raise ActionError(f"actions {actions!r}: expected one action for each of {count} worlds") from error
+        raise ActionError(
+            f"actions {actions!r}: expected one action for each of {count} worlds"
+        ) from error
     if found != count:
         raise ActionError(f"{found} actions for {count} worlds")

@@ -36,14 +36,31 @@ class Pictures:
         has_overlay: Whether the environment puts an overlay on its pictures.
     """
 
-    def __init__(self, render_mode: str | None, *, width: int, height: int, has_overlay: bool = False) -> None:
+    def __init__(
+        self,
+        render_mode: str | None,
+        *,
+        width: int,
+        height: int,
+        has_overlay: bool = False,
+    ) -> None:
         if render_mode not in (None, *RENDER_MODES):
-            raise ParameterError(f"render_mode {render_mode!r}: choose None or 'rgb_array'")
+            raise ParameterError(
+                f"render_mode {render_mode!r}: choose None or 'rgb_array'"
+            )
         for name, value in (("width", width), ("height", height)):
-            if not isinstance(value, int | np.integer) or isinstance(value, bool) or not 1 <= value <= SIZE_LIMIT:
-                raise ParameterError(f"{name} is {value!r}, expected a whole number of pixels from 1 to {SIZE_LIMIT}")
+            if (
+                not isinstance(value, int | np.integer)
+                or isinstance(value, bool)
+                or not 1 <= value <= SIZE_LIMIT
+            ):
+                raise ParameterError(
+                    f"{name} is {value!r}, expected a whole number of pixels from 1 to {SIZE_LIMIT}"
+                )
         if not isinstance(has_overlay, bool | np.bool_):
-            raise ParameterError(f"render_overlay is {has_overlay!r}, expected True or False")
+            raise ParameterError(
+                f"render_overlay is {has_overlay!r}, expected True or False"
+            )
         self.render_mode = render_mode
         self.has_overlay = bool(has_overlay)
         self._size = (width, height)
@@ -79,11 +96,18 @@ class Pictures:
             width, height = self._size
             if reach is None:
                 reference = reference_path(experiment, band)
-                view = experiment_view(experiment, aspect=width / height, reference=reference)
+                view = experiment_view(
+                    experiment, aspect=width / height, reference=reference
+                )
             else:
                 view = scene_view(experiment.scene, reference=reach)
             self._renderer = SceneRenderer(
-                experiment.scene, rest_nodes_m, width, height, view=view, materials=experiment.materials
+                experiment.scene,
+                rest_nodes_m,
+                width,
+                height,
+                view=view,
+                materials=experiment.materials,
             )
         return self._renderer.picture(poses, nodes_m, overlay)
 
@@ -98,7 +122,9 @@ class Pictures:
         return vars(self) | {"_renderer": None}
 
 
-def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) -> NDArray[np.uint8]:
+def episode_picture(
+    pictures: Pictures, episode: Episode, *, drawn_as: Episode
+) -> NDArray[np.uint8]:
     """Return a picture of an episode, shape [height, width, 3], with its overlay if the pictures have one.
 
     Args:

@@ -43,9 +43,14 @@ class Stepper:
 
     def __init__(self, worlds: Worlds, moving: Sequence[str] = ()) -> None:
         self.worlds = worlds
-        self._simulations = [world for world in worlds.worlds if isinstance(world, Simulation)]
+        self._simulations = [
+            world for world in worlds.worlds if isinstance(world, Simulation)
+        ]
         thread_count = 1
-        if all(isinstance(world, Simulation) and world.frees_python for world in worlds.worlds):
+        if all(
+            isinstance(world, Simulation) and world.frees_python
+            for world in worlds.worlds
+        ):
             thread_count = min(processors(), len(worlds.worlds))
         self._threads = ThreadPoolExecutor(thread_count) if thread_count > 1 else None
         self._thread_count = thread_count
@@ -53,19 +58,28 @@ class Stepper:
         self._states: FloatArray | None = None
         self.views: Sequence[World] = worlds.worlds
         if moving and not self._simulations:
-            self.views = [cast("World", _View(self, number)) for number in range(len(worlds.worlds))]
+            self.views = [
+                cast("World", _View(self, number))
+                for number in range(len(worlds.worlds))
+            ]
 
-    def run(self, frames: Mapping[int, Generator[None, None, Result]]) -> dict[int, Result]:
+    def run(
+        self, frames: Mapping[int, Generator[None, None, Result]]
+    ) -> dict[int, Result]:
         """Run a frame of some worlds, and return what the frames return; an error of a frame is raised at the end.
 
         Args:
             frames: Frames by the number of their world. Those of worlds that are simulations of their own must change
                 nothing but their world.
         """
-        results = self._run_alone(frames) if self._simulations else self._run_together(frames)
+        results = (
+            self._run_alone(frames) if self._simulations else self._run_together(frames)
+        )
         return {number: results[number] for number in frames}
 
-    def _run_alone(self, frames: Mapping[int, Generator[None, None, Result]]) -> dict[int, Result]:
+    def _run_alone(
+        self, frames: Mapping[int, Generator[None, None, Result]]
+    ) -> dict[int, Result]:
         results: dict[int, Result] = {}
 
         def run(numbers: Sequence[int]) -> None:
@@ -76,12 +90,17 @@ class Stepper:
         if self._threads is None or len(numbers) < 2:
             run(numbers)
         else:
-            parts = [numbers[first :: self._thread_count] for first in range(self._thread_count)]
+            parts = [
+                numbers[first :: self._thread_count]
+                for first in range(self._thread_count)
+            ]
             # The results of the map raise the errors of its calls.
             list(self._threads.map(run, parts))
         return results
 
-    def _run_together(self, frames: Mapping[int, Generator[None, None, Result]]) -> dict[int, Result]:
+    def _run_together(
+        self, frames: Mapping[int, Generator[None, None, Result]]
+    ) -> dict[int, Result]:
         results: dict[int, Result] = {}
         running = dict(frames)
         while running:

@@ -35,14 +35,19 @@ class _DrivenTrials(FileModel):
 def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
     """Return an experiment with the start and driven path of a bundled trial, which scores it; None without such."""
     file = scoring_folder("trials") / f"{experiment.name}.toml"
-    is_imported = DataSource.IMPORTED in (experiment.drivers, experiment.reference_source)
+    is_imported = DataSource.IMPORTED in (
+        experiment.drivers,
+        experiment.reference_source,
+    )
     if experiment.edited or is_imported or not file.is_file():
         return None
     known = read_toml(file, _DrivenTrials)
     scene = experiment.scene
     count = min(map(len, known.start_m.values()))
     if not 0 <= trial < count:
-        raise ParameterError(f"{experiment.id}: trial {trial} does not exist: choose 0 to {count - 1}")
+        raise ParameterError(
+            f"{experiment.id}: trial {trial} does not exist: choose 0 to {count - 1}"
+        )
     starts = {
         name: replace(scene.body(name).pose, position_m=positions_m[trial])
         for name, positions_m in known.start_m.items()
@@ -51,12 +56,20 @@ def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
     for driver in scene.drivers:
         point_m = starts[driver.body].position_m
         motions = []
-        for motion, values in zip(driver.motions, known.motions[driver.body][trial], strict=True):
+        for motion, values in zip(
+            driver.motions, known.motions[driver.body][trial], strict=True
+        ):
             path = SampledProfile(times_s=known.times_s, values=values)
             motions.append(replace(motion, point_m=point_m, profiles=(path,)))
         drivers.append(replace(driver, motions=tuple(motions)))
-    bodies = tuple(replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies)
-    return replace(experiment, scene=replace(scene, bodies=bodies, drivers=tuple(drivers)), trial=trial)
+    bodies = tuple(
+        replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies
+    )
+    return replace(
+        experiment,
+        scene=replace(scene, bodies=bodies, drivers=tuple(drivers)),
+        trial=trial,
+    )
 
 
 def trial_scene(experiment: Experiment, trial: int) -> Scene:
@@ -92,7 +105,9 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
         name: _started(
             scene.body(name),
             joints.get(name),
-            blocked_directions(scene.body(name).pose, scene.contact_faces.normals([name])),
+            blocked_directions(
+                scene.body(name).pose, scene.contact_faces.normals([name])
+            ),
             positions_m[:, index],
             *turns[index],
         )
@@ -104,7 +119,9 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
             f"{experiment.id}: every recorded body is attached to a deformable body, so no trial gives a start: remove "
             "the option 'trial'"
         )
-    return replace(scene, bodies=tuple(started.get(body.name, body) for body in scene.bodies))
+    return replace(
+        scene, bodies=tuple(started.get(body.name, body) for body in scene.bodies)
+    )
 
 
 def _imported(experiment: Experiment) -> ImportedVariant:
@@ -123,7 +140,9 @@ def _imported(experiment: Experiment) -> ImportedVariant:
     return imported
 
 
-def _first_positions_m(experiment: Experiment, imported: ImportedVariant, trial: int) -> FloatArray:
+def _first_positions_m(
+    experiment: Experiment, imported: ImportedVariant, trial: int
+) -> FloatArray:
     """Return the positions of the recorded bodies in the first frames [m], shape [START_FRAMES, body_count, 3]."""
     trials = imported.band.trials
     if trials is None:
@@ -131,7 +150,9 @@ def _first_positions_m(experiment: Experiment, imported: ImportedVariant, trial:
             f"{experiment.id}: the import holds no single trials. Run `gauge data import DIR` again for option 'trial'."
         )
     if not 0 <= trial < len(trials):
-        raise ParameterError(f"{experiment.id}: trial {trial} does not exist: choose 0 to {len(trials) - 1}")
+        raise ParameterError(
+            f"{experiment.id}: trial {trial} does not exist: choose 0 to {len(trials) - 1}"
+        )
     first = trials[trial, :START_FRAMES]
     if len(first) < START_FRAMES or np.isnan(first).any():
         raise ParameterError(
@@ -141,7 +162,9 @@ def _first_positions_m(experiment: Experiment, imported: ImportedVariant, trial:
     return 1e-3 * first.reshape(len(first), -1, 3)
 
 
-def _first_turns(imported: ImportedVariant, trial: int, body_count: int) -> list[tuple[Rotation, FloatArray]]:
+def _first_turns(
+    imported: ImportedVariant, trial: int, body_count: int
+) -> list[tuple[Rotation, FloatArray]]:
     """Return the rotation of each recorded body from the mean start, and its angular velocity [rad/s].
 
     Both are in the world frame, and are zero for a body whose orientation the trial does not have in all first frames.
@@ -159,7 +182,12 @@ def _first_turns(imported: ImportedVariant, trial: int, body_count: int) -> list
         mean = Rotation.from_quat(quaternions[known, 0, index]).mean()
         frames = Rotation.from_quat(quaternions[trial, :, index])
         turned = (frames * frames[0].inv()).as_rotvec()
-        turns.append((frames[0] * mean.inv(), FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ turned))
+        turns.append(
+            (
+                frames[0] * mean.inv(),
+                FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ turned,
+            )
+        )
     return turns
 
 
@@ -187,15 +215,24 @@ def _started(
         return _swinging(body, joint, positions_m[0], velocity)
     if not isinstance(body.shape, Sphere):
         for normal in blocked:
-            shift, velocity = (one - (one @ normal) * normal for one in (shift, velocity))
+            shift, velocity = (
+                one - (one @ normal) * normal for one in (shift, velocity)
+            )
         is_single = len(blocked) == 1
         spin = (spin @ blocked[0]) * blocked[0] if is_single else np.zeros(3)
         rotation = _about(rotation, blocked[0]) if is_single else Rotation.identity()
-    pose = Pose.from_rotation(vector(body.pose.position_m + shift), rotation * body.pose.rotation)
+    pose = Pose.from_rotation(
+        vector(body.pose.position_m + shift), rotation * body.pose.rotation
+    )
     if rotation.magnitude() < SAME_ANGLE_RAD:
         # A rotation of nothing keeps the orientation bit for bit.
         pose = replace(body.pose, position_m=pose.position_m)
-    return replace(body, pose=pose, linear_velocity_m_per_s=vector(velocity), angular_velocity_rad_per_s=vector(spin))
+    return replace(
+        body,
+        pose=pose,
+        linear_velocity_m_per_s=vector(velocity),
+        angular_velocity_rad_per_s=vector(spin),
+    )
 
 
 def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
@@ -204,20 +241,26 @@ def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
     return Rotation.from_rotvec(2.0 * np.arctan2(np.array([x, y, z]) @ axis, w) * axis)
 
 
-def _swinging(body: RigidBody, joint: Hinge | Tether, position_m: FloatArray, velocity: FloatArray) -> RigidBody:
+def _swinging(
+    body: RigidBody, joint: Hinge | Tether, position_m: FloatArray, velocity: FloatArray
+) -> RigidBody:
     """Return a body that is rotated about its joint towards a position, and swings with a velocity [m/s]."""
     anchor = np.asarray(joint.anchor_m)
     arm, recorded = np.subtract(body.pose.position_m, anchor), position_m - anchor
     if isinstance(joint, Hinge):
         axis = np.asarray(joint.axis)
         flat, aim = (one - (one @ axis) * axis for one in (arm, recorded))
-        rotation = Rotation.from_rotvec(np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis)
+        rotation = Rotation.from_rotvec(
+            np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis
+        )
         arm = rotation.apply(flat)
         angular = np.cross(arm, velocity) @ axis / (arm @ arm) * axis
     else:
         turn = np.cross(arm, recorded)
         size = float(np.linalg.norm(turn))
-        rotation = Rotation.from_rotvec(np.arctan2(size, arm @ recorded) * turn / size if size else np.zeros(3))
+        rotation = Rotation.from_rotvec(
+            np.arctan2(size, arm @ recorded) * turn / size if size else np.zeros(3)
+        )
         arm = rotation.apply(arm)
         angular = np.cross(arm, velocity) / (arm @ arm)
     return replace(

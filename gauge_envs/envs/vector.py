@@ -10,7 +10,13 @@ from dataclasses import replace
 from typing import Any, Literal, Unpack, cast
 
 import numpy as np
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv, VectorWrapper
+from gymnasium.vector import (
+    AsyncVectorEnv,
+    AutoresetMode,
+    SyncVectorEnv,
+    VectorEnv,
+    VectorWrapper,
+)
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Worlds
@@ -37,7 +43,13 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.jitter import Jitter
 
-Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+Step = tuple[
+    Observation,
+    NDArray[np.float64],
+    NDArray[np.bool_],
+    NDArray[np.bool_],
+    dict[str, Any],
+]
 
 
 class GaugeVectorEnv(WorldsEnvironment[Observation]):
@@ -98,26 +110,41 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         **arguments: Unpack[EnvKeywords],
     ) -> None:
         constants = world_constants(num_envs, world_parameters)
-        pictures = Pictures(render_mode, width=width, height=height, has_overlay=render_overlay)
+        pictures = Pictures(
+            render_mode, width=width, height=height, has_overlay=render_overlay
+        )
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
-        super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
+        super().__init__(
+            experiment,
+            pictures,
+            backend=self.arguments.backend,
+            settings=self.arguments.settings,
+        )
         band = self.arguments.band(experiment)
         # A model is the solution of the calibrated scene, and not of worlds with other constants.
-        is_another = band is not None and band.grade is BandGrade.MODEL and any(world_parameters or ())
+        is_another = (
+            band is not None
+            and band.grade is BandGrade.MODEL
+            and any(world_parameters or ())
+        )
         self.band = None if is_another else band
         self.seeds_used: tuple[int, ...] = ()
         self.jitter: Jitter | TrialStart | None = None
         common = dict(experiment.overrides)
         self._stated = [
-            replace(self.arguments, parameters=common | dict(one)).experiment() if one else experiment
+            replace(self.arguments, parameters=common | dict(one)).experiment()
+            if one
+            else experiment
             for one in constants
         ]
         self._build(self._stated)
         self._set_spaces(num_envs, self.episodes[0])
 
     def _build(self, experiments: Sequence[Experiment]) -> None:
-        self._lockstep = episodes_in_lockstep(self.arguments, experiments, self.experiment, self.band)
+        self._lockstep = episodes_in_lockstep(
+            self.arguments, experiments, self.experiment, self.band
+        )
         self._is_reset = self._has_no_record = False
 
     @property
@@ -131,7 +158,10 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         return self._lockstep.episodes
 
     def reset(
-        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, dict[str, Any]]:
         """Start a new episode in every world.
 
@@ -188,14 +218,22 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """
         self._check_started("rollout", started=self._is_reset)
         if self.band is None:
-            raise EpisodeError(f"{self.experiment.id}: it has no reference, and so no scores")
+            raise EpisodeError(
+                f"{self.experiment.id}: it has no reference, and so no scores"
+            )
         if any(episode.frame for episode in self.episodes):
-            raise EpisodeError(f"{self.experiment.id}: a rollout starts at frame 0, call reset before it")
+            raise EpisodeError(
+                f"{self.experiment.id}: a rollout starts at frame 0, call reset before it"
+            )
         count = self.experiment.frame_count - 1
         if actions is None:
-            actions = np.zeros((count, *(self.action_space.shape or ())), dtype=self.action_space.dtype)
+            actions = np.zeros(
+                (count, *(self.action_space.shape or ())), dtype=self.action_space.dtype
+            )
         if len(actions) != count:
-            raise ActionError(f"{len(actions)} frames of actions for an episode of {count} steps")
+            raise ActionError(
+                f"{len(actions)} frames of actions for an episode of {count} steps"
+            )
         recorded = self._lockstep.roll_out(actions, keep=keep)
         if recorded is not None:
             self._is_reset, self._has_no_record = keep, not keep
@@ -205,7 +243,11 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
                 self._lockstep.step(one)
         return Rollout(
             scores=self.score_arrays(),
-            diverged={number: one.fault for number, one in enumerate(self.episodes) if one.fault is not None},
+            diverged={
+                number: one.fault
+                for number, one in enumerate(self.episodes)
+                if one.fault is not None
+            },
             frames=np.array([episode.frame for episode in self.episodes]),
             device=None,
         )
@@ -221,7 +263,9 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
         self._check_record("scores")
         self._lockstep.run_on()
-        return tuple(episode.score() if episode.is_over else None for episode in self.episodes)
+        return tuple(
+            episode.score() if episode.is_over else None for episode in self.episodes
+        )
 
     def score_arrays(self) -> dict[str, NDArray[np.float64]]:
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
@@ -232,20 +276,29 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """
         self._check_record("score_arrays")
         if self.band is None:
-            raise EpisodeError(f"{self.experiment.id}: it has no reference, and so no scores")
+            raise EpisodeError(
+                f"{self.experiment.id}: it has no reference, and so no scores"
+            )
         self._lockstep.run_on()
         times_s, samples = self._lockstep.trajectories()
-        over = np.array([episode.is_over and episode.fault is None for episode in self.episodes])
+        over = np.array(
+            [episode.is_over and episode.fault is None for episode in self.episodes]
+        )
         samples[~over] = np.nan
         return score_worlds(self.experiment, self.band, times_s=times_s, values=samples)
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
         """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
         self._check_record("deformations")
-        return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
+        return tuple(
+            episode.deformation() if episode.is_over else None
+            for episode in self.episodes
+        )
 
     def _picture(self, number: int) -> NDArray[np.uint8]:
-        return episode_picture(self._pictures, self.episodes[number], drawn_as=self.episodes[0])
+        return episode_picture(
+            self._pictures, self.episodes[number], drawn_as=self.episodes[0]
+        )
 
     def _free(self) -> None:
         super()._free()
@@ -277,15 +330,22 @@ class ScoreEpisodes(VectorWrapper):
         [0.41, 0.41]
     """
 
-    def __init__(self, env: VectorEnv[Any, Any, NDArray[Any]], *, arrays: bool = False) -> None:
+    def __init__(
+        self, env: VectorEnv[Any, Any, NDArray[Any]], *, arrays: bool = False
+    ) -> None:
         super().__init__(env)
         if arrays and not isinstance(env.unwrapped, GaugeVectorEnv):
-            raise ParameterError(f"arrays: expected a GaugeVectorEnv, got a {type(env.unwrapped).__name__}")
+            raise ParameterError(
+                f"arrays: expected a GaugeVectorEnv, got a {type(env.unwrapped).__name__}"
+            )
         self._arrays = arrays
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes."""
         self._over[:] = False
@@ -303,16 +363,26 @@ class ScoreEpisodes(VectorWrapper):
             assert isinstance(env, GaugeVectorEnv)
             if ended and over.all() and env.band is not None:
                 scores = env.score_arrays()
-                infos |= scores | {f"_{key}": np.isfinite(values) for key, values in scores.items()}
+                infos |= scores | {
+                    f"_{key}": np.isfinite(values) for key, values in scores.items()
+                }
         elif ended and "score" not in infos:
-            found, deformations = self._ended(infos, "score"), self._ended(infos, "deformation")
+            found, deformations = (
+                self._ended(infos, "score"),
+                self._ended(infos, "deformation"),
+            )
             for number in ended:
                 if found[number] is not None:
-                    added = {"score": found[number], "deformation": deformations[number]}
+                    added = {
+                        "score": found[number],
+                        "deformation": deformations[number],
+                    }
                     infos = self._add_info(infos, added, number)
         return observations, rewards, terminations, truncations, infos
 
-    def _ended(self, infos: Mapping[str, Any], name: Literal["score", "deformation"]) -> Sequence[Any]:
+    def _ended(
+        self, infos: Mapping[str, Any], name: Literal["score", "deformation"]
+    ) -> Sequence[Any]:
         """Return what `GaugeEnv.score` or `GaugeEnv.deformation` returns, for each world."""
         env = self.env.unwrapped
         if isinstance(env, GaugeVectorEnv):

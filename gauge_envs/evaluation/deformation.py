@@ -71,7 +71,9 @@ class DeformationScore:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary of all fields."""
-        return asdict(self) | {"statistics": [asdict(statistic) for statistic in self.statistics]}
+        return asdict(self) | {
+            "statistics": [asdict(statistic) for statistic in self.statistics]
+        }
 
 
 def deformation_reference(experiment: Experiment) -> DeformationReference | None:
@@ -85,7 +87,10 @@ def deformation_reference(experiment: Experiment) -> DeformationReference | None
 
 
 def score_deformation(
-    experiment: Experiment, markers_m: ArrayLike, *, reference: DeformationReference | None = None
+    experiment: Experiment,
+    markers_m: ArrayLike,
+    *,
+    reference: DeformationReference | None = None,
 ) -> DeformationScore | None:
     """Compare the deformation of a rollout with real trials.
 
@@ -99,7 +104,11 @@ def score_deformation(
     Returns:
         The comparison; None if the experiment has no markers on a solid, or no real statistics.
     """
-    from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid
+    from gauge_envs.observables.deformation import (
+        STATISTICS,
+        deformation_statistics,
+        marked_solid,
+    )
 
     solid = marked_solid(experiment.scene)
     reference = deformation_reference(experiment) if reference is None else reference
@@ -108,7 +117,9 @@ def score_deformation(
     markers = np.asarray(markers_m, dtype=np.float64)
     wanted = (experiment.frame_count, len(experiment.scene.markers.positions_m), 3)
     if markers.shape != wanted:
-        raise ShapeError(f"markers_m has shape {markers.shape}; {experiment.name} needs {wanted}")
+        raise ShapeError(
+            f"markers_m has shape {markers.shape}; {experiment.name} needs {wanted}"
+        )
     if len(reference.mean) != experiment.frame_count:
         raise ShapeError(
             f"the reference has {len(reference.mean)} frames; {experiment.name} needs {experiment.frame_count}. "
@@ -119,7 +130,9 @@ def score_deformation(
     simulated = deformation_statistics(markers[0], markers, solid)
     scores = [
         _score(name, simulated[:, STATISTICS.index(name)], mean, sigma)
-        for name, mean, sigma in zip(reference.statistics, reference.mean.T, reference.sigma.T, strict=True)
+        for name, mean, sigma in zip(
+            reference.statistics, reference.mean.T, reference.sigma.T, strict=True
+        )
     ]
     return DeformationScore(
         trial_count=reference.trial_count,
@@ -129,7 +142,9 @@ def score_deformation(
     )
 
 
-def _score(name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray) -> StatisticScore | None:
+def _score(
+    name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray
+) -> StatisticScore | None:
     from gauge_envs.observables.deformation import statistic_unit
 
     known = np.isfinite(simulated) & np.isfinite(mean) & np.isfinite(sigma)

@@ -9,8 +9,18 @@ from scipy.optimize import minimize_scalar
 from scipy.special import betaincinv
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S, release_offset, trajectory_rmse
-from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors, refusal, widening
+from gauge_envs.evaluation.metrics.trajectory import (
+    MAX_RELEASE_OFFSET_S,
+    release_offset,
+    trajectory_rmse,
+)
+from gauge_envs.evaluation.uncertainty import (
+    LEVEL,
+    BandErrors,
+    band_errors,
+    refusal,
+    widening,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline
@@ -68,7 +78,11 @@ class Deviation:
     def normalized_interval(self) -> tuple[float, float] | None:
         """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
         ends = None if self.baseline is None else self.errors.interval(self.values)
-        return None if ends is None or self.baseline is None else (ends[0] / self.baseline, ends[1] / self.baseline)
+        return (
+            None
+            if ends is None or self.baseline is None
+            else (ends[0] / self.baseline, ends[1] / self.baseline)
+        )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,12 +110,22 @@ class Deviations:
     @property
     def first(self) -> Deviation:
         """The deviation of the primary score."""
-        return self.aligned if self.primary == "rmse_aligned" and self.aligned is not None else self.raw
+        return (
+            self.aligned
+            if self.primary == "rmse_aligned" and self.aligned is not None
+            else self.raw
+        )
 
 
-def experiment_sensitivities(experiment: Experiment, backend: str | None) -> Sensitivities | None:
+def experiment_sensitivities(
+    experiment: Experiment, backend: str | None
+) -> Sensitivities | None:
     """Return the stored sensitivities of an experiment on an engine; None without, if edited, and for later trials."""
-    return None if experiment.edited or experiment.trial else load_sensitivities(experiment.name, backend)
+    return (
+        None
+        if experiment.edited or experiment.trial
+        else load_sensitivities(experiment.name, backend)
+    )
 
 
 def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
@@ -111,7 +135,9 @@ def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
     return baseline if baseline is not None and baseline.mean else None
 
 
-def band_deviations(experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray) -> Deviations:
+def band_deviations(
+    experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray
+) -> Deviations:
     """Return the deviations of a generalized trajectory from a band, with their errors.
 
     Args:
@@ -135,12 +161,19 @@ def band_deviations(experiment: Experiment, band: Band, *, times_s: FloatArray, 
     if not band.grade.is_real or experiment.trial is not None:
         return Deviations(raw=raw, aligned=None, release_offset_s=None, primary="rmse")
     projected = band.project(values)
-    offset_s, rmse = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)
+    offset_s, rmse = release_offset(
+        times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ
+    )
     shifted, velocity = _shifted(times_s, projected, offset_s, len(band.mean))
 
     def moved(late_s: FloatArray) -> FloatArray:
-        queries_s = np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s - late_s[:, None]
-        columns = [np.interp(queries_s, times_s, column, right=np.nan) for column in projected.T]
+        queries_s = (
+            np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s - late_s[:, None]
+        )
+        columns = [
+            np.interp(queries_s, times_s, column, right=np.nan)
+            for column in projected.T
+        ]
         return np.stack(columns, axis=2)
 
     errors, baseline = errors.aligned(velocity, moved), aligned_baseline(band)
@@ -148,13 +181,21 @@ def band_deviations(experiment: Experiment, band: Band, *, times_s: FloatArray, 
         errors = errors.with_baseline(trials.aligned)
     return Deviations(
         raw=raw,
-        aligned=Deviation(values=shifted - band.mean, rmse=rmse, errors=errors, baseline=baseline, velocity=velocity),
+        aligned=Deviation(
+            values=shifted - band.mean,
+            rmse=rmse,
+            errors=errors,
+            baseline=baseline,
+            velocity=velocity,
+        ),
         release_offset_s=offset_s,
         primary="rmse" if experiment.scene.drivers else "rmse_aligned",
     )
 
 
-def sampled_frames(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> FloatArray:
+def sampled_frames(
+    experiment: Experiment, times_s: FloatArray, values: FloatArray
+) -> FloatArray:
     """Return the samples at the 30 Hz frames of an experiment, shape [T, coordinate_count]."""
     wanted = np.arange(experiment.frame_count) / FRAME_RATE_HZ
     index = np.clip(np.searchsorted(times_s, wanted - 1e-6), 0, len(times_s) - 1)
@@ -173,8 +214,15 @@ def _shifted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a simulation that is shifted in time, and its velocity, at the frames, each of shape [T, C]."""
     queries_s = np.arange(frame_count) / FRAME_RATE_HZ - offset_s
-    shifted = np.column_stack([np.interp(queries_s, times_s, column) for column in values.T])
-    velocity = np.column_stack([np.interp(queries_s, times_s, np.gradient(column, times_s)) for column in values.T])
+    shifted = np.column_stack(
+        [np.interp(queries_s, times_s, column) for column in values.T]
+    )
+    velocity = np.column_stack(
+        [
+            np.interp(queries_s, times_s, np.gradient(column, times_s))
+            for column in values.T
+        ]
+    )
     # Before its start the simulation is held.
     return shifted, np.where(queries_s[:, None] < 0.0, 0.0, velocity)
 
@@ -252,15 +300,26 @@ def percentile_interval(
     if interval is None or refusal(distances) is not None:
         return None
     count, tail = len(distances) / widening(distances) ** 2, 0.5 * (1.0 - LEVEL)
-    fewest, share, most = (float(np.mean(distances < end)) for end in (interval[0], distance, interval[1]))
+    fewest, share, most = (
+        float(np.mean(distances < end)) for end in (interval[0], distance, interval[1])
+    )
     closer = share * count
     low = float(betaincinv(closer, count - closer + 1.0, tail)) if closer else 0.0
-    high = float(betaincinv(closer + 1.0, count - closer, 1.0 - tail)) if share < 1.0 else 1.0
-    below, above = math.hypot(share - low, share - fewest), math.hypot(high - share, most - share)
+    high = (
+        float(betaincinv(closer + 1.0, count - closer, 1.0 - tail))
+        if share < 1.0
+        else 1.0
+    )
+    below, above = (
+        math.hypot(share - low, share - fewest),
+        math.hypot(high - share, most - share),
+    )
     return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 
 
-def _shifted_rmse(trial: FloatArray, mean: FloatArray, shifts_s: FloatArray) -> FloatArray:
+def _shifted_rmse(
+    trial: FloatArray, mean: FloatArray, shifts_s: FloatArray
+) -> FloatArray:
     """Return the RMSE of a trial that is shifted in time, over the common frames; inf where these are too few."""
     seen = np.isfinite(trial).all(axis=1)
     frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
@@ -275,7 +334,9 @@ def _shifted_rmse(trial: FloatArray, mean: FloatArray, shifts_s: FloatArray) -> 
         usable = wanted & (queries_s <= known_s[-1] + 1e-9)
         if usable.sum() < LEAST_OVERLAP * wanted.sum():
             continue
-        shifted = np.column_stack([np.interp(queries_s[usable], known_s, column) for column in trial[seen].T])
+        shifted = np.column_stack(
+            [np.interp(queries_s[usable], known_s, column) for column in trial[seen].T]
+        )
         squares = np.nansum(np.square(shifted - mean[usable]), axis=1)
         scores[number] = np.sqrt(squares.mean())
     return scores

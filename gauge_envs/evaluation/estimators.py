@@ -88,7 +88,11 @@ def acceleration_error_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> floa
 
 
 def slide_friction(
-    acceleration_m_per_s2: float, slope_rad: float, *, gravity_m_per_s2: float, lift_m_per_s2: float = 0.0
+    acceleration_m_per_s2: float,
+    slope_rad: float,
+    *,
+    gravity_m_per_s2: float,
+    lift_m_per_s2: float = 0.0,
 ) -> float:
     """Return the coefficient of friction of a body that slides down a slope: mu = (g sin - a) / (g cos + b).
 
@@ -122,7 +126,9 @@ class RestDepth:
     drift_m_per_s: float
 
 
-def rest_depth(times_s: FloatArray, depth_m: FloatArray, *, settled_s: float) -> RestDepth:
+def rest_depth(
+    times_s: FloatArray, depth_m: FloatArray, *, settled_s: float
+) -> RestDepth:
     """Return the mean depth of a body after it has settled, and how fast the depth still changes.
 
     Args:
@@ -245,10 +251,20 @@ def first_bounce(
     rose = _flight_after(heights_m, clear, low, floor_m)
     flight_in = _Flight.of(times_s[fell], heights_m[fell], gravity_m_per_s2)
     flight_out = _Flight.of(times_s[rose], heights_m[rose], gravity_m_per_s2)
-    until_s = float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)]) if len(rose) else float(times_s[-1])
+    until_s = (
+        float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)])
+        if len(rose)
+        else float(times_s[-1])
+    )
     if contact_m is None:
         return _meeting(flight_in, flight_out, until_s)
-    fallen_m = released_m if released_m is not None else flight_in.top_m if flight_in is not None else start_m
+    fallen_m = (
+        released_m
+        if released_m is not None
+        else flight_in.top_m
+        if flight_in is not None
+        else start_m
+    )
     # A hop of fewer samples than a flight has the height of its highest sample.
     hop_m = flight_out.top_m if flight_out is not None else float(heights_m[low:].max())
     time_s = float(times_s[low])
@@ -257,13 +273,20 @@ def first_bounce(
     return Bounce(
         time_s=time_s,
         until_s=until_s,
-        speed_in_m_per_s=speed_at_contact_m_per_s(fallen_m - contact_m, gravity_m_per_s2),
+        speed_in_m_per_s=speed_at_contact_m_per_s(
+            fallen_m - contact_m, gravity_m_per_s2
+        ),
         speed_out_m_per_s=speed_at_contact_m_per_s(hop_m - contact_m, gravity_m_per_s2),
-        misfit=max((one.misfit for one in (flight_in, flight_out) if one is not None), default=0.0),
+        misfit=max(
+            (one.misfit for one in (flight_in, flight_out) if one is not None),
+            default=0.0,
+        ),
     )
 
 
-def restitution_of_flights(times_s: FloatArray, heights_m: FloatArray, flights: Sequence[NDArray[np.intp]]) -> float:
+def restitution_of_flights(
+    times_s: FloatArray, heights_m: FloatArray, flights: Sequence[NDArray[np.intp]]
+) -> float:
     """Return the mean restitution of the bounces between flights, where neither gravity nor contact is known.
 
     As in a film, whose scale may be off. Between bounces the body flies free: z_k(t) = z_k + v_k t - g t^2 / 2. All
@@ -285,7 +308,11 @@ def restitution_of_flights(times_s: FloatArray, heights_m: FloatArray, flights: 
     basis[sample, 2 * flight_of + 1] = clock_s
     basis[:, -1] = -0.5 * clock_s**2
     unknowns = np.linalg.lstsq(basis, heights_m[used], rcond=None)[0]
-    starts_m, speeds_m_per_s, gravity_m_per_s2 = unknowns[:-1:2], unknowns[1::2], unknowns[-1]
+    starts_m, speeds_m_per_s, gravity_m_per_s2 = (
+        unknowns[:-1:2],
+        unknowns[1::2],
+        unknowns[-1],
+    )
     impacts_s = -np.diff(starts_m) / np.diff(speeds_m_per_s)
     before_m_per_s = speeds_m_per_s[:-1] - gravity_m_per_s2 * impacts_s
     after_m_per_s = speeds_m_per_s[1:] - gravity_m_per_s2 * impacts_s
@@ -302,7 +329,9 @@ class _Flight:
     misfit: float
 
     @classmethod
-    def of(cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float) -> _Flight | None:
+    def of(
+        cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float
+    ) -> _Flight | None:
         """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`."""
         if len(times_s) < LEAST_FLIGHT:
             return None
@@ -323,12 +352,20 @@ class _Flight:
 
     def meets_s(self, other: _Flight) -> float:
         """Return the time at which two flights of one gravity meet: their difference is a straight line [s]."""
-        return (self.start_m - other.start_m) / (other.speed_m_per_s - self.speed_m_per_s)
+        return (self.start_m - other.start_m) / (
+            other.speed_m_per_s - self.speed_m_per_s
+        )
 
 
-def _meeting(flight_in: _Flight | None, flight_out: _Flight | None, until_s: float) -> Bounce | None:
+def _meeting(
+    flight_in: _Flight | None, flight_out: _Flight | None, until_s: float
+) -> Bounce | None:
     """Return the bounce at the point where two flights meet; None without one that turns the speed."""
-    if flight_in is None or flight_out is None or flight_out.speed_m_per_s <= flight_in.speed_m_per_s:
+    if (
+        flight_in is None
+        or flight_out is None
+        or flight_out.speed_m_per_s <= flight_in.speed_m_per_s
+    ):
         return None
     time_s = flight_in.meets_s(flight_out)
     speed_in, speed_out = -flight_in.speed_at(time_s), flight_out.speed_at(time_s)
@@ -352,7 +389,9 @@ def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
     return int(fallen[0] + np.argmax(rises)) if rises.any() else len(heights_m) - 1
 
 
-def _flight_after(heights_m: FloatArray, clear: NDArray[np.bool_], low: int, floor_m: float) -> NDArray[np.intp]:
+def _flight_after(
+    heights_m: FloatArray, clear: NDArray[np.bool_], low: int, floor_m: float
+) -> NDArray[np.intp]:
     """Return the samples of the first flight after a minimum: those that are clear, up to the next minimum."""
     later = low + 1 + np.flatnonzero(clear[low + 1 :])
     if not len(later):
@@ -362,7 +401,9 @@ def _flight_after(heights_m: FloatArray, clear: NDArray[np.bool_], low: int, flo
     end = begin + int(blocked[0]) if len(blocked) else len(heights_m)
     # A second bounce between two samples leaves no sample at the contact.
     top = begin + int(np.argmax(heights_m[begin:end]))
-    second = _first_minimum(heights_m[top:end], below_m=0.5 * (heights_m[top] + floor_m))
+    second = _first_minimum(
+        heights_m[top:end], below_m=0.5 * (heights_m[top] + floor_m)
+    )
     if second is not None and top + second < end - 1:
         end = top + second
     return np.arange(begin, end)

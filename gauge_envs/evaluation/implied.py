@@ -77,7 +77,14 @@ class ImpliedParameter:
 
     @classmethod
     def beside(
-        cls, real: RealValue | None, parameter: str, unit: str, value: float, uncertainty: float, *, source: str
+        cls,
+        real: RealValue | None,
+        parameter: str,
+        unit: str,
+        value: float,
+        uncertainty: float,
+        *,
+        source: str,
     ) -> ImpliedParameter:
         """Return a parameter beside that of the real trials, with nine significant digits of its own value.
 
@@ -113,15 +120,24 @@ def implied_parameters(
         values: g(t) at those times [mm], shape [S, D].
         release_offset_s: Release offset of the score [s]; None without one.
     """
-    single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
-    rings = experiment.score.observable is Observable.MARKER_POSITION and experiment.score.period_axis is not None
+    single = (
+        experiment.score.observable is Observable.POSITION
+        and len(experiment.recorded) == 1
+    )
+    rings = (
+        experiment.score.observable is Observable.MARKER_POSITION
+        and experiment.score.period_axis is not None
+    )
     if not (single or rings) or experiment.scene.drivers:
         return ()
     if rings:
         return () if band is None else tuple(_ringing(band, times_s, values))
     found = []
     if band is not None:
-        last_s = float(np.flatnonzero(np.isfinite(band.mean).any(axis=1))[-1]) / FRAME_RATE_HZ
+        last_s = (
+            float(np.flatnonzero(np.isfinite(band.mean).any(axis=1))[-1])
+            / FRAME_RATE_HZ
+        )
         seen = times_s <= last_s + 1e-6
         motion = recognized(experiment, band, times_s[seen], band.project(values[seen]))
         if motion.kind is MotionKind.UNIFORM_ACCELERATION:
@@ -156,17 +172,24 @@ def _of_trials(found: list[float]) -> tuple[float, float, float] | None:
 # --- slide -----------------------------------------------------------------------------------------------------------
 
 
-def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+def _friction(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
+) -> list[ImpliedParameter]:
     """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
     body = experiment.recorded[0]
-    if not any(body in (*contact.first, *contact.second) for contact in experiment.scene.contacts):
+    if not any(
+        body in (*contact.first, *contact.second)
+        for contact in experiment.scene.contacts
+    ):
         return []
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
     if not LEAST_INCLINE <= -direction[2] <= STEEPEST_INCLINE:
         return []
     gravity = experiment.scene.gravity_m_per_s2
-    acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
+    acceleration, error = _acceleration(
+        times_s, 1e-3 * (values - values[0]) @ direction
+    )
     slope_rad = math.asin(-float(direction[2]))
     return [
         ImpliedParameter.beside(
@@ -189,7 +212,9 @@ def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float
     if moving.sum() < LEAST_SAMPLES:
         moving = np.ones(len(path_m), dtype=bool)
     moving_s, moving_m = times_s[moving], path_m[moving]
-    return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(moving_s, moving_m)
+    return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(
+        moving_s, moving_m
+    )
 
 
 @lru_cache(maxsize=64)
@@ -212,14 +237,20 @@ def _real_friction(band: Band) -> tuple[float, float, float] | None:
             continue
         path_m = 1e-3 * (trial[seen] - trial[seen][0]) @ along
         acceleration, _ = _acceleration(times_s[seen], path_m)
-        found.append(slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2))
+        found.append(
+            slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2)
+        )
     real = _of_trials(found)
     if real is None:
         return None
     mean, error, scatter = real
     tilt_rad = math.radians(input_uncertainties().tilt.std)
     # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.
-    return mean, math.hypot(error, tilt_rad * (1.0 + mean * math.tan(slope_rad))), scatter
+    return (
+        mean,
+        math.hypot(error, tilt_rad * (1.0 + mean * math.tan(slope_rad))),
+        scatter,
+    )
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -249,7 +280,11 @@ def _release_time(band: Band, release_offset_s: float) -> ImpliedParameter:
     scatter = _release_scatter_s(band)
     count = 0 if band.trials is None else len(band.trials)
     return ImpliedParameter.beside(
-        (release_offset_s, None if scatter is None else scatter / math.sqrt(count), scatter),
+        (
+            release_offset_s,
+            None if scatter is None else scatter / math.sqrt(count),
+            scatter,
+        ),
         "release_time",
         "s",
         0.0,
@@ -266,14 +301,24 @@ def _release_scatter_s(band: Band) -> float | None:
     velocity = np.nan_to_num(np.gradient(band.mean, 1.0 / FRAME_RATE_HZ, axis=0))
     residuals = np.nan_to_num(band.trials - band.mean)
     size = float(np.square(velocity).sum())
-    return float(np.std((residuals * velocity).sum(axis=(1, 2)) / size, ddof=1)) if size > 0.0 else None
+    return (
+        float(np.std((residuals * velocity).sum(axis=(1, 2)) / size, ddof=1))
+        if size > 0.0
+        else None
+    )
 
 
-def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+def _swing(
+    experiment: Experiment, times_s: FloatArray, values: FloatArray
+) -> list[ImpliedParameter]:
     """Return period and decay rate of a swing."""
     axis = "xyz".index(experiment.score.period_axis or "x")
     step_s = float(np.median(np.diff(times_s)))
-    swing = values[:, axis] - 1e3 * experiment.scene.joints[0].anchor_m[axis] if experiment.scene.joints else None
+    swing = (
+        values[:, axis] - 1e3 * experiment.scene.joints[0].anchor_m[axis]
+        if experiment.scene.joints
+        else None
+    )
     if swing is None or np.ptp(swing) == 0.0:
         return []
     baseline = experiment.baselines.get("pd")
@@ -283,7 +328,11 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
     count = input_uncertainties().trials.count
     real = None
     if baseline is not None:
-        real = baseline.mean, None if baseline.std is None else baseline.std / math.sqrt(count), baseline.std
+        real = (
+            baseline.mean,
+            None if baseline.std is None else baseline.std / math.sqrt(count),
+            baseline.std,
+        )
     found = [
         ImpliedParameter.beside(
             real,
@@ -297,7 +346,9 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
     size = np.abs(swing)
     apexes = np.flatnonzero((size[1:-1] > size[:-2]) & (size[1:-1] >= size[2:])) + 1
     if len(apexes) >= LEAST_SAMPLES:
-        line, covariance = np.polyfit(times_s[apexes], np.log(size[apexes]), 1, cov=True)
+        line, covariance = np.polyfit(
+            times_s[apexes], np.log(size[apexes]), 1, cov=True
+        )
         found.append(
             ImpliedParameter.beside(
                 None,
@@ -314,7 +365,9 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
 # --- ringing ---------------------------------------------------------------------------------------------------------
 
 
-def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
+def _ringing(
+    band: Band, times_s: FloatArray, values: FloatArray
+) -> list[ImpliedParameter]:
     """Return frequency, decay rate and droop of the first coordinate of the band."""
     seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
     heights = band.project(values[seen])[:, 0]
@@ -330,9 +383,17 @@ def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[Implie
         if creeps and name != "droop":
             continue
         real_values = [one.constants[name][0] for one in trials]
-        real = _of_trials(real_values) or (real_values[0] if real_values else None, None, None)
+        real = _of_trials(real_values) or (
+            real_values[0] if real_values else None,
+            None,
+            None,
+        )
         source = "damped swing fitted from 0.15 s on; real: the same for each trial"
-        found.append(ImpliedParameter.beside(real, name, unit, *simulated.constants[name], source=source))
+        found.append(
+            ImpliedParameter.beside(
+                real, name, unit, *simulated.constants[name], source=source
+            )
+        )
     return found
 
 
@@ -363,7 +424,11 @@ class Ringing:
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
         """The constants with their uncertainties, by the name of the implied parameter."""
-        return {"frequency": self.frequency_hz, "decay_rate": self.decay_rate_per_s, "droop": self.droop_mm}
+        return {
+            "frequency": self.frequency_hz,
+            "decay_rate": self.decay_rate_per_s,
+            "droop": self.droop_mm,
+        }
 
     @property
     def damping_ratio(self) -> float:
@@ -372,7 +437,9 @@ class Ringing:
         return self.decay_rate_per_s[0] / math.hypot(angular, self.decay_rate_per_s[0])
 
 
-def fit_ringing(times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float) -> Ringing | None:
+def fit_ringing(
+    times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float
+) -> Ringing | None:
     """Fit one damped swing to heights after a release.
 
     The first 0.15 s are left out: one sinusoid does not describe higher bending modes.
@@ -387,23 +454,36 @@ def fit_ringing(times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float)
     """
     later = times_s >= HIGHER_MODES_S
     times, signal = times_s[later], heights_mm[later]
-    if len(times) < LEAST_RINGING_SAMPLES or not np.isfinite(signal).all() or np.ptp(signal) == 0.0:
+    if (
+        len(times) < LEAST_RINGING_SAMPLES
+        or not np.isfinite(signal).all()
+        or np.ptp(signal) == 0.0
+    ):
         return None
     step_s, mean = float(times[1] - times[0]), float(signal.mean())
-    spectrum = np.fft.rfft((signal - mean) * np.exp(-(times - times[0])), PADDING * len(signal))
+    spectrum = np.fft.rfft(
+        (signal - mean) * np.exp(-(times - times[0])), PADDING * len(signal)
+    )
     strongest = 1 + int(np.abs(spectrum[1:]).argmax())
     start_hz = strongest / (PADDING * len(signal) * step_s)
 
     def misfit(constants: FloatArray) -> FloatArray:
         hang, cosine, sine, decay, frequency = constants
         angle = 2.0 * math.pi * frequency * (times - times[0])
-        swing = np.exp(-decay * (times - times[0])) * (cosine * np.cos(angle) + sine * np.sin(angle))
+        swing = np.exp(-decay * (times - times[0])) * (
+            cosine * np.cos(angle) + sine * np.sin(angle)
+        )
         return np.asarray(hang + swing - signal)
 
     # The spectrum leaves the phase open. Two starts a quarter of a swing apart reach the same least sum.
     half = 0.5 * float(np.ptp(signal))
     starts = ((half, 0.0), (0.0, half))
-    fits = [least_squares(misfit, [mean, *size, 1.0, start_hz], x_scale=[1.0, 1.0, 1.0, 1.0, 0.1]) for size in starts]
+    fits = [
+        least_squares(
+            misfit, [mean, *size, 1.0, start_hz], x_scale=[1.0, 1.0, 1.0, 1.0, 0.1]
+        )
+        for size in starts
+    ]
     best = min(fits, key=lambda fit: fit.cost)
     count = len(times) - 5
     # A law that fits exactly, as in a test, has a covariance of 0.

@@ -69,10 +69,16 @@ def law_motion(
     if isinstance(law, SwingLaw):
         return swing_motion(law, scene, frame_count)
     if isinstance(law, ChainLaw):
-        return chain_motion(law, scene, frame_count, published_baselines(variant)["mte"])
+        return chain_motion(
+            law, scene, frame_count, published_baselines(variant)["mte"]
+        )
     if isinstance(law, PulledLaw):
         return pulled(law, scene, frame_count)
-    motion = free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
+    motion = (
+        free_flight(scene, law.body)
+        if isinstance(law, FlightLaw)
+        else slide(scene, law.body, law.support)
+    )
     return motion.positions_mm(frame_count), None
 
 
@@ -90,8 +96,12 @@ def free_flight(scene: Scene, body: str) -> Straight:
     others = [other for other in scene.bodies if other.name != body]
     distance = min(distance_to_contact_m(falling, other, down) for other in others)
     if distance <= TOUCHING_M:
-        raise ShapeError(f"{body} touches another body at the start: free flight has no frame. Use another law.")
-    return Straight(np.array(falling.pose.position_m), down, scene.gravity_m_per_s2, distance)
+        raise ShapeError(
+            f"{body} touches another body at the start: free flight has no frame. Use another law."
+        )
+    return Straight(
+        np.array(falling.pose.position_m), down, scene.gravity_m_per_s2, distance
+    )
 
 
 def slide(scene: Scene, body: str, support: str) -> Straight:
@@ -110,14 +120,18 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     gaps = (_corners_m(sliding) @ facets[:, :3].T + facets[:, 3]).min(axis=0)
     face = int(np.argmax(gaps))
     if abs(gaps[face]) > TOUCHING_M:
-        raise ShapeError(f"{body} is {1e3 * gaps[face]:.3f} mm away from {support}: it does not slide on it")
+        raise ShapeError(
+            f"{body} is {1e3 * gaps[face]:.3f} mm away from {support}: it does not slide on it"
+        )
     normal = facets[face, :3]
     downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
     sine = float(np.linalg.norm(downhill))
     friction = _friction_of_pair(scene, body, support)
     acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
     if sine == 0.0 or acceleration <= 0.0:
-        raise ShapeError(f"friction {friction:.4g} holds {body} on {support}: it does not slide")
+        raise ShapeError(
+            f"friction {friction:.4g} holds {body} on {support}: it does not slide"
+        )
     direction = downhill / sine
     start = np.array(sliding.pose.position_m)
     height = float(start @ normal + facets[face, 3])
@@ -127,13 +141,17 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     ahead = rates > 1e-6
     to_edge = -(facets[ahead, :3] @ pressure + facets[ahead, 3]) / rates[ahead]
     if to_edge.min() <= 0.0:
-        raise ShapeError(f"the force on {body} does not pass through {support}: it tips at once")
+        raise ShapeError(
+            f"the force on {body} does not pass through {support}: it tips at once"
+        )
     others = [other for other in scene.bodies if other.name not in (body, support)]
     free = [distance_to_contact_m(sliding, other, direction) for other in others]
     return Straight(start, direction, acceleration, float(min(*to_edge, *free)))
 
 
-def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, FloatArray]:
+def pulled(
+    law: PulledLaw, scene: Scene, frame_count: int
+) -> tuple[FloatArray, FloatArray]:
     """Return the motion of a body on a cloth that is pulled off a table, and its uncertainty.
 
     The body moves as the puller does. Left out is how the cloth deforms. Between puller and table it hangs as a
@@ -154,7 +172,9 @@ def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, 
     cloth = next(one for one in scene.deformables if one.name == law.cloth)
     (driver,) = (one for one in scene.drivers if one.body == law.carrier)
     if not isinstance(cloth, Cloth) or not isinstance(table.shape, Box):
-        raise ShapeError(f"{law.cloth} is no cloth, or {law.table} no box: the law needs a cloth on a box")
+        raise ShapeError(
+            f"{law.cloth} is no cloth, or {law.table} no box: the law needs a cloth on a box"
+        )
     gravity = scene.gravity_m_per_s2
     length_m, width_m = cloth.size_m
     body_friction = _friction_of_pair(scene, law.body, law.cloth)
@@ -164,7 +184,9 @@ def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, 
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     puller_start_m = np.array(puller.pose.position_m)
     body_start_m = np.array(body.pose.position_m)
-    moved_m = np.array([driver.pose(puller.pose, time_s).position_m for time_s in times_s])
+    moved_m = np.array(
+        [driver.pose(puller.pose, time_s).position_m for time_s in times_s]
+    )
     moved_m -= puller_start_m
     along = moved_m[-1] / np.linalg.norm(moved_m[-1])
     middle_twist = driver.state(puller.pose, 0.5 * times_s[-1])[1]
@@ -185,7 +207,9 @@ def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, 
     stretch_m = tension_n_per_m / cloth.stretch_stiffness_n_per_m * apart_m
 
     # Coulomb: friction brings the body to the speed v of the cloth within the slip v^2 / (2 mu g).
-    slip_m = np.minimum(speed_m_per_s * times_s, 0.5 * speed_m_per_s**2 / (body_friction * gravity))
+    slip_m = np.minimum(
+        speed_m_per_s * times_s, 0.5 * speed_m_per_s**2 / (body_friction * gravity)
+    )
 
     drive_m = 1e-3 * law.speed_sigma_mm_per_s * times_s
     uncertainty_m = np.sqrt(sag_m**2 + stretch_m**2 + slip_m**2 + drive_m**2)
@@ -202,7 +226,9 @@ def _friction_of_pair(scene: Scene, first: str, second: str) -> float:
     )
 
 
-def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatArray) -> float:
+def distance_to_contact_m(
+    moving: RigidBody, other: RigidBody, direction: FloatArray
+) -> float:
     """Return how far a body can move along a direction before it touches another one [m]; infinity if it never does.
 
     The bodies are unions of convex pieces. For each pair of pieces a linear program finds the shortest distance after
@@ -216,14 +242,20 @@ def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatA
     if isinstance(other.shape, Plane):
         normal = other.pose.rotation.apply([0.0, 0.0, 1.0])
         rate = -float(normal @ direction)
-        lowest = float(((_corners_m(moving) - np.array(other.pose.position_m)) @ normal).min())
+        lowest = float(
+            ((_corners_m(moving) - np.array(other.pose.position_m)) @ normal).min()
+        )
         return lowest / rate if rate > 0.0 else math.inf
     return min(
-        _piece_distance_m(piece, obstacle, direction) for piece in _pieces_m(moving) for obstacle in _pieces_m(other)
+        _piece_distance_m(piece, obstacle, direction)
+        for piece in _pieces_m(moving)
+        for obstacle in _pieces_m(other)
     )
 
 
-def _piece_distance_m(piece: FloatArray, obstacle: FloatArray, direction: FloatArray) -> float:
+def _piece_distance_m(
+    piece: FloatArray, obstacle: FloatArray, direction: FloatArray
+) -> float:
     """Return the least d >= 0 for which a point of one hull, moved by d, is a point of the other; infinity without."""
     count, other_count = len(piece), len(obstacle)
     points = np.concatenate([piece.T, -obstacle.T, direction[:, None]], axis=1)
@@ -231,14 +263,18 @@ def _piece_distance_m(piece: FloatArray, obstacle: FloatArray, direction: FloatA
     sums[0, :count] = sums[1, count:-1] = 1.0
     cost = np.zeros(count + other_count + 1)
     cost[-1] = 1.0
-    found = linprog(cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0])
+    found = linprog(
+        cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0]
+    )
     return float(found.x[-1]) if found.success else math.inf
 
 
 def _pieces_m(body: RigidBody) -> list[FloatArray]:
     """Return the corners of each convex piece in the world [m]."""
     pieces = getattr(body.shape, "pieces_m", None)
-    corners = [np.asarray(piece) for piece in pieces] if pieces else [body.shape.corners_m]
+    corners = (
+        [np.asarray(piece) for piece in pieces] if pieces else [body.shape.corners_m]
+    )
     return [body.pose.to_world(piece) for piece in corners]
 
 
@@ -269,8 +305,14 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     bar = next(one for one in scene.deformables if one.name == law.body)
     (driver,) = (one for one in scene.drivers if one.body == law.carrier)
     if not isinstance(bar, SoftBody) or scene.markers is None:
-        raise ShapeError(f"{law.body} is no soft body with markers: the law needs the faces of a bar")
-    clamped_m = {one.region.side: one.region.depth_m for one in scene.attachments if one.deformable == law.body}
+        raise ShapeError(
+            f"{law.body} is no soft body with markers: the law needs the faces of a bar"
+        )
+    clamped_m = {
+        one.region.side: one.region.depth_m
+        for one in scene.attachments
+        if one.deformable == law.body
+    }
     width_m, _, height_m = bar.shape.size_m
     free_m = height_m - clamped_m["low"] - clamped_m["high"]
 
@@ -278,7 +320,12 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     carrier_pose = scene.body(law.carrier).pose
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     states = [driver.state(carrier_pose, time_s) for time_s in times_s]
-    strain = np.array([pose.position_m[2] - carrier_pose.position_m[2] for pose, _ in states]) / free_m
+    strain = (
+        np.array(
+            [pose.position_m[2] - carrier_pose.position_m[2] for pose, _ in states]
+        )
+        / free_m
+    )
     strain_rate = np.array([velocity[2] for _, velocity in states]) / free_m
 
     # Uniaxial stress (Hooke): each point goes from the lower clamp by (1 - nu e, 1 - nu e, 1 + e).
@@ -293,7 +340,9 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     # Lateral strain that the nearer clamp suppresses (Saint-Venant), at the middle of each face.
     middle_m = points_m[faces, 2].mean(axis=1)
     from_clamp_m = np.minimum(middle_m - clamp_m[2], clamp_m[2] + free_m - middle_m)
-    suppressed = bar.poisson_ratio * np.exp(-CLAMP_DECAY * from_clamp_m / (0.5 * width_m))
+    suppressed = bar.poisson_ratio * np.exp(
+        -CLAMP_DECAY * from_clamp_m / (0.5 * width_m)
+    )
 
     # A clamped end of about half a width does not narrow: its stiffness is larger by about nu^2.
     stiffer = bar.poisson_ratio**2 * width_m / free_m
@@ -305,15 +354,33 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     unknown_strain_mm2 = law.left_out_share * (areas_mm2 - rest_mm2)
     suppressed_mm2 = rest_mm2 * np.outer(strain, suppressed)
     stiffer_mm2 = rest_mm2 * stiffer * strain[:, None]
-    logarithmic_mm2 = rest_mm2 * 0.5 * bar.poisson_ratio * (1.0 + bar.poisson_ratio) * strain[:, None] ** 2
+    logarithmic_mm2 = (
+        rest_mm2
+        * 0.5
+        * bar.poisson_ratio
+        * (1.0 + bar.poisson_ratio)
+        * strain[:, None] ** 2
+    )
     late_mm2 = rest_mm2 * late_strain[:, None]
-    parts_mm2 = [unknown_strain_mm2, suppressed_mm2, stiffer_mm2, logarithmic_mm2, late_mm2]
+    parts_mm2 = [
+        unknown_strain_mm2,
+        suppressed_mm2,
+        stiffer_mm2,
+        logarithmic_mm2,
+        late_mm2,
+    ]
     uncertainty_mm2 = np.sqrt(np.sum(np.square(parts_mm2), axis=0))
 
     # An area of sides s has the error 0.5 sigma sqrt(sum of s^2) of its measured corners.
-    sides_m = np.linalg.norm(points_m[faces] - points_m[np.roll(faces, 1, axis=1)], axis=2)
+    sides_m = np.linalg.norm(
+        points_m[faces] - points_m[np.roll(faces, 1, axis=1)], axis=2
+    )
     typical_m = float(np.sqrt(np.square(sides_m).sum(axis=1).mean()))
     measurement_mm2 = 0.5 * law.sigma_mm * 1e3 * typical_m
     return uniaxial_band(
-        law, variant=variant, areas_mm2=areas_mm2, uncertainty_mm2=uncertainty_mm2, measurement_mm2=measurement_mm2
+        law,
+        variant=variant,
+        areas_mm2=areas_mm2,
+        uncertainty_mm2=uncertainty_mm2,
+        measurement_mm2=measurement_mm2,
     )

@@ -147,9 +147,16 @@ class RecognizedMotion:
         impact = self.impact
         if impact is not None:
             impact = replace(impact, normal=impact.normal[columns])
-        return replace(self, values=self.values[:, columns], centre=self.centre[columns], impact=impact)
+        return replace(
+            self,
+            values=self.values[:, columns],
+            centre=self.centre[columns],
+            impact=impact,
+        )
 
-    def at(self, times_s: FloatArray, shifts_s: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def at(
+        self, times_s: FloatArray, shifts_s: FloatArray, rates: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the motion with time shifts and rates, and its change per unit of `scale`.
 
         Args:
@@ -167,25 +174,44 @@ class RecognizedMotion:
         played = self._curve(own_times)
         if self.impact is None:
             return played, played - self.centre
-        flight = np.clip(own_times, self.impact.time_s, self.impact.until_s) - self.impact.time_s
+        flight = (
+            np.clip(own_times, self.impact.time_s, self.impact.until_s)
+            - self.impact.time_s
+        )
         return played, flight[..., None] * self.impact.normal
 
     @cached_property
     def _curve(self) -> BSpline:
         return make_interp_spline(self.times_s, self.values, k=1)
 
-    def changes(self, rate: float, scale: float, *, rate_at_bound: bool, scale_at_bound: bool) -> tuple[Change, ...]:
+    def changes(
+        self, rate: float, scale: float, *, rate_at_bound: bool, scale_at_bound: bool
+    ) -> tuple[Change, ...]:
         """Return a rate and a scale in the quantities of this kind of motion."""
         larger = 1.0 + scale
         if self.acceleration is not None:
             metric = 1e-3 * self.acceleration
-            return (_change("acceleration", "m/s^2", metric, larger * metric, scale_at_bound),)
+            return (
+                _change(
+                    "acceleration", "m/s^2", metric, larger * metric, scale_at_bound
+                ),
+            )
         if self.impact is not None:
             ratio = self.impact.restitution
-            return (_change("restitution", "1", ratio, ratio + scale / self.impact.speed_in, scale_at_bound),)
+            return (
+                _change(
+                    "restitution",
+                    "1",
+                    ratio,
+                    ratio + scale / self.impact.speed_in,
+                    scale_at_bound,
+                ),
+            )
         if self.period_s is not None:
             return (
-                _change("period", "s", self.period_s, self.period_s / rate, rate_at_bound),
+                _change(
+                    "period", "s", self.period_s, self.period_s / rate, rate_at_bound
+                ),
                 _change("amplitude", "1", 1.0, larger, scale_at_bound),
             )
         return (
@@ -194,12 +220,25 @@ class RecognizedMotion:
         )
 
 
-def _change(quantity: str, unit: str, simulated: float, fitted: float, at_bound: bool) -> Change:
-    return Change(quantity=quantity, unit=unit, simulated=simulated, fitted=fitted, at_bound=at_bound)
+def _change(
+    quantity: str, unit: str, simulated: float, fitted: float, at_bound: bool
+) -> Change:
+    return Change(
+        quantity=quantity,
+        unit=unit,
+        simulated=simulated,
+        fitted=fitted,
+        at_bound=at_bound,
+    )
 
 
 def recognized(
-    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, *, until_s: float | None = None
+    experiment: Experiment,
+    band: Band,
+    times_s: FloatArray,
+    values: FloatArray,
+    *,
+    until_s: float | None = None,
 ) -> RecognizedMotion:
     """Return the recognized motion of a trajectory.
 
@@ -211,8 +250,15 @@ def recognized(
         until_s: Last time at which an acceleration or an impact is searched [s], because later values are not compared.
             None searches the whole trajectory.
     """
-    seen = slice(None) if until_s is None else slice(0, int(np.searchsorted(times_s, until_s + 1e-6, side="right")))
-    single = experiment.score.observable is Observable.POSITION and len(experiment.recorded) == 1
+    seen = (
+        slice(None)
+        if until_s is None
+        else slice(0, int(np.searchsorted(times_s, until_s + 1e-6, side="right")))
+    )
+    single = (
+        experiment.score.observable is Observable.POSITION
+        and len(experiment.recorded) == 1
+    )
     if single and not experiment.scene.drivers:
         motion = (
             _oscillation(experiment, band, times_s, values)
@@ -221,13 +267,17 @@ def recognized(
         )
         if motion is not None:
             return motion
-    return _stretchable(MotionKind.GENERAL, times_s, values, _coasting(times_s, values), values[0])
+    return _stretchable(
+        MotionKind.GENERAL, times_s, values, _coasting(times_s, values), values[0]
+    )
 
 
 # --- kinds -----------------------------------------------------------------------------------------------------------
 
 
-def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) -> RecognizedMotion | None:
+def _uniform_acceleration(
+    times_s: FloatArray, values: FloatArray, seen: slice
+) -> RecognizedMotion | None:
     seen_s, moved = times_s[seen], values[seen] - values[0]
     size = float(np.sqrt(np.mean(np.square(moved))))
     if size == 0.0:
@@ -237,7 +287,9 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
     for start_s in seen_s[seen_s <= 0.5 * seen_s[-1]]:
         unit_motion = 0.5 * np.square(np.maximum(seen_s - start_s, 0.0))
         fitted = unit_motion @ moved / (unit_motion @ unit_motion)
-        misfit = float(np.sqrt(np.mean(np.square(moved - unit_motion[:, None] * fitted))))
+        misfit = float(
+            np.sqrt(np.mean(np.square(moved - unit_motion[:, None] * fitted)))
+        )
         if misfit < best:
             best, acceleration = misfit, fitted
     if best > SHAPE_TOLERANCE * size:
@@ -253,11 +305,19 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
 
 
 def _rebound(
-    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, seen: slice
+    experiment: Experiment,
+    band: Band,
+    times_s: FloatArray,
+    values: FloatArray,
+    seen: slice,
 ) -> RecognizedMotion | None:
     body = experiment.recorded[0]
     contacts = [c for c in experiment.scene.contacts if body in (*c.first, *c.second)]
-    if experiment.scene.joints or not contacts or any(c.mode is not ContactMode.IMPACT for c in contacts):
+    if (
+        experiment.scene.joints
+        or not contacts
+        or any(c.mode is not ContactMode.IMPACT for c in contacts)
+    ):
         return None
     impact = find_impact(
         times_s[seen],
@@ -267,9 +327,20 @@ def _rebound(
     )
     if impact is None:
         return None
-    speeds = (-impact.restitution * impact.speed_in, (1.0 - impact.restitution) * impact.speed_in)
+    speeds = (
+        -impact.restitution * impact.speed_in,
+        (1.0 - impact.restitution) * impact.speed_in,
+    )
     end_s = float(times_s[-1])
-    return RecognizedMotion(MotionKind.REBOUND, times_s, values, end_s, values[0], scale_bounds=speeds, impact=impact)
+    return RecognizedMotion(
+        MotionKind.REBOUND,
+        times_s,
+        values,
+        end_s,
+        values[0],
+        scale_bounds=speeds,
+        impact=impact,
+    )
 
 
 def gravity_of(scene: Scene, band: Band) -> FloatArray:
@@ -291,7 +362,11 @@ def _contact(experiment: Experiment, band: Band) -> FloatArray | None:
 
 
 def find_impact(
-    times_s: FloatArray, values: FloatArray, *, gravity_m_per_s2: FloatArray, contact_mm: FloatArray | None = None
+    times_s: FloatArray,
+    values: FloatArray,
+    *,
+    gravity_m_per_s2: FloatArray,
+    contact_mm: FloatArray | None = None,
 ) -> Impact | None:
     """Return the first impact of a body between two free flights.
 
@@ -329,16 +404,34 @@ def find_impact(
         return None
     contact_m = None if contact_mm is None else 1e-3 * float(contact_mm @ normal)
     released_m = None if contact_mm is None else float(heights_m[0])
-    bounce = first_bounce(times_s, heights_m, gravity_m_per_s2=gravity, contact_m=contact_m, released_m=released_m)
-    if bounce is None or bounce.speed_out_m_per_s == 0.0 or bounce.misfit > SHAPE_TOLERANCE:
+    bounce = first_bounce(
+        times_s,
+        heights_m,
+        gravity_m_per_s2=gravity,
+        contact_m=contact_m,
+        released_m=released_m,
+    )
+    if (
+        bounce is None
+        or bounce.speed_out_m_per_s == 0.0
+        or bounce.misfit > SHAPE_TOLERANCE
+    ):
         return None
-    return Impact(bounce.time_s, bounce.until_s, normal, 1e3 * bounce.speed_in_m_per_s, 1e3 * bounce.speed_out_m_per_s)
+    return Impact(
+        bounce.time_s,
+        bounce.until_s,
+        normal,
+        1e3 * bounce.speed_in_m_per_s,
+        1e3 * bounce.speed_out_m_per_s,
+    )
 
 
 def _oscillation(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
 ) -> RecognizedMotion | None:
-    joint = next((j for j in experiment.scene.joints if j.body == experiment.recorded[0]), None)
+    joint = next(
+        (j for j in experiment.scene.joints if j.body == experiment.recorded[0]), None
+    )
     period_s = None if joint is None else _period(times_s, values)
     if joint is None or period_s is None:
         return None
@@ -350,7 +443,9 @@ def _oscillation(
         cycles = np.ceil((late_s - times_s[-1]) / period_s)
         return _interpolated(times_s, values, late_s - cycles * period_s)
 
-    return _stretchable(MotionKind.OSCILLATION, times_s, values, periodic, centre, period_s=period_s)
+    return _stretchable(
+        MotionKind.OSCILLATION, times_s, values, periodic, centre, period_s=period_s
+    )
 
 
 def _period(times_s: FloatArray, values: FloatArray) -> float | None:
@@ -358,16 +453,22 @@ def _period(times_s: FloatArray, values: FloatArray) -> float | None:
     from scipy.signal import correlate, find_peaks
 
     step_s = float(np.median(np.diff(times_s)))
-    even_s = np.arange(int((times_s[-1] - times_s[0]) / step_s) + 1) * step_s + times_s[0]
+    even_s = (
+        np.arange(int((times_s[-1] - times_s[0]) / step_s) + 1) * step_s + times_s[0]
+    )
     even = _interpolated(times_s, values, even_s)
     even = even - even.mean(axis=0)
     count = len(even)
     lags = np.arange(count)
-    products = sum(correlate(column, column, method="fft")[count - 1 :] for column in even.T)
+    products = sum(
+        correlate(column, column, method="fft")[count - 1 :] for column in even.T
+    )
     # Each lag is divided by the energy of the overlap, so that a small number of periods does not weaken it.
     energy = np.concatenate([[0.0], np.cumsum(np.square(even).sum(axis=1))])
     overlap = np.sqrt((energy[count] - energy[lags]) * energy[count - lags])
-    alike = np.divide(products, overlap, out=np.zeros(count), where=overlap > 0.0)[: max(3, int(0.9 * count))]
+    alike = np.divide(products, overlap, out=np.zeros(count), where=overlap > 0.0)[
+        : max(3, int(0.9 * count))
+    ]
     peaks, _ = find_peaks(alike, height=SELF_SIMILARITY)
     if not peaks.size:
         return None
@@ -390,7 +491,9 @@ def _stretchable(
 ) -> RecognizedMotion:
     """Return a motion that can be made faster, with a continuation past its end."""
     end_s, step_s = float(times_s[-1]), float(np.median(np.diff(times_s)))
-    late_s = end_s + step_s * np.arange(1, math.ceil((RATE_BOUNDS[1] - 1.0) * end_s / step_s) + 2, dtype=np.float64)
+    late_s = end_s + step_s * np.arange(
+        1, math.ceil((RATE_BOUNDS[1] - 1.0) * end_s / step_s) + 2, dtype=np.float64
+    )
     return RecognizedMotion(
         kind,
         np.concatenate([times_s, late_s]),
@@ -414,6 +517,10 @@ def _coasting(times_s: FloatArray, values: FloatArray) -> Continuation:
     return lambda late_s: values[-1] + (late_s - times_s[-1])[:, None] * velocity
 
 
-def _interpolated(times_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
+def _interpolated(
+    times_s: FloatArray, values: FloatArray, at_s: FloatArray
+) -> FloatArray:
     """Return all coordinates by linear interpolation, shape [*shape of at_s, C]."""
-    return make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))
+    return make_interp_spline(times_s, values, k=1)(
+        np.clip(at_s, times_s[0], times_s[-1])
+    )

@@ -19,7 +19,9 @@ from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
-def pendulum_period_s(*, length_m: float, gyration_m: float, amplitude_rad: float, gravity_m_per_s2: float) -> float:
+def pendulum_period_s(
+    *, length_m: float, gyration_m: float, amplitude_rad: float, gravity_m_per_s2: float
+) -> float:
     """Return the exact period [s] of a physical pendulum at a finite amplitude, by the complete elliptic integral.
 
     Args:
@@ -55,7 +57,9 @@ class Pendulum:
     rate_per_s: float
 
     @classmethod
-    def of(cls, scene: Scene, name: str, *, longer_m: float = 0.0, turned_rad: float = 0.0) -> Pendulum:
+    def of(
+        cls, scene: Scene, name: str, *, longer_m: float = 0.0, turned_rad: float = 0.0
+    ) -> Pendulum:
         """Return the pendulum that a body of a scene is.
 
         Args:
@@ -65,10 +69,22 @@ class Pendulum:
             turned_rad: Change of the start angle, outwards [rad].
         """
         body = scene.body(name)
-        hinge = next((one for one in scene.joints if isinstance(one, Hinge) and one.body == name), None)
+        hinge = next(
+            (
+                one
+                for one in scene.joints
+                if isinstance(one, Hinge) and one.body == name
+            ),
+            None,
+        )
         if hinge is None or not body.starts_at_rest:
-            raise ShapeError(f"{name} does not start at rest on a hinge: it is no pendulum that this law describes")
-        anchor, axis = np.array(hinge.anchor_m), np.array(hinge.axis) / np.linalg.norm(hinge.axis)
+            raise ShapeError(
+                f"{name} does not start at rest on a hinge: it is no pendulum that this law describes"
+            )
+        anchor, axis = (
+            np.array(hinge.anchor_m),
+            np.array(hinge.axis) / np.linalg.norm(hinge.axis),
+        )
         centre, inertia = body_mass_properties(body)
         arm = body.pose.to_world(centre) - anchor
         across = arm - (arm @ axis) * axis
@@ -85,7 +101,9 @@ class Pendulum:
             axis=axis,
             hanging_m=Rotation.from_rotvec(-start * axis).apply(origin),
             start_rad=start + math.copysign(turned_rad, start),
-            rate_per_s=math.sqrt(gravity / (longer + radius_of_gyration_squared / longer)),
+            rate_per_s=math.sqrt(
+                gravity / (longer + radius_of_gyration_squared / longer)
+            ),
         )
 
     @property
@@ -93,7 +111,9 @@ class Pendulum:
         """Time from the release to the lowest place [s]."""
         return float(ellipk(math.sin(0.5 * self.start_rad) ** 2)) / self.rate_per_s
 
-    def released_rad(self, times_s: FloatArray, damping_per_s: float = 0.0) -> FloatArray:
+    def released_rad(
+        self, times_s: FloatArray, damping_per_s: float = 0.0
+    ) -> FloatArray:
         """Return the angle after the release, shape [time_count].
 
         With damping the amplitude is multiplied by exp(-damping_per_s t), and the phase follows the period of each
@@ -103,9 +123,13 @@ class Pendulum:
         quarter = ellipk(parameter)
         # Share of a quarter swing, which advances by the period of the amplitude at each time.
         rates = self.rate_per_s / quarter
-        shares = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times_s))])
+        shares = np.concatenate(
+            [[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(times_s))]
+        )
         sine = ellipj((1.0 - shares) * quarter, parameter)[0]
-        return np.asarray(math.copysign(2.0, self.start_rad) * np.arcsin(np.sqrt(parameter) * sine))
+        return np.asarray(
+            math.copysign(2.0, self.start_rad) * np.arcsin(np.sqrt(parameter) * sine)
+        )
 
     def struck_rad(self, times_s: FloatArray, modulus: float) -> FloatArray:
         """Return the angle after a blow where it hangs, against the side of `start_rad`, shape [time_count].
@@ -123,7 +147,9 @@ class Pendulum:
         return np.asarray(1e3 * (self.anchor_m + turns.apply(self.hanging_m)))
 
 
-def swing_motion(law: SwingLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, FloatArray]:
+def swing_motion(
+    law: SwingLaw, scene: Scene, frame_count: int
+) -> tuple[FloatArray, FloatArray]:
     """Return the undamped swing of a body and its uncertainty, until the phase is not known any more.
 
     The uncertainty is that of length and angle at the start, and the whole effect of the damping that is left out. The
@@ -135,11 +161,19 @@ def swing_motion(law: SwingLaw, scene: Scene, frame_count: int) -> tuple[FloatAr
     """
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
 
-    def positions(longer_m: float = 0.0, turned_rad: float = 0.0, damping_per_s: float = 0.0) -> FloatArray:
-        pendulum = Pendulum.of(scene, law.body, longer_m=longer_m, turned_rad=turned_rad)
+    def positions(
+        longer_m: float = 0.0, turned_rad: float = 0.0, damping_per_s: float = 0.0
+    ) -> FloatArray:
+        pendulum = Pendulum.of(
+            scene, law.body, longer_m=longer_m, turned_rad=turned_rad
+        )
         return pendulum.positions_mm(pendulum.released_rad(times_s, damping_per_s))
 
-    motion, length_m, angle_rad = positions(), 1e-3 * law.length_sigma_mm, math.radians(law.angle_sigma_deg)
+    motion, length_m, angle_rad = (
+        positions(),
+        1e-3 * law.length_sigma_mm,
+        math.radians(law.angle_sigma_deg),
+    )
     uncertainty = _grown(
         motion,
         (positions(longer_m=length_m), positions(longer_m=-length_m)),
@@ -152,7 +186,9 @@ def swing_motion(law: SwingLaw, scene: Scene, frame_count: int) -> tuple[FloatAr
     return motion, uncertainty
 
 
-def chain_motion(law: ChainLaw, scene: Scene, frame_count: int, transfer: Baseline) -> tuple[FloatArray, FloatArray]:
+def chain_motion(
+    law: ChainLaw, scene: Scene, frame_count: int, transfer: Baseline
+) -> tuple[FloatArray, FloatArray]:
     """Return the rest and the first swing of the last ball of a row, and its uncertainty.
 
     The first ball swings down and hits the row after a quarter of its period. The last one leaves at once, with the
@@ -171,15 +207,24 @@ def chain_motion(law: ChainLaw, scene: Scene, frame_count: int, transfer: Baseli
     _check_row(scene)
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
 
-    def positions(longer_m: float = 0.0, turned_rad: float = 0.0, more: float = 0.0) -> FloatArray:
+    def positions(
+        longer_m: float = 0.0, turned_rad: float = 0.0, more: float = 0.0
+    ) -> FloatArray:
         first = Pendulum.of(scene, law.first, longer_m=longer_m, turned_rad=turned_rad)
         last = Pendulum.of(scene, law.body, longer_m=longer_m)
         modulus = (transfer.mean + more) * math.sin(-0.5 * first.start_rad)
         # Published is where the balls hang. A longer string has a higher pivot.
         raised_mm = 1e3 * longer_m * last.hanging_m / np.linalg.norm(last.hanging_m)
-        return last.positions_mm(last.struck_rad(times_s - first.quarter_s, modulus)) - raised_mm
+        return (
+            last.positions_mm(last.struck_rad(times_s - first.quarter_s, modulus))
+            - raised_mm
+        )
 
-    motion, length_m, angle_rad = positions(), 1e-3 * law.length_sigma_mm, math.radians(law.angle_sigma_deg)
+    motion, length_m, angle_rad = (
+        positions(),
+        1e-3 * law.length_sigma_mm,
+        math.radians(law.angle_sigma_deg),
+    )
     uncertainty = _grown(
         motion,
         (positions(longer_m=length_m), positions(longer_m=-length_m)),
@@ -205,9 +250,13 @@ def _check_row(scene: Scene) -> None:
         if isinstance(body.shape, Sphere):
             radii.append(body.shape.radius_m)
             places.append(pendulum.anchor_m + pendulum.hanging_m)
-    gaps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1) - np.add(radii[1:], radii[:-1])
+    gaps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1) - np.add(
+        radii[1:], radii[:-1]
+    )
     if np.abs(gaps).max() > TOUCHING_M:
-        raise ShapeError(f"the balls hang {1e3 * np.abs(gaps).max():.3f} mm apart: the last one does not leave at once")
+        raise ShapeError(
+            f"the balls hang {1e3 * np.abs(gaps).max():.3f} mm apart: the last one does not leave at once"
+        )
 
 
 def _grown(motion: FloatArray, *changed: tuple[FloatArray, ...]) -> FloatArray:
@@ -219,5 +268,7 @@ def _grown(motion: FloatArray, *changed: tuple[FloatArray, ...]) -> FloatArray:
         motion: Nominal positions, shape [frame_count, 3].
         changed: Positions with each error; two of them are those of both signs.
     """
-    effects = [np.mean([np.square(one - motion) for one in pair], axis=0) for pair in changed]
+    effects = [
+        np.mean([np.square(one - motion) for one in pair], axis=0) for pair in changed
+    ]
     return np.asarray(np.maximum.accumulate(np.sqrt(np.sum(effects, axis=0)), axis=0))

@@ -9,14 +9,22 @@ from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.models import end_band, solved_model
-from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band
+from gauge_envs.references.published import (
+    CarriedLaw,
+    UniaxialLaw,
+    carried_band,
+    law_for,
+    uncontacted_band,
+)
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
-def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
+def reference_band(
+    experiment: Experiment, *, use_withheld: bool = False
+) -> Band | None:
     """Return the band that an experiment is scored against: its trial or measured band, that of a law, or a model's.
 
     A model is the solution of the calibrated scene alone: other parameters, drivers or an asset have none.
@@ -42,20 +50,36 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         solved = solved_model(experiment.name) if _is_calibrated(experiment) else None
         return None if solved is None else solved.band
     # An asset changes the simulated scene. The law holds for the calibrated one.
-    calibrated = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
+    calibrated = (
+        experiment.scene
+        if experiment.asset is None
+        else load_experiment(experiment.name).scene
+    )
     if isinstance(law, CarriedLaw):
-        positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
+        positions_mm = _carried_positions_mm(
+            calibrated, law.body, law.carrier, experiment.frame_count
+        )
         return carried_band(variant=experiment.name, positions_mm=positions_mm)
     if isinstance(law, UniaxialLaw):
         from gauge_envs.evaluation.laws import bar_band
 
-        return bar_band(law, calibrated, variant=experiment.name, frame_count=experiment.frame_count)
+        return bar_band(
+            law, calibrated, variant=experiment.name, frame_count=experiment.frame_count
+        )
     from gauge_envs.evaluation.laws import law_motion
 
     # Parameters change friction, restitution and start, on which these laws depend.
-    scene = calibrated if not experiment.overrides else load_experiment(experiment.name).scene
-    positions_mm, uncertainty_mm = law_motion(law, scene, variant=experiment.name, frame_count=experiment.frame_count)
-    return uncontacted_band(law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm)
+    scene = (
+        calibrated
+        if not experiment.overrides
+        else load_experiment(experiment.name).scene
+    )
+    positions_mm, uncertainty_mm = law_motion(
+        law, scene, variant=experiment.name, frame_count=experiment.frame_count
+    )
+    return uncontacted_band(
+        law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm
+    )
 
 
 def reward_band(experiment: Experiment, band: Band | None) -> Band | None:
@@ -78,15 +102,24 @@ def reward_band(experiment: Experiment, band: Band | None) -> Band | None:
 
 def _is_calibrated(experiment: Experiment) -> bool:
     """Return whether the scene is the one that models were solved for."""
-    return not (experiment.edited or experiment.overrides or experiment.drivers is not DataSource.BUNDLED)
+    return not (
+        experiment.edited
+        or experiment.overrides
+        or experiment.drivers is not DataSource.BUNDLED
+    )
 
 
-def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:
+def _carried_positions_mm(
+    scene: Scene, body: str, carrier: str, frame_count: int
+) -> NDArray[np.float64]:
     """Return the positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
     start = scene.body(carrier).pose
     place = start.to_body(np.asarray(scene.body(body).pose.position_m))
     driver = next((d for d in scene.drivers if d.body == carrier), None)
-    poses = [start if driver is None else driver.pose(start, k / FRAME_RATE_HZ) for k in range(frame_count)]
+    poses = [
+        start if driver is None else driver.pose(start, k / FRAME_RATE_HZ)
+        for k in range(frame_count)
+    ]
     return 1e3 * np.array([pose.to_world(place) for pose in poses])
 
 

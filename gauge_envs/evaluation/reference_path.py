@@ -60,7 +60,9 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
     if len(start_mm) != band.projection.shape[1]:
         return None
     deviation = band.mean - band.projection @ start_mm
-    places_m = 1e-3 * (start_mm + deviation @ np.linalg.pinv(band.projection).T).reshape(len(band.mean), -1, 3)
+    places_m = 1e-3 * (
+        start_mm + deviation @ np.linalg.pinv(band.projection).T
+    ).reshape(len(band.mean), -1, 3)
     touched = (np.abs(band.projection).sum(axis=0) > 0.0).reshape(-1, 3)
     shown = np.flatnonzero(touched.any(axis=1)).tolist()
     return ReferencePath(
@@ -101,7 +103,11 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
     if grade is BandGrade.TRIALS:
         if trial_count == 1:
             return "one real trial"
-        return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
+        return (
+            f"the mean of {trial_count} real trials"
+            if trial_count
+            else "the mean of the real trials"
+        )
     names = {
         BandGrade.RECORDING: "one recorded real trial",
         BandGrade.MODEL: "the solution of the scene by several engines, not a real trial",
@@ -109,7 +115,13 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
     return names.get(grade, "the law that the score compares with")
 
 
-def reference_text(band: Band | None, path: ReferencePath | None, *, end_s: float, trial: int | None = None) -> str:
+def reference_text(
+    band: Band | None,
+    path: ReferencePath | None,
+    *,
+    end_s: float,
+    trial: int | None = None,
+) -> str:
     """Return what is drawn of a reference, in words; empty if nothing is.
 
     Args:
@@ -120,9 +132,17 @@ def reference_text(band: Band | None, path: ReferencePath | None, *, end_s: floa
     """
     if band is None or path is None:
         return ""
-    text = reference_words(band.grade, band.trial_count) if trial is None else f"real trial {trial}"
+    text = (
+        reference_words(band.grade, band.trial_count)
+        if trial is None
+        else f"real trial {trial}"
+    )
     if band.withheld is not None:
         text += ", withheld from scores"
     if not path.is_full:
         text += ", in the measured directions"
-    return f"{text}, until {path.last_s:.2f} s" if path.last_s < end_s - 0.5 / FRAME_RATE_HZ else text
+    return (
+        f"{text}, until {path.last_s:.2f} s"
+        if path.last_s < end_s - 0.5 / FRAME_RATE_HZ
+        else text
+    )

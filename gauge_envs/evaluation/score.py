@@ -29,7 +29,12 @@ from gauge_envs.evaluation.metrics.trajectory import (
     trajectory_rmse,
     z_scores,
 )
-from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
+from gauge_envs.evaluation.swing import (
+    EventTime,
+    event_intervals,
+    swing_metrics,
+    swing_notes,
+)
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -94,13 +99,19 @@ def explained(
 
     def distance(moved: FloatArray) -> float:
         if deviations.is_aligned:
-            return release_offset(times_s, moved, band.mean, frame_rate_hz=FRAME_RATE_HZ)[1]
+            return release_offset(
+                times_s, moved, band.mean, frame_rate_hz=FRAME_RATE_HZ
+            )[1]
         return trajectory_rmse(sampled_frames(experiment, times_s, moved), band.mean)
 
     frames_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     known = np.isfinite(first.values)
     flat = np.where(known, first.values, 0.0).ravel()
-    along = np.zeros_like(flat) if first.velocity is None else np.where(known, first.velocity, 0.0).ravel()
+    along = (
+        np.zeros_like(flat)
+        if first.velocity is None
+        else np.where(known, first.velocity, 0.0).ravel()
+    )
     along = along / max(float(np.linalg.norm(along)), 1e-300)
     found = []
     for one in _inputs(experiment, band, sensitivities):
@@ -120,15 +131,26 @@ def explained(
         if best:
             found.append(
                 Explained(
-                    name=one.name, kind=one.kind, std=one.std, unit=one.unit, source=one.source, change=best, left=left
+                    name=one.name,
+                    kind=one.kind,
+                    std=one.std,
+                    unit=one.unit,
+                    source=one.source,
+                    change=best,
+                    left=left,
                 )
             )
     return tuple(sorted(found, key=lambda one: one.left))
 
 
-def _inputs(experiment: Experiment, band: Band, sensitivities: Sensitivities) -> Iterator[InputUncertainty]:
+def _inputs(
+    experiment: Experiment, band: Band, sensitivities: Sensitivities
+) -> Iterator[InputUncertainty]:
     for one in sensitivities.inputs:
-        fits = len(one.change) >= len(band.mean) and one.change.shape[1] == band.projection.shape[1]
+        fits = (
+            len(one.change) >= len(band.mean)
+            and one.change.shape[1] == band.projection.shape[1]
+        )
         is_shared = not band.grade.is_real and one.kind != "discretization"
         is_replaced = bool(experiment.overrides) and one.kind == "constant"
         if fits and not is_shared and not is_replaced:
@@ -138,8 +160,15 @@ def _inputs(experiment: Experiment, band: Band, sensitivities: Sensitivities) ->
 def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
     """Return a change at any times: none before the start, and on the last line after the end."""
     frames_s = np.arange(len(table)) / FRAME_RATE_HZ
-    last = table[-1] + (table[-1] - table[-2]) * FRAME_RATE_HZ * np.maximum(times_s - frames_s[-1], 0.0)[:, None]
-    inside = np.column_stack([np.interp(times_s, frames_s, column) for column in table.T])
+    last = (
+        table[-1]
+        + (table[-1] - table[-2])
+        * FRAME_RATE_HZ
+        * np.maximum(times_s - frames_s[-1], 0.0)[:, None]
+    )
+    inside = np.column_stack(
+        [np.interp(times_s, frames_s, column) for column in table.T]
+    )
     return np.where(times_s[:, None] > frames_s[-1], last, inside)
 
 
@@ -267,16 +296,26 @@ class Score:
     @property
     def primary_normalized(self) -> float | None:
         """The normalized score that reports show first."""
-        return None if self.primary is None else getattr(self, f"{self.primary}_normalized")
+        return (
+            None
+            if self.primary is None
+            else getattr(self, f"{self.primary}_normalized")
+        )
 
     @property
     def primary_95(self) -> tuple[float, float] | None:
         """The 95 % interval of `primary_normalized`."""
-        return None if self.primary is None else getattr(self, f"{self.primary}_normalized_95")
+        return (
+            None
+            if self.primary is None
+            else getattr(self, f"{self.primary}_normalized_95")
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary of all fields."""
-        return {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()}
+        return {
+            k: list(v) if isinstance(v, tuple) else v for k, v in asdict(self).items()
+        }
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Score:
@@ -286,7 +325,9 @@ class Score:
             pydantic.ValidationError: A value has the wrong type.
         """
         known = {f.name for f in fields(cls)}
-        return TypeAdapter(cls).validate_python({key: value for key, value in values.items() if key in known})
+        return TypeAdapter(cls).validate_python(
+            {key: value for key, value in values.items() if key in known}
+        )
 
 
 def score_trajectory(
@@ -321,16 +362,29 @@ def score_trajectory(
         # An edited scene is another one, and another engine may treat a constant in another way.
         if sensitivities is None:
             stored = experiment_sensitivities(experiment, backend)
-            sensitivities = stored if stored is not None and stored.backend == backend else None
+            sensitivities = (
+                stored if stored is not None and stored.backend == backend else None
+            )
         scores |= _band_scores(experiment, band, times_s, values, frames, sensitivities)
     scores["implied"] = implied_parameters(
-        experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
+        experiment,
+        band,
+        times_s=times_s,
+        values=values,
+        release_offset_s=scores.get("release_offset_s"),
     )
     events = swing_metrics(experiment, frames)
     notes = swing_notes(experiment, frames, times_s=times_s, values=values)
-    scores |= _metric_fields(events, baselines) | notes | event_intervals(events, notes, baselines)
+    scores |= (
+        _metric_fields(events, baselines)
+        | notes
+        | event_intervals(events, notes, baselines)
+    )
     # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
-    scores = {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in scores.items()}
+    scores = {
+        k: None if isinstance(v, float) and np.isnan(v) else v
+        for k, v in scores.items()
+    }
     return Score(
         grade=(BandGrade.NONE if band is None else band.grade).value,
         unit=experiment.score.observable.unit,
@@ -345,7 +399,9 @@ def _over(value: float, baselines: Mapping[str, Baseline], metric: str) -> float
     return value / baseline.mean if baseline is not None and baseline.mean else None
 
 
-def _metric_fields(raw: Mapping[str, float], baselines: Mapping[str, Baseline]) -> dict[str, float | None]:
+def _metric_fields(
+    raw: Mapping[str, float], baselines: Mapping[str, Baseline]
+) -> dict[str, float | None]:
     """Return the fields of `Score` for raw scores by metric, each with its normalized one."""
     scores: dict[str, float | None] = {}
     for key, value in raw.items():
@@ -384,7 +440,9 @@ def _band_scores(
         "trial_count": None if trials is None else len(trials.raw),
         "compared_frames": int(known.sum()),
         "measured_frames": int((known & band.measured).sum()),
-        "extrapolated_share": float(squares[~band.measured].sum() / squares.sum()) if squares.any() else 0.0,
+        "extrapolated_share": float(squares[~band.measured].sum() / squares.sum())
+        if squares.any()
+        else 0.0,
         "mean_abs_z": mean_abs_z(z),
         "inside_1sigma": band_coverage(z, 1.0),
         "inside_2sigma": band_coverage(z, 2.0),
@@ -402,34 +460,63 @@ def _band_scores(
         }
     if trials is not None:
         scores |= _percentiles("percentile", trials.raw, raw)
-        scores |= {} if aligned is None else _percentiles("percentile_aligned", trials.aligned, aligned)
-    if raw.baseline is not None and (line := baselines.get("dtw")) is not None and line.mean:
+        scores |= (
+            {}
+            if aligned is None
+            else _percentiles("percentile_aligned", trials.aligned, aligned)
+        )
+    if (
+        raw.baseline is not None
+        and (line := baselines.get("dtw")) is not None
+        and line.mean
+    ):
         cells = np.flatnonzero(known)[path]
         ends = raw.errors.path_interval(cells, simulated, band.mean)
-        scores["dtw_normalized_95"] = None if ends is None else (ends[0] / line.mean, ends[1] / line.mean)
+        scores["dtw_normalized_95"] = (
+            None if ends is None else (ends[0] / line.mean, ends[1] / line.mean)
+        )
     scores["refused"] = tuple(_refused(deviations))
-    if band.grade is BandGrade.MODEL and (solved := solved_model(experiment.name)) is not None:
-        scores["rmse_without"] = {name: trajectory_rmse(simulated, mean) for name, mean in solved.others.items()}
+    if (
+        band.grade is BandGrade.MODEL
+        and (solved := solved_model(experiment.name)) is not None
+    ):
+        scores["rmse_without"] = {
+            name: trajectory_rmse(simulated, mean)
+            for name, mean in solved.others.items()
+        }
     first = deviations.first
     if first.baseline is not None:
         scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
     if sensitivities is not None:
-        scores["explained"] = explained(experiment, band, sensitivities, deviations, times_s=times_s, values=values)
+        scores["explained"] = explained(
+            experiment, band, sensitivities, deviations, times_s=times_s, values=values
+        )
     return scores
 
 
-def _percentiles(field: str, distances: FloatArray, deviation: Deviation) -> dict[str, Any]:
+def _percentiles(
+    field: str, distances: FloatArray, deviation: Deviation
+) -> dict[str, Any]:
     return {
         field: percentile_among(distances, deviation.rmse),
-        f"{field}_95": percentile_interval(distances, deviation.rmse, deviation.interval),
+        f"{field}_95": percentile_interval(
+            distances, deviation.rmse, deviation.interval
+        ),
     }
 
 
 def _refused(deviations: Deviations) -> Iterator[str]:
     for name, one in (("rmse", deviations.raw), ("rmse_aligned", deviations.aligned)):
         if one is not None:
-            reasons = {f"{name}_95": one.refusal, f"{name}_normalized_95": one.normalized_refusal}
-            yield from (f"{interval}: {reason}" for interval, reason in reasons.items() if reason is not None)
+            reasons = {
+                f"{name}_95": one.refusal,
+                f"{name}_normalized_95": one.normalized_refusal,
+            }
+            yield from (
+                f"{interval}: {reason}"
+                for interval, reason in reasons.items()
+                if reason is not None
+            )
 
 
 def _origin(sensitivities: Sensitivities) -> str:

@@ -28,7 +28,11 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 NORMAL_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
-CHOICES = {"lsd": ("lsd_central_s", 0.5 / FRAME_RATE_HZ), "mte": ("", 0.0), "pd": ("pd_fft_s", 0.0)}
+CHOICES = {
+    "lsd": ("lsd_central_s", 0.5 / FRAME_RATE_HZ),
+    "mte": ("", 0.0),
+    "pd": ("pd_fft_s", 0.0),
+}
 """Other likely estimator of each metric, as a field of `Score`, and half the step in which it is counted [s]."""
 
 
@@ -79,20 +83,28 @@ def swing_metrics(experiment: Experiment, frames: FloatArray) -> dict[str, float
     heights, rest_mm = swing.height_mm, swing.rest_height_mm
     scores: dict[str, float] = {}
     if "lsd" in wanted:
-        scores["lsd"] = longest_stationary_duration(heights, frame_rate_hz=FRAME_RATE_HZ)
+        scores["lsd"] = longest_stationary_duration(
+            heights, frame_rate_hz=FRAME_RATE_HZ
+        )
     if "mte" in wanted:
         scores["mte"] = momentum_transfer_efficiency(
             heights, drop_height_mm=swing.drop_height_mm, rest_height_mm=rest_mm
         )
     if "pd" in wanted:
-        scores["pd"] = oscillation_period(_period_signal(experiment, swing), frame_rate_hz=FRAME_RATE_HZ)
+        scores["pd"] = oscillation_period(
+            _period_signal(experiment, swing), frame_rate_hz=FRAME_RATE_HZ
+        )
     if "el" in wanted:
         scores["el"] = energy_loss(heights, rest_height_mm=rest_mm)
     return scores
 
 
 def swing_notes(
-    experiment: Experiment, frames: FloatArray, *, times_s: FloatArray, values: FloatArray
+    experiment: Experiment,
+    frames: FloatArray,
+    *,
+    times_s: FloatArray,
+    values: FloatArray,
 ) -> dict[str, Any]:
     """Return the fields of `Score` that show what the choice of an estimator does, and the times of events.
 
@@ -109,16 +121,24 @@ def swing_notes(
     if "lsd" in wanted:
         heights = swing.height_mm
         inside = times_s <= (len(frames) - 1) / FRAME_RATE_HZ + 1e-9
-        seen = swing_times(times_s[inside], values[inside, 2], rest_height_mm=swing.rest_height_mm)
+        seen = swing_times(
+            times_s[inside], values[inside, 2], rest_height_mm=swing.rest_height_mm
+        )
         notes |= {
-            "lsd_speed_3d_s": longest_stationary_duration(heights, path_mm=swing.frames, frame_rate_hz=FRAME_RATE_HZ),
-            "lsd_central_s": longest_stationary_duration(heights, central=True, frame_rate_hz=FRAME_RATE_HZ),
+            "lsd_speed_3d_s": longest_stationary_duration(
+                heights, path_mm=swing.frames, frame_rate_hz=FRAME_RATE_HZ
+            ),
+            "lsd_central_s": longest_stationary_duration(
+                heights, central=True, frame_rate_hz=FRAME_RATE_HZ
+            ),
             "lsd_dropped_rests_s": dropped_rests(heights, frame_rate_hz=FRAME_RATE_HZ),
             "events": _events(experiment.name, seen),
         }
         notes |= _normalized(experiment, "lsd", notes, ("lsd_speed_3d", "lsd_central"))
     if "pd" in wanted:
-        notes["pd_fft_s"] = spectral_peak_period(_period_signal(experiment, swing), frame_rate_hz=FRAME_RATE_HZ)
+        notes["pd_fft_s"] = spectral_peak_period(
+            _period_signal(experiment, swing), frame_rate_hz=FRAME_RATE_HZ
+        )
         notes |= _normalized(experiment, "pd", notes, ("pd_fft",))
     return notes
 
@@ -129,7 +149,9 @@ def _swing(experiment: Experiment, frames: FloatArray) -> _Swing | None:
         return None
     scene, body = experiment.scene, experiment.recorded[0]
     hinge = next(j for j in scene.joints if isinstance(j, Hinge) and j.body == body)
-    arm_m = float(np.linalg.norm(np.subtract(scene.body(body).pose.position_m, hinge.anchor_m)))
+    arm_m = float(
+        np.linalg.norm(np.subtract(scene.body(body).pose.position_m, hinge.anchor_m))
+    )
     rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
     highest_m = max(scene.body(joint.body).pose.position_m[2] for joint in scene.joints)
     return _Swing(frames[:, :3], rest_height_mm, 1e3 * highest_m - rest_height_mm)
@@ -143,12 +165,18 @@ def _period_signal(experiment: Experiment, swing: _Swing) -> FloatArray:
 
 
 def _normalized(
-    experiment: Experiment, metric: str, notes: Mapping[str, Any], names: tuple[str, ...]
+    experiment: Experiment,
+    metric: str,
+    notes: Mapping[str, Any],
+    names: tuple[str, ...],
 ) -> dict[str, float | None]:
     """Return alternatives over the published mean of their metric; None without one."""
     baseline = experiment.baselines.get(metric)
     mean = None if baseline is None else baseline.mean
-    return {f"{name}_normalized": notes[f"{name}_s"] / mean if mean else None for name in names}
+    return {
+        f"{name}_normalized": notes[f"{name}_s"] / mean if mean else None
+        for name in names
+    }
 
 
 def _events(variant: str, seen: SwingTimes) -> tuple[EventTime, ...] | None:
@@ -162,7 +190,9 @@ def _events(variant: str, seen: SwingTimes) -> tuple[EventTime, ...] | None:
         EventTime(
             quantity=event.quantity.value,
             number=number,
-            simulated_s=simulated[event.quantity][number - 1] if number <= len(simulated[event.quantity]) else None,
+            simulated_s=simulated[event.quantity][number - 1]
+            if number <= len(simulated[event.quantity])
+            else None,
             recorded_s=value_s,
             sigma_s=event.sigma_s,
         )
@@ -173,7 +203,9 @@ def _events(variant: str, seen: SwingTimes) -> tuple[EventTime, ...] | None:
 
 
 def event_intervals(
-    events: Mapping[str, float], notes: Mapping[str, Any], baselines: Mapping[str, Baseline]
+    events: Mapping[str, float],
+    notes: Mapping[str, Any],
+    baselines: Mapping[str, Baseline],
 ) -> dict[str, tuple[float, float]]:
     """Return the 95 % intervals of normalized event metrics, by field of `Score`.
 
@@ -189,12 +221,21 @@ def event_intervals(
     intervals: dict[str, tuple[float, float]] = {}
     for metric, (alternative, counted_s) in CHOICES.items():
         value, line = events.get(metric), baselines.get(metric)
-        if value is None or line is None or not line.mean or line.std is None or not np.isfinite(value):
+        if (
+            value is None
+            or line is None
+            or not line.mean
+            or line.std is None
+            or not np.isfinite(value)
+        ):
             continue
         other = notes.get(alternative)
         choice = 0.0 if other is None else abs(other - value) / math.sqrt(3.0)
         of_estimator = math.hypot(choice, counted_s / math.sqrt(3.0)) / line.mean
         relative = line.std / line.mean / math.sqrt(input_uncertainties().trials.count)
         half = NORMAL_95 * math.hypot(of_estimator, relative * value / line.mean)
-        intervals[f"{metric}_normalized_95"] = max(value / line.mean - half, 0.0), value / line.mean + half
+        intervals[f"{metric}_normalized_95"] = (
+            max(value / line.mean - half, 0.0),
+            value / line.mean + half,
+        )
     return intervals

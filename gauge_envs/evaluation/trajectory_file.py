@@ -27,7 +27,15 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import MEGABYTE, csv_text, json_document, npz_arrays, npz_names, os_errors, read_regular
+from gauge_envs.files import (
+    MEGABYTE,
+    csv_text,
+    json_document,
+    npz_arrays,
+    npz_names,
+    os_errors,
+    read_regular,
+)
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -84,12 +92,16 @@ def stated_origin(file: Path) -> StatedOrigin:
     content = _json_object(file)
     name, parameters = content.get("id"), content.get("parameters")
     if name is not None and not isinstance(name, str):
-        raise TrajectoryFileError(f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'")
+        raise TrajectoryFileError(
+            f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
+        )
     backend = content.get("backend")
     return StatedOrigin(
         id=name,
         parameters=parameters,
-        backend=backend if isinstance(backend, str) and not content.get("settings_given") else None,
+        backend=backend
+        if isinstance(backend, str) and not content.get("settings_given")
+        else None,
         has_asset=bool(content.get("asset")),
     )
 
@@ -104,7 +116,9 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     reader = readers.get(file.suffix.lower())
     if reader is None:
-        raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
+        raise TrajectoryFileError(
+            f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
+        )
     known = experiment.scene.markers
     layout = _FileLayout(
         file,
@@ -121,10 +135,14 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     trajectory = _on_frames(file, times, values, experiment.frame_count)
     if experiment.score.observable is Observable.MARKER_POSITION:
         rows = _frame_rows(trajectory, experiment.frame_count)
-        return replace(trajectory, markers_m=1e-3 * rows[:, :width].reshape(-1, width // 3, 3))
+        return replace(
+            trajectory, markers_m=1e-3 * rows[:, :width].reshape(-1, width // 3, 3)
+        )
     if markers is None:
         return trajectory
-    markers_m = _frame_rows(trajectory, experiment.frame_count)[:, width:].reshape(-1, *markers.shape[1:])
+    markers_m = _frame_rows(trajectory, experiment.frame_count)[:, width:].reshape(
+        -1, *markers.shape[1:]
+    )
     return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
 
 
@@ -144,7 +162,9 @@ class _FileLayout:
     marker_count: int
 
     def error(self, place: str, reason: str) -> TrajectoryFileError:
-        return TrajectoryFileError(f"{self.file}: {place}: {reason}" if place else f"{self.file}: {reason}")
+        return TrajectoryFileError(
+            f"{self.file}: {place}: {reason}" if place else f"{self.file}: {reason}"
+        )
 
     @property
     def expected(self) -> str:
@@ -161,11 +181,18 @@ class _FileLayout:
                 raise ValueError
             number = float(value)
         except (TypeError, ValueError, OverflowError):
-            raise self.error(place, f"{column} is {_short(value)}, expected a number [{unit}]") from None
+            raise self.error(
+                place, f"{column} is {_short(value)}, expected a number [{unit}]"
+            ) from None
         if not math.isfinite(number):
-            raise self.error(place, f"{column} is {_short(value)}, expected a finite number [{unit}]")
+            raise self.error(
+                place, f"{column} is {_short(value)}, expected a finite number [{unit}]"
+            )
         if abs(number) > LARGEST:
-            raise self.error(place, f"{column} is {_short(value)}, expected at most {LARGEST:g} [{unit}]")
+            raise self.error(
+                place,
+                f"{column} is {_short(value)}, expected at most {LARGEST:g} [{unit}]",
+            )
         return number
 
     def table(self, rows: Sequence[Any], places: Sequence[str]) -> NDArray[np.float64]:
@@ -173,35 +200,50 @@ class _FileLayout:
         values = np.empty((len(rows), len(self.names)))
         for index, (row, place) in enumerate(zip(rows, places, strict=True)):
             if not isinstance(row, list):
-                raise self.error(place, f"{_short(row)} is not a list of numbers; {self.expected}")
+                raise self.error(
+                    place, f"{_short(row)} is not a list of numbers; {self.expected}"
+                )
             if len(row) != len(self.names):
                 raise self.error(place, f"{len(row)} columns, {self.expected}")
-            values[index] = [self.number(place, *entry) for entry in zip(self.names, row, strict=True)]
+            values[index] = [
+                self.number(place, *entry)
+                for entry in zip(self.names, row, strict=True)
+            ]
         return values
 
 
 def _short(value: Any) -> str:
     if isinstance(value, dict | list):
         return f"a {type(value).__name__} of {len(value)}"
-    text = repr(value) if not isinstance(value, int) or abs(value) <= LARGEST else "a huge integer"
+    text = (
+        repr(value)
+        if not isinstance(value, int) or abs(value) <= LARGEST
+        else "a huge integer"
+    )
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 # --- formats ---------------------------------------------------------------------------------------------------------
 
-Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.float64] | None]
+Columns = tuple[
+    NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.float64] | None
+]
 """Times [s], shape [T], or None; g(t), shape [T, C]; markers [m], shape [T, M, 3], or None."""
 
 
 def _bytes(file: Path) -> bytes:
-    with os_errors(lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")):
+    with os_errors(
+        lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
+    ):
         content = read_regular(file, MOST_FILE_BYTES)
     if not content.strip():
         raise TrajectoryFileError(f"{file}: the file is empty")
     return content
 
 
-def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
+def _csv_rows(
+    layout: _FileLayout,
+) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
     """Return place and fields of each row that is no comment; and the comment that is a header, or None."""
     rows: list[tuple[str, list[str]]] = []
     header: list[str] | None = None
@@ -211,8 +253,12 @@ def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[st
             if not any(field.strip() for field in fields):
                 continue
             if not fields[0].lstrip().startswith("#"):
-                rows.append((f"line {reader.line_num}", [field.strip() for field in fields]))
-            elif not rows and "time_s" in (names := [field.strip(" #\t") for field in fields]):
+                rows.append(
+                    (f"line {reader.line_num}", [field.strip() for field in fields])
+                )
+            elif not rows and "time_s" in (
+                names := [field.strip(" #\t") for field in fields]
+            ):
                 header = names  # numpy.savetxt writes its header as a comment.
     except (UnicodeDecodeError, csv.Error) as error:
         raise layout.error("", f"not a CSV file: {error}") from error
@@ -224,8 +270,14 @@ def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[st
 def _read_csv(layout: _FileLayout) -> Columns:
     lines, header = _csv_rows(layout)
     place, first = lines[0]
-    if len(first) == 1 < len(layout.names) and len(first[0].replace(";", " ").split()) > 1:
-        raise layout.error(place, f"one column, expected columns separated by commas; {layout.expected}")
+    if (
+        len(first) == 1 < len(layout.names)
+        and len(first[0].replace(";", " ").split()) > 1
+    ):
+        raise layout.error(
+            place,
+            f"one column, expected columns separated by commas; {layout.expected}",
+        )
     if not any(_is_number(field) for field in first) and "" not in first:
         header = lines.pop(0)[1]
     places, rows = [place for place, _ in lines], [fields for _, fields in lines]
@@ -233,13 +285,26 @@ def _read_csv(layout: _FileLayout) -> Columns:
     width = len(order) + (time_column is not None)
     for place, fields in lines:
         if len(fields) != width:
-            timed = "time_s and then " if time_column == 0 else "time_s and " if time_column is not None else ""
-            named = "" if header else "; a time column needs a header that names it time_s"
-            raise layout.error(place, f"{len(fields)} columns, {timed}{layout.expected}{named}")
+            timed = (
+                "time_s and then "
+                if time_column == 0
+                else "time_s and "
+                if time_column is not None
+                else ""
+            )
+            named = (
+                "" if header else "; a time column needs a header that names it time_s"
+            )
+            raise layout.error(
+                place, f"{len(fields)} columns, {timed}{layout.expected}{named}"
+            )
     times = None
     if time_column is not None:
         times = np.array(
-            [layout.number(place, "time_s", row[time_column]) for place, row in zip(places, rows, strict=True)]
+            [
+                layout.number(place, "time_s", row[time_column])
+                for place, row in zip(places, rows, strict=True)
+            ]
         )
     return times, layout.table([[row[i] for i in order] for row in rows], places), None
 
@@ -252,7 +317,9 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[int], int | None]:
+def _csv_columns(
+    layout: _FileLayout, header: list[str] | None
+) -> tuple[list[int], int | None]:
     """Return the column of each coordinate, and the column of the time or None."""
     if header is None:
         return list(range(len(layout.names))), None
@@ -262,7 +329,9 @@ def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[in
         name, unit = name.strip(), rest.strip(" ]")
         wanted = "s" if name == "time_s" else layout.unit
         if bracket and (name in layout.names or name == "time_s") and unit != wanted:
-            raise layout.error("header", f"column {name} is in [{unit}], expected [{wanted}]")
+            raise layout.error(
+                "header", f"column {name} is in [{unit}], expected [{wanted}]"
+            )
         named.append(name)
     if len(set(named)) < len(named):
         twice = next(name for name in named if named.count(name) > 1)
@@ -273,11 +342,17 @@ def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[in
         missing = [name for name in layout.names if name not in named]
         unknown = [named[index] for index in others if named[index] not in layout.names]
         if missing or unknown:
-            fault = f"no column {missing[0]!r}" if missing else f"unknown column {unknown[0]!r}"
+            fault = (
+                f"no column {missing[0]!r}"
+                if missing
+                else f"unknown column {unknown[0]!r}"
+            )
             raise layout.error("header", f"{fault}, {layout.expected}")
         return [named.index(name) for name in layout.names], time_column
     if len(others) != len(layout.names):
-        raise layout.error("header", f"{len(others)} columns beside time_s, {layout.expected}")
+        raise layout.error(
+            "header", f"{len(others)} columns beside time_s, {layout.expected}"
+        )
     return others, time_column
 
 
@@ -289,34 +364,51 @@ def _read_npz(layout: _FileLayout) -> Columns:
     except ValueError as error:
         raise layout.error("", f"not an NPZ file: {error}") from error
     if "g" not in arrays:
-        raise layout.error("", f"no array 'g', it has: {', '.join(names[:8]) or 'none'}; {layout.expected}")
+        raise layout.error(
+            "",
+            f"no array 'g', it has: {', '.join(names[:8]) or 'none'}; {layout.expected}",
+        )
     for name, array in arrays.items():
         if name in ("g", "time_s") and array.dtype.kind not in "fiu":
             raise layout.error(name, f"holds {array.dtype} values, expected numbers")
     with np.errstate(over="ignore"):
         g = np.asarray(arrays["g"], dtype=np.float64)
-        times = np.asarray(arrays["time_s"], dtype=np.float64) if "time_s" in arrays else None
+        times = (
+            np.asarray(arrays["time_s"], dtype=np.float64)
+            if "time_s" in arrays
+            else None
+        )
     if g.ndim != 2 or g.shape[1] != len(layout.names):
-        raise layout.error("g", f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}")
+        raise layout.error(
+            "g",
+            f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}",
+        )
     for row, column in np.argwhere(~(np.abs(g) <= LARGEST))[:1]:
         layout.number(f"g, row {row}", layout.names[column], g[row, column].item())
     markers = _markers(layout, arrays.get("markers_m"), len(g))
     if times is None:
         return None, g, markers
     if times.shape != g.shape[:1]:
-        raise layout.error("time_s", f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows")
+        raise layout.error(
+            "time_s",
+            f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows",
+        )
     for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
         layout.number(f"row {row}", "time_s", times[row].item())
     return times, g, markers
 
 
-def _markers(layout: _FileLayout, markers: NDArray[Any] | None, row_count: int) -> NDArray[np.float64] | None:
+def _markers(
+    layout: _FileLayout, markers: NDArray[Any] | None, row_count: int
+) -> NDArray[np.float64] | None:
     """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
     if markers is None:
         return None
     wanted = [row_count, layout.marker_count, 3]
     if list(markers.shape) != wanted:
-        raise layout.error("markers_m", f"shape is {list(markers.shape)}, expected {wanted}")
+        raise layout.error(
+            "markers_m", f"shape is {list(markers.shape)}, expected {wanted}"
+        )
     if markers.dtype.kind not in "fiu" or not np.isfinite(markers).all():
         raise layout.error("markers_m", "a value is not a finite number [m]")
     return markers.astype(np.float64)
@@ -328,7 +420,9 @@ def _json_object(file: Path) -> dict[str, Any]:
     except ValueError as error:
         raise TrajectoryFileError(f"{file}: not a JSON file: {error}") from error
     if not isinstance(content, dict):
-        raise TrajectoryFileError(f"{file}: expected a JSON object with 'g', got a {type(content).__name__}")
+        raise TrajectoryFileError(
+            f"{file}: expected a JSON object with 'g', got a {type(content).__name__}"
+        )
     return content
 
 
@@ -339,7 +433,10 @@ def _read_json(layout: _FileLayout) -> Columns:
         content = content["trajectory"]
         key, times = "samples", content.get("times_s")
         later_s, later = content.get("later_times_s"), content.get("later_samples")
-        if all(isinstance(entry, list) for entry in (times, content.get(key), later_s, later)):
+        if all(
+            isinstance(entry, list)
+            for entry in (times, content.get(key), later_s, later)
+        ):
             content = content | {key: [*content[key], *later]}
             times = [*times, *later_s]
     rows = content.get(key)
@@ -350,19 +447,33 @@ def _read_json(layout: _FileLayout) -> Columns:
         return None, values, None
     if not isinstance(times, list) or len(times) != len(rows):
         count = f"{len(times)} entries" if isinstance(times, list) else _short(times)
-        raise layout.error("time_s", f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows")
-    return np.array([layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]), values, None
+        raise layout.error(
+            "time_s",
+            f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows",
+        )
+    return (
+        np.array(
+            [layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]
+        ),
+        values,
+        None,
+    )
 
 
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
 def _on_frames(
-    file: Path, times_s: NDArray[np.float64], values: NDArray[np.float64], frame_count: int
+    file: Path,
+    times_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    frame_count: int,
 ) -> UserTrajectory:
     """Check the times, insert every frame, and cut what is too late for the release alignment."""
     frames = np.arange(frame_count) / FRAME_RATE_HZ
-    needed = f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
+    needed = (
+        f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
+    )
     if len(times_s) < 2:
         raise TrajectoryFileError(f"{file}: {len(times_s)} rows; {needed}")
     steps = np.diff(times_s)
@@ -373,12 +484,18 @@ def _on_frames(
         )
     tolerance = min(FRAME_TOLERANCE_S, 0.1 * float(np.median(steps))) + 1e-9
     if abs(times_s[0]) > tolerance:
-        raise TrajectoryFileError(f"{file}: row 0: time_s is {times_s[0]:g}, expected 0: the episode starts there")
+        raise TrajectoryFileError(
+            f"{file}: row 0: time_s is {times_s[0]:g}, expected 0: the episode starts there"
+        )
     if times_s[-1] < frames[-1] - tolerance:
-        raise TrajectoryFileError(f"{file}: {len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}")
+        raise TrajectoryFileError(
+            f"{file}: {len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}"
+        )
     # A frame takes the nearest sample, if that is near enough. The times stay increasing.
     right = np.clip(np.searchsorted(times_s, frames), 1, len(times_s) - 1)
-    nearest = np.where(frames - times_s[right - 1] <= times_s[right] - frames, right - 1, right)
+    nearest = np.where(
+        frames - times_s[right - 1] <= times_s[right] - frames, right - 1, right
+    )
     hit = np.abs(times_s[nearest] - frames) <= tolerance
     gap = times_s[right] - times_s[right - 1]
     wide = ~hit & (gap > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance)
@@ -392,8 +509,15 @@ def _on_frames(
     times = times_s.copy()
     times[nearest[hit]] = frames[hit]
     between = frames[~hit]
-    added = np.column_stack([np.interp(between, times_s, column) for column in values.T])
+    added = np.column_stack(
+        [np.interp(between, times_s, column) for column in values.T]
+    )
     order = np.argsort(np.concatenate([times, between]), kind="stable")
-    times, values = np.concatenate([times, between])[order], np.concatenate([values, added])[order]
+    times, values = (
+        np.concatenate([times, between])[order],
+        np.concatenate([values, added])[order],
+    )
     used = times <= frames[-1] + MAX_RELEASE_OFFSET_S + FRAME_TOLERANCE_S
-    return UserTrajectory(times_s=times[used], values=values[used], interpolated_frames=len(between))
+    return UserTrajectory(
+        times_s=times[used], values=values[used], interpolated_frames=len(between)
+    )

@@ -196,9 +196,13 @@ class BandErrors:
     def flat(self, deviation: FloatArray) -> FloatArray:
         """Return deviations of shape [..., T, C] as vectors whose norm is their root mean square over frames."""
         known = np.where(self.known, deviation, 0.0)
-        return np.asarray(known.reshape(*known.shape[:-2], -1) / _root_of_frames(self.known))
+        return np.asarray(
+            known.reshape(*known.shape[:-2], -1) / _root_of_frames(self.known)
+        )
 
-    def aligned(self, velocity: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> BandErrors:
+    def aligned(
+        self, velocity: FloatArray, moved: Callable[[FloatArray], FloatArray]
+    ) -> BandErrors:
         """Return the errors that a shift in time leaves, with that of the smear of the mean.
 
         To first order, a shift takes away all errors along the velocity. Beyond it, a mean of trials with different
@@ -222,26 +226,43 @@ class BandErrors:
         if count < LEAST_TRIALS or not releases_s.any():
             return aligned
         std_s = float(np.linalg.norm(releases_s)) / math.sqrt(count - 1)
-        late_s = np.concatenate([[0.0], releases_s, np.outer(SMEARS, std_s * RELEASES).ravel()])
+        late_s = np.concatenate(
+            [[0.0], releases_s, np.outer(SMEARS, std_s * RELEASES).ravel()]
+        )
         curves = moved(np.clip(late_s, -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S))
         away = left(self.flat(np.nan_to_num(curves - curves[0])))
-        of_trials, smears = away[1 : count + 1], away[count + 1 :].reshape(len(SMEARS), len(RELEASES), -1).mean(axis=1)
+        of_trials, smears = (
+            away[1 : count + 1],
+            away[count + 1 :].reshape(len(SMEARS), len(RELEASES), -1).mean(axis=1),
+        )
         # The variance of a sample has the law of chi-squared. Kurtosis and trials that are alike take degrees of it.
         squares = np.square(releases_s / std_s)
-        kurtosis = max(float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0)
+        kurtosis = max(
+            float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0
+        )
         degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
         drawn = np.sqrt(degrees / _random("smear").chisquare(degrees, DRAW_COUNT))
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
         factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
         shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
-        return aligned.with_source("smear of the mean by releases", "smear", "A", scatter, shapes, factors)
+        return aligned.with_source(
+            "smear of the mean by releases", "smear", "A", scatter, shapes, factors
+        )
 
     def with_source(
-        self, name: str, kind: str, evaluation: str, source: str, shapes: FloatArray, factors: FloatArray
+        self,
+        name: str,
+        kind: str,
+        evaluation: str,
+        source: str,
+        shapes: FloatArray,
+        factors: FloatArray,
     ) -> BandErrors:
         """Return the errors with those of one more source."""
         columns = slice(len(self.shapes), len(self.shapes) + len(shapes))
-        added = _Source(name=name, kind=kind, evaluation=evaluation, source=source, columns=columns)
+        added = _Source(
+            name=name, kind=kind, evaluation=evaluation, source=source, columns=columns
+        )
         return replace(
             self,
             shapes=np.vstack([self.shapes, shapes]),
@@ -279,13 +300,20 @@ class BandErrors:
         if band.unit != "mm" or len(band.projection) >= band.projection.shape[1]:
             return self
         moved = frames - frames[0]
-        across = np.linalg.norm(moved - moved @ np.linalg.pinv(band.projection) @ band.projection, axis=1)
+        across = np.linalg.norm(
+            moved - moved @ np.linalg.pinv(band.projection) @ band.projection, axis=1
+        )
         tilt = input_uncertainties().tilt
         if np.abs(across).max() < PROJECTION_FLOOR_MM:
             return self
-        shape = self.flat(math.radians(tilt.std) * across[:, None] * np.ones(len(band.projection)))
+        shape = self.flat(
+            math.radians(tilt.std) * across[:, None] * np.ones(len(band.projection))
+        )
         factors = _random("projection").standard_normal((DRAW_COUNT, 1))
-        name, source = "direction of the measured coordinate", f"{tilt.std:.4g} {tilt.unit}: {tilt.source}"
+        name, source = (
+            "direction of the measured coordinate",
+            f"{tilt.std:.4g} {tilt.unit}: {tilt.source}",
+        )
         return self.with_source(name, "projection", "B", source, shape[None], factors)
 
     @cached_property
@@ -294,12 +322,19 @@ class BandErrors:
         count = self.trial_count
         of_trials = TRIAL_KINDS if count else ()
         others, smears = (
-            [one for one in self.sources if one.kind not in of_trials and (one.kind == "smear") == is_smear]
+            [
+                one
+                for one in self.sources
+                if one.kind not in of_trials and (one.kind == "smear") == is_smear
+            ]
             for is_smear in (False, True)
         )
         columns = [*(one.columns for one in others), *(one.columns for one in smears)]
         shapes = np.concatenate([self._trials, *(self.shapes[one] for one in columns)])
-        factors = np.concatenate([np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one] for one in columns)], axis=1)
+        factors = np.concatenate(
+            [np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one] for one in columns)],
+            axis=1,
+        )
         smear = count + sum(one.columns.stop - one.columns.start for one in others)
         left, sizes, right = np.linalg.svd(shapes, full_matrices=False)
         kept = sizes > NEGLIGIBLE * sizes[0]
@@ -310,16 +345,25 @@ class BandErrors:
             of_trials=_trial_weights(count) @ along[:count],
             of_others=factors[:, : smear - count] @ along[count:smear],
             of_smear=factors[:, smear - count :] @ along[smear:],
-            variance=float(squares[:count].sum() / max(count * (count - 1), 1) + squares[count:smear].sum()),
+            variance=float(
+                squares[:count].sum() / max(count * (count - 1), 1)
+                + squares[count:smear].sum()
+            ),
         )
 
     @cached_property
     def _trials(self) -> FloatArray:
         """Error shape of each trial, shape [trial_count, entry_count]."""
-        groups = [self.shapes[one.columns] for one in self.sources if self.trial_count and one.kind in TRIAL_KINDS]
+        groups = [
+            self.shapes[one.columns]
+            for one in self.sources
+            if self.trial_count and one.kind in TRIAL_KINDS
+        ]
         return np.sum(groups, axis=0) if groups else np.zeros((0, self.shapes.shape[1]))
 
-    def influences(self, deviation: FloatArray, *, over_baseline: bool = True) -> FloatArray:
+    def influences(
+        self, deviation: FloatArray, *, over_baseline: bool = True
+    ) -> FloatArray:
         """Return the effect of each trial on a distance, to first order, in the unit of the deviation.
 
         Args:
@@ -331,10 +375,16 @@ class BandErrors:
         """
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        along = self._trials @ (vector / size) if size > 0.0 else np.linalg.norm(self._trials, axis=1)
+        along = (
+            self._trials @ (vector / size)
+            if size > 0.0
+            else np.linalg.norm(self._trials, axis=1)
+        )
         return np.asarray(along - size * self.influence if over_baseline else along)
 
-    def refusal(self, deviation: FloatArray, *, over_baseline: bool = True) -> str | None:
+    def refusal(
+        self, deviation: FloatArray, *, over_baseline: bool = True
+    ) -> str | None:
         """Return why a distance has no interval; None if it has one.
 
         Args:
@@ -343,7 +393,9 @@ class BandErrors:
         """
         return refusal(self.influences(deviation, over_baseline=over_baseline))
 
-    def interval(self, deviation: FloatArray, *, over_baseline: bool = True) -> tuple[float, float] | None:
+    def interval(
+        self, deviation: FloatArray, *, over_baseline: bool = True
+    ) -> tuple[float, float] | None:
         """Return the 95 % interval of a root-mean-square distance, in the unit of the deviation; None if refused.
 
         Args:
@@ -356,16 +408,22 @@ class BandErrors:
             return None
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        low, high = self._interval(vector, widening(series), over_baseline=over_baseline)
+        low, high = self._interval(
+            vector, widening(series), over_baseline=over_baseline
+        )
         return min(_reported(low), size), max(_reported(high), size)
 
     def _ratio(self, wider: float, *, over_baseline: bool) -> FloatArray:
         """Return the measured over the true baseline of each draw; 1 for a distance alone."""
         if not over_baseline:
             return np.ones(DRAW_COUNT)
-        return np.asarray(self.baseline_bias * np.exp(np.clip(wider * self.baseline, -10.0, 10.0)))
+        return np.asarray(
+            self.baseline_bias * np.exp(np.clip(wider * self.baseline, -10.0, 10.0))
+        )
 
-    def _interval(self, vector: FloatArray, wider: float, *, over_baseline: bool) -> tuple[float, float]:
+    def _interval(
+        self, vector: FloatArray, wider: float, *, over_baseline: bool
+    ) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
         drawn = self._components.drawn(wider)
@@ -381,7 +439,11 @@ class BandErrors:
         products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
         along = (along[:-1] - products) / np.maximum(added[1:], 1e-150)
         excess = np.square(along) - squares[:-1] + size**2
-        roots = np.where(excess >= 0.0, ratio[:-1] * (np.sqrt(np.maximum(excess, 0.0)) - along), -np.inf)
+        roots = np.where(
+            excess >= 0.0,
+            ratio[:-1] * (np.sqrt(np.maximum(excess, 0.0)) - along),
+            -np.inf,
+        )
         reached = float(np.mean(squares <= size**2))
         if reached < BELOW_NOISE:
             return 0.0, float(np.quantile(added * ratio, LEVEL))
@@ -408,15 +470,23 @@ class BandErrors:
         observed = float(lengths.mean())
         units = difference / np.maximum(lengths, 1e-300)[:, None]
         trials = (self._trials * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
-        series = np.einsum("npc,pc->n", trials, units) / len(path) - observed * self.influence
+        series = (
+            np.einsum("npc,pc->n", trials, units) / len(path)
+            - observed * self.influence
+        )
         if refusal(series) is not None:
             return None
         shapes = (errors.shapes * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
         count = max(min(DRAW_COUNT, PATH_NUMBERS // difference.size), 100)
-        cells = np.tensordot(errors.drawn(widening(series))[:count], shapes, axes=1) + difference
+        cells = (
+            np.tensordot(errors.drawn(widening(series))[:count], shapes, axes=1)
+            + difference
+        )
         ratio = self._ratio(widening(series), over_baseline=True)[:count]
         tail = 0.5 * (1.0 - LEVEL)
-        low, high = np.quantile(np.linalg.norm(cells, axis=2).mean(axis=1) / ratio, [tail, 1.0 - tail])
+        low, high = np.quantile(
+            np.linalg.norm(cells, axis=2).mean(axis=1) / ratio, [tail, 1.0 - tail]
+        )
         half = 0.5 * float(high - low)
         return _reported(max(observed - half, 0.0)), _reported(observed + half)
 
@@ -432,16 +502,23 @@ class BandErrors:
             deviation: Simulation minus mean, shape [T, C].
         """
         vector, drawn = self.flat(deviation), self._components.drawn(1.0)
-        expected = float(np.square(drawn - self._components.of_smear).sum(axis=1).mean()) + self._components.variance
+        expected = (
+            float(np.square(drawn - self._components.of_smear).sum(axis=1).mean())
+            + self._components.variance
+        )
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
         along = 2.0 * drawn @ (self._components.shapes @ vector)
         squares = np.square(drawn).sum(axis=1)
         if not self.is_observed:
-            return np.asarray(np.sqrt(np.maximum(square + along + squares, 0.0)) / ratio)
+            return np.asarray(
+                np.sqrt(np.maximum(square + along + squares, 0.0)) / ratio
+            )
         lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
-    def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
+    def budget(
+        self, deviation: FloatArray, *, baseline: float
+    ) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
 
         Each is the standard deviation along the observed deviation. Of a law, whose deviation is often zero, it is the
@@ -457,15 +534,27 @@ class BandErrors:
         count = self.trial_count
         for source in self.sources:
             shapes = self.shapes[source.columns]
-            effects = shapes @ (vector / size) if size > 0.0 and self.is_observed else shapes
+            effects = (
+                shapes @ (vector / size) if size > 0.0 and self.is_observed else shapes
+            )
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
             if source.kind == "smear":
                 effects = np.std(self.factors[:, source.columns] @ effects, axis=0)
-            stds.append((source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline))
+            stds.append(
+                (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
+            )
         own = _Source(
-            name="baseline", kind="baseline", evaluation="A", source=self.baseline_source, columns=slice(0, 0)
+            name="baseline",
+            kind="baseline",
+            evaluation="A",
+            source=self.baseline_source,
+            columns=slice(0, 0),
         )
-        relative = float(np.linalg.norm(self.influence)) / math.sqrt(count * (count - 1)) if count else 0.0
+        relative = (
+            float(np.linalg.norm(self.influence)) / math.sqrt(count * (count - 1))
+            if count
+            else 0.0
+        )
         relative = relative or float(np.std(self.baseline))
         stds.append((own, relative * size / baseline))
         total = sum(std**2 for _, std in stds)
@@ -492,14 +581,28 @@ class _Shapes:
     sources: list[_Source]
 
     def add(
-        self, name: str, kind: str, evaluation: str, source: str, shapes: Sequence[FloatArray], factors: FloatArray
+        self,
+        name: str,
+        kind: str,
+        evaluation: str,
+        source: str,
+        shapes: Sequence[FloatArray],
+        factors: FloatArray,
     ) -> None:
         start = sum(len(one) for one in self.shapes)
         kept = np.array([np.nan_to_num(shape) for shape in shapes])
         self.shapes.append(kept.reshape(len(kept), -1))
         self.factors.append(factors)
         columns = slice(start, start + len(kept))
-        self.sources.append(_Source(name=name, kind=kind, evaluation=evaluation, source=source, columns=columns))
+        self.sources.append(
+            _Source(
+                name=name,
+                kind=kind,
+                evaluation=evaluation,
+                source=source,
+                columns=columns,
+            )
+        )
 
 
 def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
@@ -509,7 +612,9 @@ def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
         band: The band.
         baseline: Published score of the real trials; None without one.
     """
-    published = None if baseline is None or not baseline.std else baseline.std / baseline.mean
+    published = (
+        None if baseline is None or not baseline.std else baseline.std / baseline.mean
+    )
     return _band_errors(band, published)
 
 
@@ -517,11 +622,18 @@ def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
 def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
     """Return the errors; `baseline_spread` is the relative standard deviation of the published score of trials."""
     known, shapes = np.isfinite(band.mean), _Shapes([], [], [])
-    count = len(band.trials) if band.grade is BandGrade.TRIALS and band.trials is not None else 0
+    count = (
+        len(band.trials)
+        if band.grade is BandGrade.TRIALS and band.trials is not None
+        else 0
+    )
     influence, bias = np.zeros(count), 1.0
     if band.trials is not None and count > 1:
         influence = _from_trials(band, band.trials, shapes)
-        baseline, bias = _trial_weights(count) @ influence, math.sqrt((count - 1) / count)
+        baseline, bias = (
+            _trial_weights(count) @ influence,
+            math.sqrt((count - 1) / count),
+        )
         baseline_source = f"scatter of the distances of {count} trials"
     else:
         count, influence = 0, np.zeros(0)
@@ -551,14 +663,20 @@ def _random(name: str) -> np.random.Generator:
     return np.random.default_rng([SEED, *name.encode()])
 
 
-def _from_spread(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tuple[FloatArray, str]:
+def _from_spread(
+    band: Band, baseline_spread: float | None, shapes: _Shapes
+) -> tuple[FloatArray, str]:
     """Add the error of a mean without single trials; return that of the baseline in each draw, and its source."""
     trial_count = input_uncertainties().trials.count
     # A model is no mean of trials: it errs by its own uncertainty alone.
     if band.grade is not BandGrade.MODEL:
-        shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
+        shared = (
+            1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
+        )
         known = "one trial" if shared == 1 else f"{shared} trials"
-        columns = list(np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared))
+        columns = list(
+            np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared)
+        )
         shapes.add(
             "mean of the trials",
             "sampling",
@@ -570,8 +688,12 @@ def _from_spread(band: Band, baseline_spread: float | None, shapes: _Shapes) -> 
     if baseline_spread is None:
         return np.zeros(DRAW_COUNT), "not published"
     count = band.trial_count or trial_count
-    drawn = 1.0 + baseline_spread / math.sqrt(count) * _random("baseline").standard_normal(DRAW_COUNT)
-    return np.log(np.maximum(drawn, 0.1)), f"published standard deviation over the root of {count}"
+    drawn = 1.0 + baseline_spread / math.sqrt(count) * _random(
+        "baseline"
+    ).standard_normal(DRAW_COUNT)
+    return np.log(
+        np.maximum(drawn, 0.1)
+    ), f"published standard deviation over the root of {count}"
 
 
 @cache
@@ -597,13 +719,23 @@ def _from_trials(band: Band, trials: FloatArray, shapes: _Shapes) -> FloatArray:
     """
     count = len(trials)
     residuals = np.nan_to_num(trials - band.mean).reshape(count, -1)
-    velocity = np.nan_to_num(np.gradient(np.nan_to_num(band.mean), axis=0) * np.isfinite(band.mean)).ravel()
+    velocity = np.nan_to_num(
+        np.gradient(np.nan_to_num(band.mean), axis=0) * np.isfinite(band.mean)
+    ).ravel()
     size = float(velocity @ velocity)
-    shift = np.outer(residuals @ velocity, velocity) / size if size > 0.0 else np.zeros_like(residuals)
+    shift = (
+        np.outer(residuals @ velocity, velocity) / size
+        if size > 0.0
+        else np.zeros_like(residuals)
+    )
     source, weights = f"scatter of {count} trials", _trial_weights(count)
     # The mean is subtracted, so an error of the mean enters with the other sign.
-    shapes.add("release time of the mean", "release", "A", source, list(-shift), weights)
-    shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), weights)
+    shapes.add(
+        "release time of the mean", "release", "A", source, list(-shift), weights
+    )
+    shapes.add(
+        "mean of the trials", "sampling", "A", source, list(shift - residuals), weights
+    )
     return _relative_influence(np.linalg.norm(residuals, axis=1), residuals)
 
 
@@ -626,9 +758,14 @@ def _relative_influence(distances: FloatArray, residuals: FloatArray) -> FloatAr
     products = residuals @ residuals.T
     lengths = np.sqrt(np.diag(products))
     # A common number of directions: that of equally large variances with the same sum and the same sum of squares.
-    directions = max(float(np.trace(products)) ** 2 / max(float(np.square(products).sum()), 1e-300), 1.0)
+    directions = max(
+        float(np.trace(products)) ** 2 / max(float(np.square(products).sum()), 1e-300),
+        1.0,
+    )
     least = max(LEAST_SCATTER / math.sqrt(directions) * mean / std, 1.0) ** 2
-    own = (distances / mean - 1.0) * math.sqrt((count - 1 + PRIOR_TRIALS * least) / (count - 1 + PRIOR_TRIALS))
+    own = (distances / mean - 1.0) * math.sqrt(
+        (count - 1 + PRIOR_TRIALS * least) / (count - 1 + PRIOR_TRIALS)
+    )
     units = products / np.maximum(lengths, 1e-150)
     return np.asarray(own - units.mean(axis=1) / max(float(lengths.mean()), 1e-150))
 
@@ -648,14 +785,20 @@ def widening(series: FloatArray) -> float:
     square = float(centred @ centred)
     if count < LEAST_TRIALS or square <= 0.0:
         return 1.0
-    lag = float(centred[1:] @ centred[:-1]) / square + 1.0 / count + LAG_MARGIN / math.sqrt(count)
+    lag = (
+        float(centred[1:] @ centred[:-1]) / square
+        + 1.0 / count
+        + LAG_MARGIN / math.sqrt(count)
+    )
     lag = min(max(lag, 0.0), 0.99)
     wider = math.sqrt((1.0 + lag) / (1.0 - lag))
     if count < 2 * GROUPS:
         return wider
     means = np.array([group.mean() for group in np.array_split(centred, GROUPS)])
     tail = 0.5 * (1.0 + LEVEL)
-    grouped = float(means.std(ddof=1)) / math.sqrt(GROUPS) * float(stdtrit(GROUPS - 1, tail))
+    grouped = (
+        float(means.std(ddof=1)) / math.sqrt(GROUPS) * float(stdtrit(GROUPS - 1, tail))
+    )
     single = math.sqrt(square / (count * (count - 1))) * float(stdtrit(count - 1, tail))
     return max(wider, GROUP_SHARE * grouped / single)
 
@@ -680,9 +823,15 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
         ("measured frames", "measurement", band.measured),
         ("extrapolated frames", "extrapolation", ~band.measured),
     ):
-        spread = np.where(frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0)
+        spread = np.where(
+            frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0
+        )
         if spread.any():
             columns = [unit * spread for unit in np.eye(spread.shape[1])]
             factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
-            source = "convergence and distance of the engines' solutions" if band.grade is BandGrade.MODEL else TABLE
+            source = (
+                "convergence and distance of the engines' solutions"
+                if band.grade is BandGrade.MODEL
+                else TABLE
+            )
             shapes.add(name, kind, "B", source, columns, factors)

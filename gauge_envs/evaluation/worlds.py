@@ -48,7 +48,11 @@ def score_worlds(
         `rmse_aligned_normalized` if the band has single trials.
     """
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
-    if values.ndim != 3 or values.shape[1:] != (len(times_s), band.projection.shape[1]) or len(times_s) < needed:
+    if (
+        values.ndim != 3
+        or values.shape[1:] != (len(times_s), band.projection.shape[1])
+        or len(times_s) < needed
+    ):
         raise ShapeError(
             f"values have shape {values.shape}; [world_count, {max(len(times_s), needed)}, {band.projection.shape[1]}] "
             "is needed, with a time for each sample"
@@ -60,10 +64,14 @@ def score_worlds(
     known = np.isfinite(band.mean)
     count = int(np.count_nonzero(known.any(axis=1)))
     frames = projected[::SAMPLES_PER_FRAME][: len(band.mean)]
-    apart = np.where(known[:, None], frames - np.where(known, band.mean, 0.0)[:, None], 0.0)
+    apart = np.where(
+        known[:, None], frames - np.where(known, band.mean, 0.0)[:, None], 0.0
+    )
     scores = {"rmse": np.sqrt(np.einsum("tnc,tnc->n", apart, apart) / count)}
     if _is_aligned(experiment, band):
-        scores["release_offset_s"], scores["rmse_aligned"] = _aligned(projected, band.mean, known, count)
+        scores["release_offset_s"], scores["rmse_aligned"] = _aligned(
+            projected, band.mean, known, count
+        )
         scores["release_offset_s"][~np.isfinite(scores["rmse"])] = np.nan
         scores["rmse_aligned"][~np.isfinite(scores["rmse"])] = np.nan
     return _normalized(experiment, band, scores)
@@ -74,12 +82,19 @@ def _is_aligned(experiment: Experiment, band: Band) -> bool:
     return band.grade.is_real and experiment.trial is None
 
 
-def _normalized(experiment: Experiment, band: Band, scores: dict[str, FloatArray]) -> dict[str, FloatArray]:
+def _normalized(
+    experiment: Experiment, band: Band, scores: dict[str, FloatArray]
+) -> dict[str, FloatArray]:
     """Return scores with those over their baselines added, where there is one; see `Deviation.baseline`."""
     published = band_baseline(experiment, band)
-    baselines = {"rmse": None if published is None else published.mean, "rmse_aligned": aligned_baseline(band)}
+    baselines = {
+        "rmse": None if published is None else published.mean,
+        "rmse_aligned": aligned_baseline(band),
+    }
     return scores | {
-        f"{key}_normalized": scores[key] / mean for key, mean in baselines.items() if mean is not None and key in scores
+        f"{key}_normalized": scores[key] / mean
+        for key, mean in baselines.items()
+        if mean is not None and key in scores
     }
 
 
@@ -96,14 +111,21 @@ def _aligned(
     frames = SAMPLES_PER_FRAME * np.arange(len(mean))
     # The last sample of each world before its first NaN.
     missing = np.isnan(projected.sum(axis=2))
-    ends = np.maximum(np.where(missing.any(axis=0), missing.argmax(axis=0), len(projected)) - 1, 0)
-    least = -np.clip(ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS)
+    ends = np.maximum(
+        np.where(missing.any(axis=0), missing.argmax(axis=0), len(projected)) - 1, 0
+    )
+    least = -np.clip(
+        ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS
+    )
     held = np.ascontiguousarray(projected)
     if (ends < len(projected) - 1).any():
         # A world is held at its last sample.
         numbers = np.minimum(np.arange(len(projected))[:, None], ends)
         held = np.nan_to_num(projected)[numbers, np.arange(projected.shape[1])]
-    mask, target = known[:, None].astype(np.float64), np.where(known, mean, 0.0)[:, None]
+    mask, target = (
+        known[:, None].astype(np.float64),
+        np.where(known, mean, 0.0)[:, None],
+    )
 
     def deviations(shift: int) -> FloatArray:
         """Return the deviations of worlds that are shifted by a number of samples, shape [frame_count, N, C]."""
@@ -116,7 +138,9 @@ def _aligned(
     shifts, best = np.zeros(len(ends)), product(centre, centre)
     nearer = {1: centre, -1: centre}
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
-    for first, step in ((shift, sign) for shift in range(MOST_STEPS) for sign in (1, -1)):
+    for first, step in (
+        (shift, sign) for shift in range(MOST_STEPS) for sign in (1, -1)
+    ):
         here, there = nearer[step], deviations(step * (first + 1))
         nearer[step] = there
         change = there - here
@@ -144,12 +168,19 @@ def host_array(array: Any) -> NDArray[Any]:
     if isinstance(array, np.ndarray):
         return array
     if array.__dlpack_device__()[0] != DLPACK_CPU:
-        raise BackendError("a recording lies on a GPU, and its engine offers no kernels there: set Recording.kernels")
+        raise BackendError(
+            "a recording lies on a GPU, and its engine offers no kernels there: set Recording.kernels"
+        )
     return np.asarray(np.from_dlpack(array))
 
 
 def score_recording(
-    experiment: Experiment, band: Band, *, recording: Recording, rows: Sequence[int], sample_counts: NDArray[np.intp]
+    experiment: Experiment,
+    band: Band,
+    *,
+    recording: Recording,
+    rows: Sequence[int],
+    sample_counts: NDArray[np.intp],
 ) -> dict[str, FloatArray]:
     """Return the distances of recorded worlds from a band; for experiments that observe positions.
 
@@ -165,11 +196,17 @@ def score_recording(
         As `score_worlds` returns them.
     """
     kernels = recording.kernels
-    positions = host_array(recording.positions_m) if kernels is None else recording.positions_m
+    positions = (
+        host_array(recording.positions_m) if kernels is None else recording.positions_m
+    )
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
     world_count = len(sample_counts)
     width = 3 * len(rows)
-    is_right = len(positions.shape) == 4 and positions.shape[1] == world_count and positions.shape[3] == 3
+    is_right = (
+        len(positions.shape) == 4
+        and positions.shape[1] == world_count
+        and positions.shape[3] == 3
+    )
     if not is_right or positions.shape[0] < needed or width != band.projection.shape[1]:
         raise ShapeError(
             f"positions have shape {tuple(positions.shape)} with {len(rows)} observed bodies; [{needed} or more, "
@@ -177,14 +214,22 @@ def score_recording(
         )
     # A kernel would read outside of the array.
     if not all(0 <= row < positions.shape[2] for row in rows):
-        raise ShapeError(f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0")
+        raise ShapeError(
+            f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0"
+        )
     if kernels is None:
         if positions.dtype != np.float64:
-            raise ShapeError(f"positions are of type {positions.dtype.name}, expected 64-bit floats")
-        values = 1e3 * positions[:, :, list(rows)].reshape(len(positions), world_count, width)
+            raise ShapeError(
+                f"positions are of type {positions.dtype.name}, expected 64-bit floats"
+            )
+        values = 1e3 * positions[:, :, list(rows)].reshape(
+            len(positions), world_count, width
+        )
         values[np.arange(len(positions))[:, None] >= sample_counts] = np.nan
         times_s = SAMPLE_INTERVAL_S * np.arange(len(positions), dtype=np.float64)
-        return score_worlds(experiment, band, times_s=times_s, values=values.transpose(1, 0, 2))
+        return score_worlds(
+            experiment, band, times_s=times_s, values=values.transpose(1, 0, 2)
+        )
     squares, shifts, shifted_squares = kernels.squares(
         positions,
         rows=rows,
@@ -197,6 +242,10 @@ def score_recording(
     scores = {"rmse": np.sqrt(squares / known_frame_count)}
     if _is_aligned(experiment, band):
         is_missing = ~np.isfinite(scores["rmse"])
-        scores["release_offset_s"] = np.where(is_missing, np.nan, SAMPLE_INTERVAL_S * shifts)
-        scores["rmse_aligned"] = np.where(is_missing, np.nan, np.sqrt(shifted_squares / known_frame_count))
+        scores["release_offset_s"] = np.where(
+            is_missing, np.nan, SAMPLE_INTERVAL_S * shifts
+        )
+        scores["rmse_aligned"] = np.where(
+            is_missing, np.nan, np.sqrt(shifted_squares / known_frame_count)
+        )
     return _normalized(experiment, band, scores)

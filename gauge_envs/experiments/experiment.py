@@ -111,12 +111,18 @@ class Experiment:
     @property
     def baselines(self) -> Mapping[str, Baseline]:
         """Baselines by metric: scores of real trials, and published scores of three engines."""
-        return published_baselines(self.name) if self.reference is None else self.reference.baselines
+        return (
+            published_baselines(self.name)
+            if self.reference is None
+            else self.reference.baselines
+        )
 
     @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates of g(t), as `cube.x`, `marker-3` or `face-3`."""
-        return coordinate_names(self.score.observable, recorded=self.recorded, markers=self.scene.markers)
+        return coordinate_names(
+            self.score.observable, recorded=self.recorded, markers=self.scene.markers
+        )
 
     @property
     def materials(self) -> Mapping[str, str]:
@@ -139,7 +145,11 @@ class Experiment:
     @property
     def model_file(self) -> Path | None:
         """Model file of an engine that replaces the scene, or None."""
-        return self.asset.path if self.asset is not None and self.asset.kind is AssetKind.MODEL else None
+        return (
+            self.asset.path
+            if self.asset is not None and self.asset.kind is AssetKind.MODEL
+            else None
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +172,9 @@ class TaskExperiment(Experiment):
             name, _, number = body.name.rpartition("-")
             for owner in (body.name, name if number.isdecimal() else ""):
                 try:
-                    found[body.name] = self.spec.owner(owner).material or self.variant.material
+                    found[body.name] = (
+                        self.spec.owner(owner).material or self.variant.material
+                    )
                     break
                 except KeyError:
                     continue

@@ -6,12 +6,26 @@ from pathlib import Path
 from typing import TypeVar
 
 from gauge_envs.errors import ParameterError, chosen
-from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
-from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
+from gauge_envs.experiments.experiment import (
+    ASSET_NAME,
+    Experiment,
+    TaskExperiment,
+    driver_provenance,
+)
+from gauge_envs.experiments.scene_builder import (
+    Parameters,
+    SceneBuilder,
+    parameter_overrides,
+)
 from gauge_envs.experiments.scene_source import RECORDED_SUFFIX, with_asset
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.task_format import Placement
-from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file, task_path
+from gauge_envs.experiments.variants import (
+    Variant,
+    find_variant,
+    is_experiment_file,
+    task_path,
+)
 from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
@@ -43,7 +57,9 @@ def with_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment:
     shots = single_shots(experiment.name)
     if shots is None:
         raise ParameterError(f"{experiment.id} has no single-shot trials")
-    return replace(experiment, scene=_started(experiment.scene, shots, trial), trial=trial)
+    return replace(
+        experiment, scene=_started(experiment.scene, shots, trial), trial=trial
+    )
 
 
 def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
@@ -59,16 +75,21 @@ def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
         )
     # A hinge goes with its first body.
     hinges = tuple(
-        carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose) for hinge in scene.body_hinges
+        carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose)
+        for hinge in scene.body_hinges
     )
     commands = shots.commands(trial)
     return replace(
         scene,
         bodies=tuple(started.values()),
         joints=tuple(
-            _commanded(joint, commands[joint.body]) if joint.body in commands else joint for joint in scene.joints
+            _commanded(joint, commands[joint.body]) if joint.body in commands else joint
+            for joint in scene.joints
         ),
-        body_hinges=tuple(_commanded(one, commands[one.second]) if one.second in commands else one for one in hinges),
+        body_hinges=tuple(
+            _commanded(one, commands[one.second]) if one.second in commands else one
+            for one in hinges
+        ),
     )
 
 
@@ -134,7 +155,11 @@ def load_experiment(
         variant=variant,
         spec=spec,
         scene=scene,
-        recorded=tuple(b.name for b in scene.bodies if spec.bodies[builder.spec_name(b.name)].recorded),
+        recorded=tuple(
+            b.name
+            for b in scene.bodies
+            if spec.bodies[builder.spec_name(b.name)].recorded
+        ),
         frame_count=builder.frame_count,
         parameters=label,
         overrides=overrides,
@@ -143,7 +168,10 @@ def load_experiment(
         file_sha256=task_sha256(variant.family),
         revision=spec.revision,
     )
-    if single_shots(variant.name) is not None and not {key.rpartition(".")[2] for key in overrides} & START_KEYS:
+    if (
+        single_shots(variant.name) is not None
+        and not {key.rpartition(".")[2] for key in overrides} & START_KEYS
+    ):
         experiment = with_trial(experiment, 0)
     if _data_source(variant, "drivers", drivers) is DataSource.BUNDLED:
         return experiment
@@ -151,11 +179,19 @@ def load_experiment(
     if recorded == scene.drivers:
         return experiment
     driven = replace(scene, drivers=recorded)
-    return replace(experiment, scene=driven, drivers=DataSource.IMPORTED, driver_provenance=driver_provenance(driven))
+    return replace(
+        experiment,
+        scene=driven,
+        drivers=DataSource.IMPORTED,
+        driver_provenance=driver_provenance(driven),
+    )
 
 
 def load_experiment_from_asset(
-    variant: str | Variant, asset: str | PathLike[str], *, reference: DataSource | str = DataSource.BUNDLED
+    variant: str | Variant,
+    asset: str | PathLike[str],
+    *,
+    reference: DataSource | str = DataSource.BUNDLED,
 ) -> TaskExperiment:
     """Load one variant with the scene of a file; the file states constants and driven motion.
 
@@ -192,29 +228,41 @@ def resolve_experiment(
     path = None if asset is None else Path(asset)
     if isinstance(subject, str) and subject.removeprefix("GAUGE/") == ASSET_NAME:
         if path is None:
-            raise ParameterError(f"GAUGE/{ASSET_NAME} needs an experiment file, as asset='crate.toml'")
+            raise ParameterError(
+                f"GAUGE/{ASSET_NAME} needs an experiment file, as asset='crate.toml'"
+            )
         subject, path = str(path), None
     if isinstance(subject, str) and is_experiment_file(Path(subject)):
         if path is not None:
-            raise ParameterError(f"{subject} names its own USD layer; remove asset={str(asset)!r}")
+            raise ParameterError(
+                f"{subject} names its own USD layer; remove asset={str(asset)!r}"
+            )
         _check_stated(Path(subject), parameters, drivers)
         if chosen(DataSource, reference, "reference") is not DataSource.BUNDLED:
-            raise ParameterError(f"reference {str(reference)!r} with {subject}: the file states its own band")
+            raise ParameterError(
+                f"reference {str(reference)!r} with {subject}: the file states its own band"
+            )
         return scene_files(RECORDED_SUFFIX).load_experiment_file(subject)
     if path is None:
-        return load_experiment(subject, parameters, drivers=drivers, reference=reference)
+        return load_experiment(
+            subject, parameters, drivers=drivers, reference=reference
+        )
     _check_stated(path, parameters, drivers)
     return load_experiment_from_asset(subject, path, reference=reference)
 
 
-def _check_stated(path: Path, parameters: Parameters, drivers: DataSource | str) -> None:
+def _check_stated(
+    path: Path, parameters: Parameters, drivers: DataSource | str
+) -> None:
     """Raise an error for arguments about content that an asset states."""
     if parameters and parameters != "calibrated":
         raise ParameterError(
             f"parameters {parameters!r} with {path.name}: the file states the constants; edit them there"
         )
     if chosen(DataSource, drivers, "drivers") is not DataSource.BUNDLED:
-        raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the file states the motion of driven bodies")
+        raise ParameterError(
+            f"drivers {str(drivers)!r} with {path.name}: the file states the motion of driven bodies"
+        )
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:

@@ -41,7 +41,9 @@ def contents_sha256(contents: Sequence[bytes]) -> str:
     """Return the hash of one file, or of the hashes of several files in the given order."""
     if len(contents) == 1:
         return hashlib.sha256(contents[0]).hexdigest()
-    return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
+    return hashlib.sha256(
+        b"".join(hashlib.sha256(content).digest() for content in contents)
+    ).hexdigest()
 
 
 def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
@@ -66,12 +68,22 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
         scene, changes = file.scene, file.changes
     else:
         known = ", ".join(scene_suffixes())
-        raise AssetError(path, "", f"suffix {path.suffix!r} is neither that of a scene file ({known}) nor an engine's")
+        raise AssetError(
+            path,
+            "",
+            f"suffix {path.suffix!r} is neither that of a scene file ({known}) nor an engine's",
+        )
     found = replace(
         experiment,
         scene=scene,
         driver_provenance=driver_provenance(scene),
-        asset=Asset(path=path, kind=kind, sha256=contents_sha256(contents), edited=bool(changes), changes=changes),
+        asset=Asset(
+            path=path,
+            kind=kind,
+            sha256=contents_sha256(contents),
+            edited=bool(changes),
+            changes=changes,
+        ),
     )
     check_fit(found, experiment)
     return found
@@ -108,10 +120,16 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
     names = [body.name for body in scene.bodies]
     for name in found.recorded:
         if name not in names:
-            raise AssetError(path, name, f"no body of that name, which {found.name} records; it has: {_listed(names)}")
+            raise AssetError(
+                path,
+                name,
+                f"no body of that name, which {found.name} records; it has: {_listed(names)}",
+            )
         if scene.body(name).motion is not Motion.DYNAMIC:
             raise AssetError(
-                path, name, f"{found.name} records it, so it must move under forces: {scene.body(name).motion}"
+                path,
+                name,
+                f"{found.name} records it, so it must move under forces: {scene.body(name).motion}",
             )
     if not found.recorded:
         if scene.markers is None:
@@ -127,10 +145,21 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
                 )
         count = len(wanted.coordinates)
         if len(found.coordinates) != count:
-            raise AssetError(path, "markers", f"{len(found.coordinates)} coordinates, {found.name} has {count}")
+            raise AssetError(
+                path,
+                "markers",
+                f"{len(found.coordinates)} coordinates, {found.name} has {count}",
+            )
     hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    if not set(EVENT_METRICS).isdisjoint(found.score.metrics) and found.recorded[0] not in hinged:
-        raise AssetError(path, found.recorded[0], f"no hinge, which {', '.join(found.score.metrics)} are measured from")
+    if (
+        not set(EVENT_METRICS).isdisjoint(found.score.metrics)
+        and found.recorded[0] not in hinged
+    ):
+        raise AssetError(
+            path,
+            found.recorded[0],
+            f"no hinge, which {', '.join(found.score.metrics)} are measured from",
+        )
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -11,14 +11,38 @@ from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
-from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetPydanticSchema,
+    model_validator,
+)
 
-from gauge_envs.references.tables import FileModel, UnitVector, read_toml, scoring_folder
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, JointDynamics, Plane, Pose, Sphere
+from gauge_envs.references.tables import (
+    FileModel,
+    UnitVector,
+    read_toml,
+    scoring_folder,
+)
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Cylinder,
+    JointDynamics,
+    Plane,
+    Pose,
+    Sphere,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.motors import Servo, TorqueMotor
-from gauge_envs.scene.profiles import CosineProfile, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.profiles import (
+    CosineProfile,
+    Profile,
+    SampledProfile,
+    TrapezoidProfile,
+)
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -31,8 +55,13 @@ PROVENANCES: tuple[str, ...] = get_args(Provenance)
 def _solid(union: ConvexUnion) -> ConvexUnion:
     for index, piece in enumerate(union.pieces_m):
         points = np.asarray(piece)
-        if len(piece) < 4 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
-            raise ValueError(f"piece {index} is flat or has fewer than four vertices: it encloses no volume")
+        if (
+            len(piece) < 4
+            or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3
+        ):
+            raise ValueError(
+                f"piece {index} is flat or has fewer than four vertices: it encloses no volume"
+            )
     return union
 
 
@@ -65,7 +94,10 @@ class CameraFile(FileModel):
 def task_camera(name: str) -> Camera | None:
     """Return the camera of a task of the package, or None."""
     table = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
-    return next((camera for pattern, camera in table.items() if fnmatchcase(name, pattern)), None)
+    return next(
+        (camera for pattern, camera in table.items() if fnmatchcase(name, pattern)),
+        None,
+    )
 
 
 class PlateWithHoleSpec(FileModel):
@@ -82,7 +114,9 @@ class PlateWithHoleSpec(FileModel):
         # Angles of the polygon and of the plate's four corners, so that each piece is convex.
         corner = float(np.arctan2(half_y, half_x))
         corners = [corner, np.pi - corner, np.pi + corner, 2 * np.pi - corner]
-        angles = np.concatenate([np.linspace(0, 2 * np.pi, self.hole_segments, endpoint=False), corners])
+        angles = np.concatenate(
+            [np.linspace(0, 2 * np.pi, self.hole_segments, endpoint=False), corners]
+        )
         angles = np.unique(np.round(angles, 12))
         radius = self.hole_radius_m / np.cos(np.pi / self.hole_segments)
         directions = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -98,12 +132,20 @@ class PlateWithHoleSpec(FileModel):
         for i in range(len(angles)):
             j = (i + 1) % len(angles)
             outline = [inner[i], outer[i], outer[j], inner[j]]
-            pieces.append(tuple((float(p[0]), float(p[1]), z) for z in (-half_z, half_z) for p in outline))
+            pieces.append(
+                tuple(
+                    (float(p[0]), float(p[1]), z)
+                    for z in (-half_z, half_z)
+                    for p in outline
+                )
+            )
         return ConvexUnion(pieces_m=tuple(pieces))
 
 
 def _plate_schema(source: Any, handler: GetCoreSchemaHandler) -> Any:
-    return handler.generate_schema(Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)])
+    return handler.generate_schema(
+        Annotated[PlateWithHoleSpec, AfterValidator(PlateWithHoleSpec.build)]
+    )
 
 
 ShapeTable = Annotated[
@@ -141,8 +183,14 @@ class _MoveSpec(_ProfileSpec):
 
     def build(self) -> Profile:
         """Return the profile in m or rad."""
-        amount = self.amount_m if self.amount_m is not None else float(np.radians(self.amount_deg or 0.0))
-        return self.profile(**self.model_dump(exclude={"amount_m", "amount_deg"}), amount=amount)
+        amount = (
+            self.amount_m
+            if self.amount_m is not None
+            else float(np.radians(self.amount_deg or 0.0))
+        )
+        return self.profile(
+            **self.model_dump(exclude={"amount_m", "amount_deg"}), amount=amount
+        )
 
 
 class TrapezoidSpec(_MoveSpec):
@@ -175,11 +223,17 @@ class SampledSpec(_ProfileSpec):
         """Return the profile in m or rad."""
         if self.values_m is None and self.values_deg is None:
             raise ValueError("give values_m or values_deg")
-        values = self.values_m if self.values_m is not None else tuple(np.radians(self.values_deg or ()).tolist())
+        values = (
+            self.values_m
+            if self.values_m is not None
+            else tuple(np.radians(self.values_deg or ()).tolist())
+        )
         return SampledProfile(times_s=self.times_s, values=values)
 
 
-ProfileSpec = Annotated[TrapezoidSpec | CosineSpec | SampledSpec, Field(discriminator="kind")]
+ProfileSpec = Annotated[
+    TrapezoidSpec | CosineSpec | SampledSpec, Field(discriminator="kind")
+]
 
 
 class MotionSpec(FileModel):
@@ -206,8 +260,13 @@ class MotionSpec(FileModel):
         unit, other = ("m", "deg") if self.kind == "translate" else ("deg", "m")
         for index, profile in enumerate(self.profile):
             stem = "values" if profile.kind == "sampled" else "amount"
-            if getattr(profile, f"{stem}_{unit}") is None or getattr(profile, f"{stem}_{other}") is not None:
-                raise ValueError(f"profile.{index}: a {self.kind} motion needs {stem}_{unit} and no {stem}_{other}")
+            if (
+                getattr(profile, f"{stem}_{unit}") is None
+                or getattr(profile, f"{stem}_{other}") is not None
+            ):
+                raise ValueError(
+                    f"profile.{index}: a {self.kind} motion needs {stem}_{unit} and no {stem}_{other}"
+                )
         if getattr(self, f"residual_rate_{other}_per_s"):
             raise ValueError(f"a {self.kind} motion takes residual_rate_{unit}_per_s")
         return self
@@ -215,7 +274,9 @@ class MotionSpec(FileModel):
     def build(self, start: Pose) -> DriverMotion:
         """Return the motion of a body that starts at a pose."""
         x, y, z = start.to_world(np.asarray(self.point_in_body_m)).tolist()
-        rate = self.residual_rate_m_per_s or float(np.radians(self.residual_rate_deg_per_s))
+        rate = self.residual_rate_m_per_s or float(
+            np.radians(self.residual_rate_deg_per_s)
+        )
         return DriverMotion(
             kind=self.kind,
             axis=self.axis,
@@ -242,7 +303,11 @@ class DriverSpec(FileModel):
 
     def build(self, body: str, start: Pose, provenance: str) -> Driver:
         """Return the driver of a body that starts at a pose."""
-        return Driver(body=body, motions=tuple(one.build(start) for one in self.motions), provenance=provenance)
+        return Driver(
+            body=body,
+            motions=tuple(one.build(start) for one in self.motions),
+            provenance=provenance,
+        )
 
 
 JOINT_DYNAMICS = JointDynamics.__dataclass_fields__.keys()
@@ -273,20 +338,31 @@ class MotorSpec(FileModel):
     command: Profile = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
 
 
-def hinge_terms(constants: Mapping[str, float | None], motor: MotorSpec | None) -> dict[str, Any]:
+def hinge_terms(
+    constants: Mapping[str, float | None], motor: MotorSpec | None
+) -> dict[str, Any]:
     """Return the fields `dynamics` and `motor` of a hinge, from its constants and others, which do not count."""
     stated: dict[str, Any] = {
-        name: value for name in JointConstants.model_fields if (value := constants.get(name)) is not None
+        name: value
+        for name in JointConstants.model_fields
+        if (value := constants.get(name)) is not None
     }
     terms: dict[str, Any] = {
-        "dynamics": JointDynamics(**{name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()})
+        "dynamics": JointDynamics(
+            **{name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()}
+        )
     }
     if motor is not None:
         kind = Servo if motor.kind == "servo" else TorqueMotor
         if kind is Servo and "kp_n_m_per_rad" not in stated:
             raise ValueError("a servo needs the constant kp_n_m_per_rad")
-        own = {name: stated.pop(name) for name in kind.__dataclass_fields__.keys() & stated.keys()}
+        own = {
+            name: stated.pop(name)
+            for name in kind.__dataclass_fields__.keys() & stated.keys()
+        }
         terms["motor"] = kind(command=motor.command, **own)
     if stated:
-        raise ValueError(f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it")
+        raise ValueError(
+            f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it"
+        )
     return terms

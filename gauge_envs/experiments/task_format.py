@@ -10,7 +10,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, ShapeTable
+from gauge_envs.experiments.tables import (
+    DriverSpec,
+    Fraction,
+    JointConstants,
+    MotorSpec,
+    ShapeTable,
+)
 from gauge_envs.experiments.variants import Collection, Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
@@ -31,7 +37,9 @@ class Group(StrEnum):
 
 def _admissible_poisson(value: float) -> float:
     if not -1.0 < value < 0.5:
-        raise ValueError(f"Poisson ratio {value} is out of range: an isotropic solid needs -1 < nu < 0.5")
+        raise ValueError(
+            f"Poisson ratio {value} is out of range: an isotropic solid needs -1 < nu < 0.5"
+        )
     return value
 
 
@@ -143,9 +151,15 @@ class Placement(FileModel):
 
     @model_validator(mode="after")
     def _one_way(self) -> Placement:
-        given = [self.position_m is not None, self.positions_m is not None, self.hangs_from_m is not None]
+        given = [
+            self.position_m is not None,
+            self.positions_m is not None,
+            self.hangs_from_m is not None,
+        ]
         if sum(given) != 1:
-            raise ValueError("give exactly one of position_m, positions_m, hangs_from_m")
+            raise ValueError(
+                "give exactly one of position_m, positions_m, hangs_from_m"
+            )
         if (self.hangs_from_m is None) != (self.length_m is None):
             raise ValueError("hangs_from_m and length_m go together")
         return self
@@ -154,10 +168,19 @@ class Placement(FileModel):
         """Return the world poses of the body or bodies."""
         if self.hangs_from_m is not None and self.length_m is not None:
             rotated = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
-            x, y, z = (self.hangs_from_m + rotated.to_world(np.array([0.0, 0.0, -self.length_m]))).tolist()
+            x, y, z = (
+                self.hangs_from_m
+                + rotated.to_world(np.array([0.0, 0.0, -self.length_m]))
+            ).tolist()
             return [Pose(position_m=(x, y, z), quaternion=rotated.quaternion)]
-        positions = self.positions_m if self.positions_m is not None else (self.position_m,)
-        return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
+        positions = (
+            self.positions_m if self.positions_m is not None else (self.position_m,)
+        )
+        return [
+            Pose.from_euler_deg(position, self.euler_deg)
+            for position in positions
+            if position is not None
+        ]
 
 
 class JointSpec(FileModel):
@@ -203,7 +226,9 @@ class ContactSpec(FileModel):
 
     @model_validator(mode="after")
     def _complete(self) -> ContactSpec:
-        if self.constants_of is None and (self.friction is None or self.restitution is None):
+        if self.constants_of is None and (
+            self.friction is None or self.restitution is None
+        ):
             raise ValueError("give constants_of, or both friction and restitution")
         return self
 
@@ -225,7 +250,9 @@ class MarkersSpec(FileModel):
             for entry in getattr(self, key):
                 for index in entry if isinstance(entry, tuple) else (entry,):
                     if not 0 <= index < count:
-                        raise ValueError(f"{key}: marker index {index} is out of range: there are {count} markers")
+                        raise ValueError(
+                            f"{key}: marker index {index} is out of range: there are {count} markers"
+                        )
         return self
 
 
@@ -296,7 +323,9 @@ class TaskSpec(FileModel):
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
-    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]] = Field(default_factory=dict)
+    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]] = Field(
+        default_factory=dict
+    )
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
     parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)
@@ -310,25 +339,37 @@ class TaskSpec(FileModel):
 
     def owner(self, name: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec:
         """Return the table that defines a body; KeyError for an unknown body."""
-        for table in (self.bodies, self.cloths, self.soft_bodies, self.ropes, self.rods):
+        for table in (
+            self.bodies,
+            self.cloths,
+            self.soft_bodies,
+            self.ropes,
+            self.rods,
+        ):
             if name in table:
                 return table[name]
         raise KeyError(name)
 
-    def constants_model(self, name: str) -> type[RigidConstants | ClothConstants | SolidConstants]:
+    def constants_model(
+        self, name: str
+    ) -> type[RigidConstants | ClothConstants | SolidConstants]:
         """Return the model of a body's constants."""
         if name in self.bodies:
             return RigidConstants
         return ClothConstants if name in self.cloths else SolidConstants
 
-    def constants_of(self, name: str, material: str, subtask: str | None) -> dict[str, float | None]:
+    def constants_of(
+        self, name: str, material: str, subtask: str | None
+    ) -> dict[str, float | None]:
         """Return the constants of one body in one variant, with substitutes and the values of the subtask."""
         values: dict[str, float | None] = {}
         for key, value in self.constants[name][material].items():
             if isinstance(value, Substituted):
                 values[key] = value.used
             else:
-                values[key] = value.get(subtask or "") if isinstance(value, dict) else value
+                values[key] = (
+                    value.get(subtask or "") if isinstance(value, dict) else value
+                )
         return values
 
     def variants(self) -> tuple[Variant, ...]:
@@ -347,7 +388,13 @@ class TaskSpec(FileModel):
         parts = key.split(".")
         for length in range(len(parts), 0, -1):
             prefix = ".".join(parts[:length])
-            matching = [p for p in self.provenance if p.count(".") == prefix.count(".") and fnmatchcase(prefix, p)]
+            matching = [
+                p
+                for p in self.provenance
+                if p.count(".") == prefix.count(".") and fnmatchcase(prefix, p)
+            ]
             if matching:
-                return self.provenance[min(matching, key=lambda pattern: pattern.count("*"))]
+                return self.provenance[
+                    min(matching, key=lambda pattern: pattern.count("*"))
+                ]
         raise UnknownNameError("provenance of", key, self.provenance)

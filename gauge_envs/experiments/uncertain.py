@@ -56,7 +56,9 @@ class UncertainParameter:
         return min(max(self.value + sigmas * self.std, self.low), self.high)
 
 
-def overrides_at(parameters: Sequence[UncertainParameter], sigmas: Sequence[float]) -> dict[str, Any]:
+def overrides_at(
+    parameters: Sequence[UncertainParameter], sigmas: Sequence[float]
+) -> dict[str, Any]:
     """Return overrides that move parameters by so many standard uncertainties.
 
     Args:
@@ -69,7 +71,11 @@ def overrides_at(parameters: Sequence[UncertainParameter], sigmas: Sequence[floa
             overrides[parameter.key] = parameter.at(number)
         else:
             start = np.asarray(overrides.get(parameter.key, parameter.value))
-            overrides[parameter.key] = tuple((start + parameter.at(number) * np.asarray(parameter.direction)).tolist())
+            overrides[parameter.key] = tuple(
+                (
+                    start + parameter.at(number) * np.asarray(parameter.direction)
+                ).tolist()
+            )
     return overrides
 
 
@@ -85,7 +91,10 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
         experiment: The experiment; a variant of the package, with the scene of its task file.
     """
     builder = SceneBuilder(
-        task_path(experiment.variant.family), experiment.spec, experiment.variant, experiment.overrides
+        task_path(experiment.variant.family),
+        experiment.spec,
+        experiment.variant,
+        experiment.overrides,
     )
     return (
         *_contacts(builder, experiment.variant.material),
@@ -96,7 +105,12 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
 
 
 def _constant(
-    owner: str, constant: str, value: float, entry: ConstantUncertainty, material: str | None, high: float = math.inf
+    owner: str,
+    constant: str,
+    value: float,
+    entry: ConstantUncertainty,
+    material: str | None,
+    high: float = math.inf,
 ) -> UncertainParameter:
     return UncertainParameter(
         name=f"{owner}.{constant}",
@@ -109,15 +123,25 @@ def _constant(
     )
 
 
-def _joints(builder: SceneBuilder, material: str | None) -> Iterator[UncertainParameter]:
+def _joints(
+    builder: SceneBuilder, material: str | None
+) -> Iterator[UncertainParameter]:
     for owner, constants in builder.constants.items():
         for constant, entry in input_uncertainties().joint.items():
             if value := constants.get(constant):
                 own = f"{material} {owner}"
-                yield _constant(owner, constant, float(value), entry, own if own in entry.relative else material)
+                yield _constant(
+                    owner,
+                    constant,
+                    float(value),
+                    entry,
+                    own if own in entry.relative else material,
+                )
 
 
-def _contacts(builder: SceneBuilder, material: str | None) -> Iterator[UncertainParameter]:
+def _contacts(
+    builder: SceneBuilder, material: str | None
+) -> Iterator[UncertainParameter]:
     for constant in ("friction", "restitution"):
         entry = getattr(input_uncertainties(), constant)
         owners = dict.fromkeys(
@@ -134,12 +158,20 @@ def _contacts(builder: SceneBuilder, material: str | None) -> Iterator[Uncertain
                 yield _constant(owner, constant, float(value), entry, material, high)
 
 
-def _masses(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[UncertainParameter]:
-    movable = {builder.spec_name(body.name) for body in experiment.scene.bodies if body.motion is Motion.DYNAMIC}
+def _masses(
+    builder: SceneBuilder, experiment: TaskExperiment
+) -> Iterator[UncertainParameter]:
+    movable = {
+        builder.spec_name(body.name)
+        for body in experiment.scene.bodies
+        if body.motion is Motion.DYNAMIC
+    }
     for name in (name for name in builder.present if name in movable):
         mass_kg = float(builder.constants.get(name, {}).get("mass_kg") or 0.0)
         # A mass that is not a multiple of the published step is an override, whose uncertainty is unknown.
-        if mass_kg > 0.0 and math.isclose(mass_kg, MASS_STEP_KG * round(mass_kg / MASS_STEP_KG), rel_tol=1e-9):
+        if mass_kg > 0.0 and math.isclose(
+            mass_kg, MASS_STEP_KG * round(mass_kg / MASS_STEP_KG), rel_tol=1e-9
+        ):
             yield UncertainParameter(
                 name=f"{name}.mass_kg",
                 key=f"{name}.mass_kg",
@@ -151,7 +183,9 @@ def _masses(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
             )
 
 
-def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[UncertainParameter]:
+def _starts(
+    builder: SceneBuilder, experiment: TaskExperiment
+) -> Iterator[UncertainParameter]:
     entry = input_uncertainties().start
     # A recorded start has a velocity too.
     if experiment.scene.joints or experiment.trial is not None:
@@ -159,7 +193,11 @@ def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
     for name in experiment.recorded:
         body = experiment.scene.body(name)
         placement = builder.placements.get(name)
-        if body.motion is not Motion.DYNAMIC or placement is None or placement.position_m is None:
+        if (
+            body.motion is not Motion.DYNAMIC
+            or placement is None
+            or placement.position_m is None
+        ):
             continue
         for axis, direction in free_directions([body]):
             x, y, z = direction.tolist()

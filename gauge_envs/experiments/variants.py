@@ -36,7 +36,9 @@ class Variant:
     @property
     def name(self) -> str:
         """Name, as `SlopeSlider-2-wood`."""
-        return "-".join(part for part in (self.family, self.subtask, self.material) if part)
+        return "-".join(
+            part for part in (self.family, self.subtask, self.material) if part
+        )
 
     @property
     def id(self) -> str:
@@ -50,7 +52,9 @@ def task_files() -> tuple[Path, ...]:
 
 
 @cache
-def _read_files() -> tuple[dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFileError, ...]]:
+def _read_files() -> tuple[
+    dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFileError, ...]
+]:
     """Return path and names of every task file, by family, and the errors of files that cannot be read.
 
     A file is validated when one of its variants is loaded.
@@ -62,7 +66,13 @@ def _read_files() -> tuple[dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFil
             headers[_header(raw)] = (path, raw)
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
-            faults.append(TaskFileError(path, "(file)", f"cannot be read: {reason}; correct or remove the file"))
+            faults.append(
+                TaskFileError(
+                    path,
+                    "(file)",
+                    f"cannot be read: {reason}; correct or remove the file",
+                )
+            )
     return headers, tuple(faults)
 
 
@@ -72,9 +82,15 @@ def _names_of(content: bytes) -> dict[str, Any]:
     All of it takes twenty times as long to parse, and `import gauge_envs` reads every file.
     """
     top, first, rest = content.partition(b"\n[")
-    names = [line for line in top.splitlines() if line.startswith((b"family", b"materials", b"collection"))]
+    names = [
+        line
+        for line in top.splitlines()
+        if line.startswith((b"family", b"materials", b"collection"))
+    ]
     subtasks = [line for line in (first + rest).splitlines() if b"subtasks" in line]
-    if b"subtasks" not in top and all(line.startswith((b"[subtasks.", b"[[subtasks.")) for line in subtasks):
+    if b"subtasks" not in top and all(
+        line.startswith((b"[subtasks.", b"[[subtasks.")) for line in subtasks
+    ):
         with suppress(ValueError):
             raw = toml_document(b"\n".join((*names, *subtasks)))
             _header(raw)
@@ -84,10 +100,18 @@ def _names_of(content: bytes) -> dict[str, Any]:
 
 def _header(raw: dict[str, Any]) -> str:
     """Return the family of a task file, of which the names of its variants can be read."""
-    family, materials, subtasks = raw.get("family"), raw.get("materials"), raw.get("subtasks", {})
+    family, materials, subtasks = (
+        raw.get("family"),
+        raw.get("materials"),
+        raw.get("subtasks", {}),
+    )
     if not isinstance(family, str):
         raise ValueError("family: a name is expected")
-    if not (isinstance(materials, list) and materials and all(isinstance(name, str) for name in materials)):
+    if not (
+        isinstance(materials, list)
+        and materials
+        and all(isinstance(name, str) for name in materials)
+    ):
         raise ValueError("materials: a list of names is expected")
     if not isinstance(subtasks, dict):
         raise ValueError("subtasks: a table is expected")
@@ -105,7 +129,9 @@ def unreadable_task_files() -> tuple[TaskFileError, ...]:
     return _read_files()[1]
 
 
-def _unknown(kind: str, name: str, known: Iterable[str]) -> TaskFileError | UnknownNameError:
+def _unknown(
+    kind: str, name: str, known: Iterable[str]
+) -> TaskFileError | UnknownNameError:
     """Return the error for an unknown name: that of the unreadable task file which may define it, if there is one."""
     plain = name.removeprefix("GAUGE/").lower()
     for fault in unreadable_task_files():
@@ -192,9 +218,15 @@ def matching_variants(pattern: str) -> list[Variant]:
         found = [variant for variant in known if fnmatchcase(variant.name, stem)]
         if found:
             return found
-    raise UnknownNameError("experiment", pattern, (variant.name for variant in (*variants(), *beyond_variants())))
+    raise UnknownNameError(
+        "experiment",
+        pattern,
+        (variant.name for variant in (*variants(), *beyond_variants())),
+    )
 
 
 def matching_subjects(pattern: str) -> Sequence[Variant | str]:
     """Return the variants of an id or a pattern, or the path of an experiment file."""
-    return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)
+    return (
+        [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)
+    )

@@ -89,12 +89,17 @@ def marked_solid(scene: Scene) -> MarkedSolid | None:
     solids = [body for body in blocks if isinstance(body, SoftBody)]
     if not solids or len(solids) < len(blocks):
         return None
-    axes = [(one.pose.to_world(np.eye(3)) - np.asarray(one.pose.position_m)).T for one in solids]
+    axes = [
+        (one.pose.to_world(np.eye(3)) - np.asarray(one.pose.position_m)).T
+        for one in solids
+    ]
     if any(np.abs(other - axes[0]).max() > 1e-9 for other in axes):
         return None
     sizes = np.max([solid.shape.size_m for solid in solids], axis=0)
     longest = np.flatnonzero(sizes > 0.999 * sizes.max())
-    return MarkedSolid(axes=axes[0], long_axis=int(longest[0]) if len(longest) == 1 else None)
+    return MarkedSolid(
+        axes=axes[0], long_axis=int(longest[0]) if len(longest) == 1 else None
+    )
 
 
 def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:
@@ -108,14 +113,22 @@ def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:
         rest_m: Marker positions at rest [m], shape [marker_count, 3]; NaN where missing.
         markers_m: Marker positions [m], shape [frame_count, marker_count, 3]; NaN where missing.
     """
-    rest, markers = np.asarray(rest_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
+    rest, markers = (
+        np.asarray(rest_m, dtype=np.float64),
+        np.asarray(markers_m, dtype=np.float64),
+    )
     if rest.ndim != 2 or rest.shape[1] != 3:
         raise ShapeError(f"rest_m has shape {rest.shape}; [marker_count, 3] is needed")
     if markers.ndim != 3 or markers.shape[1:] != rest.shape:
-        raise ShapeError(f"markers_m has shape {markers.shape}; [frame_count, {len(rest)}, 3] is needed")
+        raise ShapeError(
+            f"markers_m has shape {markers.shape}; [frame_count, {len(rest)}, 3] is needed"
+        )
     frame_count = len(markers)
     gradient, span = np.full((2, frame_count, 3, 3), np.nan)
-    rank, residual = np.zeros(frame_count, dtype=np.intp), np.full(markers.shape, np.nan)
+    rank, residual = (
+        np.zeros(frame_count, dtype=np.intp),
+        np.full(markers.shape, np.nan),
+    )
     seen = np.isfinite(rest).all(axis=1) & np.isfinite(markers).all(axis=2)
     # Frames with the same markers share the inverse of the rest positions.
     patterns, pattern_of = np.unique(seen, axis=0, return_inverse=True)
@@ -134,12 +147,18 @@ def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:
         gradient[frames] = np.einsum("fkc,kd->fcd", maps, kept)
         span[frames] = kept.T @ kept
         rank[frames] = len(kept)
-        residual[np.ix_(frames, np.flatnonzero(pattern))] = after - (before @ kept.T) @ maps
+        residual[np.ix_(frames, np.flatnonzero(pattern))] = (
+            after - (before @ kept.T) @ maps
+        )
     return AffineMap(gradient=gradient, span=span, rank=rank, residual_m=residual)
 
 
 def deformation_statistics(
-    rest_m: ArrayLike, markers_m: ArrayLike, solid: MarkedSolid, *, noise_m: ArrayLike | None = None
+    rest_m: ArrayLike,
+    markers_m: ArrayLike,
+    solid: MarkedSolid,
+    *,
+    noise_m: ArrayLike | None = None,
 ) -> FloatArray:
     """Return the statistics of the deformation of a solid at each frame, in the order of `STATISTICS`.
 
@@ -165,23 +184,38 @@ def deformation_statistics(
     fit = affine_map(rest_m, markers_m)
     values = np.full((len(fit.rank), len(STATISTICS)), np.nan)
     known = fit.rank > 0
-    stretch, squares = np.full(fit.gradient.shape, np.nan), np.full((len(known), 3), np.nan)
-    squares[known], vectors = np.linalg.eigh(np.swapaxes(fit.gradient[known], 1, 2) @ fit.gradient[known])
+    stretch, squares = (
+        np.full(fit.gradient.shape, np.nan),
+        np.full((len(known), 3), np.nan),
+    )
+    squares[known], vectors = np.linalg.eigh(
+        np.swapaxes(fit.gradient[known], 1, 2) @ fit.gradient[known]
+    )
     squares = np.maximum(squares, 0.0)
-    stretch[known] = np.einsum("fik,fk,fjk->fij", vectors, np.sqrt(squares[known]), vectors)
+    stretch[known] = np.einsum(
+        "fik,fk,fjk->fij", vectors, np.sqrt(squares[known]), vectors
+    )
     strain = np.einsum("ia,fij,jb->fab", solid.axes, stretch - fit.span, solid.axes)
-    spanned = np.linalg.norm(fit.span @ solid.axes, axis=1) >= SPANNED_COSINE  # [frame, axis]
+    spanned = (
+        np.linalg.norm(fit.span @ solid.axes, axis=1) >= SPANNED_COSINE
+    )  # [frame, axis]
     for axis in range(3):
         values[:, axis] = np.where(spanned[:, axis], strain[:, axis, axis], np.nan)
     for column, (first, second) in enumerate(SHEARS, start=3):
-        values[:, column] = np.where(spanned[:, first] & spanned[:, second], strain[:, first, second], np.nan)
+        values[:, column] = np.where(
+            spanned[:, first] & spanned[:, second], strain[:, first, second], np.nan
+        )
     if solid.long_axis is not None:
         across = [axis for axis in range(3) if axis != solid.long_axis]
         values[:, 6] = values[:, across].mean(axis=1)
     solid_frames = fit.rank == 3
     values[solid_frames, 7] = np.linalg.det(fit.gradient[solid_frames])
-    values[:, 8] = np.where(fit.rank == 2, np.sqrt(squares[:, 2] * squares[:, 1]), np.nan)
-    values[:, 9] = 1e3 * np.sqrt(np.maximum(_mean_square(fit) - _noise_mean_square(rest_m, fit, noise_m), 0.0))
+    values[:, 8] = np.where(
+        fit.rank == 2, np.sqrt(squares[:, 2] * squares[:, 1]), np.nan
+    )
+    values[:, 9] = 1e3 * np.sqrt(
+        np.maximum(_mean_square(fit) - _noise_mean_square(rest_m, fit, noise_m), 0.0)
+    )
     return values
 
 
@@ -189,16 +223,22 @@ def _mean_square(fit: AffineMap) -> FloatArray:
     """Return the mean square distance from the map [m^2], shape [frame_count]; NaN where the map fits any positions."""
     counts = np.isfinite(fit.residual_m).all(axis=2).sum(axis=1)
     sums = np.square(np.nan_to_num(fit.residual_m)).sum(axis=(1, 2))
-    return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > fit.rank + 1)
+    return np.divide(
+        sums, counts, out=np.full(len(sums), np.nan), where=counts > fit.rank + 1
+    )
 
 
-def noise_residuals(rest_m: ArrayLike, noise_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+def noise_residuals(
+    rest_m: ArrayLike, noise_m: FloatArray, seen: NDArray[np.bool_]
+) -> FloatArray:
     """Return what the affine map leaves of each error pattern [m], shape [pattern_count, marker_count, 3]."""
     rest = np.where(seen[:, None], np.asarray(rest_m, dtype=np.float64), np.nan)
     return np.nan_to_num(affine_map(rest, noise_m).residual_m)
 
 
-def _noise_mean_square(rest_m: ArrayLike, fit: AffineMap, noise_m: ArrayLike | None) -> FloatArray:
+def _noise_mean_square(
+    rest_m: ArrayLike, fit: AffineMap, noise_m: ArrayLike | None
+) -> FloatArray:
     expected = np.zeros(len(fit.rank))
     if noise_m is None:
         return expected
@@ -207,7 +247,9 @@ def _noise_mean_square(rest_m: ArrayLike, fit: AffineMap, noise_m: ArrayLike | N
     patterns, pattern_of = np.unique(seen, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
         left = noise_residuals(rest_m, noise, pattern)
-        expected[pattern_of.ravel() == number] = np.square(left).sum() / max(int(pattern.sum()), 1)
+        expected[pattern_of.ravel() == number] = np.square(left).sum() / max(
+            int(pattern.sum()), 1
+        )
     return expected
 
 
@@ -238,7 +280,9 @@ def white_noise_m(markers_m: ArrayLike) -> float:
     """
     differences = np.abs(np.diff(np.asarray(markers_m, dtype=np.float64), n=6, axis=0))
     known = differences[np.isfinite(differences)]
-    return float(np.median(known) / NORMAL_MEDIAN / np.sqrt(924.0)) if known.size else 0.0
+    return (
+        float(np.median(known) / NORMAL_MEDIAN / np.sqrt(924.0)) if known.size else 0.0
+    )
 
 
 def trial_statistics(markers_m: ArrayLike, solid: MarkedSolid) -> FloatArray:
@@ -254,5 +298,7 @@ def trial_statistics(markers_m: ArrayLike, solid: MarkedSolid) -> FloatArray:
         Statistics as from `deformation_statistics`, shape [frame_count, 10].
     """
     markers = np.asarray(markers_m, dtype=np.float64)
-    noise = independent_noise(np.full(markers.shape[1:], np.sqrt(2.0) * white_noise_m(markers)))
+    noise = independent_noise(
+        np.full(markers.shape[1:], np.sqrt(2.0) * white_noise_m(markers))
+    )
     return deformation_statistics(markers[0], markers, solid, noise_m=noise)

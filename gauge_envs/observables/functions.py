@@ -15,7 +15,11 @@ from gauge_envs.scene.geometry import FloatArray
 
 
 def angle_deficit_curvature(
-    markers_m: ArrayLike, faces: ArrayLike, *, corner: Collection[int], edge: Collection[int]
+    markers_m: ArrayLike,
+    faces: ArrayLike,
+    *,
+    corner: Collection[int],
+    edge: Collection[int],
 ) -> FloatArray:
     """Return the discrete Gaussian curvature at each marker of a textile (paper, appendix on metrics, K).
 
@@ -36,7 +40,8 @@ def angle_deficit_curvature(
     marker_count = markers_m.shape[1]
     faces = _indices("faces", faces, width=3, marker_count=marker_count)
     corner, edge = (
-        _indices(name, list(ids), marker_count=marker_count) for name, ids in (("corner", corner), ("edge", edge))
+        _indices(name, list(ids), marker_count=marker_count)
+        for name, ids in (("corner", corner), ("edge", edge))
     )
     if shared := set(corner.tolist()) & set(edge.tolist()):
         raise ShapeError(f"corner and edge share marker {min(shared)}")
@@ -47,12 +52,16 @@ def angle_deficit_curvature(
     vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
     to_next = np.roll(vertices, -1, axis=2) - vertices
     to_previous = np.roll(vertices, 1, axis=2) - vertices
-    angles = _angle_between(to_next, to_previous)  # 0 for coincident vertices, which leaves them out of the sum
+    angles = _angle_between(
+        to_next, to_previous
+    )  # 0 for coincident vertices, which leaves them out of the sum
     angles = np.where(np.isnan(angles), 0.0, angles)
     # A product with the incidence of corners and markers sums the angles of a frame, with the same bits in any batch.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0
-    curvature = full_angle - np.matmul(angles.reshape(len(angles), 1, -1), incidence)[:, 0]
+    curvature = (
+        full_angle - np.matmul(angles.reshape(len(angles), 1, -1), incidence)[:, 0]
+    )
     return np.where(np.isnan(markers_m).any(axis=-1), np.nan, curvature)
 
 
@@ -75,7 +84,9 @@ def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
     before = {int(end): int(start) for start, end in lines}
     after = {int(start): int(end) for start, end in lines}
     if len(before) < len(lines) or len(after) < len(lines):
-        raise ShapeError("lines: a marker starts, or ends, more than one segment; rows must neither branch nor double")
+        raise ShapeError(
+            "lines: a marker starts, or ends, more than one segment; rows must neither branch nor double"
+        )
     inner = sorted(before.keys() & after.keys())
     if not inner:
         raise ShapeError("lines: no marker has a segment on both sides")
@@ -102,10 +113,14 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
     a, b, c = (axes.take(vertex, axis=2) for vertex in faces.T)
     (x, y, z), (u, v, w) = b - a, c - a
     normal = (y * w - z * v, z * u - x * w, x * v - y * u)
-    return 0.5 * np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
+    return 0.5 * np.sqrt(
+        normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]
+    )
 
 
-def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01) -> NDArray[np.intp]:
+def assign_markers(
+    markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01
+) -> NDArray[np.intp]:
     """Return the node of a simulated mesh that is the proxy of each marker.
 
     Each node is used once, and the summed distance is the least (Hungarian algorithm).
@@ -118,12 +133,19 @@ def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: 
     Returns:
         Node index of each marker, shape [marker_count].
     """
-    markers_m, nodes_m = _points("markers_m", markers_m, dimension=2), _points("nodes_m", nodes_m, dimension=2)
+    markers_m, nodes_m = (
+        _points("markers_m", markers_m, dimension=2),
+        _points("nodes_m", nodes_m, dimension=2),
+    )
     for name, points in (("markers_m", markers_m), ("nodes_m", nodes_m)):
         if not np.isfinite(points).all():
-            raise ShapeError(f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite")
+            raise ShapeError(
+                f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite"
+            )
     if len(nodes_m) < len(markers_m):
-        raise ShapeError(f"{len(nodes_m)} nodes are too few for {len(markers_m)} markers; refine the mesh")
+        raise ShapeError(
+            f"{len(nodes_m)} nodes are too few for {len(markers_m)} markers; refine the mesh"
+        )
     from scipy.optimize import linear_sum_assignment
 
     distances = cdist(markers_m, nodes_m)
@@ -141,25 +163,39 @@ def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: 
 def _points(name: str, values: ArrayLike, *, dimension: int) -> FloatArray:
     points = np.asarray(values, dtype=np.float64)
     if points.ndim != dimension or points.shape[-1] != 3 or points.size == 0:
-        wanted = "[frame_count, point_count, 3]" if dimension == 3 else "[point_count, 3]"
+        wanted = (
+            "[frame_count, point_count, 3]" if dimension == 3 else "[point_count, 3]"
+        )
         raise ShapeError(f"{name} has shape {points.shape}; {wanted} is needed")
     return points
 
 
 def _indices(
-    name: str, values: ArrayLike | Sequence[int], *, marker_count: int, width: int | None = None
+    name: str,
+    values: ArrayLike | Sequence[int],
+    *,
+    marker_count: int,
+    width: int | None = None,
 ) -> NDArray[np.intp]:
     """Return marker indices as a checked array, shape [count, width], or [count] without a width."""
     indices = np.asarray(values)
     if indices.size == 0 and width is None:
         return np.zeros(0, dtype=np.intp)
-    if indices.ndim != (1 if width is None else 2) or (width is not None and indices.shape[1] != width):
-        raise ShapeError(f"{name} has shape {indices.shape}; [count{'' if width is None else f', {width}'}] is needed")
+    if indices.ndim != (1 if width is None else 2) or (
+        width is not None and indices.shape[1] != width
+    ):
+        raise ShapeError(
+            f"{name} has shape {indices.shape}; [count{'' if width is None else f', {width}'}] is needed"
+        )
     if not np.issubdtype(indices.dtype, np.integer):
-        raise ShapeError(f"{name} holds {indices.dtype} values; marker indices are integers")
+        raise ShapeError(
+            f"{name} holds {indices.dtype} values; marker indices are integers"
+        )
     wrong = indices[(indices < 0) | (indices >= marker_count)]
     if wrong.size:
-        raise ShapeError(f"{name} names marker {wrong[0]}; there are {marker_count} markers, from 0")
+        raise ShapeError(
+            f"{name} names marker {wrong[0]}; there are {marker_count} markers, from 0"
+        )
     return indices.astype(np.intp)
 
 

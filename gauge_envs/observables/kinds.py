@@ -28,7 +28,9 @@ class Observable(StrEnum):
         return "mm^2" if self is Observable.FACE_AREA else "mm"
 
 
-def coordinate_names(observable: Observable, *, recorded: Sequence[str], markers: Markers | None) -> tuple[str, ...]:
+def coordinate_names(
+    observable: Observable, *, recorded: Sequence[str], markers: Markers | None
+) -> tuple[str, ...]:
     """Return the names of the coordinates of g(t): `cube.x`, `marker-3.x`, `marker-3` (curvature) or `face-3` (area).
 
     Args:
@@ -43,7 +45,9 @@ def coordinate_names(observable: Observable, *, recorded: Sequence[str], markers
     if observable is Observable.FACE_AREA:
         return tuple(f"face-{index}" for index in range(len(markers.faces)))
     if observable is Observable.LINE_CURVATURE:
-        inner = {start for start, _ in markers.lines} & {end for _, end in markers.lines}
+        inner = {start for start, _ in markers.lines} & {
+            end for _, end in markers.lines
+        }
         return tuple(f"marker-{index}" for index in sorted(inner))
     names = [f"marker-{index}" for index in range(len(markers.positions_m))]
     if observable is Observable.CURVATURE:

@@ -16,7 +16,12 @@ from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.errors import ShapeError
-from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
+from gauge_envs.observables.functions import (
+    angle_deficit_curvature,
+    assign_markers,
+    face_areas_mm2,
+    line_turning_angle,
+)
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
 from gauge_envs.scene.geometry import FloatArray
@@ -48,7 +53,9 @@ class Observer(Protocol):
     def now(self, world: World) -> FloatArray:
         """Return g(t) now, shape [width]."""
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
+    def sample(
+        self, simulation: Simulation, count: int, interval_s: float
+    ) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
 
 
@@ -64,7 +71,9 @@ class ObserverPositions:
         """Return the positions now, shape [width]."""
         return 1e3 * world.body_states(self._names)[:, :3].ravel()
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
+    def sample(
+        self, simulation: Simulation, count: int, interval_s: float
+    ) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         positions = simulation.sample_positions(self._names, count, interval_s)
         return 1e3 * positions.reshape(count, self.width)
@@ -88,23 +97,35 @@ class ObserverMarkers:
             `weights` state, shape [marker_count, k] each.
     """
 
-    def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
+    def __init__(
+        self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy
+    ) -> None:
         if scene.markers is None:
-            raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
+            raise ShapeError(
+                f"observable {observable.value!r} needs markers, and the scene has none"
+            )
         self.bodies = scene.markers.bodies
-        self.observed = partial(observe_markers, markers=scene.markers, observable=observable)
+        self.observed = partial(
+            observe_markers, markers=scene.markers, observable=observable
+        )
         rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self.read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
+        self.read = (
+            _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
+        )
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
-            self.indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
+            self.indices = assign_markers(
+                targets, nodes, max_distance_m=MARKER_REACH_M
+            )[:, None]
             self.weights = np.ones((len(targets), 1))
         elif self.read is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(world)
-        self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
+        self.largest_distance_m = float(
+            np.linalg.norm(self.markers_m - targets, axis=1).max()
+        )
         self.width = len(self.observed(self.markers_m[None])[0])
 
     def now(self, world: World) -> FloatArray:
@@ -112,7 +133,9 @@ class ObserverMarkers:
         self.markers_m = self._marker_positions(world)
         return self.observed(self.markers_m[None])[0]
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
+    def sample(
+        self, simulation: Simulation, count: int, interval_s: float
+    ) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         markers = np.empty((count, *self.markers_m.shape))
         for row in markers:
@@ -145,7 +168,9 @@ class MarkersOfWorlds:
         if not self._readers:
             # Rows of the nodes of all worlds.
             count = sum(len(worlds.worlds[0].nodes(name)) for name in first.bodies)
-            self._rows = np.concatenate([count * number + one.indices for number, one in enumerate(observers)]).T.copy()
+            self._rows = np.concatenate(
+                [count * number + one.indices for number, one in enumerate(observers)]
+            ).T.copy()
             self._weights = np.concatenate([one.weights for one in observers]).T.copy()
 
     def positions(self) -> FloatArray:
@@ -158,7 +183,9 @@ class MarkersOfWorlds:
         return markers_m.reshape(len(nodes), -1, 3)
 
 
-def _interpolated(nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArray) -> FloatArray:
+def _interpolated(
+    nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArray
+) -> FloatArray:
     """Return weighted sums of nodes [m], shape [point_count, 3].
 
     Args:
@@ -172,7 +199,9 @@ def _interpolated(nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArr
     return points_m
 
 
-def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Callable[[], FloatArray] | None:
+def _tracker(
+    world: World, names: Iterable[str], targets_m: FloatArray
+) -> Callable[[], FloatArray] | None:
     """Return the engine's tracker of all markers, or None if the engine has none."""
     refusal = None
     for name in names:
@@ -183,7 +212,9 @@ def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Calla
     raise refusal or ShapeError("the markers are on no body")
 
 
-def observe_markers(markers_m: FloatArray, markers: Markers, observable: Observable) -> FloatArray:
+def observe_markers(
+    markers_m: FloatArray, markers: Markers, observable: Observable
+) -> FloatArray:
     """Return g(t) of marker positions.
 
     Args:
@@ -195,7 +226,9 @@ def observe_markers(markers_m: FloatArray, markers: Markers, observable: Observa
         g(t) in the observable's unit, shape [sample_count, coordinate_count]; NaN where a marker is missing.
     """
     if observable is Observable.CURVATURE:
-        return angle_deficit_curvature(markers_m, markers.faces, corner=markers.corner, edge=markers.edge)
+        return angle_deficit_curvature(
+            markers_m, markers.faces, corner=markers.corner, edge=markers.edge
+        )
     if observable is Observable.LINE_CURVATURE:
         return line_turning_angle(markers_m, markers.lines)
     if observable is Observable.FACE_AREA:
@@ -204,7 +237,9 @@ def observe_markers(markers_m: FloatArray, markers: Markers, observable: Observa
 
 
 def material_points(
-    targets_m: FloatArray, rest: dict[str, FloatArray], deformables: dict[str, Deformable]
+    targets_m: FloatArray,
+    rest: dict[str, FloatArray],
+    deformables: dict[str, Deformable],
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
@@ -218,7 +253,9 @@ def material_points(
     Returns:
         Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
     """
-    nodes = tuple((name, one.tobytes(), deformables[name]) for name, one in rest.items())
+    nodes = tuple(
+        (name, one.tobytes(), deformables[name]) for name, one in rest.items()
+    )
     return _material_points(targets_m.tobytes(), nodes)
 
 
@@ -235,13 +272,19 @@ def _material_points(
         nodes = np.frombuffer(content).reshape(-1, 3)
         points, queries = nodes, targets_m
         if isinstance(body, Cloth):
-            points, queries = body.pose.to_body(nodes)[:, :2], body.pose.to_body(targets_m)[:, :2]
+            points, queries = (
+                body.pose.to_body(nodes)[:, :2],
+                body.pose.to_body(targets_m)[:, :2],
+            )
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
             missed = float(np.linalg.norm(share @ nodes[simplex] - targets_m[marker]))
             if missed < best[marker]:
                 best[marker] = missed
                 indices[marker], weights[marker] = 0, 0.0
-                indices[marker, : len(simplex)], weights[marker, : len(simplex)] = first + simplex, share
+                indices[marker, : len(simplex)], weights[marker, : len(simplex)] = (
+                    first + simplex,
+                    share,
+                )
         first += len(nodes)
     if best.max() > MARKER_REACH_M:
         worst = int(best.argmax())
@@ -253,16 +296,22 @@ def _material_points(
     return indices, weights
 
 
-def _barycentric(name: str, points: FloatArray, queries: FloatArray) -> list[tuple[NDArray[np.intp], FloatArray]]:
+def _barycentric(
+    name: str, points: FloatArray, queries: FloatArray
+) -> list[tuple[NDArray[np.intp], FloatArray]]:
     """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
     try:
         mesh = Delaunay(points)
     except QhullError as error:
-        raise ShapeError(f"{name}: its nodes span no area or volume to interpolate in") from error
+        raise ShapeError(
+            f"{name}: its nodes span no area or volume to interpolate in"
+        ) from error
     centres = points[mesh.simplices].mean(axis=1)
     found = mesh.find_simplex(queries, tol=1e-9)
     outside = found < 0
-    found[outside] = ((queries[outside, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
+    found[outside] = (
+        ((queries[outside, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
+    )
     results = []
     for query, simplex in zip(queries, found, strict=True):
         transform = mesh.transform[simplex]

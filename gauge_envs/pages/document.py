@@ -81,7 +81,12 @@ class Tone(StrEnum):
     ERROR = "red"
 
 
-CLASSES = {Tone.ANSWER: "answer", Tone.NOTE: "small", Tone.WARNING: "note", Tone.ERROR: "note"}
+CLASSES = {
+    Tone.ANSWER: "answer",
+    Tone.NOTE: "small",
+    Tone.WARNING: "note",
+    Tone.ERROR: "note",
+}
 """Class of a paragraph on a page."""
 
 
@@ -102,7 +107,11 @@ class Paragraph:
 
     def html(self) -> Html:
         """Return the text as an element."""
-        return element("p", self.text, class_=CLASSES.get(self.tone)) if self.text else Html("")
+        return (
+            element("p", self.text, class_=CLASSES.get(self.tone))
+            if self.text
+            else Html("")
+        )
 
 
 @dataclass(frozen=True)
@@ -131,7 +140,9 @@ class Bullets:
 
     def html(self) -> Html:
         """Return a list below its title."""
-        return join([*([element("h3", self.title)] if self.title else []), listed(self.entries)])
+        return join(
+            [*([element("h3", self.title)] if self.title else []), listed(self.entries)]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +180,9 @@ class Terminal:
     shown: Shown
     wide: bool = False
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
         """Yield the lines of all parts."""
         for part in _parts(self.shown):
             yield from part.lines(options.max_width, wide=self.wide)
@@ -177,15 +190,26 @@ class Terminal:
 
 def as_markdown(shown: Shown) -> str:
     """Return a document as GitHub Markdown, with an empty line between its parts."""
-    chosen = shown.markdown if isinstance(shown, Document) and shown.markdown is not None else _parts(shown)
-    return "\n\n".join(filter(None, (part.markdown() for part in chosen))).rstrip() + "\n"
+    chosen = (
+        shown.markdown
+        if isinstance(shown, Document) and shown.markdown is not None
+        else _parts(shown)
+    )
+    return (
+        "\n\n".join(filter(None, (part.markdown() for part in chosen))).rstrip() + "\n"
+    )
 
 
 def as_rows(shown: Shown) -> list[dict[str, Any]]:
     """Return the JSON-ready objects of a document."""
     rows = shown.rows if isinstance(shown, Document) else None
     if rows is None:
-        rows = [row for part in _parts(shown) if isinstance(part, Table) for row in part.rows]
+        rows = [
+            row
+            for part in _parts(shown)
+            if isinstance(part, Table)
+            for row in part.rows
+        ]
     return json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
 
 
@@ -194,7 +218,9 @@ def as_html(parts: Iterable[Part]) -> Html:
     return join((part.html() for part in parts), "\n")
 
 
-def page(title: str, parts: Iterable[Part], *, above: Html | None = None, **frame: Any) -> str:
+def page(
+    title: str, parts: Iterable[Part], *, above: Html | None = None, **frame: Any
+) -> str:
     """Return a page.
 
     Args:
@@ -203,13 +229,22 @@ def page(title: str, parts: Iterable[Part], *, above: Html | None = None, **fram
         above: What stands above the title, as links.
         **frame: What `framed` may be given.
     """
-    return framed(title, as_html([above or Html(""), Heading(title, 1), *parts]), **frame)
+    return framed(
+        title, as_html([above or Html(""), Heading(title, 1), *parts]), **frame
+    )
 
 
 def save_file(path: Path, content: str | bytes) -> Path:
     """Write a text or a picture whole or not at all, and return its path; the folder is created."""
-    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")
+    ):
         path.parent.mkdir(parents=True, exist_ok=True)
         # A lone surrogate in a file of a stranger has no UTF-8.
-        write_whole(path, content if isinstance(content, bytes) else content.encode(errors="backslashreplace"))
+        write_whole(
+            path,
+            content
+            if isinstance(content, bytes)
+            else content.encode(errors="backslashreplace"),
+        )
     return path

@@ -60,15 +60,23 @@ def tidy_axis(axis: Axes) -> None:
 def _legend_width(labels: Sequence[str], columns: int) -> int:
     """Return the width of a legend [characters]: matplotlib fills one column after the other, as evenly as possible."""
     lengths = [KEY_WIDTH + len(label) for label in labels]
-    return sum(int(max(part, default=0)) for part in np.array_split(np.array(lengths), columns))
+    return sum(
+        int(max(part, default=0)) for part in np.array_split(np.array(lengths), columns)
+    )
 
 
 def legend_above(axis: Axes) -> None:
     """Put the legend above the curves, with bold lines for faint curves."""
     labels = axis.get_legend_handles_labels()[1]
     # A legend that is wider than its panel would make the panel narrower.
-    columns = next((count for count in (3, 2) if _legend_width(labels, count) <= LEGEND_WIDTH), 1)
-    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.2}
+    columns = next(
+        (count for count in (3, 2) if _legend_width(labels, count) <= LEGEND_WIDTH), 1
+    )
+    place: dict[str, Any] = {
+        "loc": "lower left",
+        "bbox_to_anchor": (0.0, 1.0),
+        "borderpad": 0.2,
+    }
     legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
     for line in legend.get_lines():
         line.set(alpha=1.0, linewidth=max(1.4, line.get_linewidth()))

@@ -37,7 +37,21 @@ class Html(str):
         return self
 
 
-VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle", "wbr", "img")
+VOID = (
+    "br",
+    "col",
+    "input",
+    "link",
+    "meta",
+    "line",
+    "path",
+    "polygon",
+    "polyline",
+    "rect",
+    "circle",
+    "wbr",
+    "img",
+)
 """Elements without content, in HTML and SVG."""
 
 LONGEST_WORD = 34
@@ -57,7 +71,9 @@ def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> H
     for key, value in attributes.items():
         if value is not None and value is not False:
             title = key.rstrip("_").replace("_", "-")
-            parts.append(title if value is True else f'{title}="{escape(_plain(value))}"')
+            parts.append(
+                title if value is True else f'{title}="{escape(_plain(value))}"'
+            )
     start = " ".join(parts)
     if name in VOID and not content:
         return Html(f"<{start}/>")
@@ -66,7 +82,11 @@ def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> H
 
 def join(parts: Iterable[Text | Html], between: str = "") -> Html:
     """Return texts and markup one after another."""
-    texts = (part if isinstance(part, Html) else escape(_plain(part)) for part in parts if part is not None)
+    texts = (
+        part if isinstance(part, Html) else escape(_plain(part))
+        for part in parts
+        if part is not None
+    )
     return Html(escape(between).join(texts))
 
 
@@ -77,7 +97,10 @@ def _plain(value: Text | Html | bool) -> str:
 
 def code(text: str) -> Html:
     """Return a command as code; a narrow screen breaks its lines between words, and not at the hyphens of options."""
-    words = (element("span", word, class_="word") if len(word) <= LONGEST_WORD else word for word in text.split(" "))
+    words = (
+        element("span", word, class_="word") if len(word) <= LONGEST_WORD else word
+        for word in text.split(" ")
+    )
     return element("code", join(words, " "))
 
 
@@ -86,7 +109,9 @@ def listed(lines: Iterable[Text | Html], **attributes: Text | bool) -> Html:
     return element("ul", *(element("li", line) for line in lines), **attributes)
 
 
-def folded(summary: Text | Html, *content: Text | Html, **attributes: Text | bool) -> Html:
+def folded(
+    summary: Text | Html, *content: Text | Html, **attributes: Text | bool
+) -> Html:
     """Return content that opens below its summary."""
     return element("details", element("summary", summary), *content, **attributes)
 
@@ -103,7 +128,12 @@ def stylesheet() -> str:
 
 
 def framed(
-    title: str, body: Html, *, style: str | None = None, scripts: Sequence[str] = (), look: str | None = None
+    title: str,
+    body: Html,
+    *,
+    style: str | None = None,
+    scripts: Sequence[str] = (),
+    look: str | None = None,
 ) -> str:
     """Return a whole page.
 
@@ -123,14 +153,21 @@ def framed(
     if style is None:
         head.append(element("style", Html(stylesheet())))
     else:
-        head += [element("link", rel="icon", href="data:,"), element("link", rel="stylesheet", href=style)]
-    page = element("html", element("head", *head), element("body", body, class_=look), lang="en")
+        head += [
+            element("link", rel="icon", href="data:,"),
+            element("link", rel="stylesheet", href=style),
+        ]
+    page = element(
+        "html", element("head", *head), element("body", body, class_=look), lang="en"
+    )
     return f"<!DOCTYPE html>\n{page}\n"
 
 
 def script_value(value: Any) -> str:
     """Return a value as JSON that may stand in a script: no `<`, so that no text can end the script."""
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace(
+        "<", "\\u003c"
+    )
 
 
 def slug(text: str) -> str:

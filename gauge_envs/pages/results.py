@@ -6,7 +6,13 @@ from typing import Any
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.text import quantity_text, score_text, short_id, value_text, with_unit
+from gauge_envs.pages.text import (
+    quantity_text,
+    score_text,
+    short_id,
+    value_text,
+    with_unit,
+)
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
@@ -27,22 +33,31 @@ def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str
     if len(set(labels)) < len(labels):
         labels = _labels(configurations, digits=17)
     return [
-        label if labels.count(label) == 1 else f"{label} ({labels[:index].count(label) + 1})"
+        label
+        if labels.count(label) == 1
+        else f"{label} ({labels[:index].count(label) + 1})"
         for index, label in enumerate(labels)
     ]
 
 
 def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[str]:
-    exact = [configuration_parts(configuration, digits=17) for configuration in configurations]
+    exact = [
+        configuration_parts(configuration, digits=17)
+        for configuration in configurations
+    ]
     left_out = set.intersection(*map(set, exact)) | {PLAIN} if len(exact) > 1 else set()
     versions_of: dict[str | None, set[str]] = {}
     for configuration in configurations:
-        versions_of.setdefault(configuration.backend, set()).add(versions_text(configuration))
+        versions_of.setdefault(configuration.backend, set()).add(
+            versions_text(configuration)
+        )
     labels = []
     for configuration, parts in zip(configurations, exact, strict=True):
         rounded = configuration_parts(configuration, digits=digits)
         kept = [
-            text for part, (kind, text) in zip(parts, rounded, strict=True) if kind == "engine" or part not in left_out
+            text
+            for part, (kind, text) in zip(parts, rounded, strict=True)
+            if kind == "engine" or part not in left_out
         ]
         if len(versions_of[configuration.backend]) > 1:
             kept.append(versions_text(configuration))
@@ -50,26 +65,52 @@ def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[
     return labels
 
 
-def configuration_parts(configuration: RunConfiguration, *, digits: int = 4) -> list[tuple[str, str]]:
+def configuration_parts(
+    configuration: RunConfiguration, *, digits: int = 4
+) -> list[tuple[str, str]]:
     """Return the parts of a configuration as kind and text, with numbers rounded to the digits."""
 
     def assignments(values: Mapping[str, Any]) -> list[str]:
-        return [f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}" for key, v in values.items()]
+        return [
+            f"{key}={f'{v:.{digits}g}' if isinstance(v, float) else value_text(v)}"
+            for key, v in values.items()
+        ]
 
-    named, proxy, asset = configuration.parameters, configuration.marker_proxy, configuration.asset
+    named, proxy, asset = (
+        configuration.parameters,
+        configuration.marker_proxy,
+        configuration.asset,
+    )
     return [
         ("engine", configuration.backend or "file"),
-        ("parameters", named if isinstance(named, str) else ",".join(assignments(named))),
+        (
+            "parameters",
+            named if isinstance(named, str) else ",".join(assignments(named)),
+        ),
         *(("setting", text) for text in assignments(configuration.settings_given)),
-        *([("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")] if configuration.jitter else []),
-        *([("markers", f"markers by {proxy}")] if proxy != MarkerProxy.MATERIAL else []),
-        *([("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})")] if asset else []),
+        *(
+            [("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")]
+            if configuration.jitter
+            else []
+        ),
+        *(
+            [("markers", f"markers by {proxy}")]
+            if proxy != MarkerProxy.MATERIAL
+            else []
+        ),
+        *(
+            [("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})")]
+            if asset
+            else []
+        ),
     ]
 
 
 def versions_text(configuration: RunConfiguration) -> str:
     """Return the versions of a configuration's engine."""
-    return " ".join(f"{name} {text}" for name, text in configuration.engine_versions.items())
+    return " ".join(
+        f"{name} {text}" for name, text in configuration.engine_versions.items()
+    )
 
 
 def result_label(result: Result) -> str:
@@ -80,7 +121,13 @@ def result_label(result: Result) -> str:
 
 # --- scores ---
 
-ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None, ideal=0.0, score_field="rmse_aligned")
+ALIGNED = Metric(
+    key="rmse_aligned",
+    title="RMSE aligned",
+    unit=None,
+    ideal=0.0,
+    score_field="rmse_aligned",
+)
 """The RMSE after the best constant shift in time, which was not published."""
 
 SCORE_METRICS: Mapping[str, Metric] = {
@@ -125,7 +172,9 @@ def percentile_text(score: Score, metric: str) -> str | None:
     if percentile is None:
         return None
     ends = getattr(score, f"{field}_95")
-    return f"{percentile:.0f} %" + ("" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]")
+    return f"{percentile:.0f} %" + (
+        "" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]"
+    )
 
 
 def model_text(score: Score, backend: str | None) -> str:
@@ -171,7 +220,9 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
     percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
     if percentile is not None and count is not None:
         farther = count - round(0.01 * percentile * count)
-        answer = f"{farther} of {count} are as far from the mean of the others, or farther"
+        answer = (
+            f"{farther} of {count} are as far from the mean of the others, or farther"
+        )
         if not farther:
             answer = f"none of the {count} is as far from the mean of the others"
         yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
@@ -187,10 +238,16 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
 
 # --- convergence ---
 
-NAMES = {"timestep_s": "half step", "cell_m": "half cell", "training": "preset training"}
+NAMES = {
+    "timestep_s": "half step",
+    "cell_m": "half cell",
+    "training": "preset training",
+}
 
 
-def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False) -> str:
+def convergence_text(
+    rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False
+) -> str:
     """Return what half the step, half the cell and the preset `training` change, in one line.
 
     Args:
@@ -216,9 +273,13 @@ def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, 
         elif row["rms"] is None:
             parts.append(f"{name}: diverged")
         else:
-            parts.append(f"{name} moves the trajectory by {_amount(row, with_unit=with_unit)}")
+            parts.append(
+                f"{name} moves the trajectory by {_amount(row, with_unit=with_unit)}"
+            )
             if setting == "training":
-                parts[-1] += f", points by {quantity_text(row['points_rms_mm'])} mm rms; {_speeds(row)}"
+                parts[-1] += (
+                    f", points by {quantity_text(row['points_rms_mm'])} mm rms; {_speeds(row)}"
+                )
     return "; ".join(parts)
 
 
@@ -230,29 +291,46 @@ def _speeds(row: Mapping[str, Any]) -> str:
 def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:
     """Return the share of the scatter; without a published scatter, the distance of the observed points."""
     if row["share"] is None:
-        amount = f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
+        amount = (
+            f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
+        )
     else:
         amount = f"{percent_text(row['share'])} % of the real scatter"
     if not with_unit:
         return amount
     rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
-    return f"{amount}, g(t) by {rms} {row['unit']} rms and {largest} {row['unit']} at most"
+    return (
+        f"{amount}, g(t) by {rms} {row['unit']} rms and {largest} {row['unit']} at most"
+    )
 
 
 def percent_text(share: float) -> str:
     """Return a share in percent with two digits; a share below 0.01 % as such."""
     percent = 100.0 * share
-    return "less than 0.01" if percent < 0.01 else f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
+    return (
+        "less than 0.01"
+        if percent < 0.01
+        else f"{percent:.0f}"
+        if percent >= 99.5
+        else f"{percent:.2g}"
+    )
 
 
-def discretization_text(result: Result, rows: Mapping[str, Mapping[str, Any]]) -> str | None:
+def discretization_text(
+    result: Result, rows: Mapping[str, Mapping[str, Any]]
+) -> str | None:
     """Return what half the step and half the cell change, or None for other settings or another scene.
 
     Args:
         result: The result.
         rows: Rows of `references.convergence.convergence_rows` for its engine and its variant.
     """
-    if result.backend is None or result.settings_given or result.is_edited or result.has_experiment_file:
+    if (
+        result.backend is None
+        or result.settings_given
+        or result.is_edited
+        or result.has_experiment_file
+    ):
         return None
     has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
     return convergence_text(rows, has_cells=has_cells)

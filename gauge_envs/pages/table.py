@@ -85,7 +85,11 @@ class Column:
             if isinstance(value, Mapping):
                 value = value.get(part)
             else:
-                value = value[int(part)] if isinstance(value, list | tuple) else getattr(value, part, None)
+                value = (
+                    value[int(part)]
+                    if isinstance(value, list | tuple)
+                    else getattr(value, part, None)
+                )
         return value
 
     def text(self, row: Any) -> str:
@@ -170,7 +174,10 @@ class Table:
         layout = "".join("r" if column.is_number else "l" for column in self.columns)
         lines = [f"\\begin{{tabular}}{{{layout}}}"]
         for row in (None, *self.rows):
-            cells = [column.label if row is None else column.text(row) for column in self.columns]
+            cells = [
+                column.label if row is None else column.text(row)
+                for column in self.columns
+            ]
             escaped = [re.sub(r"([&%$#_{}^])", r"\\\1{}", cell) for cell in cells]
             lines.append(f"{' & '.join(escaped)} \\\\")
         return "\n".join([*lines, "\\end{tabular}\n"])
@@ -183,15 +190,30 @@ class Table:
         head = []
         for column in beside:
             title = column.title if isinstance(column.title, Html) else column.label
-            head.append(element("th", title, scope="col", class_="n" if column.is_number else None))
+            head.append(
+                element(
+                    "th", title, scope="col", class_="n" if column.is_number else None
+                )
+            )
         body = []
         for row in self.rows:
             body.append(element("tr", *(_cell(column, row) for column in beside)))
             for column in below:
                 text = column.markup(row)
                 if text:
-                    body.append(element("tr", element("td", text, colspan=len(beside)), class_="more"))
-        table = element("table", element("thead", element("tr", *head)), element("tbody", *body), class_=self.look)
+                    body.append(
+                        element(
+                            "tr",
+                            element("td", text, colspan=len(beside)),
+                            class_="more",
+                        )
+                    )
+        table = element(
+            "table",
+            element("thead", element("tr", *head)),
+            element("tbody", *body),
+            class_=self.look,
+        )
         # A keyboard scrolls what has the focus.
         focus = {}
         if "matrix" in self.look and beside[0].label:
@@ -203,7 +225,9 @@ class Table:
 
 def _cell(column: Column, row: Any) -> Html:
     label = None if isinstance(column.title, Html) else column.label or None
-    kinds = " ".join(filter(None, ("n" if column.is_number else "", column.style_of(row))))
+    kinds = " ".join(
+        filter(None, ("n" if column.is_number else "", column.style_of(row)))
+    )
     return element("td", column.markup(row), data_label=label, class_=kinds or None)
 
 
@@ -233,7 +257,11 @@ def grid(
 
 def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     """Yield headings, rows and what stands below them, none longer than the width."""
-    chosen = [column for column in table.columns if not (column.narrow_only if wide else column.wide_only)]
+    chosen = [
+        column
+        for column in table.columns
+        if not (column.narrow_only if wide else column.wide_only)
+    ]
     headings = [column for column in chosen if column.place is Place.HEADING]
     cells = [column for column in chosen if column.place is Place.CELL]
     below = [column for column in chosen if column.place is Place.BELOW]
@@ -243,12 +271,18 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
 
     def line(texts: Sequence[str], styles: Sequence[str]) -> Text:
         padded = Text(indent)
-        for column, size, text, style in zip(columns, widths, texts, styles, strict=True):
-            padded.append(text.rjust(size) if column.is_number else text.ljust(size), style=style).append(GAP)
+        for column, size, text, style in zip(
+            columns, widths, texts, styles, strict=True
+        ):
+            padded.append(
+                text.rjust(size) if column.is_number else text.ljust(size), style=style
+            ).append(GAP)
         padded.rstrip()
         return padded
 
-    titles = [_wrap(column.label, size) for column, size in zip(columns, widths, strict=True)]
+    titles = [
+        _wrap(column.label, size) for column, size in zip(columns, widths, strict=True)
+    ]
     height = max(map(len, titles))
     # Short titles stand at the bottom.
     padded_titles = [[""] * (height - len(title)) + title for title in titles]
@@ -272,18 +306,29 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
         if any(texts):
             yield line(texts, styles)
         lines = [column.text(row) for column in below]
-        lines.append("; ".join(f"{one.label}: {one.text(row)}" for one in spilled if one.value(row) is not None))
+        lines.append(
+            "; ".join(
+                f"{one.label}: {one.text(row)}"
+                for one in spilled
+                if one.value(row) is not None
+            )
+        )
         for text in filter(None, lines):
             yield from _wrapped(text, width, indent=2 * GAP)
 
 
-def _fitted(columns: Sequence[Column], rows: Sequence[Any], width: int) -> tuple[list[Column], list[int]]:
+def _fitted(
+    columns: Sequence[Column], rows: Sequence[Any], width: int
+) -> tuple[list[Column], list[int]]:
     """Return the columns that fit side by side, and their widths.
 
     A first column that is too wide gets the width that the others leave, and its long cells have lines of their own.
     If the others leave too little, it gets at most half of the width, and columns spill from the right.
     """
-    widths = [max(map(len, [*_wrap(c.label, TITLE_WIDTH), *(c.text(row) for row in rows)])) for c in columns]
+    widths = [
+        max(map(len, [*_wrap(c.label, TITLE_WIDTH), *(c.text(row) for row in rows)]))
+        for c in columns
+    ]
     room = width - sum(widths[1:]) - len(GAP) * (len(widths) - 1)
     widths[0] = min(widths[0], room if room >= MIN_FIRST_WIDTH else width // 2)
     count = len(columns)
@@ -294,10 +339,14 @@ def _fitted(columns: Sequence[Column], rows: Sequence[Any], width: int) -> tuple
 
 def _wrap(text: str, width: int) -> list[str]:
     """Break a text at blanks alone, so that names and numbers stay whole."""
-    return textwrap.wrap(text, max(width, 1), break_long_words=False, break_on_hyphens=False) or [""]
+    return textwrap.wrap(
+        text, max(width, 1), break_long_words=False, break_on_hyphens=False
+    ) or [""]
 
 
-def _wrapped(text: str, width: int, *, indent: str = "", style: str = "") -> Iterator[Text]:
+def _wrapped(
+    text: str, width: int, *, indent: str = "", style: str = ""
+) -> Iterator[Text]:
     for line in _wrap(text, width - len(indent)):
         yield Text(f"{indent}{line}", style=style)
 
@@ -310,17 +359,23 @@ class Facts:
 
     def lines(self, width: int, *, wide: bool = False) -> Iterator[Text]:
         """Yield a line for each name; a long text goes on below its beginning."""
-        key_width = max((len(key) for key in self.pairs if len(key) <= MAX_KEY_WIDTH), default=0)
+        key_width = max(
+            (len(key) for key in self.pairs if len(key) <= MAX_KEY_WIDTH), default=0
+        )
         for key, text in self.pairs.items():
             if len(key) > key_width:
                 yield from _wrapped(key, width, style="cyan")
             names = chain(["" if len(key) > key_width else key], repeat(""))
-            for name, line in zip(names, _wrap(text, width - key_width - len(GAP)), strict=False):
+            for name, line in zip(
+                names, _wrap(text, width - key_width - len(GAP)), strict=False
+            ):
                 yield Text.assemble((name.ljust(key_width), "cyan"), GAP, line)
 
     def markdown(self) -> str:
         """Return a list."""
-        return "\n".join(f"- {markdown_text(f'{key}: {text}')}" for key, text in self.pairs.items())
+        return "\n".join(
+            f"- {markdown_text(f'{key}: {text}')}" for key, text in self.pairs.items()
+        )
 
     def html(self) -> Html:
         """Return a table of two columns."""

@@ -29,7 +29,11 @@ GRADE_NOTES = {
 
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
     """Return `key = value, key = value`, without some keys."""
-    return ", ".join(f"{key} = {value_text(value)}" for key, value in values.items() if key not in skip)
+    return ", ".join(
+        f"{key} = {value_text(value)}"
+        for key, value in values.items()
+        if key not in skip
+    )
 
 
 def value_text(value: Any) -> str:
@@ -55,7 +59,11 @@ def short_id(name: str) -> str:
 
 def shortened(names: Sequence[str]) -> str:
     """Return names in a line; of more than six, the first three and the last."""
-    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
+    return (
+        ", ".join(names)
+        if len(names) <= 6
+        else f"{', '.join(names[:3])}, ... {names[-1]} ({len(names)})"
+    )
 
 
 def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
@@ -77,14 +85,26 @@ def score_text(value: float | None) -> str:
     """Return a score to two decimals, or to two digits below 0.1; a dash for None."""
     if value is None:
         return "-"
-    return f"{value:.2f}" if 0.1 <= abs(value) < 100 else f"{value:.2g}" if abs(value) < 0.1 else f"{value:.3g}"
+    return (
+        f"{value:.2f}"
+        if 0.1 <= abs(value) < 100
+        else f"{value:.2g}"
+        if abs(value) < 0.1
+        else f"{value:.3g}"
+    )
 
 
 def interval_text(
-    value: float | None, interval: Sequence[float] | None, text: Callable[[float | None], str] = score_text
+    value: float | None,
+    interval: Sequence[float] | None,
+    text: Callable[[float | None], str] = score_text,
 ) -> str:
     """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
-    ends = "" if value is None or interval is None else f" [{text(interval[0])}, {text(interval[1])}]"
+    ends = (
+        ""
+        if value is None or interval is None
+        else f" [{text(interval[0])}, {text(interval[1])}]"
+    )
     return text(value) + ends
 
 

@@ -101,30 +101,55 @@ class Band:
     points: Band | None = None
 
     def __post_init__(self) -> None:
-        for name in ("projection", "mean", "sigma", "measured", "uncertainty", "trials"):
+        for name in (
+            "projection",
+            "mean",
+            "sigma",
+            "measured",
+            "uncertainty",
+            "trials",
+        ):
             if getattr(self, name) is not None:
-                values = np.array(getattr(self, name), dtype=bool if name == "measured" else float)
+                values = np.array(
+                    getattr(self, name), dtype=bool if name == "measured" else float
+                )
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
         count = len(self.coordinates)
         if self.projection.ndim != 2 or len(self.projection) != count:
-            raise ShapeError(f"projection has shape {self.projection.shape}; [{count}, width of g(t)] is needed")
-        if self.mean.ndim != 2 or self.mean.shape[1] != count or self.sigma.shape != self.mean.shape:
+            raise ShapeError(
+                f"projection has shape {self.projection.shape}; [{count}, width of g(t)] is needed"
+            )
+        if (
+            self.mean.ndim != 2
+            or self.mean.shape[1] != count
+            or self.sigma.shape != self.mean.shape
+        ):
             raise ShapeError(
                 f"mean has shape {self.mean.shape}, sigma {self.sigma.shape}; both must be [frame_count, {count}]"
             )
         if self.measured.shape != self.mean.shape[:1]:
-            raise ShapeError(f"measured has shape {self.measured.shape}; {self.mean.shape[:1]} is needed")
+            raise ShapeError(
+                f"measured has shape {self.measured.shape}; {self.mean.shape[:1]} is needed"
+            )
         if self.uncertainty is not None and self.uncertainty.shape != self.mean.shape:
-            raise ShapeError(f"uncertainty has shape {self.uncertainty.shape}; {self.mean.shape} is needed")
-        if self.trials is not None and (self.trials.ndim != 3 or self.trials.shape[1:] != self.mean.shape):
-            raise ShapeError(f"trials has shape {self.trials.shape}; [trial_count, {self.mean.shape}] is needed")
+            raise ShapeError(
+                f"uncertainty has shape {self.uncertainty.shape}; {self.mean.shape} is needed"
+            )
+        if self.trials is not None and (
+            self.trials.ndim != 3 or self.trials.shape[1:] != self.mean.shape
+        ):
+            raise ShapeError(
+                f"trials has shape {self.trials.shape}; [trial_count, {self.mean.shape}] is needed"
+            )
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
     def of_trial(self, trial: int) -> Band:
         """Return the band of one of its trials, with the uncertainty of measuring it."""
-        assert self.trials is not None and self.uncertainty is not None, "a band of trials, each of them measured"
+        assert self.trials is not None and self.uncertainty is not None, (
+            "a band of trials, each of them measured"
+        )
         return replace(
             self,
             mean=self.trials[trial],
@@ -154,8 +179,16 @@ class Band:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary; an unknown number is None."""
-        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "points"}
-        arrays = {name: _with_none(value) for name, value in values.items() if isinstance(value, np.ndarray)}
+        values = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)
+            if field.name != "points"
+        }
+        arrays = {
+            name: _with_none(value)
+            for name, value in values.items()
+            if isinstance(value, np.ndarray)
+        }
         return values | arrays | {"coordinates": list(self.coordinates)}
 
     @classmethod
@@ -216,8 +249,14 @@ class BandSpec(FileModel):
             raise ValueError("projection and indices exclude each other")
         if (self.indices is None) != (self.width is None):
             raise ValueError("indices and width go together")
-        if self.indices is not None and self.width is not None and not set(self.indices) <= set(range(self.width)):
-            raise ValueError(f"indices is {list(self.indices)}, expected whole numbers from 0 to {self.width - 1}")
+        if (
+            self.indices is not None
+            and self.width is not None
+            and not set(self.indices) <= set(range(self.width))
+        ):
+            raise ValueError(
+                f"indices is {list(self.indices)}, expected whole numbers from 0 to {self.width - 1}"
+            )
         return self
 
     @property
@@ -282,9 +321,20 @@ def _bundled_band(folder: Path, variant: str) -> Band | None:
     if not trials_file.is_file():
         return band
     with faults_of(trials_file):
-        columns = [f"trial.{n + 1}.{name}" for n in range(sidecar.trial_count or 0) for name in sidecar.coordinates]
-        values = frame_table(read_frames(trials_file, ["frame", *columns], _TrialsRow), "trial")
-        return replace(band, trials=values.reshape(len(values), -1, len(sidecar.coordinates)).transpose(1, 0, 2))
+        columns = [
+            f"trial.{n + 1}.{name}"
+            for n in range(sidecar.trial_count or 0)
+            for name in sidecar.coordinates
+        ]
+        values = frame_table(
+            read_frames(trials_file, ["frame", *columns], _TrialsRow), "trial"
+        )
+        return replace(
+            band,
+            trials=values.reshape(len(values), -1, len(sidecar.coordinates)).transpose(
+                1, 0, 2
+            ),
+        )
 
 
 class _TrialsRow(FrameRow):
@@ -311,10 +361,14 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
     columns = _band_columns(file, sidecar.coordinates)
     rows = read_frames(file, columns, _BandRow)
     if not rows:
-        raise ReferenceFileError(file, None, "it has no rows: a row for each frame is expected")
+        raise ReferenceFileError(
+            file, None, "it has no rows: a row for each frame is expected"
+        )
     frames = len(rows) if sidecar.frames is None else sidecar.frames
     if frames < len(rows):
-        raise ReferenceFileError(sidecar_file, None, f"frames is {frames}, but the table has {len(rows)}")
+        raise ReferenceFileError(
+            sidecar_file, None, f"frames is {frames}, but the table has {len(rows)}"
+        )
     values = {
         quantity: frame_table(rows, quantity, frames)
         for quantity in QUANTITIES
@@ -327,7 +381,11 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
         if "measured" in columns
         else ~np.isnan(values["mean"][: len(rows)]).all(axis=1)
     )
-    sigma = values["sigma"] if "sigma" in values else _stated_sigma(sidecar, sidecar_file, values)
+    sigma = (
+        values["sigma"]
+        if "sigma" in values
+        else _stated_sigma(sidecar, sidecar_file, values)
+    )
     with faults_of(sidecar_file):
         return Band(
             grade=BandGrade(sidecar.grade),
@@ -346,14 +404,22 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
         )
 
 
-def _stated_sigma(sidecar: BandSidecar, file: Path, values: Mapping[str, FloatArray]) -> FloatArray:
+def _stated_sigma(
+    sidecar: BandSidecar, file: Path, values: Mapping[str, FloatArray]
+) -> FloatArray:
     """Return the sigma of a table without a column of it: the uncertainty, or one number of the sidecar."""
     if sidecar.sigma_source != "measurement":
         if sidecar.sigma is None:
-            raise ReferenceFileError(file, None, "sigma is missing here, and the table has no column of it")
+            raise ReferenceFileError(
+                file, None, "sigma is missing here, and the table has no column of it"
+            )
         return np.full(values["mean"].shape, sidecar.sigma)
     if "uncertainty" not in values:
-        raise ReferenceFileError(file, None, "sigma_source is 'measurement', but the table has no uncertainty")
+        raise ReferenceFileError(
+            file,
+            None,
+            "sigma_source is 'measurement', but the table has no uncertainty",
+        )
     return values["uncertainty"]
 
 
@@ -371,10 +437,20 @@ class _BandRow(FrameRow):
 def _band_columns(file: Path, coordinates: Sequence[str]) -> list[str]:
     """Return the columns that the table must have, from the quantities in its header."""
     header = csv_header(file)
-    quantities = [q for q in QUANTITIES if any(name.startswith(f"{q}.") for name in header)]
+    quantities = [
+        q for q in QUANTITIES if any(name.startswith(f"{q}.") for name in header)
+    ]
     if "mean" not in quantities:
         raise ReferenceFileError(
-            file, 1, f"{header_fault(header, ['frame'])}, expected mean.{coordinates[0]} among them"
+            file,
+            1,
+            f"{header_fault(header, ['frame'])}, expected mean.{coordinates[0]} among them",
         )
-    optional = [name for name in ("time_s", "measured", "measured_trials") if name in header]
-    return ["frame", *optional, *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates)]
+    optional = [
+        name for name in ("time_s", "measured", "measured_trials") if name in header
+    ]
+    return [
+        "frame",
+        *optional,
+        *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates),
+    ]

@@ -58,7 +58,9 @@ def read_convergence(file: Path) -> dict[tuple[str, RefinedSetting], Convergence
     rows: dict[tuple[str, RefinedSetting], Convergence] = {}
     for line, row in read_rows(file, list(Convergence.model_fields), Convergence):
         if (row.variant, row.setting) in rows:
-            raise ReferenceFileError(file, line, f"{row.variant}, {row.setting} has a row above: remove one")
+            raise ReferenceFileError(
+                file, line, f"{row.variant}, {row.setting} has a row above: remove one"
+            )
         rows[row.variant, row.setting] = row
     return rows
 
@@ -67,7 +69,11 @@ def convergence_of(engine: str, variant: str) -> dict[RefinedSetting, Convergenc
     """Return the measured rows of a variant on an engine, as `mujoco`, by setting."""
     file = scoring_folder("convergence") / f"{engine}.csv"
     rows = read_convergence(file) if file.is_file() else {}
-    return {setting: row for setting in REFINED_SETTINGS if (row := rows.get((variant, setting)))}
+    return {
+        setting: row
+        for setting in REFINED_SETTINGS
+        if (row := rows.get((variant, setting)))
+    }
 
 
 def convergence_rows(engine: str | None, name: str) -> dict[str, dict[str, Any]]:

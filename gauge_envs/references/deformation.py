@@ -14,7 +14,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import FileModel, FrameRow, frame_table, read_frames, read_toml, scoring_folder
+from gauge_envs.references.tables import (
+    FileModel,
+    FrameRow,
+    frame_table,
+    read_frames,
+    read_toml,
+    scoring_folder,
+)
 from gauge_envs.scene.geometry import FloatArray
 
 
@@ -43,7 +50,11 @@ class DeformationReference:
     note: str | None = None
 
     def __post_init__(self) -> None:
-        if self.mean.ndim != 2 or self.mean.shape[1] != len(self.statistics) or self.sigma.shape != self.mean.shape:
+        if (
+            self.mean.ndim != 2
+            or self.mean.shape[1] != len(self.statistics)
+            or self.sigma.shape != self.mean.shape
+        ):
             raise ShapeError(
                 f"mean has shape {self.mean.shape}, sigma {self.sigma.shape}; "
                 f"both must be [frame_count, {len(self.statistics)}]"
@@ -93,10 +104,18 @@ def _bundled(folder: Path, variant: str) -> DeformationReference | None:
     if not file.is_file():
         return None
     sidecar = read_toml(sidecar_file, StatisticsSidecar)
-    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in sidecar.statistics]
+    columns = [
+        f"{quantity}.{name}"
+        for quantity in ("mean", "uncertainty")
+        for name in sidecar.statistics
+    ]
     rows = read_frames(file, ["frame", "time_s", *columns], _StatisticsRow)
     if sidecar.frames < len(rows):
-        raise ReferenceFileError(sidecar_file, None, f"frames is {sidecar.frames}, but the table has {len(rows)}")
+        raise ReferenceFileError(
+            sidecar_file,
+            None,
+            f"frames is {sidecar.frames}, but the table has {len(rows)}",
+        )
     return DeformationReference(
         statistics=sidecar.statistics,
         markers=sidecar.markers,

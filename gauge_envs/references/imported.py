@@ -24,7 +24,15 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
-from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
+from gauge_envs.files import (
+    MEGABYTE,
+    json_document,
+    locked,
+    npz_arrays,
+    os_errors,
+    read_regular,
+    write_whole,
+)
 from gauge_envs.references.bands import Band
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.grades import BandGrade
@@ -60,7 +68,9 @@ class SpreadRecord(FileModel):
         if not finite.size:
             return None
         std = float(finite.std(ddof=1)) if finite.size > 1 else None
-        return cls(unit=unit, mean=float(finite.mean()), std=std, trial_count=int(finite.size))
+        return cls(
+            unit=unit, mean=float(finite.mean()), std=std, trial_count=int(finite.size)
+        )
 
 
 class DriverRecord(FileModel):
@@ -139,7 +149,11 @@ class VariantRecord(ImportFacts):
     @property
     def origin(self) -> str:
         """Origin of the trials: `imported dataset revision 9e0acb7, 20 trials, sha256 0123456789ab`."""
-        revision = "of unknown revision" if self.revision is None else f"revision {self.revision[:12]}"
+        revision = (
+            "of unknown revision"
+            if self.revision is None
+            else f"revision {self.revision[:12]}"
+        )
         return f"imported dataset {revision}, {self.trial_count} trials, sha256 {self.files_sha256[:12]}"
 
 
@@ -194,7 +208,10 @@ def write_imported(
         "statistics.mean": deformation and deformation.mean,
         "statistics.sigma": deformation and deformation.sigma,
     }
-    np.savez_compressed(stream, **{name: values for name, values in arrays.items() if values is not None})
+    np.savez_compressed(
+        stream,
+        **{name: values for name, values in arrays.items() if values is not None},
+    )
     content = stream.getvalue()
     digest = hashlib.sha256(content).hexdigest()
     record = VariantRecord(
@@ -210,7 +227,11 @@ def write_imported(
     )
     folder = trials_folder()
     text = record.model_dump_json(indent=1) + "\n"
-    with os_errors(lambda cause: DatasetError(f"{folder}: {facts.variant} cannot be written: {cause}")):
+    with os_errors(
+        lambda cause: DatasetError(
+            f"{folder}: {facts.variant} cannot be written: {cause}"
+        )
+    ):
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
             write_whole(folder / record.arrays, content)
@@ -226,7 +247,10 @@ def remove_leftovers() -> None:
     folder = trials_folder()
     if not folder.is_dir():
         return
-    with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")), locked(folder):
+    with (
+        os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")),
+        locked(folder),
+    ):
         used = {_arrays_name(file) for file in folder.glob("*.json")}
         for file in [*folder.glob(".*.tmp"), *folder.glob("*.npz")]:
             if file.name not in used:
@@ -257,7 +281,9 @@ def load_imported(variant: str) -> ImportedVariant | None:
             # A file that was replaced while it was read is read again.
             if _stamp(file) == stamp:
                 raise
-    raise ReferenceFileError(file, None, "imports replace it all the time; wait until they end")
+    raise ReferenceFileError(
+        file, None, "imports replace it all the time; wait until they end"
+    )
 
 
 def _stamp(file: Path) -> tuple[int, int] | None:
@@ -267,7 +293,9 @@ def _stamp(file: Path) -> tuple[int, int] | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from error
+        raise ReferenceFileError(
+            file, None, f"cannot be read: {error.strerror or error}"
+        ) from error
     return status.st_mtime_ns, status.st_ino
 
 
@@ -282,8 +310,14 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
             raise ValueError("its content differs from what was imported")
         return _imported(record, content)
     except (OSError, ValueError, KeyError) as error:
-        reason = error.strerror or str(error) if isinstance(error, OSError) else f"is damaged: {error}"
-        raise ReferenceFileError(arrays_file, None, f"{reason}; gauge data import renews it") from None
+        reason = (
+            error.strerror or str(error)
+            if isinstance(error, OSError)
+            else f"is damaged: {error}"
+        )
+        raise ReferenceFileError(
+            arrays_file, None, f"{reason}; gauge data import renews it"
+        ) from None
 
 
 def _record(file: Path) -> VariantRecord:
@@ -293,18 +327,34 @@ def _record(file: Path) -> VariantRecord:
     except ValidationError as error:
         fault = ": ".join(first_fault(error))
         raise ReferenceFileError(
-            file, None, f"is no import of this version: {fault}; gauge data import renews it"
+            file,
+            None,
+            f"is no import of this version: {fault}; gauge data import renews it",
         ) from None
-    if Path(record.arrays).name != record.arrays or record.variant != file.name.removesuffix(".json"):
-        raise ReferenceFileError(file, None, f"belongs to {record.variant!r}; gauge data import renews it")
+    if Path(
+        record.arrays
+    ).name != record.arrays or record.variant != file.name.removesuffix(".json"):
+        raise ReferenceFileError(
+            file, None, f"belongs to {record.variant!r}; gauge data import renews it"
+        )
     return record
 
 
 def _imported(record: VariantRecord, content: bytes) -> ImportedVariant:
     """Return a variant from its description and the content of its NPZ file."""
     bodies = [entry.body for entry in record.drivers]
-    wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma", "start_quaternions"]
-    arrays = npz_arrays(content, [*wanted, *(f"driver.{body}" for body in bodies)], MOST_ARRAYS_BYTES)
+    wanted = [
+        "mean",
+        "sigma",
+        "measured",
+        "trials",
+        "statistics.mean",
+        "statistics.sigma",
+        "start_quaternions",
+    ]
+    arrays = npz_arrays(
+        content, [*wanted, *(f"driver.{body}" for body in bodies)], MOST_ARRAYS_BYTES
+    )
     coordinate_count = len(record.coordinates)
     if arrays["mean"].shape != (record.frame_count, coordinate_count):
         raise ValueError(f"its mean has shape {arrays['mean'].shape}")
@@ -312,7 +362,9 @@ def _imported(record: VariantRecord, content: bytes) -> ImportedVariant:
     starts = arrays.get("start_quaternions")
     shape = (record.trial_count, START_FRAMES, coordinate_count // 3, 4)
     if starts is not None and starts.shape != shape:
-        raise ValueError(f"its start orientations have shape {starts.shape}, expected {shape}")
+        raise ValueError(
+            f"its start orientations have shape {starts.shape}, expected {shape}"
+        )
     band = Band(
         grade=BandGrade.TRIALS,
         unit=record.unit,
@@ -335,7 +387,13 @@ def _imported(record: VariantRecord, content: bytes) -> ImportedVariant:
             trial_count=record.trial_count,
             source=record.origin,
         )
-    return ImportedVariant(record, band, {body: arrays[f"driver.{body}"] for body in bodies}, deformation, starts)
+    return ImportedVariant(
+        record,
+        band,
+        {body: arrays[f"driver.{body}"] for body in bodies},
+        deformation,
+        starts,
+    )
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------
@@ -371,13 +429,16 @@ def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
     for motion, column in zip(driver.motions, values.T, strict=True):
         frames = np.flatnonzero(np.isfinite(column))
         profile = SampledProfile(
-            times_s=tuple((frames / FRAME_RATE_HZ).tolist()), values=tuple(column[frames].tolist())
+            times_s=tuple((frames / FRAME_RATE_HZ).tolist()),
+            values=tuple(column[frames].tolist()),
         )
         motions.append(replace(motion, profiles=(profile,)))
     return replace(driver, motions=tuple(motions), provenance="mocap")
 
 
-def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) -> dict[str, str]:
+def dataset_record(
+    variant: str, *, drivers: DataSource, reference: DataSource
+) -> dict[str, str]:
     """Return the sources of drivers and reference, for a result.
 
     Args:
@@ -389,7 +450,12 @@ def dataset_record(variant: str, *, drivers: DataSource, reference: DataSource) 
         `drivers` and `reference`; and `revision` and `sha256` of the import, if one of them is imported.
     """
     sources = {"drivers": drivers.value, "reference": reference.value}
-    imported = load_imported(variant) if DataSource.IMPORTED in (drivers, reference) else None
+    imported = (
+        load_imported(variant) if DataSource.IMPORTED in (drivers, reference) else None
+    )
     if imported is None:
         return sources
-    return sources | {"revision": imported.record.revision or "unknown", "sha256": imported.record.files_sha256}
+    return sources | {
+        "revision": imported.record.revision or "unknown",
+        "sha256": imported.record.files_sha256,
+    }

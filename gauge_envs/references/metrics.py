@@ -44,10 +44,34 @@ METRICS: Mapping[str, Metric] = {
     for metric in (
         Metric(key="rmse", title="RMSE", unit=None, ideal=0.0, score_field="rmse"),
         Metric(key="dtw", title="DTW", unit=None, ideal=0.0, score_field="dtw"),
-        Metric(key="lsd", title="LSD", unit="s", ideal=1.0, score_field="lsd_s", is_event=True),
-        Metric(key="mte", title="MTE", unit="1", ideal=1.0, score_field="mte", is_event=True),
-        Metric(key="pd", title="PD", unit="s", ideal=1.0, score_field="pd_s", is_event=True),
-        Metric(key="el", title="EL", unit="1", ideal=0.0, score_field="el", is_event=True, is_normalized=False),
+        Metric(
+            key="lsd",
+            title="LSD",
+            unit="s",
+            ideal=1.0,
+            score_field="lsd_s",
+            is_event=True,
+        ),
+        Metric(
+            key="mte",
+            title="MTE",
+            unit="1",
+            ideal=1.0,
+            score_field="mte",
+            is_event=True,
+        ),
+        Metric(
+            key="pd", title="PD", unit="s", ideal=1.0, score_field="pd_s", is_event=True
+        ),
+        Metric(
+            key="el",
+            title="EL",
+            unit="1",
+            ideal=0.0,
+            score_field="el",
+            is_event=True,
+            is_normalized=False,
+        ),
     )
 }
 """Metrics by key, in the order of tables."""
@@ -68,5 +92,7 @@ def _one_of(known: Collection[str]) -> AfterValidator:
 MetricKey = Annotated[str, _one_of(METRICS)]
 """Key of a metric, for pydantic models."""
 
-BaselineMetric = Annotated[str, _one_of([key for key, metric in METRICS.items() if metric.is_normalized])]
+BaselineMetric = Annotated[
+    str, _one_of([key for key, metric in METRICS.items() if metric.is_normalized])
+]
 """Key of a metric that is divided by the mean over real trials, for pydantic models."""

@@ -12,14 +12,26 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, TypeAdapter
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    TypeAdapter,
+)
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
-from gauge_envs.references.tables import FileModel, faults_of, read_content, scoring_folder
+from gauge_envs.references.tables import (
+    FileModel,
+    faults_of,
+    read_content,
+    scoring_folder,
+)
 from gauge_envs.scene.geometry import FloatArray
 
 STRIDE = 5
@@ -150,7 +162,9 @@ def unsolved_scenes() -> Mapping[str, UnsolvedScene]:
 
 
 @cache
-def end_band(variant: str, *, frame_count: int, body_count: int, marker_count: int) -> Band | None:
+def end_band(
+    variant: str, *, frame_count: int, body_count: int, marker_count: int
+) -> Band | None:
     """Return the mean height of all recorded points at the last frame, where engines disagree; others are unknown.
 
     It is the mean over engines. Its uncertainty is of their distance, and of the scatter of each over step and cell.
@@ -169,7 +183,9 @@ def end_band(variant: str, *, frame_count: int, body_count: int, marker_count: i
     if len(found) < 2:
         return None
     heights, scatters = np.array([(mean, std) for mean, std, _ in found.values()]).T
-    uncertainty = np.sqrt((np.var(heights, ddof=1) + np.mean(np.square(scatters))) / len(heights))
+    uncertainty = np.sqrt(
+        (np.var(heights, ddof=1) + np.mean(np.square(scatters))) / len(heights)
+    )
     mean = np.full((frame_count, 1), np.nan)
     mean[-1] = heights.mean()
     points = body_count or marker_count
@@ -200,44 +216,71 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
     if not file.is_file():
         return None
     with faults_of(file.with_suffix(".json")):
-        sidecar = ModelSidecar.model_validate_json(read_content(file.with_suffix(".json")))
+        sidecar = ModelSidecar.model_validate_json(
+            read_content(file.with_suffix(".json"))
+        )
     with faults_of(file):
         arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
     count, width = sidecar.solved_frames, len(sidecar.coordinates)
     expected = {"mean": (count, width), "offsets": (len(sidecar.engines), count, width)}
     shapes = {name: array.shape for name, array in arrays.items() if name in expected}
     if shapes != expected:
-        raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
+        raise ReferenceFileError(
+            file, None, f"has arrays {shapes}, expected {expected}"
+        )
     mean = unpacked(arrays["mean"], sidecar.quantum)
     mean[_frames_of(sidecar.gap)] = np.nan
     uncertainty = interpolated(arrays["uncertainty"], count)
     points = None
     if sidecar.point_quantum_mm is not None and sidecar.point_frames is not None:
-        points_mm = unpacked(arrays["points"], sidecar.point_quantum_mm).reshape(sidecar.point_frames, -1)
-        spread = np.repeat(interpolated(arrays["points_uncertainty"], sidecar.point_frames), 3, axis=1)
-        names = tuple(f"marker-{index}.{axis}" for index in range(points_mm.shape[1] // 3) for axis in "xyz")
+        points_mm = unpacked(arrays["points"], sidecar.point_quantum_mm).reshape(
+            sidecar.point_frames, -1
+        )
+        spread = np.repeat(
+            interpolated(arrays["points_uncertainty"], sidecar.point_frames), 3, axis=1
+        )
+        names = tuple(
+            f"marker-{index}.{axis}"
+            for index in range(points_mm.shape[1] // 3)
+            for axis in "xyz"
+        )
         points_mm[_frames_of(sidecar.point_gap)] = np.nan
         points = _band(sidecar, points_mm, spread, unit="mm", coordinates=names)
         points = replace(points, sigma=np.maximum(points.sigma, POINT_SIGMA_MM))
     baseline = published_baselines(variant).get("rmse")
-    band = _band(sidecar, mean, uncertainty, unit=sidecar.unit, coordinates=sidecar.coordinates)
+    band = _band(
+        sidecar, mean, uncertainty, unit=sidecar.unit, coordinates=sidecar.coordinates
+    )
     if baseline is not None and baseline.mean:
         # The mean over trials of the squared E_RMSE is the variance of the vector; see `carried_band`.
         sigma = np.hypot(baseline.mean, baseline.std or 0.0) / np.sqrt(width)
-        band = replace(band, sigma=np.full_like(band.mean, sigma), sigma_source=SigmaSource.BASELINE)
+        band = replace(
+            band,
+            sigma=np.full_like(band.mean, sigma),
+            sigma_source=SigmaSource.BASELINE,
+        )
         band = replace(band, normalized_by_baseline=bool(np.isfinite(band.mean).all()))
-    solutions = mean + unpacked(arrays["offsets"].swapaxes(0, 1), sidecar.quantum).swapaxes(0, 1)
+    solutions = mean + unpacked(
+        arrays["offsets"].swapaxes(0, 1), sidecar.quantum
+    ).swapaxes(0, 1)
     engines = [one.engine for one in sidecar.engines]
     others = {
         name: padded(np.delete(solutions, place, axis=0).mean(axis=0), sidecar.frames)
         for place, name in enumerate(engines)
         if len(engines) > 1
     }
-    return SolvedModel(sidecar=sidecar, band=replace(band, points=points), others=others)
+    return SolvedModel(
+        sidecar=sidecar, band=replace(band, points=points), others=others
+    )
 
 
 def _band(
-    sidecar: ModelSidecar, mean: FloatArray, uncertainty: FloatArray, *, unit: str, coordinates: tuple[str, ...]
+    sidecar: ModelSidecar,
+    mean: FloatArray,
+    uncertainty: FloatArray,
+    *,
+    unit: str,
+    coordinates: tuple[str, ...],
 ) -> Band:
     """Return a band whose sigma is the uncertainty of its mean."""
     mean = padded(mean, sidecar.frames)

@@ -95,7 +95,9 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
     for line, row in read_rows(file, list(_BaselineRow.model_fields), _BaselineRow):
         metrics = table.setdefault(row.variant, {})
         if row.metric in metrics:
-            raise ReferenceFileError(file, line, f"{row.variant} has a second row for {row.metric}")
+            raise ReferenceFileError(
+                file, line, f"{row.variant} has a second row for {row.metric}"
+            )
         metrics[row.metric] = row.baseline()
     return table
 
@@ -250,7 +252,9 @@ AnyLaw = CarriedLaw | UniaxialLaw | AnyUncontactedLaw
 class _Laws(FileModel):
     """The file `laws.toml`."""
 
-    law: Annotated[tuple[Annotated[AnyLaw, Field(discriminator="kind")], ...], Field(min_length=1)]
+    law: Annotated[
+        tuple[Annotated[AnyLaw, Field(discriminator="kind")], ...], Field(min_length=1)
+    ]
 
 
 def law_for(variant: str) -> AnyLaw | None:
@@ -262,7 +266,9 @@ def law_for(variant: str) -> AnyLaw | None:
     is_published = bool(published_baselines(variant))
     for law in read_toml(scoring_folder("bands") / "laws.toml", _Laws).law:
         names = law.variants.split()
-        if variant in names or (is_published and any(fnmatchcase(variant, name) for name in names)):
+        if variant in names or (
+            is_published and any(fnmatchcase(variant, name) for name in names)
+        ):
             return law
     return None
 
@@ -286,11 +292,17 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     """
     law, baseline = law_for(variant), published_baselines(variant).get("rmse")
     if not isinstance(law, CarriedLaw) or baseline is None:
-        carried = [name for name in published_variants() if isinstance(law_for(name), CarriedLaw)]
+        carried = [
+            name
+            for name in published_variants()
+            if isinstance(law_for(name), CarriedLaw)
+        ]
         raise UnknownNameError("carried variant", variant, carried)
     positions = np.asarray(positions_mm, dtype=np.float64)
     if positions.shape != (baseline.frames, 3):
-        raise ShapeError(f"positions_mm has shape {positions.shape}; {(baseline.frames, 3)} is needed for {variant}")
+        raise ShapeError(
+            f"positions_mm has shape {positions.shape}; {(baseline.frames, 3)} is needed for {variant}"
+        )
     if not np.isfinite(positions).all():
         raise ShapeError("positions_mm holds a value that is not finite")
     sigma_rms = math.hypot(baseline.mean, baseline.std or 0.0)
@@ -308,7 +320,12 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     )
 
 
-def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertainty_mm: ArrayLike | None = None) -> Band:
+def uncontacted_band(
+    law: UncontactedLaw,
+    *,
+    positions_mm: ArrayLike,
+    uncertainty_mm: ArrayLike | None = None,
+) -> Band:
     """Return the band of a motion that a law gives until an event, and that is not known from then on.
 
     Sigma is the uncertainty of a measured coordinate, as the scatter of real trials before the event is not published.
@@ -324,7 +341,10 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertaint
         Band of grade `law` over x, y and z [mm]. Frames before the event count as measured.
     """
     positions = np.asarray(positions_mm, dtype=np.float64)
-    sigma = np.hypot(law.sigma_mm, np.zeros(positions.shape) if uncertainty_mm is None else uncertainty_mm)
+    sigma = np.hypot(
+        law.sigma_mm,
+        np.zeros(positions.shape) if uncertainty_mm is None else uncertainty_mm,
+    )
     known = np.isfinite(positions)
     nominal = "the nominal uncertainty of motion capture"
     return Band(
@@ -344,7 +364,12 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertaint
 
 
 def uniaxial_band(
-    law: UniaxialLaw, *, variant: str, areas_mm2: ArrayLike, uncertainty_mm2: ArrayLike, measurement_mm2: float
+    law: UniaxialLaw,
+    *,
+    variant: str,
+    areas_mm2: ArrayLike,
+    uncertainty_mm2: ArrayLike,
+    measurement_mm2: float,
 ) -> Band:
     """Return the band of the face areas of a strained bar.
 
@@ -357,14 +382,22 @@ def uniaxial_band(
         uncertainty_mm2: Standard uncertainty of the law [mm^2], same shape.
         measurement_mm2: 1-sigma uncertainty of a measured area [mm^2].
     """
-    areas, baseline = np.asarray(areas_mm2, dtype=np.float64), published_baselines(variant).get("rmse")
+    areas, baseline = (
+        np.asarray(areas_mm2, dtype=np.float64),
+        published_baselines(variant).get("rmse"),
+    )
     if baseline is None:
         sigma = np.hypot(measurement_mm2, uncertainty_mm2)
     else:
-        sigma = np.full(areas.shape, math.hypot(baseline.mean, baseline.std or 0.0) / math.sqrt(areas.shape[1]))
+        sigma = np.full(
+            areas.shape,
+            math.hypot(baseline.mean, baseline.std or 0.0) / math.sqrt(areas.shape[1]),
+        )
     return Band(
         grade=BandGrade.LAW,
-        sigma_source=SigmaSource.MEASUREMENT if baseline is None else SigmaSource.BASELINE,
+        sigma_source=SigmaSource.MEASUREMENT
+        if baseline is None
+        else SigmaSource.BASELINE,
         unit="mm^2",
         coordinates=tuple(f"face-{face}" for face in range(areas.shape[1])),
         projection=np.eye(areas.shape[1]),

@@ -16,7 +16,13 @@ from pydantic import AfterValidator, PlainSerializer, PositiveInt, TypeAdapter
 
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import os_errors, write_whole
-from gauge_envs.references.tables import FileModel, faults_of, read_content, read_toml, scoring_folder
+from gauge_envs.references.tables import (
+    FileModel,
+    faults_of,
+    read_content,
+    read_toml,
+    scoring_folder,
+)
 from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.scene.geometry import FloatArray, Positive
 
@@ -156,7 +162,10 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
     for engine in dict.fromkeys(filter(None, (backend, FALLBACK_ENGINE))):
         if Path(engine).name != engine:
             continue  # A file of a stranger may state any text as its engine.
-        for folder in (user_data_folder() / "sensitivities", scoring_folder("sensitivities")):
+        for folder in (
+            user_data_folder() / "sensitivities",
+            scoring_folder("sensitivities"),
+        ):
             file = folder / engine / f"{variant}.json"
             try:
                 stamp = file.stat()
@@ -164,7 +173,11 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
                 continue
             table = _read(file, stamp.st_mtime_ns)
             # Version 0.1 moved constants by a smaller uncertainty, that of the scatter of trials.
-            if all(one.change_below is not None for one in table.inputs if one.kind == "constant"):
+            if all(
+                one.change_below is not None
+                for one in table.inputs
+                if one.kind == "constant"
+            ):
                 return table
     return None
 
@@ -174,7 +187,9 @@ def _read(file: Path, mtime_ns: int) -> Sensitivities:
     with faults_of(file):
         table = _format().validate_json(read_content(file))
     if len({entry.change.shape for entry in table.inputs}) > 1:
-        raise ReferenceFileError(file, None, "the inputs disagree in the number of frames or coordinates")
+        raise ReferenceFileError(
+            file, None, "the inputs disagree in the number of frames or coordinates"
+        )
     return table
 
 
@@ -185,7 +200,9 @@ def sensitivities_text(table: Sensitivities) -> str:
 
 def write_sensitivities(table: Sensitivities) -> Path:
     """Store a table in the user's data folder, and return its file."""
-    file = user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
+    file = (
+        user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
+    )
     with os_errors(lambda cause: DatasetError(f"{file} cannot be written: {cause}")):
         file.parent.mkdir(parents=True, exist_ok=True)
         write_whole(file, sensitivities_text(table).encode())

@@ -22,7 +22,14 @@ from gauge_envs.errors import ParameterError, ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.tables import FileModel, UnitVector, faults_of, read_content, read_toml, scoring_folder
+from gauge_envs.references.tables import (
+    FileModel,
+    UnitVector,
+    faults_of,
+    read_content,
+    read_toml,
+    scoring_folder,
+)
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -154,15 +161,24 @@ class ShotSidecar(FileModel):
         for place, one in enumerate(self.hung):
             known = (self.body, *(earlier.body for earlier in self.hung[:place]))
             if one.on not in known or one.body in known:
-                raise ValueError(f"hung.{place}: a new body on one of {', '.join(known)} is expected")
+                raise ValueError(
+                    f"hung.{place}: a new body on one of {', '.join(known)} is expected"
+                )
         posed = (self.rate_hz, self.position_unit_m, self.nuisances)
-        if self.body == WORLD and (any(posed) or not self.position_noise_m or not self.hung):
-            raise ValueError("on the world: state position_noise_m and hung bodies, and nothing of poses")
+        if self.body == WORLD and (
+            any(posed) or not self.position_noise_m or not self.hung
+        ):
+            raise ValueError(
+                "on the world: state position_noise_m and hung bodies, and nothing of poses"
+            )
         if self.nuisances is None:
             return self
         if not all(posed):
             raise ValueError("rate_hz, position_unit_m and nuisances go together")
-        errors = (self.nuisances.angle_noise_deg, self.nuisances.start_angle_rate_std_rad_per_s)
+        errors = (
+            self.nuisances.angle_noise_deg,
+            self.nuisances.start_angle_rate_std_rad_per_s,
+        )
         if any((error is None) == bool(self.hung) for error in errors):
             raise ValueError("nuisances: errors of angles go together with hung bodies")
         return self
@@ -171,8 +187,14 @@ class ShotSidecar(FileModel):
     def _earlier(self) -> ShotSidecar:
         repeats = {copy.trial for copy in self.copies}
         for copy in self.copies:
-            if not copy.of < copy.trial < self.trial_count or copy.of in repeats or len(repeats) < len(self.copies):
-                raise ValueError(f"copies: each trial once, of an earlier one that is no copy, but {copy} is listed")
+            if (
+                not copy.of < copy.trial < self.trial_count
+                or copy.of in repeats
+                or len(repeats) < len(self.copies)
+            ):
+                raise ValueError(
+                    f"copies: each trial once, of an earlier one that is no copy, but {copy} is listed"
+                )
         return self
 
 
@@ -186,13 +208,19 @@ ARRAYS: dict[str, tuple[int | str, ...]] = {
 }
 """Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
 
-WORLD_ARRAYS: dict[str, tuple[int | str, ...]] = {"first": ("N+1",), "interval_s": ("N",)}
+WORLD_ARRAYS: dict[str, tuple[int | str, ...]] = {
+    "first": ("N+1",),
+    "interval_s": ("N",),
+}
 """Arrays instead, where all bodies hang on the world; the intervals are those between the frames of each trial [s]."""
 
 COMMAND_ARRAYS: dict[str, tuple[int | str, ...]] = {"command": ("T", "H")}
 """Array in addition, where motors turn the hung bodies; a command is that of the interval after its frame."""
 
-ANGLE_ARRAYS: dict[str, tuple[int | str, ...]] = {"angle": ("T", "H"), "start_angle_rate": ("N", "H")}
+ANGLE_ARRAYS: dict[str, tuple[int | str, ...]] = {
+    "angle": ("T", "H"),
+    "start_angle_rate": ("N", "H"),
+}
 """Arrays in addition, where H bodies hang on the recorded one."""
 
 
@@ -245,7 +273,9 @@ class SingleShot:
         from scipy.interpolate import CubicSpline
 
         held = np.clip(times_s, 0.0, self.duration_s)
-        return CubicSpline(self.times_s, self.positions_m)(held), Slerp(self.times_s, self.rotations)(held)
+        return CubicSpline(self.times_s, self.positions_m)(held), Slerp(
+            self.times_s, self.rotations
+        )(held)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +310,11 @@ class SingleShots:
             every: Count of trials, copies included, from one to the next.
         """
         first, step = {"fit": (0, 2), "judge": (1, 2), None: (0, 1)}[half]
-        return tuple(trial for trial in range(first, len(self), step * every) if trial not in self.copies)
+        return tuple(
+            trial
+            for trial in range(first, len(self), step * every)
+            if trial not in self.copies
+        )
 
     def shot(self, trial: int, body: str | None = None) -> SingleShot:
         """Return one trial of one body.
@@ -292,23 +326,46 @@ class SingleShots:
         hung, body = self.sidecar.hung, body or self.sidecar.bodies[0]
         if body not in (WORLD, *self.sidecar.bodies):
             known = ", ".join(self.sidecar.bodies)
-            raise ParameterError(f"GAUGE/{self.variant}: {body!r} is not recorded; recorded are: {known}")
-        place = next((place for place, one in enumerate(hung) if one.body == body), None)
+            raise ParameterError(
+                f"GAUGE/{self.variant}: {body!r} is not recorded; recorded are: {known}"
+            )
+        place = next(
+            (place for place, one in enumerate(hung) if one.body == body), None
+        )
         if place is None:
             return self._posed(trial)
         return self._hanging(self.shot(trial, hung[place].on), place)
 
     def _posed(self, trial: int) -> SingleShot:
         if not 0 <= trial < len(self):
-            raise ParameterError(f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}")
+            raise ParameterError(
+                f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}"
+            )
         data, nuisances = self.arrays, self.sidecar.nuisances
         rows = slice(*(int(row) for row in data["first"][trial : trial + 2]))
-        if nuisances is None or self.sidecar.position_unit_m is None or self.sidecar.rate_hz is None:
+        if (
+            nuisances is None
+            or self.sidecar.position_unit_m is None
+            or self.sidecar.rate_hz is None
+        ):
             times_s = data["interval_s"][trial] * np.arange(rows.stop - rows.start)
             still = np.zeros(3)
             upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))
-            return SingleShot(WORLD, trial, trial, times_s, np.zeros((len(times_s), 3)), upright, still, still)
-        positions_m = self.sidecar.position_unit_m * nuisances.length_scale * data["position"][rows].astype(np.float64)
+            return SingleShot(
+                WORLD,
+                trial,
+                trial,
+                times_s,
+                np.zeros((len(times_s), 3)),
+                upright,
+                still,
+                still,
+            )
+        positions_m = (
+            self.sidecar.position_unit_m
+            * nuisances.length_scale
+            * data["position"][rows].astype(np.float64)
+        )
         positions_m[:, 2] += nuisances.height_offset_m
         quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
@@ -322,20 +379,29 @@ class SingleShots:
             quaternions=quaternions,
             velocity_m_per_s=data["start_velocity"][trial].astype(np.float64),
             # Recordings state the rate about the axes of the body, scenes about those of the world.
-            angular_velocity_rad_per_s=start.apply(data["start_angular_velocity_body"][trial].astype(np.float64)),
+            angular_velocity_rad_per_s=start.apply(
+                data["start_angular_velocity_body"][trial].astype(np.float64)
+            ),
         )
 
     def _hanging(self, on: SingleShot, place: int) -> SingleShot:
         """Return the trial of a body that hangs on another one."""
         hung, trial = self.sidecar.hung[place], on.trial
         rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
-        angles_rad = self.sidecar.angle_unit_rad * self.arrays["angle"][rows, place].astype(np.float64)
+        angles_rad = self.sidecar.angle_unit_rad * self.arrays["angle"][
+            rows, place
+        ].astype(np.float64)
         carrier = on.rotations
         rotations = carrier * Rotation.from_rotvec(np.outer(angles_rad, hung.axis))
-        arms_m, offsets_m = carrier.apply(hung.anchor_on_m), rotations.apply(hung.anchor_m)
+        arms_m, offsets_m = (
+            carrier.apply(hung.anchor_on_m),
+            rotations.apply(hung.anchor_m),
+        )
         rate = float(self.arrays["start_angle_rate"][trial, place])
         angular = on.angular_velocity_rad_per_s + rate * carrier[0].apply(hung.axis)
-        linear = on.velocity_m_per_s + np.cross(on.angular_velocity_rad_per_s, arms_m[0])
+        linear = on.velocity_m_per_s + np.cross(
+            on.angular_velocity_rad_per_s, arms_m[0]
+        )
         return replace(
             on,
             body=hung.body,
@@ -356,7 +422,10 @@ class SingleShots:
             values -= self.sidecar.angle_unit_rad * self.arrays["angle"][rows.start]
         middles_s = tuple((shot.times_s + 0.5 * shot.times_s[1]).tolist())
         columns = zip(self.sidecar.hung, values.T, strict=True)
-        return {one.body: SampledProfile(times_s=middles_s, values=tuple(column.tolist())) for one, column in columns}
+        return {
+            one.body: SampledProfile(times_s=middles_s, values=tuple(column.tolist()))
+            for one, column in columns
+        }
 
     def band(self, trial: int, frame_count: int) -> Band:
         """Return the band of one trial: positions of all bodies at the frames, and the uncertainty of measuring them.
@@ -368,11 +437,19 @@ class SingleShots:
         bodies, nuisances = self.sidecar.bodies, self.sidecar.nuisances
         shots = [self.shot(trial, body) for body in bodies]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
-        mean = 1e3 * np.concatenate([shot.poses_at(times_s)[0] for shot in shots], axis=1)
+        mean = 1e3 * np.concatenate(
+            [shot.poses_at(times_s)[0] for shot in shots], axis=1
+        )
         sigma = 1e3 * (self.sidecar.position_noise_m or 0.0)
         if nuisances is not None:
-            sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
-        repeats = f" (the same recording as trial {self.copies[trial]})" if trial in self.copies else ""
+            sigma = 1e3 * float(
+                np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m)
+            )
+        repeats = (
+            f" (the same recording as trial {self.copies[trial]})"
+            if trial in self.copies
+            else ""
+        )
         return Band(
             grade=BandGrade.TRIALS,
             unit="mm",
@@ -400,17 +477,28 @@ def _read(file: Path, variant: str) -> SingleShots | None:
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
     expected_shapes = WORLD_ARRAYS if sidecar.body == WORLD else ARRAYS
-    expected_shapes = expected_shapes | ANGLE_ARRAYS if sidecar.hung else expected_shapes
-    expected_shapes = expected_shapes | COMMAND_ARRAYS if sidecar.command_unit else expected_shapes
+    expected_shapes = (
+        expected_shapes | ANGLE_ARRAYS if sidecar.hung else expected_shapes
+    )
+    expected_shapes = (
+        expected_shapes | COMMAND_ARRAYS if sidecar.command_unit else expected_shapes
+    )
     with faults_of(file):
         arrays = npz_arrays(read_content(file, MOST_BYTES), expected_shapes, MOST_BYTES)
     shapes = {name: array.shape for name, array in arrays.items()}
-    count, frames = sidecar.trial_count, len(arrays.get("angle", arrays.get("position", ())))
+    count, frames = (
+        sidecar.trial_count,
+        len(arrays.get("angle", arrays.get("position", ()))),
+    )
     counts = {"N": count, "N+1": count + 1, "T": frames, "H": len(sidecar.hung)}
     expected = {
-        name: tuple(entry if isinstance(entry, int) else counts[entry] for entry in shape)
+        name: tuple(
+            entry if isinstance(entry, int) else counts[entry] for entry in shape
+        )
         for name, shape in expected_shapes.items()
     }
     if shapes != expected:
-        raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
+        raise ReferenceFileError(
+            file, None, f"has arrays {shapes}, expected {expected}"
+        )
     return SingleShots(variant, sidecar, arrays)

@@ -8,10 +8,22 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeInt, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    NonNegativeInt,
+    ValidationError,
+)
 
 from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.files import MEGABYTE, csv_text, data_folder, read_regular, toml_document
+from gauge_envs.files import (
+    MEGABYTE,
+    csv_text,
+    data_folder,
+    read_regular,
+    toml_document,
+)
 from gauge_envs.scene.geometry import FloatArray, Vector
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
@@ -55,7 +67,9 @@ def read_content(file: Path, most_bytes: int = MOST_TABLE_BYTES) -> bytes:
     except FileNotFoundError:
         raise ReferenceFileError(file, None, "the file is missing") from None
     except OSError as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
+        raise ReferenceFileError(
+            file, None, f"cannot be read: {error.strerror or error}"
+        ) from None
 
 
 @contextmanager
@@ -64,7 +78,9 @@ def faults_of(file: Path, line: int | None = None) -> Iterator[None]:
     try:
         yield
     except ValidationError as error:
-        raise ReferenceFileError(file, line, ": ".join(filter(None, first_fault(error)))) from None
+        raise ReferenceFileError(
+            file, line, ": ".join(filter(None, first_fault(error)))
+        ) from None
     except ReferenceFileError:
         raise
     except ValueError as error:
@@ -93,7 +109,9 @@ def _csv_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
             if not (fields and fields[0].startswith("#")):
                 yield line, fields
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ReferenceFileError(file, line + 1, f"is not CSV in UTF-8: {error}") from None
+        raise ReferenceFileError(
+            file, line + 1, f"is not CSV in UTF-8: {error}"
+        ) from None
 
 
 def header_fault(header: Sequence[str], columns: Sequence[str]) -> str:
@@ -102,7 +120,9 @@ def header_fault(header: Sequence[str], columns: Sequence[str]) -> str:
     return f"columns are {','.join(known) or 'none of these'} and {len(header) - len(known)} unknown ones"
 
 
-def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterator[tuple[int, Model]]:
+def read_rows(
+    file: Path, columns: Sequence[str], model: type[Model]
+) -> Iterator[tuple[int, Model]]:
     """Read the rows of a CSV file.
 
     A column `mean.x` is the entry `x` of the field `mean`. An empty field is None.
@@ -118,10 +138,14 @@ def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterato
     rows = _csv_rows(file)
     line, header = next(rows, (1, []))
     if header != list(columns):
-        raise ReferenceFileError(file, line, f"{header_fault(header, columns)}, expected {','.join(columns)}")
+        raise ReferenceFileError(
+            file, line, f"{header_fault(header, columns)}, expected {','.join(columns)}"
+        )
     for line, fields in rows:
         if len(fields) != len(columns):
-            raise ReferenceFileError(file, line, f"{len(fields)} fields, expected {len(columns)}")
+            raise ReferenceFileError(
+                file, line, f"{len(fields)} fields, expected {len(columns)}"
+            )
         with faults_of(file, line):
             row = model.model_validate(_nested(columns, fields))
         yield line, row
@@ -143,12 +167,16 @@ def read_frames(file: Path, columns: Sequence[str], model: type[Row]) -> list[Ro
     rows: list[Row] = []
     for line, row in read_rows(file, columns, model):
         if row.frame != len(rows):
-            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")
+            raise ReferenceFileError(
+                file, line, f"frame {row.frame} where {len(rows)} is next"
+            )
         rows.append(row)
     return rows
 
 
-def frame_table(rows: Sequence[Row], field: str, frame_count: int | None = None) -> FloatArray:
+def frame_table(
+    rows: Sequence[Row], field: str, frame_count: int | None = None
+) -> FloatArray:
     """Return the values of a field that is keyed by column, shape [frame_count, column_count]; NaN is unknown.
 
     Args:
@@ -156,6 +184,8 @@ def frame_table(rows: Sequence[Row], field: str, frame_count: int | None = None)
         field: Name of the field.
         frame_count: Number of frames, whose last ones may have no row; the number of rows if None.
     """
-    values = np.array([[*getattr(row, field).values()] for row in rows], dtype=np.float64)
+    values = np.array(
+        [[*getattr(row, field).values()] for row in rows], dtype=np.float64
+    )
     padding = 0 if frame_count is None else frame_count - len(rows)
     return np.pad(values, ((0, padding), (0, 0)), constant_values=np.nan)

@@ -18,7 +18,10 @@ class DataSource(StrEnum):
     """The real trials that `gauge data import` read."""
 
 
-BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
+BUNDLED_DATA = {
+    "drivers": DataSource.BUNDLED.value,
+    "reference": DataSource.BUNDLED.value,
+}
 """Data sources of a result that uses no import."""
 
 
@@ -30,7 +33,9 @@ def user_data_folder() -> Path:
     try:
         return Path(given).expanduser()
     except RuntimeError:
-        raise DatasetError(f"GAUGE_DATA_DIR={given}: the home folder is unknown. Set the full path.") from None
+        raise DatasetError(
+            f"GAUGE_DATA_DIR={given}: the home folder is unknown. Set the full path."
+        ) from None
 
 
 def trials_folder() -> Path:

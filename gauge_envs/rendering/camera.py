@@ -69,7 +69,10 @@ class View(Camera):
 
 
 def experiment_view(
-    experiment: Experiment, *, aspect: float = TABLE_ASPECT, reference: ReferencePath | None = None
+    experiment: Experiment,
+    *,
+    aspect: float = TABLE_ASPECT,
+    reference: ReferencePath | None = None,
 ) -> View:
     """Return the view of an experiment: that of its camera, else that of the rule.
 
@@ -79,14 +82,23 @@ def experiment_view(
         reference: Places that the rule frames beside those of the scene, or None.
     """
     camera = experiment.camera
-    view = scene_view(experiment.scene, reference=reference) if camera is None else View(**camera.model_dump())
+    view = (
+        scene_view(experiment.scene, reference=reference)
+        if camera is None
+        else View(**camera.model_dump())
+    )
     if aspect >= TABLE_ASPECT:
         return view
-    return view.model_copy(update={"distance_m": view.distance_m * TABLE_ASPECT / aspect})
+    return view.model_copy(
+        update={"distance_m": view.distance_m * TABLE_ASPECT / aspect}
+    )
 
 
 def scene_view(
-    scene: Scene, *, reference: ReferencePath | None = None, field_of_view_deg: float = FIELD_OF_VIEW_DEG
+    scene: Scene,
+    *,
+    reference: ReferencePath | None = None,
+    field_of_view_deg: float = FIELD_OF_VIEW_DEG,
 ) -> View:
     """Return the view that shows the bodies at the start, and where they can go, by a rule.
 
@@ -127,7 +139,11 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
         end = driver.pose(carrier.pose, scene.duration_s)
         way_m = np.subtract(end.position_m, carrier.pose.position_m)
         points.append(carrier.pose.to_world(carrier.shape.corners_m) + way_m)
-        carried = {attachment.deformable for attachment in scene.attachments if attachment.to == driver.body}
+        carried = {
+            attachment.deformable
+            for attachment in scene.attachments
+            if attachment.to == driver.body
+        }
         for soft in scene.deformables:
             if soft.name in carried:
                 points.append(_outline_m(soft) + way_m)
@@ -136,7 +152,10 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
         arm_m = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
         axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
         sideways = np.cross(axis, (0.0, 0.0, 1.0))
-        points.append(anchor + arm_m * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
+        points.append(
+            anchor
+            + arm_m * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)])
+        )
     corners = np.concatenate(points)
     if not len(corners):
         return np.zeros((1, 3))
@@ -144,7 +163,9 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
     can_fall = any(body.name not in hanging for body in scene.dynamic_bodies)
     lowest = corners.min(axis=0)
     if can_fall and 0.0 < lowest[2] - scene.floor_height_m < FLOOR_IN_VIEW_M:
-        corners = np.concatenate([corners, [[lowest[0], lowest[1], scene.floor_height_m]]])
+        corners = np.concatenate(
+            [corners, [[lowest[0], lowest[1], scene.floor_height_m]]]
+        )
     return corners
 
 

@@ -63,7 +63,9 @@ class FlatView:
             camera.frustum_far = 3.0 * BACKDROP_M
 
 
-def flat_model(scene: Scene, skins: Sequence[Skin], width: int, height: int, view: FlatView) -> mujoco.MjModel:
+def flat_model(
+    scene: Scene, skins: Sequence[Skin], width: int, height: int, view: FlatView
+) -> mujoco.MjModel:
     """Return a model of shapes without physics for a parallel projection: every body is a mocap body.
 
     Args:
@@ -101,9 +103,20 @@ def flat_model(scene: Scene, skins: Sequence[Skin], width: int, height: int, vie
     )
     textures = material_textures("table")
     # One checker square is 25 mm, the hole pitch of the real optical table.
-    spec.add_material(name="table", textures=textures, texrepeat=[40, 40], texuniform=True, reflectance=0.0)
+    spec.add_material(
+        name="table",
+        textures=textures,
+        texrepeat=[40, 40],
+        texuniform=True,
+        reflectance=0.0,
+    )
     for body in scene.bodies:
-        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
+        frame = spec.worldbody.add_body(
+            name=body.name,
+            pos=body.pose.position_m,
+            quat=body.pose.quaternion,
+            mocap=True,
+        )
         for geom in add_geoms(spec, frame, body.name, body.shape):
             if isinstance(body.shape, Plane):
                 geom.material = "table"
@@ -131,12 +144,31 @@ def _add_backdrop(spec: mujoco.MjSpec, view: FlatView, width: int, height: int) 
     ):
         spots = np.random.default_rng(0).normal(size=(BACKDROP_TEXELS, BACKDROP_TEXELS))
         spectrum = np.fft.rfft2(spots)
-        cycles = np.hypot(np.fft.fftfreq(BACKDROP_TEXELS)[:, None], np.fft.rfftfreq(BACKDROP_TEXELS)[None, :])
-        smooth = np.fft.irfft2(spectrum * np.exp(-0.5 * (2.0 * np.pi * cycles * blur) ** 2))
-        grey = np.clip(brightness + contrast * smooth / smooth.std(), 0.0, 255.0).astype(np.uint8)
-        texture = spec.add_texture(name=name, type=kind, width=BACKDROP_TEXELS, height=BACKDROP_TEXELS, nchannel=3)
+        cycles = np.hypot(
+            np.fft.fftfreq(BACKDROP_TEXELS)[:, None],
+            np.fft.rfftfreq(BACKDROP_TEXELS)[None, :],
+        )
+        smooth = np.fft.irfft2(
+            spectrum * np.exp(-0.5 * (2.0 * np.pi * cycles * blur) ** 2)
+        )
+        grey = np.clip(
+            brightness + contrast * smooth / smooth.std(), 0.0, 255.0
+        ).astype(np.uint8)
+        texture = spec.add_texture(
+            name=name,
+            type=kind,
+            width=BACKDROP_TEXELS,
+            height=BACKDROP_TEXELS,
+            nchannel=3,
+        )
         texture.data = np.repeat(grey[:, :, None], 3, axis=2).tobytes()
-        spec.add_material(name=name, textures=material_textures(name), texrepeat=[1, 1], specular=0.0, reflectance=0.0)
+        spec.add_material(
+            name=name,
+            textures=material_textures(name),
+            texrepeat=[1, 1],
+            specular=0.0,
+            reflectance=0.0,
+        )
     plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, name="backdrop")
     half = 0.55 * view.scale_m_per_px * np.array([width, height])
     plane.size = [*half, 1.0]

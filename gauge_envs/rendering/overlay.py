@@ -61,7 +61,9 @@ class Overlay:
     @property
     def geom_count(self) -> int:
         """Number of balls and tubes; ghosts come on top of it."""
-        tubes = sum(max(len(path) - 1, 0) for path in (*self.paths, *self.recorded_paths))
+        tubes = sum(
+            max(len(path) - 1, 0) for path in (*self.paths, *self.recorded_paths)
+        )
         return len(self.markers_m) + len(self.recorded_m) + tubes
 
 
@@ -128,16 +130,27 @@ def _ghosts(
     poses: Mapping[str, FloatArray],
 ) -> dict[str, FloatArray]:
     """Return the poses of the bodies of a reference; one that holds no orientation turns as the simulation."""
-    if experiment.score.observable is not Observable.POSITION or len(reference.names) > MOST_PATHS:
+    if (
+        experiment.score.observable is not Observable.POSITION
+        or len(reference.names) > MOST_PATHS
+    ):
         return {}
     shots, ghosts = shots_of(experiment), {}
     for name, place in zip(reference.names, places_m, strict=True):
         if shots is not None and experiment.trial is not None:
             # A single trial is known between the frames, too.
-            position_m, turns = shots.shot(experiment.trial, name).poses_at(np.array([time_s]))
-            ghosts[name] = np.concatenate([position_m[0], turns[0].as_quat(scalar_first=True)])
+            position_m, turns = shots.shot(experiment.trial, name).poses_at(
+                np.array([time_s])
+            )
+            ghosts[name] = np.concatenate(
+                [position_m[0], turns[0].as_quat(scalar_first=True)]
+            )
             continue
-        turn = poses[name][3:] if name in poses else np.array(experiment.scene.body(name).pose.quaternion)
+        turn = (
+            poses[name][3:]
+            if name in poses
+            else np.array(experiment.scene.body(name).pose.quaternion)
+        )
         ghosts[name] = np.concatenate([place, turn])
     return ghosts
 

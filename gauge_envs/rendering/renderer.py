@@ -53,7 +53,9 @@ def _graphics_context(width: int, height: int) -> Any:
         import_module("triton")
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
-        wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
+        wanted = (
+            "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
+        )
     try:
         if wanted == "egl":
             from mujoco.egl import GLContext
@@ -104,10 +106,17 @@ class SceneRenderer:
         self._scene = scene
         self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._skins = [
-            Skin(body, rest_nodes_m[body.name]) for body in scene.deformables if isinstance(body, Cloth | SoftBody)
+            Skin(body, rest_nodes_m[body.name])
+            for body in scene.deformables
+            if isinstance(body, Cloth | SoftBody)
         ]
-        self._lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-        self._looks = {body.name: look_of(body, (materials or {}).get(body.name)) for body in self._lines}
+        self._lines = [
+            body for body in scene.deformables if isinstance(body, Rope | Rod)
+        ]
+        self._looks = {
+            body.name: look_of(body, (materials or {}).get(body.name))
+            for body in self._lines
+        }
         self._flat = view if isinstance(view, FlatView) else None
         self.camera: View | None = None
         if isinstance(view, FlatView):
@@ -115,22 +124,51 @@ class SceneRenderer:
             self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
         else:
             self.camera = view or scene_view(scene)
-            self._model = studio_model(scene, self._skins, rest_nodes_m, materials or {}, self.camera, width, height)
+            self._model = studio_model(
+                scene,
+                self._skins,
+                rest_nodes_m,
+                materials or {},
+                self.camera,
+                width,
+                height,
+            )
             # Size of a pixel in the middle of the scene.
-            self._pixel_m = 2.0 * self.camera.distance_m * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / height
+            self._pixel_m = (
+                2.0
+                * self.camera.distance_m
+                * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+                / height
+            )
             self._least_radius_m = STRING_PX * self._pixel_m
-        self._free_camera = light_camera(scene) if self.camera is None else self.camera.mujoco_camera()
+        self._free_camera = (
+            light_camera(scene) if self.camera is None else self.camera.mujoco_camera()
+        )
         self._data = mujoco.MjData(self._model)
-        self._mocap_ids = {body.name: int(self._model.body(body.name).mocapid[0]) for body in scene.bodies}
+        self._mocap_ids = {
+            body.name: int(self._model.body(body.name).mocapid[0])
+            for body in scene.bodies
+        }
         self._option = mujoco.MjvOption()
         segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
-        self._own_geoms = self._model.ngeom + len(scene.joints) + 2 * len(scene.body_hinges) + segments + 100
+        self._own_geoms = (
+            self._model.ngeom
+            + len(scene.joints)
+            + 2 * len(scene.body_hinges)
+            + segments
+            + 100
+        )
         self._drawing = self._drawing_of(self._own_geoms)
-        self._device = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._device = mujoco.MjrContext(
+            self._model, mujoco.mjtFontScale.mjFONTSCALE_100
+        )
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
 
     def picture(
-        self, poses: Mapping[str, FloatArray], nodes_m: Mapping[str, FloatArray], overlay: Overlay | None = None
+        self,
+        poses: Mapping[str, FloatArray],
+        nodes_m: Mapping[str, FloatArray],
+        overlay: Overlay | None = None,
     ) -> NDArray[np.uint8]:
         """Return a picture of the scene with bodies at given poses.
 
@@ -155,15 +193,25 @@ class SceneRenderer:
         for skin in self._skins:
             skin.upload(self._model, self._device, nodes_m[skin.name])
         mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, self._free_camera, mujoco.mjtCatBit.mjCAT_ALL, self._drawing
+            self._model,
+            self._data,
+            self._option,
+            None,
+            self._free_camera,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._drawing,
         )
         self._add_lines(nodes_m)
         if self._flat is not None:
-            self._flat.aim(self._drawing, width=self._viewport.width, height=self._viewport.height)
+            self._flat.aim(
+                self._drawing, width=self._viewport.width, height=self._viewport.height
+            )
         picture = self._rendered()
         return picture if overlay is None else self._with_overlay(picture, overlay)
 
-    def _with_overlay(self, picture: NDArray[np.uint8], overlay: Overlay) -> NDArray[np.uint8]:
+    def _with_overlay(
+        self, picture: NDArray[np.uint8], overlay: Overlay
+    ) -> NDArray[np.uint8]:
         """Return a picture with an overlay.
 
         MuJoCo lets all that it draws cast shadows. An overlay must cast none, so its pixels are those that it changes
@@ -176,33 +224,57 @@ class SceneRenderer:
         marked = self._rendered()
         self._drawing.flags[shadow] = had_shadows
         # Software rasterizers round a pixel now and then by one level.
-        touched = (np.abs(marked.astype(np.int16) - bare) > 1).any(axis=2, keepdims=True)
+        touched = (np.abs(marked.astype(np.int16) - bare) > 1).any(
+            axis=2, keepdims=True
+        )
         return np.where(touched, marked, picture)
 
     def _rendered(self) -> NDArray[np.uint8]:
-        pixels = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
+        pixels = np.empty(
+            (self._viewport.height, self._viewport.width, 3), dtype=np.uint8
+        )
         mujoco.mjr_render(self._viewport, self._drawing, self._device)
         mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
         return np.ascontiguousarray(pixels[::-1])
 
     def _add_lines(self, nodes_m: Mapping[str, FloatArray]) -> None:
         """Add strings, ropes and rods; far ones are drawn thicker than they are, so that they stay visible."""
-        radius_m = max(STRING_RADIUS_M if self._flat is not None else 0.0, self._least_radius_m)
+        radius_m = max(
+            STRING_RADIUS_M if self._flat is not None else 0.0, self._least_radius_m
+        )
         for joint in self._scene.joints:
             end = self._data.mocap_pos[self._mocap_ids[joint.body]]
-            _add_tube(self._drawing, np.asarray(joint.anchor_m), end, radius_m=radius_m, color=STRING.color)
+            _add_tube(
+                self._drawing,
+                np.asarray(joint.anchor_m),
+                end,
+                radius_m=radius_m,
+                color=STRING.color,
+            )
         # The links of a chain on the world, whose bodies need not touch.
         for hinge in self._scene.body_hinges if self._scene.hung else ():
-            first, second = (self._mocap_ids[name] for name in (hinge.first, hinge.second))
-            anchor_m = self._scene.body(hinge.first).pose.to_body(np.asarray(hinge.anchor_m))
+            first, second = (
+                self._mocap_ids[name] for name in (hinge.first, hinge.second)
+            )
+            anchor_m = self._scene.body(hinge.first).pose.to_body(
+                np.asarray(hinge.anchor_m)
+            )
             turn = Rotation.from_quat(self._data.mocap_quat[first], scalar_first=True)
             middle = self._data.mocap_pos[first] + turn.apply(anchor_m)
             for end in (self._data.mocap_pos[first], self._data.mocap_pos[second]):
-                _add_tube(self._drawing, middle, end, radius_m=radius_m, color=STRING.color)
+                _add_tube(
+                    self._drawing, middle, end, radius_m=radius_m, color=STRING.color
+                )
         for line in self._lines:
             radius_m = max(line.radius_m, self._least_radius_m)
             for start, end in pairwise(nodes_m[line.name]):
-                _add_tube(self._drawing, start, end, radius_m=radius_m, color=self._looks[line.name].color)
+                _add_tube(
+                    self._drawing,
+                    start,
+                    end,
+                    radius_m=radius_m,
+                    color=self._looks[line.name].color,
+                )
 
     def _drawing_of(self, geom_count: int) -> mujoco.MjvScene:
         """Return an empty drawing with room for a number of shapes."""
@@ -221,30 +293,52 @@ class SceneRenderer:
 # --- what is drawn after the bodies ---
 
 
-def _add_tube(drawing: mujoco.MjvScene, start: FloatArray, end: FloatArray, *, radius_m: float, color: Color) -> None:
+def _add_tube(
+    drawing: mujoco.MjvScene,
+    start: FloatArray,
+    end: FloatArray,
+    *,
+    radius_m: float,
+    color: Color,
+) -> None:
     """Add a straight tube with round ends between two points [m], shape [3] each."""
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE
     geom = _next_geom(drawing)
-    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(color, dtype=np.float32))
+    mujoco.mjv_initGeom(
+        geom,
+        kind,
+        np.zeros(3),
+        np.zeros(3),
+        np.eye(3).ravel(),
+        np.array(color, dtype=np.float32),
+    )
     mujoco.mjv_connector(geom, kind, radius_m, start, end)
 
 
-def _add_ball(drawing: mujoco.MjvScene, centre: FloatArray, *, radius_m: float, color: Color) -> None:
+def _add_ball(
+    drawing: mujoco.MjvScene, centre: FloatArray, *, radius_m: float, color: Color
+) -> None:
     """Add a ball around a point [m], shape [3]."""
     kind = mujoco.mjtGeom.mjGEOM_SPHERE
     geom = _next_geom(drawing)
     size = np.full(3, radius_m)
-    mujoco.mjv_initGeom(geom, kind, size, centre, np.eye(3).ravel(), np.array(color, dtype=np.float32))
+    mujoco.mjv_initGeom(
+        geom, kind, size, centre, np.eye(3).ravel(), np.array(color, dtype=np.float32)
+    )
     # Light of its own keeps the colour of a small ball readable in the shade.
     geom.emission = 0.4
 
 
 def _overlay_geom_count(model: mujoco.MjModel, overlay: Overlay) -> int:
     """Return the number of shapes of an overlay."""
-    return overlay.geom_count + sum(int(model.body(_known(model, name)).geomnum[0]) for name in overlay.ghosts)
+    return overlay.geom_count + sum(
+        int(model.body(_known(model, name)).geomnum[0]) for name in overlay.ghosts
+    )
 
 
-def _add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overlay, *, pixel_m: float) -> None:
+def _add_overlay(
+    drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overlay, *, pixel_m: float
+) -> None:
     """Add an overlay to a drawing that has room for `_overlay_geom_count` more shapes.
 
     Args:
@@ -266,32 +360,46 @@ def _add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overl
     ):
         for start, end in (pair for path in paths for pair in pairwise(path)):
             if np.isfinite([start, end]).all():
-                _add_tube(drawing, start, end, radius_m=radius_px * pixel_m, color=color)
+                _add_tube(
+                    drawing, start, end, radius_m=radius_px * pixel_m, color=color
+                )
                 drawing.geoms[drawing.ngeom - 1].emission = 0.4
     for name, pose in overlay.ghosts.items():
         if np.isfinite(pose).all():
             ahead = GHOST_AHEAD_PX * pixel_m * _to_camera(drawing, pose[:3])
-            _add_ghost(drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]]))
+            _add_ghost(
+                drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]])
+            )
 
 
 def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
     """Return the unit vector from a point [m] to the camera of a drawing, shape [3]."""
     # A drawing has a camera for each eye; a picture is taken from between them.
     left, right = drawing.camera
-    way = -left.forward.astype(np.float64) if left.orthographic else 0.5 * (left.pos + right.pos) - point_m
+    way = (
+        -left.forward.astype(np.float64)
+        if left.orthographic
+        else 0.5 * (left.pos + right.pos) - point_m
+    )
     return way / np.linalg.norm(way)
 
 
-def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray) -> None:
+def _add_ghost(
+    drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray
+) -> None:
     turn = Rotation.from_quat(pose[3:], scalar_first=True)
     body = model.body(_known(model, name))
     for index in range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0])):
         place = pose[:3] + turn.apply(model.geom_pos[index])
-        axes = (turn * Rotation.from_quat(model.geom_quat[index], scalar_first=True)).as_matrix()
+        axes = (
+            turn * Rotation.from_quat(model.geom_quat[index], scalar_first=True)
+        ).as_matrix()
         geom = _next_geom(drawing)
         kind = mujoco.mjtGeom(int(model.geom_type[index]))
         rgba = np.array((*RECORDED_COLOR[:3], GHOST_OPACITY), dtype=np.float32)
-        mujoco.mjv_initGeom(geom, kind, model.geom_size[index], place, axes.ravel(), rgba)
+        mujoco.mjv_initGeom(
+            geom, kind, model.geom_size[index], place, axes.ravel(), rgba
+        )
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             # A drawing numbers each mesh twice: as itself, then as its convex hull.
             geom.dataid = 2 * int(model.geom_dataid[index])

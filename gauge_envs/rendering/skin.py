@@ -40,11 +40,21 @@ class Skin:
         self.name = body.name
         local = body.pose.to_body(rest_m)
         is_sheet = isinstance(body, Cloth)
-        sides = [Delaunay(local[:, :2]).simplices.astype(np.intp)] if is_sheet else _sides(local)
+        sides = (
+            [Delaunay(local[:, :2]).simplices.astype(np.intp)]
+            if is_sheet
+            else _sides(local)
+        )
         self.faces = np.concatenate(sides)
         # A vertex has one normal, so that front and back of a sheet, and each side of a block, have their own.
-        patches = [(side, 1.0) for side in sides] + ([(sides[0][:, ::-1], -1.0)] if is_sheet else [])
-        self._half_m = max(0.5 * body.thickness_m, SHEET_HALF_M) if isinstance(body, Cloth) else 0.0
+        patches = [(side, 1.0) for side in sides] + (
+            [(sides[0][:, ::-1], -1.0)] if is_sheet else []
+        )
+        self._half_m = (
+            max(0.5 * body.thickness_m, SHEET_HALF_M)
+            if isinstance(body, Cloth)
+            else 0.0
+        )
         nodes, faces, first = [], [], 0
         for patch, _ in patches:
             used, renumbered = np.unique(patch, return_inverse=True)
@@ -66,7 +76,11 @@ class Skin:
         )
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         geom = spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, name=mesh.name, rgba=look.color, material=material
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=mesh.name,
+            name=mesh.name,
+            rgba=look.color,
+            material=material,
         )
         geom.contype = geom.conaffinity = 0
 
@@ -79,10 +93,15 @@ class Skin:
         # Frustum culling uses the rest shape, which the body leaves.
         model.geom_rbound[geom] = 100.0
 
-    def upload(self, model: mujoco.MjModel, device: mujoco.MjrContext, nodes_m: FloatArray) -> None:
+    def upload(
+        self, model: mujoco.MjModel, device: mujoco.MjrContext, nodes_m: FloatArray
+    ) -> None:
         """Move the mesh to the nodes [m], shape [node_count, 3]."""
         vertices, normals = self._surface(nodes_m)
-        first, first_normal = model.mesh_vertadr[self._mesh], model.mesh_normaladr[self._mesh]
+        first, first_normal = (
+            model.mesh_vertadr[self._mesh],
+            model.mesh_normaladr[self._mesh],
+        )
         model.mesh_vert[first : first + len(vertices)] = vertices
         model.mesh_normal[first_normal : first_normal + len(normals)] = normals
         mujoco.mjr_uploadMesh(model, device, self._mesh)
@@ -100,7 +119,9 @@ class Skin:
         for corner in range(3):
             np.add.at(normals, self._faces[:, corner], across)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(length > 0.0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
+        normals = np.where(
+            length > 0.0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0]
+        )
         return vertices + self._half_m * normals, normals
 
 
@@ -114,13 +135,18 @@ def _sides(local_m: FloatArray) -> list[NDArray[np.intp]]:
     sides = list(_box_sides(local_m, low, high))
     if len(sides) == 6:
         corners = (local_m - low)[np.concatenate(sides)]
-        volume = np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
+        volume = (
+            np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+            / 6.0
+        )
         if abs(volume - np.prod(high - low)) <= CLOSED * np.prod(high - low):
             return sides
     return [_boundary_faces(local_m)]
 
 
-def _box_sides(local_m: FloatArray, low: FloatArray, high: FloatArray) -> Iterator[NDArray[np.intp]]:
+def _box_sides(
+    local_m: FloatArray, low: FloatArray, high: FloatArray
+) -> Iterator[NDArray[np.intp]]:
     within = ON_SIDE * float((high - low).max())
     for axis in range(3):
         for end, outward in ((low, -1.0), (high, 1.0)):
@@ -131,15 +157,23 @@ def _box_sides(local_m: FloatArray, low: FloatArray, high: FloatArray) -> Iterat
             except (QhullError, ValueError):
                 return
             corners = local_m[faces]
-            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, axis]
-            yield np.where((across * outward < 0.0)[:, None], faces[:, ::-1], faces).astype(np.intp)
+            across = np.cross(
+                corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+            )[:, axis]
+            yield np.where(
+                (across * outward < 0.0)[:, None], faces[:, ::-1], faces
+            ).astype(np.intp)
 
 
 def _boundary_faces(local_m: FloatArray) -> NDArray[np.intp]:
     """Return the faces that belong to one tetrahedron only, with outward normals."""
     cells = Delaunay(local_m).simplices
-    faces = np.concatenate([cells[:, kept] for kept in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    faces = np.concatenate(
+        [cells[:, kept] for kept in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])]
+    )
+    _, first, count = np.unique(
+        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+    )
     outer: NDArray[np.intp] = faces[first[count == 1]].astype(np.intp)
     corners = local_m[outer]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

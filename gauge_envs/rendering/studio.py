@@ -10,7 +10,16 @@ from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View
 from gauge_envs.rendering.materials import Look, look_of
 from gauge_envs.rendering.skin import Skin
-from gauge_envs.scene import Attachment, Box, Cylinder, Motion, Plane, RigidBody, Scene, SoftBody
+from gauge_envs.scene import (
+    Attachment,
+    Box,
+    Cylinder,
+    Motion,
+    Plane,
+    RigidBody,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.geometry import FloatArray
 
 GRID_PITCHES_M = (0.025, 0.1)
@@ -91,7 +100,9 @@ def studio_model(
 
 
 def _add_body(spec: mujoco.MjSpec, scene: Scene, body: RigidBody, look: Look) -> None:
-    frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
+    frame = spec.worldbody.add_body(
+        name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True
+    )
     if not isinstance(body.shape, Box | Cylinder) or len(scene.bodies) > MOST_GRAINED:
         # The grain of a mesh radiates from its middle, which looks like no wood; on many bodies it costs time.
         look = replace(look, has_grain=False)
@@ -108,7 +119,12 @@ def _add_body(spec: mujoco.MjSpec, scene: Scene, body: RigidBody, look: Look) ->
 
 
 def _add_gripped(
-    spec: mujoco.MjSpec, scene: Scene, attachment: Attachment, block: SoftBody, rest_m: FloatArray, look: Look
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    attachment: Attachment,
+    block: SoftBody,
+    rest_m: FloatArray,
+    look: Look,
 ) -> None:
     """Add the material of a block in a grip to the body that holds it.
 
@@ -168,9 +184,14 @@ def _lights(view: View) -> list[tuple[str, FloatArray, float, float]]:
     lights = []
     for number, (to_right, to_back) in enumerate(KEY_DIRECTIONS):
         key = down + to_right * right + to_back * level
-        lights.append((f"key-{number}", key, KEY / len(KEY_DIRECTIONS), 0.5 / len(KEY_DIRECTIONS)))
+        lights.append(
+            (f"key-{number}", key, KEY / len(KEY_DIRECTIONS), 0.5 / len(KEY_DIRECTIONS))
+        )
     lights.append(("fill", forward - 0.5 * right, FILL, 0.1))
-    return [(name, way / np.linalg.norm(way), light, highlight) for name, way, light, highlight in lights]
+    return [
+        (name, way / np.linalg.norm(way), light, highlight)
+        for name, way, light, highlight in lights
+    ]
 
 
 def _add_light(spec: mujoco.MjSpec, view: View) -> None:
@@ -207,7 +228,11 @@ def _add_ground(spec: mujoco.MjSpec, view: View) -> None:
     for lines in (cell, cell.transpose(1, 0, 2)):
         lines[: half + 1] = lines[-half:] = GRID_LINE
     texture = spec.add_texture(
-        name="ground", type=mujoco.mjtTexture.mjTEXTURE_2D, width=TEXELS, height=TEXELS, nchannel=3
+        name="ground",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=TEXELS,
+        height=TEXELS,
+        nchannel=3,
     )
     texture.data = (255.0 * cell).round().astype(np.uint8).tobytes()
     lit = AMBIENT - sum(light * way[2] for _, way, light, _ in _lights(view))
@@ -232,7 +257,13 @@ def _material(spec: mujoco.MjSpec, look: Look) -> str:
     if look.has_grain:
         _add_grain(spec)
         grain = {"textures": material_textures("grain")}
-    spec.add_material(name=name, specular=look.specular, shininess=look.shininess, reflectance=0.0, **grain)
+    spec.add_material(
+        name=name,
+        specular=look.specular,
+        shininess=look.shininess,
+        reflectance=0.0,
+        **grain,
+    )
     return name
 
 
@@ -242,10 +273,16 @@ def _add_grain(spec: mujoco.MjSpec) -> None:
     cycles = np.fft.fftfreq(GRAIN_TEXELS)
     along, across = np.meshgrid(cycles, cycles, indexing="xy")
     noise = np.fft.fft2(rng.normal(size=(GRAIN_TEXELS, GRAIN_TEXELS)))
-    smooth = np.real(np.fft.ifft2(noise * np.exp(-((90.0 * along) ** 2) - (7.0 * across) ** 2)))
+    smooth = np.real(
+        np.fft.ifft2(noise * np.exp(-((90.0 * along) ** 2) - (7.0 * across) ** 2))
+    )
     brightness = np.clip(0.96 + 0.03 * smooth / smooth.std(), 0.8, 1.0)
     texture = spec.add_texture(
-        name="grain", type=mujoco.mjtTexture.mjTEXTURE_CUBE, width=GRAIN_TEXELS, height=GRAIN_TEXELS, nchannel=3
+        name="grain",
+        type=mujoco.mjtTexture.mjTEXTURE_CUBE,
+        width=GRAIN_TEXELS,
+        height=GRAIN_TEXELS,
+        nchannel=3,
     )
     face = np.repeat((255.0 * brightness).astype(np.uint8)[:, :, None], 3, axis=2)
     texture.data = face.tobytes()

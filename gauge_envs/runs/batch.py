@@ -34,14 +34,18 @@ CHECK_LIMIT_S = 120.0
 _log = logging.getLogger(__name__)
 
 
-def check_requests(requests: Sequence[RunRequest], *, isolate: bool | None = False) -> None:
+def check_requests(
+    requests: Sequence[RunRequest], *, isolate: bool | None = False
+) -> None:
     """Raise an error that would otherwise fail every episode of a run.
 
     Args:
         requests: The run, on one or several backends.
         isolate: As for `run_many`. An engine that crashes here fails each of its episodes later.
     """
-    by_backend: dict[str, list[tuple[RunRequest, Experiment]]] = {request.backend: [] for request in requests}
+    by_backend: dict[str, list[tuple[RunRequest, Experiment]]] = {
+        request.backend: [] for request in requests
+    }
     refused = None
     for request in requests:
         try:
@@ -64,7 +68,9 @@ def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> 
     if runs and runs[0][0].asset is not None:
         check_support(runs[0][1], name)
     for request, experiment in runs:
-        if request.settings and support_of(name, experiment.scene, experiment.model_file):
+        if request.settings and support_of(
+            name, experiment.scene, experiment.model_file
+        ):
             with engine_call(name, "build"):
                 engine.build(experiment.scene, request.settings).close()
             return
@@ -103,14 +109,27 @@ def run_many(
     """
     limits = Limits(time_limit_s, memory_limit_gb, isolate=bool(isolate))
     workers: list[LocalWorker | ProcessWorker]
-    workers = [LocalWorker(limits, isolate=isolate)] if jobs == 1 else [ProcessWorker(limits) for _ in range(jobs)]
-    tasks = [_Task(number, replace(request, jitter=request.scatter)) for number, request in enumerate(requests)]
+    workers = (
+        [LocalWorker(limits, isolate=isolate)]
+        if jobs == 1
+        else [ProcessWorker(limits) for _ in range(jobs)]
+    )
+    tasks = [
+        _Task(number, replace(request, jitter=request.scatter))
+        for number, request in enumerate(requests)
+    ]
     for task in tasks:
         # An experiment that does not exist is an error of the caller.
         task.request.calibrated_experiment()
     if out is not None:
         check_writable(out)
-    return _in_order(run_tasks(tasks, workers, partial(_results_of, out=out, notify=notify if resume else None)))
+    return _in_order(
+        run_tasks(
+            tasks,
+            workers,
+            partial(_results_of, out=out, notify=notify if resume else None),
+        )
+    )
 
 
 @dataclass(frozen=True)
@@ -126,7 +145,9 @@ class _Task:
         return self.request.backend
 
 
-def _in_order(done: Generator[tuple[int, list[Result]], None, None]) -> Iterator[Result]:
+def _in_order(
+    done: Generator[tuple[int, list[Result]], None, None],
+) -> Iterator[Result]:
     """Yield the results of requests in the order of their numbers."""
     complete: dict[int, list[Result]] = {}
     next_number = 0
@@ -139,7 +160,11 @@ def _in_order(done: Generator[tuple[int, list[Result]], None, None]) -> Iterator
 
 
 def _results_of(
-    worker: LocalWorker | ProcessWorker, task: _Task, *, out: Path | None, notify: Notify | None
+    worker: LocalWorker | ProcessWorker,
+    task: _Task,
+    *,
+    out: Path | None,
+    notify: Notify | None,
 ) -> tuple[int, list[Result]]:
     """Return the results of a request: those in a folder if all of them are there, else new ones, which are written.
 
@@ -154,7 +179,10 @@ def _results_of(
     planned = planned_results(task.request)
     files = [out / result_file_name(one) for one in planned]
     if notify is not None:
-        earlier = [_earlier_result(file, one, worker, notify) for file, one in zip(files, planned, strict=True)]
+        earlier = [
+            _earlier_result(file, one, worker, notify)
+            for file, one in zip(files, planned, strict=True)
+        ]
         taken = [result for result in earlier if result is not None]
         if len(taken) == len(files):
             return task.number, taken
@@ -168,7 +196,11 @@ def _results_of(
 def check_writable(out: Path) -> None:
     """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
     probe = out / f".probe.{os.getpid()}.tmp"
-    with os_errors(lambda cause: ResultFileError(f"{out}: results cannot be written there: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(
+            f"{out}: results cannot be written there: {cause}"
+        )
+    ):
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
@@ -193,7 +225,9 @@ SAME_EPISODE = (
 """Fields of a result that identify its episode."""
 
 
-def _earlier_result(file: Path, wanted: Result, worker: LocalWorker | ProcessWorker, notify: Notify) -> Result | None:
+def _earlier_result(
+    file: Path, wanted: Result, worker: LocalWorker | ProcessWorker, notify: Notify
+) -> Result | None:
     """Return the result in a file if it is of the same episode and versions, or None."""
     if not file.exists():
         return None
@@ -209,11 +243,15 @@ def _earlier_result(file: Path, wanted: Result, worker: LocalWorker | ProcessWor
     try:
         engine = {} if wanted.backend is None else worker.versions(wanted.backend)
     except GaugeError as error:
-        notify(f"{file}: the versions of {wanted.backend} are unknown: {error}; run again")
+        notify(
+            f"{file}: the versions of {wanted.backend} are unknown: {error}; run again"
+        )
         return None
     for package, now in {**engine, "gauge-envs": wanted.versions["gauge-envs"]}.items():
         if found.versions.get(package) != now:
-            notify(f"{file}: made with {package} {found.versions.get(package)}, not {now}; run again")
+            notify(
+                f"{file}: made with {package} {found.versions.get(package)}, not {now}; run again"
+            )
             return None
     return found
 

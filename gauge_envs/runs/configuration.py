@@ -50,8 +50,14 @@ class RunConfiguration:
             settings_given=result.settings_given,
             jitter=result.jitter,
             marker_proxy=result.marker_proxy,
-            asset={key: result.asset[key] for key in ("file", "sha256")} if result.is_edited else {},
-            engine_versions={name: text for name, text in result.versions.items() if name not in common},
+            asset={key: result.asset[key] for key in ("file", "sha256")}
+            if result.is_edited
+            else {},
+            engine_versions={
+                name: text
+                for name, text in result.versions.items()
+                if name not in common
+            },
         )
 
     @property
@@ -59,10 +65,14 @@ class RunConfiguration:
         """Whose physics an engine of this package shows, by `Backend.whose_physics`; else empty."""
         if self.backend is None or not is_bundled(self.backend):
             return ""
-        return uninstalled_backend(self.backend).whose_physics(str(self.settings_given.get("preset", "")))
+        return uninstalled_backend(self.backend).whose_physics(
+            str(self.settings_given.get("preset", ""))
+        )
 
 
-def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfiguration, list[Result]]]:
+def group_by_configuration(
+    results: Iterable[Result],
+) -> list[tuple[RunConfiguration, list[Result]]]:
     """Return configurations with their results, sorted by engine, calibrated parameters and default settings first.
 
     A result of an episode that did not run has no versions of the engine. It joins the first configuration that agrees
@@ -72,7 +82,14 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfigura
     groups: list[tuple[RunConfiguration, list[Result]]] = []
     for result in ordered:
         wanted = RunConfiguration.of(result)
-        found = next((members for one, members in groups if _same(one, wanted, ran=result.error is None)), None)
+        found = next(
+            (
+                members
+                for one, members in groups
+                if _same(one, wanted, ran=result.error is None)
+            ),
+            None,
+        )
         if found is None:
             groups.append((wanted, [result]))
         else:
@@ -82,7 +99,12 @@ def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfigura
 
 def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
     changes = (one.settings_given, one.jitter, one.asset, one.engine_versions)
-    changed = len(one.settings_given) + len(one.jitter) + (one.marker_proxy != MarkerProxy.MATERIAL) + bool(one.asset)
+    changed = (
+        len(one.settings_given)
+        + len(one.jitter)
+        + (one.marker_proxy != MarkerProxy.MATERIAL)
+        + bool(one.asset)
+    )
     return (
         one.backend or "",
         one.parameters != "calibrated",
@@ -92,6 +114,13 @@ def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
 
 
 def _same(one: RunConfiguration, other: RunConfiguration, *, ran: bool) -> bool:
-    keys = ("backend", "parameters", "settings_given", "jitter", "marker_proxy", "asset")
+    keys = (
+        "backend",
+        "parameters",
+        "settings_given",
+        "jitter",
+        "marker_proxy",
+        "asset",
+    )
     alike = all(getattr(one, key) == getattr(other, key) for key in keys)
     return alike and (not ran or one.engine_versions == other.engine_versions)

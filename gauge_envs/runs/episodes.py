@@ -10,7 +10,13 @@ import gymnasium
 
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.backends.settings import settings_record
-from gauge_envs.envs.arguments import EnvArguments, TrialStart, check_support, jittered_experiment, start_of
+from gauge_envs.envs.arguments import (
+    EnvArguments,
+    TrialStart,
+    check_support,
+    jittered_experiment,
+    start_of,
+)
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
@@ -55,17 +61,26 @@ def run_episodes(request: RunRequest) -> list[Result]:
     experiment = request.experiment()
     seeds = range(request.seed, request.seed + request.repeats)
     together = request.repeats > 1 or request.jitter is not None
-    starts = [start_of(experiment, request.jitter, seed=seed) or (Jitter() if together else None) for seed in seeds]
+    starts = [
+        start_of(experiment, request.jitter, seed=seed)
+        or (Jitter() if together else None)
+        for seed in seeds
+    ]
     runs = [
         jittered_experiment(experiment, start, seed=seed, backend=request.backend)
         for start, seed in zip(starts, seeds, strict=True)
     ]
     check_support(runs[0], request.backend)
-    lockstep = episodes_in_lockstep(request, runs, experiment, request.band(experiment), together=together)
+    lockstep = episodes_in_lockstep(
+        request, runs, experiment, request.band(experiment), together=together
+    )
     try:
         began_s = time.perf_counter(), time.process_time()
         lockstep.play(request.seed)
-        wall_s, cpu_s = time.perf_counter() - began_s[0], time.process_time() - began_s[1]
+        wall_s, cpu_s = (
+            time.perf_counter() - began_s[0],
+            time.process_time() - began_s[1],
+        )
         results = [
             _finished(
                 # The grade is that of the calibrated start: a law may not hold for another one.
@@ -75,14 +90,20 @@ def run_episodes(request: RunRequest) -> list[Result]:
                 engine_versions=versions_of(request.backend),
                 times_s=(wall_s / len(starts), cpu_s / len(starts)),
             )
-            for seed, start, episode in zip(seeds, starts, lockstep.episodes, strict=True)
+            for seed, start, episode in zip(
+                seeds, starts, lockstep.episodes, strict=True
+            )
         ]
     finally:
         lockstep.worlds.close()
-    return with_measured_uncertainty(request, results) if request.uncertainty else results
+    return (
+        with_measured_uncertainty(request, results) if request.uncertainty else results
+    )
 
 
-def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) -> list[Result]:
+def with_measured_uncertainty(
+    request: RunRequest, results: Sequence[Result]
+) -> list[Result]:
     """Return results of a request scored with sensitivities that are measured for it.
 
     The sensitivities of a calibrated experiment with the engine's default settings are stored in the user's data
@@ -94,19 +115,30 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
     """
     experiment = request.experiment()
     band = request.band(experiment)
-    if band is None or not any(result.outcome is Outcome.FINISHED for result in results):
+    if band is None or not any(
+        result.outcome is Outcome.FINISHED for result in results
+    ):
         return list(results)
     from gauge_envs.runs.sensitivity import measure_sensitivities
 
     measured = measure_sensitivities(request)
-    if not request.settings and request.parameters == "calibrated" and request.asset is None:
+    if (
+        not request.settings
+        and request.parameters == "calibrated"
+        and request.asset is None
+    ):
         write_sensitivities(measured)
     rescored = []
     for result in results:
         if result.outcome is Outcome.FINISHED and result.trajectory is not None:
             times_s, values = result.trajectory.arrays(later=True)
             score = score_trajectory(
-                experiment, band, times_s=times_s, values=values, backend=request.backend, sensitivities=measured
+                experiment,
+                band,
+                times_s=times_s,
+                values=values,
+                backend=request.backend,
+                sensitivities=measured,
             )
             result = replace(result, score=score)
         rescored.append(result)
@@ -121,7 +153,12 @@ def planned_results(request: RunRequest) -> list[Result]:
     """
     calibrated = request.calibrated_experiment()
     return [
-        planned_result(request, calibrated, seed=seed, jitter=start_of(calibrated, request.jitter, seed=seed))
+        planned_result(
+            request,
+            calibrated,
+            seed=seed,
+            jitter=start_of(calibrated, request.jitter, seed=seed),
+        )
         for seed in range(request.seed, request.seed + request.repeats)
     ]
 
@@ -146,23 +183,37 @@ def run_request(request: RunRequest) -> list[Result]:
         if request.jitter is not None:
             jittered(experiment.scene, request.jitter, seed=0)
     except GaugeError as error:
-        outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
+        outcome = (
+            Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
+        )
         return not_run(planned, outcome, str(error))
     try:
         return run_episodes(request)
     except GaugeError as error:
-        outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
+        outcome = (
+            Outcome.DECLINED
+            if isinstance(error, UnsupportedSceneError)
+            else Outcome.FAILED
+        )
         return not_run(planned, outcome, str(error))
     except KeyboardInterrupt:
         raise
     # An engine may raise any error, SystemExit included, and the other episodes must still run.
     except BaseException as error:
         _log.exception("%s on %s", planned[0].id, request.backend)
-        return not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": "))
+        return not_run(
+            planned,
+            Outcome.FAILED,
+            f"{type(error).__name__}: {error}".removesuffix(": "),
+        )
 
 
 def episode_result(
-    env: gymnasium.Env[Any, Any], info: Mapping[str, Any], *, wall_s: float | None = None, cpu_s: float | None = None
+    env: gymnasium.Env[Any, Any],
+    info: Mapping[str, Any],
+    *,
+    wall_s: float | None = None,
+    cpu_s: float | None = None,
 ) -> Result:
     """Return the result of an episode that has just ended.
 
@@ -176,12 +227,24 @@ def episode_result(
 
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
-    planned = planned_result(inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter)
-    return _finished(planned, inner.episode, info["score"], engine_versions=inner.versions, times_s=(wall_s, cpu_s))
+    planned = planned_result(
+        inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter
+    )
+    return _finished(
+        planned,
+        inner.episode,
+        info["score"],
+        engine_versions=inner.versions,
+        times_s=(wall_s, cpu_s),
+    )
 
 
 def planned_result(
-    arguments: EnvArguments, experiment: Experiment, *, seed: int | None, jitter: Jitter | TrialStart | None
+    arguments: EnvArguments,
+    experiment: Experiment,
+    *,
+    seed: int | None,
+    jitter: Jitter | TrialStart | None,
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -197,8 +260,15 @@ def planned_result(
     return Result(
         id=experiment.id,
         outcome=Outcome.FAILED,
-        parameters=(parameters if isinstance(parameters, str) else json_ready(parameters)) or "calibrated",
-        score=Score(grade=grade.value, unit=experiment.score.observable.unit, edited=experiment.edited),
+        parameters=(
+            parameters if isinstance(parameters, str) else json_ready(parameters)
+        )
+        or "calibrated",
+        score=Score(
+            grade=grade.value,
+            unit=experiment.score.observable.unit,
+            edited=experiment.edited,
+        ),
         task_sha256=experiment.file_sha256,
         revision=experiment.revision,
         backend=arguments.backend,
@@ -207,7 +277,11 @@ def planned_result(
         jitter=jitter.to_dict() if jitter else {},
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
-        dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
+        dataset=dataset_record(
+            experiment.name,
+            drivers=experiment.drivers,
+            reference=experiment.reference_source,
+        ),
         asset=asset_record(experiment),
         error="not run",
     )

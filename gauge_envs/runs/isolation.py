@@ -58,16 +58,26 @@ class Worker:
     """
 
     def __init__(
-        self, time_limit_s: float = TIME_LIMIT_S, memory_limit_gb: float | None = None, *, single_thread: bool = False
+        self,
+        time_limit_s: float = TIME_LIMIT_S,
+        memory_limit_gb: float | None = None,
+        *,
+        single_thread: bool = False,
     ) -> None:
         # A comparison with NaN is false.
         if not 0.0 < time_limit_s <= threading.TIMEOUT_MAX:
-            raise ParameterError(f"time limit is {time_limit_s} s, expected a positive number of seconds")
+            raise ParameterError(
+                f"time limit is {time_limit_s} s, expected a positive number of seconds"
+            )
         if memory_limit_gb is not None:
             if not memory_limit_gb > 0.0:
-                raise ParameterError(f"memory limit is {memory_limit_gb} GB, expected a positive number")
+                raise ParameterError(
+                    f"memory limit is {memory_limit_gb} GB, expected a positive number"
+                )
             if _memory_gb(os.getpid()) == 0.0:
-                raise ParameterError("a memory limit needs /proc, which Linux alone has: leave it out on this system")
+                raise ParameterError(
+                    "a memory limit needs /proc, which Linux alone has: leave it out on this system"
+                )
         self._time_limit_s = time_limit_s
         self._memory_limit_gb = memory_limit_gb
         self._environment: Mapping[str, str] = ONE_THREAD if single_thread else {}
@@ -76,10 +86,20 @@ class Worker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
         self.close()
 
-    def call(self, function: Callable[Parameters, Value], *args: Parameters.args, **kwargs: Parameters.kwargs) -> Value:
+    def call(
+        self,
+        function: Callable[Parameters, Value],
+        *args: Parameters.args,
+        **kwargs: Parameters.kwargs,
+    ) -> Value:
         """Return what a function returns in the process.
 
         Args:
@@ -176,9 +196,18 @@ class _Watch:
         reason: The limit that the process exceeded; empty if it did not.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], time_limit_s: float, memory_limit_gb: float | None) -> None:
+    def __init__(
+        self,
+        process: subprocess.Popen[bytes],
+        time_limit_s: float,
+        memory_limit_gb: float | None,
+    ) -> None:
         self.reason = ""
-        self._process, self._time_limit_s, self._memory_limit_gb = process, time_limit_s, memory_limit_gb
+        self._process, self._time_limit_s, self._memory_limit_gb = (
+            process,
+            time_limit_s,
+            memory_limit_gb,
+        )
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -192,11 +221,19 @@ class _Watch:
         end_s = time.monotonic() + self._time_limit_s
         while not self.reason:
             left_s = end_s - time.monotonic()
-            if self._is_over.wait(max(0.0, left_s if self._memory_limit_gb is None else min(left_s, LOOK_S))):
+            if self._is_over.wait(
+                max(
+                    0.0,
+                    left_s if self._memory_limit_gb is None else min(left_s, LOOK_S),
+                )
+            ):
                 return
             if time.monotonic() >= end_s:
                 self.reason = f"the engine did not finish within the time limit of {self._time_limit_s:g} s"
-            elif self._memory_limit_gb is not None and _memory_gb(self._process.pid) > self._memory_limit_gb:
+            elif (
+                self._memory_limit_gb is not None
+                and _memory_gb(self._process.pid) > self._memory_limit_gb
+            ):
                 self.reason = f"the engine exceeded the memory limit of {self._memory_limit_gb:g} GB"
         self.reason += " and was stopped"
         _kill(self._process)
@@ -245,7 +282,9 @@ def _pickled(reply: tuple[str | None, Any]) -> bytes:
     try:
         return pickle.dumps(reply)
     except Exception as error:  # A value of an engine may raise any error here.
-        return pickle.dumps((f"the result cannot be pickled: {type(error).__name__}: {error}", None))
+        return pickle.dumps(
+            (f"the result cannot be pickled: {type(error).__name__}: {error}", None)
+        )
 
 
 def _reserved_streams() -> tuple[BinaryIO, BinaryIO]:

@@ -62,7 +62,9 @@ class ProcessWorker:
     """
 
     def __init__(self, limits: Limits, *, single_thread: bool = True) -> None:
-        self._process = Worker(limits.time_limit_s, limits.memory_limit_gb, single_thread=single_thread)
+        self._process = Worker(
+            limits.time_limit_s, limits.memory_limit_gb, single_thread=single_thread
+        )
         self._isolate = limits.isolate
         self._backend = ""
         self._is_closed = False
@@ -119,11 +121,19 @@ class LocalWorker:
 
     def run(self, request: RunRequest) -> list[Result]:
         """Return the results of a request."""
-        return self._process.run(request) if self._is_isolated(request.backend) else run_request(request)
+        return (
+            self._process.run(request)
+            if self._is_isolated(request.backend)
+            else run_request(request)
+        )
 
     def versions(self, backend: str) -> dict[str, str]:
         """Return the versions of an engine's packages."""
-        return self._process.versions(backend) if self._is_isolated(backend) else versions_of(backend)
+        return (
+            self._process.versions(backend)
+            if self._is_isolated(backend)
+            else versions_of(backend)
+        )
 
     def close(self) -> None:
         """End the other process for good."""
@@ -185,7 +195,9 @@ class TaskQueue(Generic[TaskT]):
 
 
 def run_tasks(
-    tasks: Iterable[TaskT], workers: Sequence[WorkerT], perform: Callable[[WorkerT, TaskT], Done]
+    tasks: Iterable[TaskT],
+    workers: Sequence[WorkerT],
+    perform: Callable[[WorkerT, TaskT], Done],
 ) -> Generator[Done, None, None]:
     """Yield what a function returns for each task, in the order in which they are complete.
 
@@ -206,7 +218,10 @@ def run_tasks(
         return
     outcomes: SimpleQueue[Done | _End] = SimpleQueue()
     threads = [
-        threading.Thread(target=_serve, args=(queue, worker, perform, outcomes), daemon=True) for worker in workers
+        threading.Thread(
+            target=_serve, args=(queue, worker, perform, outcomes), daemon=True
+        )
+        for worker in workers
     ]
     for thread in threads:
         thread.start()
@@ -237,7 +252,9 @@ class _End:
     error: BaseException | None = None
 
 
-def _performed(queue: TaskQueue[TaskT], worker: WorkerT, perform: Callable[[WorkerT, TaskT], Done]) -> Iterator[Done]:
+def _performed(
+    queue: TaskQueue[TaskT], worker: WorkerT, perform: Callable[[WorkerT, TaskT], Done]
+) -> Iterator[Done]:
     """Yield what a function returns for each task that a worker takes."""
     backend = None
     while (task := queue.take(backend)) is not None:

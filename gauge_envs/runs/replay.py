@@ -70,8 +70,12 @@ def replayed_experiment(result: Result) -> Experiment:
     """Return the experiment of a result with the scene and the start of its episode."""
     experiment = recorded_experiment(result)
     if result.asset.get("kind") == AssetKind.MODEL:
-        raise ReplayError(f"the scene is in the file {result.asset['file']}, which is no part of the result")
-    return jittered_experiment(experiment, _start(result), seed=result.seed or 0, backend=result.backend or "")
+        raise ReplayError(
+            f"the scene is in the file {result.asset['file']}, which is no part of the result"
+        )
+    return jittered_experiment(
+        experiment, _start(result), seed=result.seed or 0, backend=result.backend or ""
+    )
 
 
 def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
@@ -83,7 +87,9 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
             deformable ones.
     """
     if views_per_frame is not None and views_per_frame not in VIEWS_PER_FRAME:
-        raise ParameterError(f"views_per_frame is {views_per_frame!r}: choose 1, 2, 3 or 6")
+        raise ParameterError(
+            f"views_per_frame is {views_per_frame!r}: choose 1, 2, 3 or 6"
+        )
     if result.backend is None or result.trajectory is None:
         raise ReplayError("the result is of a trajectory file: no engine ran it")
     if result.error is not None:
@@ -95,12 +101,17 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
     experiment = replayed_experiment(result)
     check_support(experiment, result.backend)
     with engine_call(result.backend, "build"):
-        simulation = backend_for(result.backend, None).build(experiment.scene, result.settings_given or None)
+        simulation = backend_for(result.backend, None).build(
+            experiment.scene, result.settings_given or None
+        )
     try:
         with engine_call(result.backend, "advance"):
             simulation.reset(result.seed or 0)
             episode = Episode(
-                experiment, simulation, band=None, marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy")
+                experiment,
+                simulation,
+                band=None,
+                marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy"),
             )
             views = views_per_frame or default_views_per_frame(experiment.scene)
             recorded = _recorded(episode, experiment.scene, views)
@@ -115,7 +126,9 @@ def default_views_per_frame(scene: Scene) -> int:
     return 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
 
 
-def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = None) -> Replay:
+def load_or_replay(
+    result: Result, file: Path, *, views_per_frame: int | None = None
+) -> Replay:
     """Return the replay of a result file from the file beside it, or run it and write that file.
 
     The replay file holds the hash of the result file, so that it counts for that content alone. A folder that cannot be
@@ -144,8 +157,15 @@ def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = 
     if not is_default:
         return made
     stream = io.BytesIO()
-    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
-    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
+    arrays: dict[str, Any] = {
+        f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())
+    }
+    arrays |= {
+        "key": key,
+        "rate_hz": np.array([made.rate_hz]),
+        "poses": made.poses,
+        "markers_m": made.markers_m,
+    }
     np.savez_compressed(stream, **arrays)
     with suppress(OSError):
         write_whole(path, stream.getvalue())
@@ -188,7 +208,9 @@ def _recorded(episode: Episode, scene: Scene, views: int) -> Replay:
         rate_hz=FRAME_RATE_HZ * views,
         bodies=names,
         poses=np.array(poses, dtype=np.float32).reshape(len(poses), len(names), 7),
-        nodes_m={name: np.array(points, dtype=np.float32) for name, points in nodes.items()},
+        nodes_m={
+            name: np.array(points, dtype=np.float32) for name, points in nodes.items()
+        },
         markers_m=episode.trajectory().markers_m.astype(np.float32),
     )
 
@@ -207,22 +229,37 @@ def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) 
         for name, text in installed.items()
         if name in result.versions and result.versions[name] != text
     ]
-    cause = f"; versions: {', '.join(changed)}" if changed else "; the versions of the engine are the same"
+    cause = (
+        f"; versions: {', '.join(changed)}"
+        if changed
+        else "; the versions of the engine are the same"
+    )
     if stored.shape != now.shape:
         size = f"{len(now)} samples of {now.shape[1]} coordinates, the result has {len(stored)} of {stored.shape[1]}"
         raise ReplayError(f"the run again has {size}{cause}")
-    apart = np.nanmax(np.abs(stored - now)) if np.isfinite(stored - now).any() else np.nan
-    raise ReplayError(f"the run again differs from the result by up to {apart:.3g} {result.trajectory.unit}{cause}")
+    apart = (
+        np.nanmax(np.abs(stored - now)) if np.isfinite(stored - now).any() else np.nan
+    )
+    raise ReplayError(
+        f"the run again differs from the result by up to {apart:.3g} {result.trajectory.unit}{cause}"
+    )
 
 
 def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None:
     """Return the replay in a file; None without a file, or if it is damaged or of another result."""
     try:
         scene = recorded_experiment(result).scene
-        bodies = (*(body.name for body in scene.dynamic_bodies), *(driver.body for driver in scene.drivers))
-        names = {f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)}
+        bodies = (
+            *(body.name for body in scene.dynamic_bodies),
+            *(driver.body for driver in scene.drivers),
+        )
+        names = {
+            f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)
+        }
         wanted = ("key", "rate_hz", "poses", "markers_m", *names)
-        arrays = npz_arrays(read_regular(path, MAX_REPLAY_BYTES), wanted, MAX_REPLAY_BYTES)
+        arrays = npz_arrays(
+            read_regular(path, MAX_REPLAY_BYTES), wanted, MAX_REPLAY_BYTES
+        )
     except (OSError, ValueError, GaugeError):
         return None
     if len(arrays) < len(wanted) or not np.array_equal(arrays["key"], key):
@@ -231,7 +268,11 @@ def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None
     shapes_fit = arrays["poses"].shape == (views, len(bodies), 7) and all(
         arrays[name].ndim == 3 and len(arrays[name]) == views for name in names
     )
-    if not shapes_fit or arrays["rate_hz"].shape != (1,) or arrays["markers_m"].ndim != 3:
+    if (
+        not shapes_fit
+        or arrays["rate_hz"].shape != (1,)
+        or arrays["markers_m"].ndim != 3
+    ):
         return None
     return Replay(
         rate_hz=float(arrays["rate_hz"][0]),

@@ -44,7 +44,9 @@ class RunRequest(EnvArguments):
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise ParameterError(f"{name} is {value!r}, expected {least} or more")
         if not isinstance(self.jitter, Jitter | None):
-            raise ParameterError(f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter")
+            raise ParameterError(
+                f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter"
+            )
         if isinstance(self.variant, str) and not is_experiment_file(Path(self.variant)):
             object.__setattr__(self, "variant", find_variant(self.variant))
 
@@ -53,7 +55,10 @@ class RunRequest(EnvArguments):
         """The jitter that applies: the default one for repeats, unless they are single-shot trials with own starts."""
         if self.jitter is not None or self.repeats == 1:
             return self.jitter
-        has_starts = isinstance(self.variant, Variant) and single_shots(self.variant.name) is not None
+        has_starts = (
+            isinstance(self.variant, Variant)
+            and single_shots(self.variant.name) is not None
+        )
         return None if has_starts else Jitter()
 
     def calibrated_experiment(self) -> Experiment:

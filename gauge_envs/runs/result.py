@@ -55,15 +55,26 @@ class RecordedTrajectory:
     later_samples: list[list[float | None]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        for times_s, samples in ((self.times_s, self.samples), (self.later_times_s, self.later_samples)):
+        for times_s, samples in (
+            (self.times_s, self.samples),
+            (self.later_times_s, self.later_samples),
+        ):
             if len(samples) != len(times_s):
                 raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
-        if any(len(row) != len(self.coordinates) for row in (*self.samples, *self.later_samples)):
-            raise ValueError(f"a sample does not have {len(self.coordinates)} coordinates")
+        if any(
+            len(row) != len(self.coordinates)
+            for row in (*self.samples, *self.later_samples)
+        ):
+            raise ValueError(
+                f"a sample does not have {len(self.coordinates)} coordinates"
+            )
 
     @classmethod
     def of(
-        cls, experiment: Experiment, times_s: NDArray[np.float64], samples: NDArray[np.float64]
+        cls,
+        experiment: Experiment,
+        times_s: NDArray[np.float64],
+        samples: NDArray[np.float64],
     ) -> RecordedTrajectory:
         """Return the record of a generalized trajectory, split at the last frame.
 
@@ -72,7 +83,11 @@ class RecordedTrajectory:
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
         """
-        count = int(np.searchsorted(times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6))
+        count = int(
+            np.searchsorted(
+                times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6
+            )
+        )
         rows = json_ready(samples.tolist())
         return cls(
             unit=experiment.score.observable.unit,
@@ -83,14 +98,19 @@ class RecordedTrajectory:
             later_samples=rows[count:],
         )
 
-    def arrays(self, *, later: bool = False) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def arrays(
+        self, *, later: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None.
 
         Args:
             later: Whether to add the samples after the last frame.
         """
         times_s = [*self.times_s, *self.later_times_s] if later else self.times_s
-        samples = np.array([*self.samples, *self.later_samples] if later else self.samples, dtype=np.float64)
+        samples = np.array(
+            [*self.samples, *self.later_samples] if later else self.samples,
+            dtype=np.float64,
+        )
         return np.array(times_s), samples.reshape(len(times_s), len(self.coordinates))
 
 
@@ -156,7 +176,9 @@ class Result:
     driver_provenance: str | None = None
     dataset: dict[str, str] = field(default_factory=BUNDLED_DATA.copy)
     asset: dict[str, Any] = field(default_factory=dict)
-    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    created: str = field(
+        default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds")
+    )
     error: str | None = None
     trajectory: RecordedTrajectory | None = None
 
@@ -177,8 +199,12 @@ class Result:
             trajectory: Whether to include the trajectory and the long parts of the asset.
         """
         kept = self if trajectory else replace(self, trajectory=None)
-        values: dict[str, Any] = json_ready(asdict(kept)) | {"score": json_ready(self.score.to_dict())}
+        values: dict[str, Any] = json_ready(asdict(kept)) | {
+            "score": json_ready(self.score.to_dict())
+        }
         if not trajectory:
             del values["trajectory"]
-            values["asset"] = {key: value for key, value in values["asset"].items() if key not in BULKY}
+            values["asset"] = {
+                key: value for key, value in values["asset"].items() if key not in BULKY
+            }
         return values

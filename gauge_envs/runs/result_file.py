@@ -29,7 +29,13 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
+from gauge_envs.files import (
+    MEGABYTE,
+    json_document,
+    os_errors,
+    read_regular,
+    write_whole,
+)
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
@@ -48,10 +54,18 @@ def result_file_name(result: Result) -> str:
     """
     named = result.parameters
     parts = [result.id.removeprefix("GAUGE/"), result.backend or "file"]
-    parts.append(re.sub(r"[^\w-]", "_", named) if isinstance(named, str) else f"custom-{_digest(named)}")
+    parts.append(
+        re.sub(r"[^\w-]", "_", named)
+        if isinstance(named, str)
+        else f"custom-{_digest(named)}"
+    )
     if result.is_edited:
         parts.append(f"asset-{result.asset['sha256'][:8]}")
-    parts += [f"{key}-imported" for key in BUNDLED_DATA if result.dataset[key] == DataSource.IMPORTED]
+    parts += [
+        f"{key}-imported"
+        for key in BUNDLED_DATA
+        if result.dataset[key] == DataSource.IMPORTED
+    ]
     if result.settings_given:
         parts.append(f"settings-{_digest(result.settings_given)}")
     if result.jitter:
@@ -70,7 +84,9 @@ def _digest(values: Mapping[str, Any]) -> str:
 def write_result(result: Result, file: Path) -> None:
     """Write a result file, whole or not at all."""
     text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
-    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")
+    ):
         write_whole(file, text.encode())
 
 
@@ -85,7 +101,9 @@ def load_result(file: Path) -> Result:
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", MarkerProxy.NODE.value)
         dataset = content.get("dataset") or {}
-        content["dataset"] = BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
+        content["dataset"] = (
+            BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
+        )
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
         content.setdefault("cpu_s", None)
@@ -95,10 +113,14 @@ def load_result(file: Path) -> Result:
         result = TypeAdapter(Result).validate_python(content)
         _check(result)
     except OSError as error:
-        raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
+        raise ResultFileError(
+            f"{file}: cannot be read: {error.strerror or error}"
+        ) from error
     except ValidationError as error:
         place, reason = first_fault(error)
-        raise ResultFileError(f"{file}: not a result file: {place}: {reason}") from error
+        raise ResultFileError(
+            f"{file}: not a result file: {place}: {reason}"
+        ) from error
     except (ValueError, UnknownNameError) as error:
         raise ResultFileError(f"{file}: not a result file: {error}") from error
     return result
@@ -118,16 +140,25 @@ class _AssetRecord(BaseModel):
 
 def _check(result: Result) -> None:
     """Check what types alone do not state."""
-    _check_depth([result.parameters, result.settings, result.settings_given, result.asset])
+    _check_depth(
+        [result.parameters, result.settings, result.settings_given, result.asset]
+    )
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if result.has_experiment_file:
         if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
-            raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
+            raise ValueError(
+                f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits"
+            )
     else:
         find_variant(result.id)
-    choices = {"score.grade": (result.score.grade, BandGrade), "marker_proxy": (result.marker_proxy, MarkerProxy)}
-    choices |= {f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA}
+    choices = {
+        "score.grade": (result.score.grade, BandGrade),
+        "marker_proxy": (result.marker_proxy, MarkerProxy),
+    }
+    choices |= {
+        f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA
+    }
     for key, (value, known) in choices.items():
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
@@ -145,13 +176,21 @@ def _check_trajectory(result: Result) -> None:
         raise ValueError("trajectory.times_s: increasing times are expected")
     largest = np.nanmax(np.abs(trajectory.arrays(later=True)[1]), initial=0.0)
     if result.outcome is Outcome.FINISHED and largest > LARGEST:
-        raise ValueError(f"trajectory.samples: amounts of at most {LARGEST:g} are expected")
+        raise ValueError(
+            f"trajectory.samples: amounts of at most {LARGEST:g} are expected"
+        )
 
 
 def _check_depth(value: Any, left: int = MAX_DEPTH) -> None:
     if left == 0:
         raise ValueError(f"its tables and lists are nested more than {MAX_DEPTH} deep")
-    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    for inner in (
+        value.values()
+        if isinstance(value, dict)
+        else value
+        if isinstance(value, list)
+        else ()
+    ):
         _check_depth(inner, left - 1)
 
 
@@ -165,13 +204,17 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
         return {}
     record = asset.to_dict()
     # The scene of a model file is that of the variant; only its engine could read the file back.
-    if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
+    if asset.kind is AssetKind.EXPERIMENT or (
+        asset.kind is AssetKind.USD and asset.edited
+    ):
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     if asset.kind is AssetKind.EXPERIMENT:
-        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(experiment)
+        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(
+            experiment
+        )
     return record
 
 
@@ -181,13 +224,22 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
-    installed = 1 if result.has_experiment_file else task_spec(find_variant(result.id).family).revision
+    installed = (
+        1
+        if result.has_experiment_file
+        else task_spec(find_variant(result.id).family).revision
+    )
     if result.revision != installed:
         reason = f"has revision {result.revision}, and the installed package revision {installed}"
-        raise ResultFileError(f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it")
+        raise ResultFileError(
+            f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it"
+        )
     if not record or "scene" not in record:
         return load_experiment(
-            result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
+            result.id,
+            result.parameters,
+            drivers=result.dataset["drivers"],
+            reference=result.dataset["reference"],
         )
     files = scene_files(RECORDED_SUFFIX)
 
@@ -210,6 +262,10 @@ def recorded_experiment(result: Result) -> Experiment:
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, GaugeError):
             raise
-        raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
+        raise ResultFileError(
+            f"{result.id}: the asset in the result is damaged: {error}"
+        ) from error
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
-    return replace(experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))
+    return replace(
+        experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene)
+    )

@@ -90,7 +90,9 @@ class Rollout:
     def between(self, start_s: float, end_s: float) -> slice:
         """Return the samples from one time [s] to another, both included."""
         first = np.searchsorted(self.times_s, start_s - 1e-9, side="left")
-        return slice(int(first), int(np.searchsorted(self.times_s, end_s + 1e-9, side="right")))
+        return slice(
+            int(first), int(np.searchsorted(self.times_s, end_s + 1e-9, side="right"))
+        )
 
     def cut(self, start_s: float, end_s: float) -> Rollout:
         """Return the rollout from one time [s] to another, both included; times stay as they are."""
@@ -131,11 +133,17 @@ def record(
     paths = DriverPaths(scene, seconds, interval_s)
     observer = None
     if scene.markers is not None:
-        observer = ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
+        observer = ObserverMarkers(
+            scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL
+        )
     last: _Sample | None = None
     samples: list[_Sample] = []
     names = [body.name for body in scene.bodies]
-    dynamic = [index for index, body in enumerate(scene.bodies) if body.motion is Motion.DYNAMIC]
+    dynamic = [
+        index
+        for index, body in enumerate(scene.bodies)
+        if body.motion is Motion.DYNAMIC
+    ]
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
         now = _read(simulation, scene, names, observer)
@@ -144,10 +152,18 @@ def record(
         if name := _not_finite(names, now):
             raise NotFiniteError(f"{time} {name!r} is not finite")
         speeds = _speeds_m_per_s(names, dynamic, last or now, now, interval_s)
-        for name in (name for name, speed in speeds.items() if speed > speed_limit_m_per_s):
+        for name in (
+            name for name, speed in speeds.items() if speed > speed_limit_m_per_s
+        ):
             limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
-            raise DivergedError(f"{time} {name!r} moves at {speeds[name]:.3g} m/s; {limit}")
-        kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}
+            raise DivergedError(
+                f"{time} {name!r} moves at {speeds[name]:.3g} m/s; {limit}"
+            )
+        kept = {
+            name: nodes
+            for name, nodes in now.nodes_m.items()
+            if nodes_of is None or name in nodes_of
+        }
         samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
         last = now
         if index < count:
@@ -157,7 +173,10 @@ def record(
         scene=scene,
         times_s=interval_s * np.arange(count + 1, dtype=np.float64),
         states={body.name: states[:, index] for index, body in enumerate(scene.bodies)},
-        nodes_m={name: np.stack([sample.nodes_m[name] for sample in samples]) for name in samples[0].nodes_m},
+        nodes_m={
+            name: np.stack([sample.nodes_m[name] for sample in samples])
+            for name in samples[0].nodes_m
+        },
         markers_m=np.stack([sample.markers_m for sample in samples]),
     )
 
@@ -176,18 +195,26 @@ def raised_at(error: BaseException) -> str:
     if isinstance(error, GaugeError) or not frames:
         return ""
     folders = [Path(frame.filename).parent for frame in frames]
-    first = next((at for at, folder in enumerate(folders) if _is_of_engine(folder)), len(frames) - 1)
+    first = next(
+        (at for at, folder in enumerate(folders) if _is_of_engine(folder)),
+        len(frames) - 1,
+    )
     last = max(at for at, folder in enumerate(folders) if folder == folders[first])
     shown = [frames[last]]
     if last < len(frames) - 1:
         shown.append(frames[-1])
-    places = [f"{frame.name}, {Path(frame.filename).name}, line {frame.lineno}" for frame in shown]
+    places = [
+        f"{frame.name}, {Path(frame.filename).name}, line {frame.lineno}"
+        for frame in shown
+    ]
     return f" ({'; in '.join(places)})"
 
 
 def _is_of_engine(folder: Path) -> bool:
     """Return whether the files of a folder are an engine's: not those of this package, but for its bundled engines."""
-    return not folder.is_relative_to(PACKAGE) or (folder.parent == PACKAGE / "backends" and folder.name != "shared")
+    return not folder.is_relative_to(PACKAGE) or (
+        folder.parent == PACKAGE / "backends" and folder.name != "shared"
+    )
 
 
 class _Sample(NamedTuple):
@@ -204,12 +231,20 @@ class _Sample(NamedTuple):
     markers_m: NDArray[np.float64]
 
 
-def _read(simulation: Simulation, scene: Scene, names: Sequence[str], observer: ObserverMarkers | None) -> _Sample:
+def _read(
+    simulation: Simulation,
+    scene: Scene,
+    names: Sequence[str],
+    observer: ObserverMarkers | None,
+) -> _Sample:
     if observer is not None:
         observer.now(simulation)
     return _Sample(
         states=states_now(simulation, names),
-        nodes_m={body.name: np.array(simulation.nodes(body.name), dtype=np.float64) for body in scene.deformables},
+        nodes_m={
+            body.name: np.array(simulation.nodes(body.name), dtype=np.float64)
+            for body in scene.deformables
+        },
         markers_m=np.zeros((0, 3)) if observer is None else observer.markers_m,
     )
 
@@ -220,7 +255,9 @@ def _advance(simulation: Simulation, paths: DriverPaths, index: int, time: str) 
     # Engines raise exceptions of any kind, such as MuJoCo when a diverged scene has more contacts than fit in memory.
     except Exception as error:
         reason = " ".join(str(error).split())
-        raise DivergedError(f"{time} the engine raises {type(error).__name__}: {reason}{raised_at(error)}") from error
+        raise DivergedError(
+            f"{time} the engine raises {type(error).__name__}: {reason}{raised_at(error)}"
+        ) from error
 
 
 def _not_finite(names: Sequence[str], now: _Sample) -> str:
@@ -228,19 +265,37 @@ def _not_finite(names: Sequence[str], now: _Sample) -> str:
     if np.isfinite(now.states).all() and not now.nodes_m:
         return ""
     rigid = dict(zip(names, now.states, strict=True))
-    return next((name for name, values in (rigid | now.nodes_m).items() if not np.isfinite(values).all()), "")
+    return next(
+        (
+            name
+            for name, values in (rigid | now.nodes_m).items()
+            if not np.isfinite(values).all()
+        ),
+        "",
+    )
 
 
 def _speeds_m_per_s(
-    names: Sequence[str], dynamic: Sequence[int], last: _Sample, now: _Sample, interval_s: float
+    names: Sequence[str],
+    dynamic: Sequence[int],
+    last: _Sample,
+    now: _Sample,
+    interval_s: float,
 ) -> dict[str, float]:
     """Return the largest speed along an axis of each dynamic or deformable body, reported or from displacements.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
     between = np.abs(now.states[:, :3] - last.states[:, :3]) / interval_s
-    largest = np.maximum(np.abs(now.states[:, 7:10]), between).max(axis=1, initial=0.0).tolist()
-    moved = {name: np.abs(nodes - last.nodes_m[name]).max(initial=0.0) for name, nodes in now.nodes_m.items()}
+    largest = (
+        np.maximum(np.abs(now.states[:, 7:10]), between)
+        .max(axis=1, initial=0.0)
+        .tolist()
+    )
+    moved = {
+        name: np.abs(nodes - last.nodes_m[name]).max(initial=0.0)
+        for name, nodes in now.nodes_m.items()
+    }
     return {names[index]: largest[index] for index in dynamic} | {
         name: float(distance_m) / interval_s for name, distance_m in moved.items()
     }

@@ -6,7 +6,11 @@ from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
-from gauge_envs.evaluation.trajectory_file import StatedOrigin, read_trajectory, stated_origin
+from gauge_envs.evaluation.trajectory_file import (
+    StatedOrigin,
+    read_trajectory,
+    stated_origin,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -45,40 +49,66 @@ def score_file(
     trajectory = read_trajectory(file, experiment)
     band = reference_band(experiment, use_withheld=use_withheld)
     score = score_trajectory(
-        experiment, band, times_s=trajectory.times_s, values=trajectory.values, backend=origin.backend
+        experiment,
+        band,
+        times_s=trajectory.times_s,
+        values=trajectory.values,
+        backend=origin.backend,
     )
     result = Result(
         id=experiment.id,
         outcome=Outcome.FINISHED,
-        parameters=json_ready(experiment.overrides) if experiment.parameters == "custom" else experiment.parameters,
+        parameters=json_ready(experiment.overrides)
+        if experiment.parameters == "custom"
+        else experiment.parameters,
         score=score,
-        deformation=None if trajectory.markers_m is None else score_deformation(experiment, trajectory.markers_m),
+        deformation=None
+        if trajectory.markers_m is None
+        else score_deformation(experiment, trajectory.markers_m),
         task_sha256=experiment.file_sha256,
         revision=experiment.revision,
         frames=experiment.frame_count,
         sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
         driver_provenance=experiment.driver_provenance,
-        dataset=dataset_record(experiment.name, drivers=experiment.drivers, reference=experiment.reference_source),
+        dataset=dataset_record(
+            experiment.name,
+            drivers=experiment.drivers,
+            reference=experiment.reference_source,
+        ),
         asset=asset_record(experiment),
-        trajectory=RecordedTrajectory.of(experiment, trajectory.times_s, trajectory.values),
+        trajectory=RecordedTrajectory.of(
+            experiment, trajectory.times_s, trajectory.values
+        ),
     )
     return result, trajectory.interpolated_frames
 
 
 def _experiment_of_file(
-    file: Path, origin: StatedOrigin, variant: str | None, parameters: Parameters | None, reference: DataSource | str
+    file: Path,
+    origin: StatedOrigin,
+    variant: str | None,
+    parameters: Parameters | None,
+    reference: DataSource | str,
 ) -> Experiment:
     """Return the experiment of a trajectory: that of the arguments, or that of the file."""
     if origin.has_asset and variant is None and parameters is None:
         return recorded_experiment(load_result(file))
     name = variant or origin.id
     if name is None:
-        raise TrajectoryFileError(f"{file}: the file states no id. Give one, as --id GAUGE/SlopeSlider-2-wood.")
+        raise TrajectoryFileError(
+            f"{file}: the file states no id. Give one, as --id GAUGE/SlopeSlider-2-wood."
+        )
     if parameters is None:
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
         parameters = origin.parameters if known else "calibrated"
     experiment = resolve_experiment(name, parameters, reference=reference)
-    file_id = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
+    file_id = (
+        origin.id
+        if origin.id is None or origin.has_asset
+        else find_variant(origin.id).id
+    )
     if file_id is not None and file_id != experiment.id:
-        raise TrajectoryFileError(f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for")
+        raise TrajectoryFileError(
+            f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for"
+        )
     return experiment

@@ -14,7 +14,11 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.uncertain import free_directions, overrides_at, uncertain_parameters
+from gauge_envs.experiments.uncertain import (
+    free_directions,
+    overrides_at,
+    uncertain_parameters,
+)
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.sensitivities import (
     ConstantUncertainty,
@@ -73,7 +77,9 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
     for one in _perturbations(experiment):
         try:
             low, high = (
-                _frames(request, engine, replace(experiment, scene=scene), request.settings)[0]
+                _frames(
+                    request, engine, replace(experiment, scene=scene), request.settings
+                )[0]
                 for scene in (one.low, one.high)
             )
         except GaugeError as error:
@@ -83,7 +89,11 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
             low, high = _rotated(low, one.tilt), _rotated(high, one.tilt.inv())
         known = one.known
         # A constant is moved far, so that up and down differ; of the others, half the difference is the change.
-        change, below = (high - nominal, low - nominal) if one.kind == "constant" else (0.5 * (high - low), None)
+        change, below = (
+            (high - nominal, low - nominal)
+            if one.kind == "constant"
+            else (0.5 * (high - low), None)
+        )
         inputs.append(
             InputUncertainty(
                 name=one.name,
@@ -95,12 +105,22 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
                 change_below=below,
             )
         )
-    for setting, name, unit in (("timestep_s", "time step", "s"), ("cell_m", "cell", "m")):
+    for setting, name, unit in (
+        ("timestep_s", "time step", "s"),
+        ("cell_m", "cell", "m"),
+    ):
         size = settings.get(setting)
-        if not isinstance(size, float) or (setting == "cell_m" and not experiment.scene.deformables):
+        if not isinstance(size, float) or (
+            setting == "cell_m" and not experiment.scene.deformables
+        ):
             continue
         try:
-            finer, _ = _frames(request, engine, experiment, {**(request.settings or {}), setting: 0.5 * size})
+            finer, _ = _frames(
+                request,
+                engine,
+                experiment,
+                {**(request.settings or {}), setting: 0.5 * size},
+            )
         except GaugeError as error:
             left_out.append(f"{name}: {error}")
             continue
@@ -120,14 +140,21 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
         variant=experiment.name,
         backend=request.backend,
         versions=engine.versions(),
-        settings={key: settings[key] for key in ("preset", "timestep_s", "cell_m") if settings.get(key) is not None},
+        settings={
+            key: settings[key]
+            for key in ("preset", "timestep_s", "cell_m")
+            if settings.get(key) is not None
+        },
         inputs=tuple(inputs),
         left_out=tuple(left_out),
     )
 
 
 def _frames(
-    request: RunRequest, engine: Backend, experiment: Experiment, settings: Mapping[str, Any] | None
+    request: RunRequest,
+    engine: Backend,
+    experiment: Experiment,
+    settings: Mapping[str, Any] | None,
 ) -> tuple[FloatArray, Mapping[str, Any]]:
     """Return g(t) at the frames, shape [T, D], and the settings in force."""
     simulation = engine.build(experiment.scene, settings)
@@ -149,19 +176,29 @@ def _rotated(frames: FloatArray, rotation: Rotation) -> FloatArray:
 
 def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
     scene, known = experiment.scene, input_uncertainties()
-    material = experiment.variant.material if isinstance(experiment, TaskExperiment) else None
+    material = (
+        experiment.variant.material if isinstance(experiment, TaskExperiment) else None
+    )
     for constant in ("friction", "restitution"):
         entry: ConstantUncertainty = getattr(known, constant)
         # Contacts with one value share one calibrated number.
-        for value in dict.fromkeys(getattr(contact, constant) for contact in scene.contacts):
+        for value in dict.fromkeys(
+            getattr(contact, constant) for contact in scene.contacts
+        ):
             std = entry.std(value, material)
             if std == 0.0:
                 continue
-            group = [contact for contact in scene.contacts if getattr(contact, constant) == value]
+            group = [
+                contact
+                for contact in scene.contacts
+                if getattr(contact, constant) == value
+            ]
             low, high = max(value - std, 0.0), value + std
             if constant == "restitution":
                 high = min(high, 1.0)
-            pairs = ", ".join(f"{contact.first[0]}/{contact.second[0]}" for contact in group)
+            pairs = ", ".join(
+                f"{contact.first[0]}/{contact.second[0]}" for contact in group
+            )
             yield _Perturbation(
                 name=f"{constant} {pairs}",
                 kind="constant",
@@ -181,9 +218,14 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
             low=_shifted(scene, experiment.recorded, -shift),
             high=_shifted(scene, experiment.recorded, shift),
         )
-    if experiment.score.observable is not Observable.POSITION or not experiment.recorded:
+    if (
+        experiment.score.observable is not Observable.POSITION
+        or not experiment.recorded
+    ):
         return
-    for axis, name in zip(math.radians(known.tilt.std) * np.eye(3)[:2], "xy", strict=True):
+    for axis, name in zip(
+        math.radians(known.tilt.std) * np.eye(3)[:2], "xy", strict=True
+    ):
         yield _Perturbation(
             name=f"tilt about {name}",
             kind="tilt",
@@ -197,15 +239,26 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
 def _joint_perturbations(experiment: TaskExperiment) -> Iterator[_Perturbation]:
     for one in uncertain_parameters(experiment):
         if one.key.rpartition(".")[2] in input_uncertainties().joint:
-            at = [{**experiment.overrides, **overrides_at([one], [sign])} for sign in (-1.0, 1.0)]
-            low, high = (load_experiment(experiment.variant, overrides).scene for overrides in at)
+            at = [
+                {**experiment.overrides, **overrides_at([one], [sign])}
+                for sign in (-1.0, 1.0)
+            ]
+            low, high = (
+                load_experiment(experiment.variant, overrides).scene for overrides in at
+            )
             known = StandardUncertainty(std=one.std, unit=one.unit, source=one.source)
-            yield _Perturbation(name=one.name, kind="constant", known=known, low=low, high=high)
+            yield _Perturbation(
+                name=one.name, kind="constant", known=known, low=low, high=high
+            )
 
 
-def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:
+def _with_contacts(
+    scene: Scene, group: list[Contact], constant: str, value: float
+) -> Scene:
     change: dict[str, Any] = {constant: value}
-    changed = tuple(replace(one, **change) if one in group else one for one in scene.contacts)
+    changed = tuple(
+        replace(one, **change) if one in group else one for one in scene.contacts
+    )
     return replace(scene, contacts=changed)
 
 
@@ -221,13 +274,20 @@ def _start_directions(experiment: Experiment) -> Iterator[tuple[str, FloatArray]
 
 def _shifted(scene: Scene, names: tuple[str, ...], shift_m: FloatArray) -> Scene:
     bodies = tuple(
-        replace(body, pose=replace(body.pose, position_m=vector(np.asarray(body.pose.position_m) + shift_m)))
+        replace(
+            body,
+            pose=replace(
+                body.pose, position_m=vector(np.asarray(body.pose.position_m) + shift_m)
+            ),
+        )
         if body.name in names
         else body
         for body in scene.bodies
     )
     hinges = tuple(
-        replace(hinge, anchor_m=vector(np.asarray(hinge.anchor_m) + shift_m)) if hinge.first in names else hinge
+        replace(hinge, anchor_m=vector(np.asarray(hinge.anchor_m) + shift_m))
+        if hinge.first in names
+        else hinge
         for hinge in scene.body_hinges
     )
     return replace(scene, bodies=bodies, body_hinges=hinges)

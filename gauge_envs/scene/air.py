@@ -53,9 +53,13 @@ class Air:
             if name != "wind_m_per_s" and value < 0.0:
                 raise ParameterError(f"air: {name} is {value}: give 0 or more")
         if self.density_kg_per_m3 == 0.0:
-            raise ParameterError("air: density_kg_per_m3 is 0: give a positive density, or a scene without air")
+            raise ParameterError(
+                "air: density_kg_per_m3 is 0: give a positive density, or a scene without air"
+            )
 
-    def forces_n(self, areas_m2: FloatArray, velocities_m_per_s: FloatArray) -> FloatArray:
+    def forces_n(
+        self, areas_m2: FloatArray, velocities_m_per_s: FloatArray
+    ) -> FloatArray:
         """Return the forces on triangles [N], shape [triangle_count, 3].
 
         Args:
@@ -70,13 +74,17 @@ class Air:
         tangential = moving - along[:, None] * normal
         sliding = np.sqrt(np.einsum("ij,ij->i", tangential, tangential))
         turned = np.divide(along**2, speed, out=np.zeros_like(speed), where=speed > 0.0)
-        on_normal = (self.normal_coefficient * np.abs(along) + self.lift_coefficient * speed) * along
+        on_normal = (
+            self.normal_coefficient * np.abs(along) + self.lift_coefficient * speed
+        ) * along
         force = on_normal[:, None] * normal
         force += (self.tangential_coefficient * sliding)[:, None] * tangential
         force -= (self.lift_coefficient * turned)[:, None] * moving
         return np.asarray((-0.5 * self.density_kg_per_m3 * area)[:, None] * force)
 
-    def stable_speed_m_per_s(self, *, areal_density_kg_per_m2: float, timestep_s: float) -> float:
+    def stable_speed_m_per_s(
+        self, *, areal_density_kg_per_m2: float, timestep_s: float
+    ) -> float:
         """Return the relative speed up to which explicit steps do not overshoot [m/s].
 
         The force changes with the speed at the rate rho C |u| A. An explicit step reduces a deviation without changing
@@ -87,7 +95,10 @@ class Air:
             areal_density_kg_per_m2: Mass per area of the cloth [kg/m^2].
             timestep_s: Step of the engine [s].
         """
-        largest = max(self.normal_coefficient, self.tangential_coefficient) + self.lift_coefficient
+        largest = (
+            max(self.normal_coefficient, self.tangential_coefficient)
+            + self.lift_coefficient
+        )
         if largest == 0.0:
             return math.inf
         return areal_density_kg_per_m2 / (self.density_kg_per_m3 * largest * timestep_s)

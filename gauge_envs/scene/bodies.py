@@ -60,7 +60,9 @@ class RigidBody:
     @property
     def starts_at_rest(self) -> bool:
         """Whether both start velocities are zero."""
-        return not any((*self.linear_velocity_m_per_s, *self.angular_velocity_rad_per_s))
+        return not any(
+            (*self.linear_velocity_m_per_s, *self.angular_velocity_rad_per_s)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +149,9 @@ class JointDynamics:
 
     def __post_init__(self) -> None:
         if self.backlash_rad and not self.armature_kg_m2:
-            raise ParameterError("a joint with backlash_rad needs armature_kg_m2: state the inertia of its rotor")
+            raise ParameterError(
+                "a joint with backlash_rad needs armature_kg_m2: state the inertia of its rotor"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

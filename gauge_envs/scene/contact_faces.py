@@ -42,19 +42,31 @@ class ContactFaces:
         colliding: Names of each pair that collides; names of others than these bodies count as no pair.
     """
 
-    def __init__(self, bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]) -> None:
+    def __init__(
+        self, bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]
+    ) -> None:
         named = {body.name: body for body in bodies}
-        pieces = {name: [*_pieces(body.shape, body.pose)] for name, body in named.items()}
+        pieces = {
+            name: [*_pieces(body.shape, body.pose)] for name, body in named.items()
+        }
         bounds = {name: _bounds(body, pieces[name]) for name, body in named.items()}
         self._normals: dict[frozenset[str], list[FloatArray]] = {}
         for first, second in colliding:
-            if first not in named or second not in named or frozenset((first, second)) in self._normals:
+            if (
+                first not in named
+                or second not in named
+                or frozenset((first, second)) in self._normals
+            ):
                 continue
             (low, high), (other_low, other_high) = bounds[first], bounds[second]
             if all(a <= b for a, b in zip(low, other_high, strict=True)) and all(
                 a <= b for a, b in zip(other_low, high, strict=True)
             ):
-                normals = [*_touching(named[first], pieces[first], named[second], pieces[second])]
+                normals = [
+                    *_touching(
+                        named[first], pieces[first], named[second], pieces[second]
+                    )
+                ]
                 if normals:
                     self._normals[frozenset((first, second))] = normals
 
@@ -66,7 +78,10 @@ class ContactFaces:
         """
         group = {name: {name} for name in names}
         for first, second in combinations(names, 2):
-            if frozenset((first, second)) in self._normals and group[first] is not group[second]:
+            if (
+                frozenset((first, second)) in self._normals
+                and group[first] is not group[second]
+            ):
                 joined = group[first] | group[second]
                 group.update(dict.fromkeys(joined, joined))
         found: dict[str, tuple[str, ...]] = {}
@@ -84,7 +99,11 @@ class ContactFaces:
         found: list[FloatArray] = []
         for pair, normals in self._normals.items():
             if len(pair.intersection(names)) == 1:
-                found += [one for one in normals if all(abs(one @ other) < PARALLEL for other in found)]
+                found += [
+                    one
+                    for one in normals
+                    if all(abs(one @ other) < PARALLEL for other in found)
+                ]
         return found
 
 
@@ -113,7 +132,9 @@ def face_normal(pose: Pose) -> FloatArray:
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
-def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _pieces(
+    shape: Shape | PartShape, pose: Pose
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield corners [m] and planes of flat faces, shape [face_count, 4], of the pieces of a shape, in the world.
 
     A plane is an outward normal, and minus the distance from the origin along it [m].
@@ -121,13 +142,18 @@ def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[tuple[FloatArray, 
     if isinstance(shape, Compound):
         for part in shape.parts:
             place = vector(pose.to_world(np.asarray(part.pose.position_m)))
-            yield from _pieces(part.shape, Pose.from_rotation(place, pose.rotation * part.pose.rotation))
+            yield from _pieces(
+                part.shape,
+                Pose.from_rotation(place, pose.rotation * part.pose.rotation),
+            )
     elif isinstance(shape, ConvexUnion):
         for piece in shape.pieces_m:
             corners = pose.to_world(np.asarray(piece))
             yield corners, np.unique(ConvexHull(corners).equations.round(9), axis=0)
     elif isinstance(shape, Box | Cylinder):
-        size_m = shape.size_m if isinstance(shape, Box) else (np.inf, np.inf, shape.length_m)
+        size_m = (
+            shape.size_m if isinstance(shape, Box) else (np.inf, np.inf, shape.length_m)
+        )
         axes = pose.rotation.as_matrix().T
         flat = np.isfinite(size_m)
         normals = np.concatenate([axes[flat], -axes[flat]])
@@ -136,14 +162,18 @@ def _pieces(shape: Shape | PartShape, pose: Pose) -> Iterator[tuple[FloatArray, 
         yield pose.to_world(shape.corners_m), np.column_stack([normals, offsets])
 
 
-def _bounds(body: RigidBody, pieces: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[list[float], list[float]]:
+def _bounds(
+    body: RigidBody, pieces: Sequence[tuple[FloatArray, FloatArray]]
+) -> tuple[list[float], list[float]]:
     """Return the least and largest coordinates of a body, with the gap that counts as contact [m]."""
     if isinstance(body.shape, Plane):
         return [-math.inf] * 3, [math.inf] * 3
     if not pieces:
         return [math.inf] * 3, [-math.inf] * 3
     corners = np.concatenate([corners for corners, _ in pieces])
-    return (corners.min(axis=0) - TOUCHING_M).tolist(), (corners.max(axis=0) + TOUCHING_M).tolist()
+    return (corners.min(axis=0) - TOUCHING_M).tolist(), (
+        corners.max(axis=0) + TOUCHING_M
+    ).tolist()
 
 
 def _touching(
@@ -156,7 +186,10 @@ def _touching(
     for plane, corners in ((first, others), (second, pieces)):
         if isinstance(plane.shape, Plane):
             normal = np.asarray(plane.pose.rotation.apply([0.0, 0.0, 1.0]))
-            gaps = [((piece - np.asarray(plane.pose.position_m)) @ normal).min() for piece, _ in corners]
+            gaps = [
+                ((piece - np.asarray(plane.pose.position_m)) @ normal).min()
+                for piece, _ in corners
+            ]
             if gaps and abs(min(gaps)) <= TOUCHING_M:
                 yield normal
             return

@@ -32,7 +32,9 @@ def scene_changes(before: Scene, after: Scene) -> Iterator[str]:
             yield from _value_changes("scene", field.name, old, new)
 
 
-def _group_changes(group: str, before: Sequence[Any], after: Sequence[Any]) -> Iterator[str]:
+def _group_changes(
+    group: str, before: Sequence[Any], after: Sequence[Any]
+) -> Iterator[str]:
     """Yield the changes of a group such as bodies or contacts; entries without a match count as added or removed."""
     old, new = _titled(before), _titled(after)
     yield from (f"{title}: removed" for title in old if title not in new)
@@ -64,11 +66,17 @@ def _title(entry: Any) -> str:
     if isinstance(entry, BodyHinge):
         return f"hinge of {entry.first} and {entry.second}"
     name = getattr(entry, "name", None)
-    return name if name is not None else f"{type(entry).__name__.lower()} of {entry.body}"
+    return (
+        name if name is not None else f"{type(entry).__name__.lower()} of {entry.body}"
+    )
 
 
 def _side(names: Sequence[str]) -> str:
-    return "+".join(names) if len(names) <= MOST_NAMES else f"{names[0]}+...+{names[-1]} ({len(names)})"
+    return (
+        "+".join(names)
+        if len(names) <= MOST_NAMES
+        else f"{names[0]}+...+{names[-1]} ({len(names)})"
+    )
 
 
 def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[str]:
@@ -79,7 +87,12 @@ def _value_changes(title: str, name: str, before: Any, after: Any) -> Iterator[s
         for field in fields(before):
             if field.compare:
                 inner = f"{name}.{field.name}" if name else field.name
-                yield from _value_changes(title, inner, getattr(before, field.name), getattr(after, field.name))
+                yield from _value_changes(
+                    title,
+                    inner,
+                    getattr(before, field.name),
+                    getattr(after, field.name),
+                )
         return
     label = f"{title}: {name} " if name else f"{title}: "
     yield f"{label}{_difference(before, after)}"
@@ -112,4 +125,8 @@ def _text(value: Any) -> str:
     if isinstance(value, tuple):
         shown = [_text(entry) for entry in value[:MOST_NAMES]]
         return f"({', '.join(shown)}{', ...' if len(value) > MOST_NAMES else ''})"
-    return type(value).__name__ if is_dataclass(value) or not isinstance(value, str | int | None) else str(value)
+    return (
+        type(value).__name__
+        if is_dataclass(value) or not isinstance(value, str | int | None)
+        else str(value)
+    )

@@ -26,7 +26,11 @@ AXIS_ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
 
 
 def sampled_motions(
-    start: Pose, times_s: Sequence[float], poses: Sequence[Pose], *, like: Sequence[DriverMotion] = ()
+    start: Pose,
+    times_s: Sequence[float],
+    poses: Sequence[Pose],
+    *,
+    like: Sequence[DriverMotion] = (),
 ) -> tuple[DriverMotion, ...]:
     """Return motions with sampled profiles that reproduce poses within 1e-9 m and rad.
 
@@ -49,29 +53,55 @@ def sampled_motions(
     Returns:
         The motions; empty if the body stays at its start.
     """
-    if len(times_s) != len(poses) or len(times_s) < 2 or not np.all(np.diff(times_s) > 0.0):
-        raise ShapeError("times and poses do not match: give one pose for each of two or more increasing times")
+    if (
+        len(times_s) != len(poses)
+        or len(times_s) < 2
+        or not np.all(np.diff(times_s) > 0.0)
+    ):
+        raise ShapeError(
+            "times and poses do not match: give one pose for each of two or more increasing times"
+        )
     positions = np.array([pose.position_m for pose in poses])
-    rotations = Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True) * start.rotation.inv()
+    rotations = (
+        Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True)
+        * start.rotation.inv()
+    )
     for template in _templates(start, positions, rotations, like):
-        values, _, _ = motion_coordinates(template, start.position_m, positions, rotations)
+        values, _, _ = motion_coordinates(
+            template, start.position_m, positions, rotations
+        )
         motions = tuple(
-            replace(motion, profiles=(SampledProfile(times_s=tuple(times_s), values=tuple(column)),))
+            replace(
+                motion,
+                profiles=(
+                    SampledProfile(times_s=tuple(times_s), values=tuple(column)),
+                ),
+            )
             for motion, column in zip(template, values.T.tolist(), strict=True)
         )
         driver = Driver(body="", motions=motions, provenance="")
-        if all(pose_distance(driver.pose(start, t), pose) <= SAME_POSE for t, pose in zip(times_s, poses, strict=True)):
+        if all(
+            pose_distance(driver.pose(start, t), pose) <= SAME_POSE
+            for t, pose in zip(times_s, poses, strict=True)
+        ):
             if template == tuple(like):
                 return motions
             # Actions are part of the largest rate.
-            return tuple(one for one in motions if one.largest_rate > 0.0 or abs(one.value(0.0)) > SAME_POSE)
+            return tuple(
+                one
+                for one in motions
+                if one.largest_rate > 0.0 or abs(one.value(0.0)) > SAME_POSE
+            )
     raise ShapeError(
         "no three successive rotations describe its rotation: keep it closer to a rotation about a fixed axis"
     )
 
 
 def _templates(
-    start: Pose, positions: FloatArray, rotations: Rotation, like: Sequence[DriverMotion]
+    start: Pose,
+    positions: FloatArray,
+    rotations: Rotation,
+    like: Sequence[DriverMotion],
 ) -> Iterator[tuple[DriverMotion, ...]]:
     """Yield candidate sets of motions, simple ones first; their profiles are not fitted yet."""
     rotary = [motion for motion in like if motion.kind == "rotate"]
@@ -88,7 +118,13 @@ def _templates(
     order = min(AXIS_ORDERS, key=lambda order: _steepness(rotations, order))
     if _steepness(rotations, order) < STEEP_RAD:
         units = np.eye(3)[list(order)]
-        yield (*(_motion("rotate", unit, like, point_m=start.position_m) for unit in units), *linear)
+        yield (
+            *(
+                _motion("rotate", unit, like, point_m=start.position_m)
+                for unit in units
+            ),
+            *linear,
+        )
 
 
 def _motion(
@@ -100,7 +136,10 @@ def _motion(
     """Return a motion along an axis; a parallel motion of `like` determines its exact axis and the action's rate."""
     own = DriverMotion(kind=kind, axis=vector(axis), profiles=(), point_m=point_m)
     for motion in like:
-        if motion.kind == kind and np.linalg.norm(np.cross(motion.axis, axis)) < SAME_POSE:
+        if (
+            motion.kind == kind
+            and np.linalg.norm(np.cross(motion.axis, axis)) < SAME_POSE
+        ):
             return replace(own, axis=motion.axis, residual_rate=motion.residual_rate)
     return own
 
@@ -115,8 +154,13 @@ def _direction(vectors: FloatArray) -> FloatArray:
 
 def _basis(like: Sequence[DriverMotion]) -> FloatArray:
     """Return three orthogonal directions that include the translations of `like`, or the world axes if impossible."""
-    linear = np.array([motion.axis for motion in like if motion.kind == "translate"]).reshape(-1, 3)
-    if not len(linear) or np.abs(linear @ linear.T - np.eye(len(linear))).max() > SAME_POSE:
+    linear = np.array(
+        [motion.axis for motion in like if motion.kind == "translate"]
+    ).reshape(-1, 3)
+    if (
+        not len(linear)
+        or np.abs(linear @ linear.T - np.eye(len(linear))).max() > SAME_POSE
+    ):
         return np.eye(3)
     rest = np.eye(3) - linear.T @ linear
     others = np.linalg.svd(rest)[2][: 3 - len(linear)]
@@ -126,7 +170,9 @@ def _basis(like: Sequence[DriverMotion]) -> FloatArray:
 def _centre(start: Pose, positions: FloatArray, rotations: Rotation) -> Vector:
     """Return the centre of rotation from the start to positions, in the least-squares sense, closest to the start."""
     matrices = np.eye(3) - rotations.as_matrix()
-    arm = np.linalg.lstsq(matrices.reshape(-1, 3), (positions - start.position_m).ravel(), rcond=1e-9)[0]
+    arm = np.linalg.lstsq(
+        matrices.reshape(-1, 3), (positions - start.position_m).ravel(), rcond=1e-9
+    )[0]
     return vector(start.position_m + arm)
 
 
@@ -138,7 +184,10 @@ def _steepness(rotations: Rotation, order: tuple[int, int, int]) -> float:
 
 
 def motion_coordinates(
-    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: FloatArray, rotations: Rotation
+    motions: Sequence[DriverMotion],
+    start_m: ArrayLike,
+    positions_m: FloatArray,
+    rotations: Rotation,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the coordinates whose poses are closest to given ones, the inverse of `Driver.pose`.
 
@@ -158,26 +207,37 @@ def motion_coordinates(
     arm = np.asarray(start_m)
     made = Rotation.identity(len(positions_m))
     if len(rotary) == 1:
-        axis, point = np.asarray(motions[rotary[0]].axis), np.asarray(motions[rotary[0]].point_m)
+        axis, point = (
+            np.asarray(motions[rotary[0]].axis),
+            np.asarray(motions[rotary[0]].point_m),
+        )
         since = rotations.as_quat()
         # q and -q are one rotation, so the angle is known up to multiples of 360 degrees.
-        values[:, rotary[0]] = np.unwrap(2.0 * np.arctan2(since[:, :3] @ axis, since[:, 3]))
+        values[:, rotary[0]] = np.unwrap(
+            2.0 * np.arctan2(since[:, :3] @ axis, since[:, 3])
+        )
         made = Rotation.from_rotvec(values[:, rotary] * axis)
         missing = positions_m - made.apply(arm - point) - point
     else:
         if rotary:
-            letters = "".join("xyz"[int(np.argmax(np.abs(motions[index].axis)))] for index in rotary)
+            letters = "".join(
+                "xyz"[int(np.argmax(np.abs(motions[index].axis)))] for index in rotary
+            )
             signs = [float(np.sum(motions[index].axis)) for index in rotary]
             values[:, rotary] = np.unwrap(rotations.as_euler(letters), axis=0) * signs
             made = rotations
         missing = positions_m - arm
-    linear = [index for index, motion in enumerate(motions) if motion.kind == "translate"]
+    linear = [
+        index for index, motion in enumerate(motions) if motion.kind == "translate"
+    ]
     if linear:
         columns = np.empty((len(positions_m), 3, len(linear)))
         for column, index in enumerate(linear):
             axis = np.asarray(motions[index].axis)
             # The rotation also rotates the translations that precede it.
-            columns[:, :, column] = made.apply(axis) if rotary and index < rotary[0] else axis
+            columns[:, :, column] = (
+                made.apply(axis) if rotary and index < rotary[0] else axis
+            )
         values[:, linear] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
         missing = missing - (columns @ values[:, linear, None])[:, :, 0]
     return values, np.linalg.norm(missing, axis=1), (rotations * made.inv()).magnitude()

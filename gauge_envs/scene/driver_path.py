@@ -33,7 +33,12 @@ class DriverPath:
     """
 
     def __init__(
-        self, driver: Driver, scene: Scene, frame_count: int, *, interval_s: float = SAMPLE_INTERVAL_S
+        self,
+        driver: Driver,
+        scene: Scene,
+        frame_count: int,
+        *,
+        interval_s: float = SAMPLE_INTERVAL_S,
     ) -> None:
         self.body = driver.body
         self.interval_s = interval_s
@@ -62,7 +67,12 @@ class DriverPath:
         rates = action * self._scale
         moved = self.offsets + rates * self.interval_s
         times_s = np.array([sample, sample + 1]) * self.interval_s
-        states = self._driver.states(self._starts, times_s, np.array([self.offsets, moved]), np.array([rates, rates]))
+        states = self._driver.states(
+            self._starts,
+            times_s,
+            np.array([self.offsets, moved]),
+            np.array([rates, rates]),
+        )
         self.offsets = moved
         return _intervals(states, self.interval_s)[0]
 
@@ -76,7 +86,9 @@ class DriverPathOfWorlds:
         frame_count: Number of driven frames, including the first.
     """
 
-    def __init__(self, driver: Driver, scenes: Sequence[Scene], frame_count: int) -> None:
+    def __init__(
+        self, driver: Driver, scenes: Sequence[Scene], frame_count: int
+    ) -> None:
         self.body = driver.body
         self.motion_count = len(driver.motions)
         self._driver = driver
@@ -85,11 +97,21 @@ class DriverPathOfWorlds:
         kinds = list(dict.fromkeys(poses))
         numbers = {pose: number for number, pose in enumerate(kinds)}
         self._kinds = np.array([numbers[pose] for pose in poses])
-        self._starts = np.array([[*pose.position_m, *pose.quaternion] for pose in poses])
+        self._starts = np.array(
+            [[*pose.position_m, *pose.quaternion] for pose in poses]
+        )
         count = round((frame_count - 1) / FRAME_RATE_HZ / SAMPLE_INTERVAL_S)
-        paths = [_recorded_path(driver, pose, count, SAMPLE_INTERVAL_S) for pose in kinds]
+        paths = [
+            _recorded_path(driver, pose, count, SAMPLE_INTERVAL_S) for pose in kinds
+        ]
         self._paths = np.array(
-            [[[*pose.position_m, *pose.quaternion, *at, *by] for pose, at, by in path] for path in paths]
+            [
+                [
+                    [*pose.position_m, *pose.quaternion, *at, *by]
+                    for pose, at, by in path
+                ]
+                for path in paths
+            ]
         )
         self.offsets = np.zeros((len(poses), self.motion_count))
 
@@ -108,21 +130,35 @@ class DriverPathOfWorlds:
             Shape [world_count, 19]; worlds that share their motion may share its memory.
         """
         at = self._paths[:, sample]
-        rows = np.broadcast_to(at[0], (len(self._kinds), 19)) if len(at) == 1 else at[self._kinds]
-        moved = np.flatnonzero((self.offsets != 0.0).any(axis=1) | (actions != 0.0).any(axis=1))
+        rows = (
+            np.broadcast_to(at[0], (len(self._kinds), 19))
+            if len(at) == 1
+            else at[self._kinds]
+        )
+        moved = np.flatnonzero(
+            (self.offsets != 0.0).any(axis=1) | (actions != 0.0).any(axis=1)
+        )
         if not len(moved):
             return rows
         starts, rates = self._starts[moved], actions[moved] * self._scale
-        before = self._driver.states(starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates)
+        before = self._driver.states(
+            starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates
+        )
         self.offsets[moved] += rates * SAMPLE_INTERVAL_S
-        after = self._driver.states(starts, (sample + 1) * SAMPLE_INTERVAL_S, self.offsets[moved], rates)
+        after = self._driver.states(
+            starts, (sample + 1) * SAMPLE_INTERVAL_S, self.offsets[moved], rates
+        )
         rows = rows.copy()
-        rows[moved] = np.concatenate([before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1)
+        rows[moved] = np.concatenate(
+            [before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1
+        )
         return rows
 
 
 @lru_cache(maxsize=32)
-def _recorded_path(driver: Driver, start: Pose, count: int, interval_s: float) -> tuple[Interval, ...]:
+def _recorded_path(
+    driver: Driver, start: Pose, count: int, interval_s: float
+) -> tuple[Interval, ...]:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
     starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
     still = np.zeros((count + 1, len(driver.motions)))
@@ -141,21 +177,31 @@ def _intervals(states: FloatArray, interval_s: float) -> tuple[Interval, ...]:
     motions = _between(states[:-1], states[1:], interval_s)
     for motion in motions:
         motion.flags.writeable = False
-    poses = [Pose(position_m=(x, y, z), quaternion=(a, b, c, d)) for x, y, z, a, b, c, d in states[:-1, :7].tolist()]
+    poses = [
+        Pose(position_m=(x, y, z), quaternion=(a, b, c, d))
+        for x, y, z, a, b, c, d in states[:-1, :7].tolist()
+    ]
     return tuple(zip(poses, *motions, strict=True))
 
 
-def _between(before: FloatArray, after: FloatArray, interval_s: float) -> tuple[FloatArray, FloatArray]:
+def _between(
+    before: FloatArray, after: FloatArray, interval_s: float
+) -> tuple[FloatArray, FloatArray]:
     """Return velocity and acceleration of the motions from some states to others, shape [count, 6] each."""
     turns = Rotation.from_quat(after[:, 3:7], scalar_first=True)
     turns = turns * Rotation.from_quat(before[:, 3:7], scalar_first=True).inv()
-    linear, angular = (after[:, :3] - before[:, :3]) / interval_s, turns.as_rotvec() / interval_s
+    linear, angular = (
+        (after[:, :3] - before[:, :3]) / interval_s,
+        turns.as_rotvec() / interval_s,
+    )
     starts, ends = before[:, 7:], after[:, 7:]
     miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
     return starts + miss, (ends - starts) / interval_s
 
 
-def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S) -> FloatArray:
+def motor_commands(
+    scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S
+) -> FloatArray:
     """Return the commands of a scene's motors [rad or N m], the mean of each interval.
 
     Args:
@@ -166,6 +212,11 @@ def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL
     Returns:
         Shape [count, motor_count], in the order of `Scene.motors`.
     """
-    times_s = interval_s * (np.arange(count)[:, None] + (np.arange(PARTS) + 0.5) / PARTS)
-    columns = [motor.command.values_at(times_s - motor.delay_s).mean(axis=1) for _, motor in scene.motors]
+    times_s = interval_s * (
+        np.arange(count)[:, None] + (np.arange(PARTS) + 0.5) / PARTS
+    )
+    columns = [
+        motor.command.values_at(times_s - motor.delay_s).mean(axis=1)
+        for _, motor in scene.motors
+    ]
     return np.stack(columns, axis=1) if columns else np.zeros((count, 0))

@@ -46,7 +46,9 @@ class DriverMotion:
     @property
     def largest_rate(self) -> float:
         """Bound on the absolute rate, actions included [m/s or rad/s]."""
-        return sum(profile.largest_rate for profile in self.profiles) + self.residual_rate
+        return (
+            sum(profile.largest_rate for profile in self.profiles) + self.residual_rate
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +65,9 @@ class Driver:
     motions: tuple[DriverMotion, ...]
     provenance: str
 
-    def pose(self, start: Pose, time_s: float, offsets: FloatArray | None = None) -> Pose:
+    def pose(
+        self, start: Pose, time_s: float, offsets: FloatArray | None = None
+    ) -> Pose:
         """Return the pose at a time.
 
         Args:
@@ -74,7 +78,11 @@ class Driver:
         return self.state(start, time_s, offsets)[0]
 
     def state(
-        self, start: Pose, time_s: float, offsets: FloatArray | None = None, rates: FloatArray | None = None
+        self,
+        start: Pose,
+        time_s: float,
+        offsets: FloatArray | None = None,
+        rates: FloatArray | None = None,
     ) -> tuple[Pose, FloatArray]:
         """Return the pose and the velocity at a time.
 
@@ -88,15 +96,24 @@ class Driver:
             The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
             frame, shape [6].
         """
-        single = (np.zeros(len(self.motions)) if one is None else np.asarray(one) for one in (offsets, rates))
-        state = self.states(np.array([[*start.position_m, *start.quaternion]]), time_s, *(one[None] for one in single))[
-            0
-        ]
+        single = (
+            np.zeros(len(self.motions)) if one is None else np.asarray(one)
+            for one in (offsets, rates)
+        )
+        state = self.states(
+            np.array([[*start.position_m, *start.quaternion]]),
+            time_s,
+            *(one[None] for one in single),
+        )[0]
         w, x, y, z = state[3:7].tolist()
         return Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z)), state[7:]
 
     def states(
-        self, starts: FloatArray, time_s: float | FloatArray, offsets: FloatArray, rates: FloatArray
+        self,
+        starts: FloatArray,
+        time_s: float | FloatArray,
+        offsets: FloatArray,
+        rates: FloatArray,
     ) -> FloatArray:
         """Return poses and velocities in many worlds at a time, or in one at many times.
 
@@ -111,12 +128,19 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [world_count, 13].
         """
-        position, rotation = starts[:, :3], Rotation.from_quat(starts[:, 3:], scalar_first=True)
+        position, rotation = (
+            starts[:, :3],
+            Rotation.from_quat(starts[:, 3:], scalar_first=True),
+        )
         linear, angular = np.zeros_like(position), np.zeros_like(position)
         times_s = np.atleast_1d(time_s).tolist()
         for index, motion in enumerate(self.motions):
-            value = (np.array([motion.value(one) for one in times_s]) + offsets[:, index])[:, None]
-            rate = (np.array([motion.rate(one) for one in times_s]) + rates[:, index])[:, None]
+            value = (
+                np.array([motion.value(one) for one in times_s]) + offsets[:, index]
+            )[:, None]
+            rate = (np.array([motion.rate(one) for one in times_s]) + rates[:, index])[
+                :, None
+            ]
             axis = np.asarray(motion.axis)
             if motion.kind == "translate":
                 position = position + value * axis
@@ -128,9 +152,13 @@ class Driver:
                 arm = np.matmul(turn, (position - motion.point_m)[:, :, None])[:, :, 0]
                 position = arm + motion.point_m
                 rotation = own_rotation * rotation
-                linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + np.cross(rate * axis, arm)
+                linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + np.cross(
+                    rate * axis, arm
+                )
                 angular = np.matmul(turn, angular[:, :, None])[:, :, 0] + rate * axis
-        return np.concatenate([position, rotation.as_quat(scalar_first=True), linear, angular], axis=1)
+        return np.concatenate(
+            [position, rotation.as_quat(scalar_first=True), linear, angular], axis=1
+        )
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""
@@ -140,6 +168,8 @@ class Driver:
             if motion.kind == "translate":
                 speed += motion.largest_rate
             else:
-                arm = np.linalg.norm(np.cross(corners - np.asarray(motion.point_m), motion.axis), axis=1).max()
+                arm = np.linalg.norm(
+                    np.cross(corners - np.asarray(motion.point_m), motion.axis), axis=1
+                ).max()
                 speed += motion.largest_rate * float(arm)
         return speed

@@ -38,7 +38,9 @@ class Fabric:
         return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
 
 
-def plate_bending_stiffness(*, hinge_stiffness_n_m_per_rad: float, spacing_over_length: float = 1.0) -> float:
+def plate_bending_stiffness(
+    *, hinge_stiffness_n_m_per_rad: float, spacing_over_length: float = 1.0
+) -> float:
     """Return the bending stiffness per width of a mesh of hinges that bends along grid lines [N m].
 
     Hinge lines, each a row of hinges of length l, divide the mesh into strips of width h. At a curvature kappa about
@@ -67,7 +69,9 @@ def bending_length_m(fabric: Fabric) -> float:
     It is about the width of folds, and half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A much
     coarser mesh cannot fold as the fabric does.
     """
-    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
+    plate = plate_bending_stiffness(
+        hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad
+    )
     return math.cbrt(plate / (fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
 
 

@@ -43,7 +43,9 @@ class Pose:
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
         """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
-        return cls.from_rotation(position_m, Rotation.from_euler("xyz", euler_deg, degrees=True))
+        return cls.from_rotation(
+            position_m, Rotation.from_euler("xyz", euler_deg, degrees=True)
+        )
 
     @classmethod
     def from_rotation(cls, position_m: Vector, rotation: Rotation) -> Pose:
@@ -59,7 +61,9 @@ class Pose:
     def relative_to(self, other: Pose) -> Pose:
         """Return this pose in the frame of another one."""
         rotation = other.rotation.inv() * self.rotation
-        return Pose.from_rotation(vector(other.to_body(np.asarray(self.position_m))), rotation)
+        return Pose.from_rotation(
+            vector(other.to_body(np.asarray(self.position_m))), rotation
+        )
 
     def to_world(self, points_m: FloatArray) -> FloatArray:
         """Return body-frame points [m], shape [..., 3], in world coordinates."""
@@ -67,7 +71,9 @@ class Pose:
 
     def to_body(self, points_m: FloatArray) -> FloatArray:
         """Return world points [m], shape [..., 3], in body coordinates."""
-        return self.rotation.apply(np.asarray(points_m) - np.asarray(self.position_m), inverse=True)
+        return self.rotation.apply(
+            np.asarray(points_m) - np.asarray(self.position_m), inverse=True
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +141,9 @@ class Cylinder:
     @property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
-        return Box(size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)).corners_m
+        return Box(
+            size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)
+        ).corners_m
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
@@ -181,7 +189,9 @@ class ConvexUnion:
     @cached_property
     def volume_m3(self) -> float:
         """Volume [m^3]."""
-        return float(sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m))
+        return float(
+            sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m)
+        )
 
     @property
     def corners_m(self) -> FloatArray:
@@ -192,7 +202,9 @@ class ConvexUnion:
         """Return a closed mesh for pictures, in the body frame."""
         import trimesh
 
-        return trimesh.util.concatenate([trimesh.convex.convex_hull(np.asarray(piece)) for piece in self.pieces_m])
+        return trimesh.util.concatenate(
+            [trimesh.convex.convex_hull(np.asarray(piece)) for piece in self.pieces_m]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -272,7 +284,9 @@ class Compound:
     @property
     def corners_m(self) -> FloatArray:
         """Corners of all parts in the body frame [m], shape [corner_count, 3]."""
-        return np.concatenate([part.pose.to_world(part.shape.corners_m) for part in self.parts])
+        return np.concatenate(
+            [part.pose.to_world(part.shape.corners_m) for part in self.parts]
+        )
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
@@ -296,5 +310,8 @@ def pose_distance(one: Pose, other: Pose) -> float:
     """
     apart = np.linalg.norm(np.subtract(one.position_m, other.position_m))
     # Take the closer of the two quaternions of a rotation. An arc cosine would lose half the digits.
-    chord = min(np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion))) for s in (1.0, -1.0))
+    chord = min(
+        np.linalg.norm(np.subtract(one.quaternion, np.multiply(s, other.quaternion)))
+        for s in (1.0, -1.0)
+    )
     return float(max(apart, 2.0 * chord))

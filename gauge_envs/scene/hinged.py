@@ -7,7 +7,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
+from gauge_envs.scene.bodies import (
+    BodyHinge,
+    Hinge,
+    JointDynamics,
+    Motion,
+    RigidBody,
+    Tether,
+)
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 
 UNIT = 1e-6
@@ -65,18 +72,31 @@ def moved_along(body: RigidBody, before: RigidBody, after: RigidBody) -> RigidBo
     """
     turn = after.pose.rotation * before.pose.rotation.inv()
     arm_m = np.subtract(body.pose.position_m, before.pose.position_m)
-    spin, old_spin = np.asarray(after.angular_velocity_rad_per_s), np.asarray(before.angular_velocity_rad_per_s)
-    slip = np.subtract(body.linear_velocity_m_per_s, before.linear_velocity_m_per_s) - np.cross(old_spin, arm_m)
+    spin, old_spin = (
+        np.asarray(after.angular_velocity_rad_per_s),
+        np.asarray(before.angular_velocity_rad_per_s),
+    )
+    slip = np.subtract(
+        body.linear_velocity_m_per_s, before.linear_velocity_m_per_s
+    ) - np.cross(old_spin, arm_m)
     reach_m = turn.apply(arm_m)
     return replace(
         body,
-        pose=Pose.from_rotation(vector(after.pose.position_m + reach_m), turn * body.pose.rotation),
-        linear_velocity_m_per_s=vector(after.linear_velocity_m_per_s + np.cross(spin, reach_m) + turn.apply(slip)),
-        angular_velocity_rad_per_s=vector(spin + turn.apply(np.asarray(body.angular_velocity_rad_per_s) - old_spin)),
+        pose=Pose.from_rotation(
+            vector(after.pose.position_m + reach_m), turn * body.pose.rotation
+        ),
+        linear_velocity_m_per_s=vector(
+            after.linear_velocity_m_per_s + np.cross(spin, reach_m) + turn.apply(slip)
+        ),
+        angular_velocity_rad_per_s=vector(
+            spin + turn.apply(np.asarray(body.angular_velocity_rad_per_s) - old_spin)
+        ),
     )
 
 
-def hinge_angle_rad(frames: HingeFrames, first: Rotation, second: Rotation) -> FloatArray:
+def hinge_angle_rad(
+    frames: HingeFrames, first: Rotation, second: Rotation
+) -> FloatArray:
     """Return the angle of a hinge since the start [rad], from -pi to pi.
 
     The part of the relative rotation that is not about the axis does not count.
@@ -95,7 +115,9 @@ def hinge_angle_rad(frames: HingeFrames, first: Rotation, second: Rotation) -> F
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def parent_hinges(hinges: Iterable[BodyHinge], hung: Collection[str] = ()) -> dict[str, BodyHinge]:
+def parent_hinges(
+    hinges: Iterable[BodyHinge], hung: Collection[str] = ()
+) -> dict[str, BodyHinge]:
     """Return the hinge through which each body hangs on another one in its tree, by the name of the body.
 
     The root of a tree is its body on a hinge to the world, or the first body of its first hinge, in the order of the
@@ -126,14 +148,21 @@ def other_end(hinge: BodyHinge, body: str) -> str:
 
 def start_rate_rad_per_s(hinge: BodyHinge, body: RigidBody, other: RigidBody) -> float:
     """Return the rate at which a body of a hinge rotates about its axis at the start, relative to the other one."""
-    return float(np.subtract(body.angular_velocity_rad_per_s, other.angular_velocity_rad_per_s) @ hinge.axis)
+    return float(
+        np.subtract(body.angular_velocity_rad_per_s, other.angular_velocity_rad_per_s)
+        @ hinge.axis
+    )
 
 
 def hinge_trees(hinges: Iterable[BodyHinge]) -> list[tuple[BodyHinge, ...]]:
     """Return the hinges in groups that share bodies, in their order."""
     groups: list[list[BodyHinge]] = []
     for hinge in hinges:
-        touching = [group for group in groups if any({hinge.first, hinge.second} & {o.first, o.second} for o in group)]
+        touching = [
+            group
+            for group in groups
+            if any({hinge.first, hinge.second} & {o.first, o.second} for o in group)
+        ]
         joined = [*(one for group in touching for one in group), hinge]
         place = min((groups.index(group) for group in touching), default=len(groups))
         groups = [group for group in groups if group not in touching]
@@ -142,7 +171,10 @@ def hinge_trees(hinges: Iterable[BodyHinge]) -> list[tuple[BodyHinge, ...]]:
 
 
 def hinge_fault(
-    hinges: Iterable[BodyHinge], bodies: Mapping[str, RigidBody], held: Collection[str], hung: Collection[str]
+    hinges: Iterable[BodyHinge],
+    bodies: Mapping[str, RigidBody],
+    held: Collection[str],
+    hung: Collection[str],
 ) -> str | None:
     """Return what is wrong with the hinges between bodies of a scene, and what would be right; None if nothing is.
 
@@ -174,7 +206,10 @@ def hinge_fault(
         if torn is not None:
             return f"{title}: {torn}"
     roots = [_root(group, name) for name in hung]
-    twice = next((name for name, root in zip(hung, roots, strict=True) if roots.count(root) > 1), None)
+    twice = next(
+        (name for name, root in zip(hung, roots, strict=True) if roots.count(root) > 1),
+        None,
+    )
     if twice is not None:
         return f"{twice!r} and bodies that hinges join to it have two hinges to the world: remove one of them"
     return None
@@ -188,7 +223,11 @@ def joint_sign(hinge: Hinge | BodyHinge, child: str) -> float:
 def joint_fields(joint: Hinge | BodyHinge | Tether) -> dict[str, Any]:
     """Return the fields of a joint, without friction, armature and motor if it has none."""
     without = {"dynamics": asdict(JointDynamics()), "motor": None}
-    return {name: value for name, value in asdict(joint).items() if name not in without or value != without[name]}
+    return {
+        name: value
+        for name, value in asdict(joint).items()
+        if name not in without or value != without[name]
+    }
 
 
 def _root(group: Mapping[str, str], name: str) -> str:
@@ -203,7 +242,9 @@ def _torn(hinge: BodyHinge, first: RigidBody, second: RigidBody) -> str | None:
     for body in (first, second):
         angular = np.asarray(body.angular_velocity_rad_per_s)
         arm = np.subtract(hinge.anchor_m, body.pose.position_m)
-        velocities.append((np.asarray(body.linear_velocity_m_per_s) + np.cross(angular, arm), angular))
+        velocities.append(
+            (np.asarray(body.linear_velocity_m_per_s) + np.cross(angular, arm), angular)
+        )
     slip = velocities[1][0] - velocities[0][0]
     spin = velocities[1][1] - velocities[0][1]
     askew = spin - np.asarray(hinge.axis) * (spin @ hinge.axis)

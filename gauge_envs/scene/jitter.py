@@ -45,11 +45,17 @@ class Jitter:
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not (math.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"jitter {name} is {value!r}: give a finite number of 0 or more")
+                raise ParameterError(
+                    f"jitter {name} is {value!r}: give a finite number of 0 or more"
+                )
 
     def to_dict(self) -> dict[str, float]:
         """Return the standard deviations for a result, without those of velocities that are zero."""
-        return {name: value for name, value in asdict(self).items() if value or name in ("position_m", "angle_rad")}
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if value or name in ("position_m", "angle_rad")
+        }
 
 
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
@@ -75,11 +81,21 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
     """
-    random, random_velocity = np.random.default_rng(seed), np.random.default_rng((seed, 1))
+    random, random_velocity = (
+        np.random.default_rng(seed),
+        np.random.default_rng((seed, 1)),
+    )
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
-    attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
-    groups = _Groups(scene, {*attached, *parent_hinges(scene.body_hinges, scene.hung)}, {*hinges, *tethers}, jitter)
+    attached = {attachment.deformable for attachment in scene.attachments} | {
+        a.to for a in scene.attachments
+    }
+    groups = _Groups(
+        scene,
+        {*attached, *parent_hinges(scene.body_hinges, scene.hung)},
+        {*hinges, *tethers},
+        jitter,
+    )
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
@@ -87,10 +103,14 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
-                turned = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis))
+                turned = Rotation.from_rotvec(
+                    jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis)
+                )
                 body = swung(body, turned, np.asarray(hinge.anchor_m))
             elif body.name in tethers:
-                swing = Rotation.from_rotvec(jitter.angle_rad * random.standard_normal(3))
+                swing = Rotation.from_rotvec(
+                    jitter.angle_rad * random.standard_normal(3)
+                )
                 body = swung(body, swing, np.asarray(tethers[body.name].anchor_m))
             else:
                 body = groups.moved(body, random)
@@ -110,19 +130,27 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             deformable = replace(deformable, pose=move(pose))
         deformables.append(deformable)
     if not moved:
-        raise ParameterError("nothing to jitter: every body of this scene is fixed, driven, or attached to one that is")
+        raise ParameterError(
+            "nothing to jitter: every body of this scene is fixed, driven, or attached to one that is"
+        )
     joined, body_hinges = _joined(bodies, scene)
-    return replace(scene, bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables))
+    return replace(
+        scene, bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables)
+    )
 
 
-def _joined(bodies: Sequence[RigidBody], scene: Scene) -> tuple[tuple[RigidBody, ...], tuple[BodyHinge, ...]]:
+def _joined(
+    bodies: Sequence[RigidBody], scene: Scene
+) -> tuple[tuple[RigidBody, ...], tuple[BodyHinge, ...]]:
     """Return the bodies and the hinges between them after both have moved with the roots of their trees."""
     now = {body.name: body for body in bodies}
     roots: dict[str, str] = {}
     for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items():
         parent = other_end(hinge, name)
         roots[name] = roots.get(parent, parent)
-        now[name] = moved_along(scene.body(name), scene.body(roots[name]), now[roots[name]])
+        now[name] = moved_along(
+            scene.body(name), scene.body(roots[name]), now[roots[name]]
+        )
     hinges = []
     for hinge in scene.body_hinges:
         root = roots.get(hinge.first, hinge.first)
@@ -146,11 +174,18 @@ class _Move:
 
     def __call__(self, pose: Pose) -> Pose:
         rotated = _rotated(pose, self.rotation, self.point_m)
-        return replace(rotated, position_m=vector(np.asarray(rotated.position_m) + self.shift_m))
+        return replace(
+            rotated, position_m=vector(np.asarray(rotated.position_m) + self.shift_m)
+        )
 
 
 def _drawn(
-    point_m: Any, blocked: FloatArray, jitter: Jitter, random: np.random.Generator, *, is_ball: bool = False
+    point_m: Any,
+    blocked: FloatArray,
+    jitter: Jitter,
+    random: np.random.Generator,
+    *,
+    is_ball: bool = False,
 ) -> _Move:
     """Return a random move about a point that keeps the contacts with faces of given normals; a ball has none."""
     shift = jitter.position_m * random.standard_normal(3)
@@ -181,18 +216,32 @@ class _Groups:
         free: Names of the bodies that can start elsewhere, those on joints included.
     """
 
-    def __init__(self, scene: Scene, kept: Collection[str], jointed: Collection[str], jitter: Jitter) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        kept: Collection[str],
+        jointed: Collection[str],
+        jitter: Jitter,
+    ) -> None:
         self._jitter = jitter
         bodies = {body.name: body for body in scene.bodies}
-        self.free = {name for name, one in bodies.items() if one.motion is Motion.DYNAMIC and name not in kept}
+        self.free = {
+            name
+            for name, one in bodies.items()
+            if one.motion is Motion.DYNAMIC and name not in kept
+        }
         faces = scene.contact_faces
         self._members: dict[str, tuple[str, ...]] = {}
         self._normals: dict[tuple[str, ...], list[FloatArray]] = {}
         self._centre_m: dict[tuple[str, ...], FloatArray] = {}
-        for members in faces.groups([name for name in bodies if name in self.free and name not in jointed]):
+        for members in faces.groups(
+            [name for name in bodies if name in self.free and name not in jointed]
+        ):
             self._members.update(dict.fromkeys(members, members))
             self._normals[members] = faces.normals(members)
-            self._centre_m[members] = np.mean([bodies[name].pose.position_m for name in members], axis=0)
+            self._centre_m[members] = np.mean(
+                [bodies[name].pose.position_m for name in members], axis=0
+            )
         self._moves: dict[tuple[str, ...], _Move] = {}
         self._pushes: dict[tuple[str, ...], FloatArray] = {}
 
@@ -202,7 +251,9 @@ class _Groups:
         if members not in self._moves:
             blocked = blocked_directions(body.pose, self._normals[members])
             is_ball = isinstance(body.shape, Sphere)
-            self._moves[members] = _drawn(self._centre_m[members], blocked, self._jitter, random, is_ball=is_ball)
+            self._moves[members] = _drawn(
+                self._centre_m[members], blocked, self._jitter, random, is_ball=is_ball
+            )
         return replace(body, pose=self._moves[members](body.pose))
 
     def pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
@@ -215,10 +266,16 @@ class _Groups:
         if not isinstance(body.shape, Sphere):
             blocked = blocked_directions(body.pose, self._normals[members])
             linear = _along(linear, blocked)
-            angular = (angular @ blocked[0]) * blocked[0] if len(blocked) == 1 else np.zeros(3)
+            angular = (
+                (angular @ blocked[0]) * blocked[0]
+                if len(blocked) == 1
+                else np.zeros(3)
+            )
         if len(members) > 1:
             centre_m = self._centre_m[members] + self._moves[members].shift_m
-            linear = linear + np.cross(angular, np.asarray(body.pose.position_m) - centre_m)
+            linear = linear + np.cross(
+                angular, np.asarray(body.pose.position_m) - centre_m
+            )
         return _faster(body, linear, angular)
 
 
@@ -231,11 +288,15 @@ def swung(body: RigidBody, rotation: Rotation, point_m: FloatArray) -> RigidBody
         body,
         pose=pose,
         linear_velocity_m_per_s=vector(rotation.apply(body.linear_velocity_m_per_s)),
-        angular_velocity_rad_per_s=vector(rotation.apply(body.angular_velocity_rad_per_s)),
+        angular_velocity_rad_per_s=vector(
+            rotation.apply(body.angular_velocity_rad_per_s)
+        ),
     )
 
 
-def _swinging(body: RigidBody, joint: Hinge | Tether, jitter: Jitter, random: np.random.Generator) -> RigidBody:
+def _swinging(
+    body: RigidBody, joint: Hinge | Tether, jitter: Jitter, random: np.random.Generator
+) -> RigidBody:
     """Return a body on a joint with a random velocity in addition to its own."""
     linear = jitter.velocity_m_per_s * random.standard_normal(3)
     angular = jitter.angular_velocity_rad_per_s * random.standard_normal(3)
@@ -281,7 +342,10 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
         rotation_rad: Rotation vector [rad], shape [3].
         about_m: Fixed point of the rotation [m], shape [3].
     """
-    rotation, centre = Rotation.from_rotvec(rotation_rad), np.asarray(about_m, dtype=np.float64)
+    rotation, centre = (
+        Rotation.from_rotvec(rotation_rad),
+        np.asarray(about_m, dtype=np.float64),
+    )
 
     def place(point_m: ArrayLike) -> Vector:
         moved: FloatArray = rotation.apply(np.asarray(point_m) - centre) + centre
@@ -289,7 +353,11 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
 
     def turned(part: Any) -> Any:
         """Return a joint or a motion after the rotation."""
-        changes = {name: place(getattr(part, name)) for name in ("anchor_m", "point_m") if hasattr(part, name)}
+        changes = {
+            name: place(getattr(part, name))
+            for name in ("anchor_m", "point_m")
+            if hasattr(part, name)
+        }
         if hasattr(part, "axis"):
             changes["axis"] = vector(rotation.apply(part.axis))
         return replace(part, **changes)
@@ -298,9 +366,17 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
     return replace(
         scene,
         bodies=tuple(swung(body, rotation, centre) for body in scene.bodies),
-        deformables=tuple(replace(body, pose=_rotated(body.pose, rotation, centre)) for body in scene.deformables),
+        deformables=tuple(
+            replace(body, pose=_rotated(body.pose, rotation, centre))
+            for body in scene.deformables
+        ),
         joints=tuple(map(turned, scene.joints)),
         body_hinges=tuple(map(turned, scene.body_hinges)),
-        drivers=tuple(replace(one, motions=tuple(map(turned, one.motions))) for one in scene.drivers),
-        markers=None if markers is None else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
+        drivers=tuple(
+            replace(one, motions=tuple(map(turned, one.motions)))
+            for one in scene.drivers
+        ),
+        markers=None
+        if markers is None
+        else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
     )

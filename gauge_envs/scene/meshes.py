@@ -36,7 +36,9 @@ def prism(cylinder: Cylinder) -> ConvexUnion:
     angles = 2.0 * np.pi * np.arange(PRISM_SIDES) / PRISM_SIDES
     x, y = cylinder.radius_m * np.cos(angles), cylinder.radius_m * np.sin(angles)
     z = 0.5 * cylinder.length_m
-    rings = [np.column_stack([x, y, np.full(PRISM_SIDES, height)]) for height in (-z, z)]
+    rings = [
+        np.column_stack([x, y, np.full(PRISM_SIDES, height)]) for height in (-z, z)
+    ]
     return ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),))
 
 
@@ -63,7 +65,13 @@ def hull_faces(points_m: FloatArray) -> list[tuple[int, ...]]:
         arms = points_m[indices] - points_m[indices].mean(axis=0)
         normal = equation[:3]
         angles = np.arctan2(np.cross(arms[0], arms) @ normal, arms @ arms[0])
-        faces.append(tuple(indices[np.argsort(np.where(angles < -1e-9, angles + 2 * np.pi, angles))].tolist()))
+        faces.append(
+            tuple(
+                indices[
+                    np.argsort(np.where(angles < -1e-9, angles + 2 * np.pi, angles))
+                ].tolist()
+            )
+        )
     return sorted(faces)
 
 
@@ -78,7 +86,9 @@ def hull_triangles(points_m: FloatArray) -> FloatArray:
     """
     hull = ConvexHull(points_m)
     triangles = points_m[hull.simplices]
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    across = np.cross(
+        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    )
     inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
     triangles[inward] = triangles[inward][:, ::-1]
     return triangles
@@ -86,7 +96,9 @@ def hull_triangles(points_m: FloatArray) -> FloatArray:
 
 def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int, int]]:
     """Return the nodes of a regular grid about the origin [m], shape [node_count, 3], and the count along each axis."""
-    counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]
+    counts = [
+        max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m
+    ]
     axes = [
         np.linspace(-0.5 * edge, 0.5 * edge, count) if edge else np.zeros(1)
         for edge, count in zip(size_m, counts, strict=True)
@@ -101,11 +113,25 @@ def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
     x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
     # Each path from the low to the high corner along three edges is a tetrahedron; every second path is left-handed.
     rows = []
-    for first, second, right_handed in ((x, y, 1), (y, z, 1), (z, x, 1), (y, x, 0), (z, y, 0), (x, z, 0)):
+    for first, second, right_handed in (
+        (x, y, 1),
+        (y, z, 1),
+        (z, x, 1),
+        (y, x, 0),
+        (z, y, 0),
+        (x, z, 0),
+    ):
         path = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
         if not right_handed:
             path[1], path[2] = path[2], path[1]
-        rows.append([node[tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))] for step in path])
+        rows.append(
+            [
+                node[
+                    tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))
+                ]
+                for step in path
+            ]
+        )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
 
 
@@ -134,9 +160,15 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
         # Imported here, since the import takes 0.2 s and most scenes only have primitives.
         import trimesh
 
-        pieces = [trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m]
+        pieces = [
+            trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m
+        ]
         density = mass_kg / sum(piece.volume for piece in pieces)
-        centre = density / mass_kg * sum(piece.volume * piece.center_mass for piece in pieces)
+        centre = (
+            density
+            / mass_kg
+            * sum(piece.volume * piece.center_mass for piece in pieces)
+        )
         inertia = np.zeros((3, 3))
         for piece in pieces:
             arm = piece.center_mass - centre
@@ -155,10 +187,15 @@ def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     A body that states `inertia_kg_m2` has this moment about every axis through its centre.
     """
     centre, inertia = mass_properties(body.shape, body.mass_kg)
-    return centre, inertia if body.inertia_kg_m2 is None else body.inertia_kg_m2 * np.eye(3)
+    return (
+        centre,
+        inertia if body.inertia_kg_m2 is None else body.inertia_kg_m2 * np.eye(3),
+    )
 
 
-def _compound_properties(shape: Compound, mass_kg: float) -> tuple[FloatArray, FloatArray]:
+def _compound_properties(
+    shape: Compound, mass_kg: float
+) -> tuple[FloatArray, FloatArray]:
     density = mass_kg / shape.volume_m3
     parts = [_part_properties(part, density) for part in shape.parts]
     centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / mass_kg
@@ -169,7 +206,9 @@ def _compound_properties(shape: Compound, mass_kg: float) -> tuple[FloatArray, F
     return centre, inertia
 
 
-def _part_properties(part: Part, density_kg_per_m3: float) -> tuple[float, FloatArray, FloatArray]:
+def _part_properties(
+    part: Part, density_kg_per_m3: float
+) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass and inertia about it of a part, in the axes of its body."""
     shape = part.shape
     mass = density_kg_per_m3 * shape.volume_m3

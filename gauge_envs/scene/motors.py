@@ -44,9 +44,14 @@ class Servo:
     torque_limit_n_m: Positive | None = None
     delay_s: NonNegative = 0.0
 
-    def torque_n_m(self, command_rad: float, angle_rad: float, rate_rad_per_s: float) -> float:
+    def torque_n_m(
+        self, command_rad: float, angle_rad: float, rate_rad_per_s: float
+    ) -> float:
         """Return the torque for a command and the state of the joint [N m], without delay."""
-        torque = self.kp_n_m_per_rad * (command_rad - angle_rad) - self.kv_n_m_s_per_rad * rate_rad_per_s
+        torque = (
+            self.kp_n_m_per_rad * (command_rad - angle_rad)
+            - self.kv_n_m_s_per_rad * rate_rad_per_s
+        )
         limit = self.torque_limit_n_m
         return torque if limit is None else min(max(torque, -limit), limit)
 

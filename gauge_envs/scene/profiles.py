@@ -22,7 +22,9 @@ class _Values:
 
     def values_at(self, times_s: FloatArray) -> FloatArray:
         """Return the coordinate at times, in their shape."""
-        return np.array([self.value(time) for time in times_s.ravel().tolist()]).reshape(times_s.shape)
+        return np.array(
+            [self.value(time) for time in times_s.ravel().tolist()]
+        ).reshape(times_s.shape)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,12 +49,16 @@ class TrapezoidProfile(_Values):
 
     def __post_init__(self) -> None:
         if self.accelerate_s + self.brake_s > self.duration_s:
-            raise ValueError("accelerate_s and brake_s together are longer than duration_s")
+            raise ValueError(
+                "accelerate_s and brake_s together are longer than duration_s"
+            )
 
     @property
     def cruise_rate(self) -> float:
         """Signed rate between acceleration and deceleration [m/s or rad/s]."""
-        return self.amount / (self.duration_s - 0.5 * (self.accelerate_s + self.brake_s))
+        return self.amount / (
+            self.duration_s - 0.5 * (self.accelerate_s + self.brake_s)
+        )
 
     @property
     def largest_rate(self) -> float:
@@ -66,7 +72,9 @@ class TrapezoidProfile(_Values):
         # Distance at the cruise rate, less the distance lost during acceleration and deceleration.
         value = self.cruise_rate * t
         if self.accelerate_s > 0.0:
-            value -= self.cruise_rate * (speed_up - 0.5 * speed_up**2 / self.accelerate_s)
+            value -= self.cruise_rate * (
+                speed_up - 0.5 * speed_up**2 / self.accelerate_s
+            )
         braking = max(t - (self.duration_s - self.brake_s), 0.0)
         if self.brake_s > 0.0:
             value -= 0.5 * self.cruise_rate * braking**2 / self.brake_s
@@ -105,7 +113,9 @@ class CosineProfile(_Values):
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]."""
         phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
-        return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
+        return (
+            0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,13 +134,17 @@ class SampledProfile:
 
     def __post_init__(self) -> None:
         if len(self.times_s) < 2:
-            raise ValueError(f"times_s has {len(self.times_s)} entries; at least 2 are needed")
+            raise ValueError(
+                f"times_s has {len(self.times_s)} entries; at least 2 are needed"
+            )
         if len(self.values) != len(self.times_s):
             raise ValueError(f"{len(self.times_s)} times but {len(self.values)} values")
         for index in range(1, len(self.times_s)):
             before, time = self.times_s[index - 1 : index + 1]
             if time <= before:
-                raise ValueError(f"driver time is not increasing: times_s[{index}] = {time} after {before}")
+                raise ValueError(
+                    f"driver time is not increasing: times_s[{index}] = {time} after {before}"
+                )
 
     @cached_property
     def _curve(self) -> PchipInterpolator:
@@ -150,7 +164,11 @@ class SampledProfile:
         """Largest absolute rate [m/s or rad/s]."""
         # The slope of a cubic piece is extreme at its ends or at a root of its derivative; flat pieces give NaN.
         inside = self._slope.derivative().roots(extrapolate=False)
-        return float(np.abs(self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))).max())
+        return float(
+            np.abs(
+                self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))
+            ).max()
+        )
 
     def value(self, time_s: float) -> float:
         """Return the coordinate at a time, relative to the start pose [m or rad]."""
@@ -158,11 +176,17 @@ class SampledProfile:
 
     def values_at(self, times_s: FloatArray) -> FloatArray:
         """Return the coordinate at times, in their shape."""
-        return np.asarray(self._curve(np.clip(times_s, self.times_s[0], self.times_s[-1])))
+        return np.asarray(
+            self._curve(np.clip(times_s, self.times_s[0], self.times_s[-1]))
+        )
 
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
-        return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
+        return (
+            float(self._slope(time_s))
+            if self.times_s[0] <= time_s < self.times_s[-1]
+            else 0.0
+        )
 
 
 class _ByKind:

@@ -93,8 +93,12 @@ class Scene:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
         self._check_pairs()
-        if self.air is not None and not any(isinstance(body, Cloth) for body in self.deformables):
-            raise ParameterError("the scene has air and no cloth. Air acts on cloth alone: remove it")
+        if self.air is not None and not any(
+            isinstance(body, Cloth) for body in self.deformables
+        ):
+            raise ParameterError(
+                "the scene has air and no cloth. Air acts on cloth alone: remove it"
+            )
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
@@ -113,17 +117,27 @@ class Scene:
     @property
     def hinges(self) -> list[Hinge | BodyHinge]:
         """All hinges: those to the world first, in the order of the scene."""
-        return [*(joint for joint in self.joints if isinstance(joint, Hinge)), *self.body_hinges]
+        return [
+            *(joint for joint in self.joints if isinstance(joint, Hinge)),
+            *self.body_hinges,
+        ]
 
     @cached_property
     def motors(self) -> tuple[tuple[Hinge | BodyHinge, Motor], ...]:
         """Hinges that have a motor, with it, in the order of `hinges`."""
-        return tuple((hinge, hinge.motor) for hinge in self.hinges if hinge.motor is not None)
+        return tuple(
+            (hinge, hinge.motor) for hinge in self.hinges if hinge.motor is not None
+        )
 
     def _check_start_velocity(self, body: RigidBody) -> None:
-        linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
+        linear, angular = (
+            np.array(body.linear_velocity_m_per_s),
+            np.array(body.angular_velocity_rad_per_s),
+        )
         if not np.isfinite([linear, angular]).all():
-            raise ParameterError(f"the start velocity of {body.name!r} is not finite: give finite numbers")
+            raise ParameterError(
+                f"the start velocity of {body.name!r} is not finite: give finite numbers"
+            )
         if body.motion is not Motion.DYNAMIC:
             raise ParameterError(
                 f"{body.name!r} is {body.motion.value} and has a start velocity. Make the body dynamic, or remove the "
@@ -137,8 +151,13 @@ class Scene:
         for joint in self.joints:
             if joint.body == body.name and isinstance(joint, Hinge):
                 spin = np.asarray(joint.axis) * (angular @ joint.axis)
-                expected = np.cross(spin, np.subtract(body.pose.position_m, joint.anchor_m))
-                if np.abs([linear - expected, angular - spin]).max() > SAME_VELOCITY * np.abs([linear, angular]).max():
+                expected = np.cross(
+                    spin, np.subtract(body.pose.position_m, joint.anchor_m)
+                )
+                if (
+                    np.abs([linear - expected, angular - spin]).max()
+                    > SAME_VELOCITY * np.abs([linear, angular]).max()
+                ):
                     raise ParameterError(
                         f"the start velocity of {body.name!r} does not rotate the body about its hinge. Give an "
                         f"angular velocity along the axis {joint.axis}, and the linear velocity "
@@ -183,24 +202,33 @@ class Scene:
         """Whether more than two dynamic bodies collide with each other, so that impacts travel through them."""
         dynamic = {body.name for body in self.dynamic_bodies}
         return any(
-            contact.mode is ContactMode.IMPACT and len(dynamic & set(contact.first) & set(contact.second)) > 2
+            contact.mode is ContactMode.IMPACT
+            and len(dynamic & set(contact.first) & set(contact.second)) > 2
             for contact in self.contacts
         )
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
-        moving = {body.name for body in self.dynamic_bodies} | {body.name for body in self.deformables}
+        moving = {body.name for body in self.dynamic_bodies} | {
+            body.name for body in self.deformables
+        }
         seen: set[tuple[str, str]] = set()
         for pair in product(contact.first, contact.second):
             first, second = pair
-            if first != second and (first in moving or second in moving) and pair not in seen:
+            if (
+                first != second
+                and (first in moving or second in moving)
+                and pair not in seen
+            ):
                 seen.update((pair, (second, first)))
                 yield pair
 
     @cached_property
     def contact_faces(self) -> ContactFaces:
         """Faces at which bodies that collide touch at the start."""
-        pairs = (pair for contact in self.contacts for pair in self.colliding_pairs(contact))
+        pairs = (
+            pair for contact in self.contacts for pair in self.colliding_pairs(contact)
+        )
         return ContactFaces(self.bodies, pairs)
 
     @cached_property
@@ -210,7 +238,11 @@ class Scene:
         A leaning plane stops no fall: bodies slide down it.
         """
         planes = [body.pose for body in self.bodies if isinstance(body.shape, Plane)]
-        level = [pose.position_m[2] for pose in planes if pose.rotation.apply((0.0, 0.0, 1.0))[2] > LEVEL]
+        level = [
+            pose.position_m[2]
+            for pose in planes
+            if pose.rotation.apply((0.0, 0.0, 1.0))[2] > LEVEL
+        ]
         if level:
             return max(level)
         lowest = min((b.pose.position_m[2] for b in self.bodies), default=0.0)
@@ -225,16 +257,32 @@ class Scene:
         of the drivers. A perfectly elastic hit by a driven body gives a light body twice its speed. The factor three
         accounts for light bodies that heavy falling bodies hit.
         """
-        highest = max((float(b.pose.to_world(b.shape.corners_m)[:, 2].max()) for b in self.bodies), default=0.0)
+        highest = max(
+            (
+                float(b.pose.to_world(b.shape.corners_m)[:, 2].max())
+                for b in self.bodies
+            ),
+            default=0.0,
+        )
         drop = max(highest - self.floor_height_m, 0.1)
-        driven = max((driver.speed_limit_m_per_s(self.body(driver.body)) for driver in self.drivers), default=0.0)
-        fallen = np.sqrt(2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2)
+        driven = max(
+            (
+                driver.speed_limit_m_per_s(self.body(driver.body))
+                for driver in self.drivers
+            ),
+            default=0.0,
+        )
+        fallen = np.sqrt(
+            2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2
+        )
         return 3.0 * float(fallen) + 2.0 * driven
 
     @cached_property
     def distance_limit_m(self) -> float:
         """Upper bound on the distance of a body's origin from the world origin [m]."""
-        reach = max((float(np.linalg.norm(b.pose.position_m)) for b in self.bodies), default=0.0)
+        reach = max(
+            (float(np.linalg.norm(b.pose.position_m)) for b in self.bodies), default=0.0
+        )
         return reach + 1.0 + self.speed_limit_m_per_s * self.duration_s
 
     @cached_property
@@ -244,14 +292,26 @@ class Scene:
         It is the potential energy above the floor, plus the energy of the start and of elastic hits by the drivers,
         times 1.25.
         """
-        driven = max((driver.speed_limit_m_per_s(self.body(driver.body)) for driver in self.drivers), default=0.0)
+        driven = max(
+            (
+                driver.speed_limit_m_per_s(self.body(driver.body))
+                for driver in self.drivers
+            ),
+            default=0.0,
+        )
         total = 0.0
         for body in self.dynamic_bodies:
             lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
-            total += body.mass_kg * self.gravity_m_per_s2 * max(lowest - self.floor_height_m, 0.02)
+            total += (
+                body.mass_kg
+                * self.gravity_m_per_s2
+                * max(lowest - self.floor_height_m, 0.02)
+            )
             linear, angular = _velocity_of_mass(body)
             # One elastic hit adds twice the driver's speed.
-            total += 0.5 * body.mass_kg * (2.0 * driven + float(np.linalg.norm(linear))) ** 2
+            total += (
+                0.5 * body.mass_kg * (2.0 * driven + float(np.linalg.norm(linear))) ** 2
+            )
             if angular.any():
                 inertia = body_mass_properties(body)[1]
                 spin = body.pose.rotation.apply(angular, inverse=True)
@@ -261,14 +321,21 @@ class Scene:
     @cached_property
     def _start_speed_m_per_s(self) -> float:
         """Highest start speed of a point of a dynamic body [m/s]."""
-        return max((_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0)
+        return max(
+            (_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0
+        )
 
 
 def _velocity_of_mass(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     """Return the start velocity of a body's centre of mass [m/s] and its angular velocity [rad/s], shape [3] each."""
-    linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
+    linear, angular = (
+        np.array(body.linear_velocity_m_per_s),
+        np.array(body.angular_velocity_rad_per_s),
+    )
     if angular.any():
-        linear += np.cross(angular, body.pose.rotation.apply(body_mass_properties(body)[0]))
+        linear += np.cross(
+            angular, body.pose.rotation.apply(body_mass_properties(body)[0])
+        )
     return linear, angular
 
 

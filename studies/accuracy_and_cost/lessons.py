@@ -44,8 +44,15 @@ def lessons(found: Tradeoff) -> str:
         LessonError: One does not follow from the data any more.
     """
     phenomena = {one.name: one for one in found.phenomena}
-    texts = (_slide(phenomena["SlopeSlider-2"]), _finer(phenomena), _step_decides_nothing(phenomena))
-    return "".join(f"{fill(text, WIDTH, subsequent_indent='  ', break_on_hyphens=False)}\n" for text in texts)
+    texts = (
+        _slide(phenomena["SlopeSlider-2"]),
+        _finer(phenomena),
+        _step_decides_nothing(phenomena),
+    )
+    return "".join(
+        f"{fill(text, WIDTH, subsequent_indent='  ', break_on_hyphens=False)}\n"
+        for text in texts
+    )
 
 
 def _check(holds: bool, claim: str) -> None:
@@ -59,11 +66,18 @@ def _family(phenomenon: Phenomenon, name: str) -> Family:
 
 def _line(families: Iterable[Family]) -> list[Point]:
     """Return the points whose step alone differs, and that did not diverge."""
-    return [point for family in families for point in family.points if point.is_on_main_line and not point.diverged]
+    return [
+        point
+        for family in families
+        for point in family.points
+        if point.is_on_main_line and not point.diverged
+    ]
 
 
 def _at(family: Family, step_s: float) -> Point:
-    return next(point for point in _line([family]) if np.isclose(point.step_s or 0.0, step_s))
+    return next(
+        point for point in _line([family]) if np.isclose(point.step_s or 0.0, step_s)
+    )
 
 
 def _known(values: Iterable[float | None]) -> list[float]:
@@ -81,11 +95,17 @@ def _slide(slide: Phenomenon) -> str:
     coarse = [(family, _at(family, INTERVAL_S)) for family in slide.families]
     errors = _known(point.numerical for _, point in coarse)
     floors = _known(family.floor for family in slide.families)
-    _check(len(errors) == len(coarse) and max(errors) < min(floors), "a slide needs no finer step than 1/180 s")
+    _check(
+        len(errors) == len(coarse) and max(errors) < min(floors),
+        "a slide needs no finer step than 1/180 s",
+    )
     real = _known(point.to_reality for point in _line(slide.families))
     _check(min(real) > 1.0, "no step brings a slide as near as a trial")
     mujoco = _family(slide, "mujoco")
-    before, after = _at(mujoco, INTERVAL_S), next(p for p in _line([mujoco]) if "timestep_s" not in p.settings_given)
+    before, after = (
+        _at(mujoco, INTERVAL_S),
+        next(p for p in _line([mujoco]) if "timestep_s" not in p.settings_given),
+    )
     return (
         "- **A slide needs no finer step than 1/180 s, on any engine here.** There the numerical error is "
         f"{_range(errors)} of the real scatter, below the floor of {_range(floors)} that the uncertain friction, start "
@@ -98,23 +118,41 @@ def _slide(slide: Phenomenon) -> str:
 
 
 def _finer(phenomena: dict[str, Phenomenon]) -> str:
-    carried, turned, drop = phenomena["Turntable-1"], phenomena["Turntable-3"], phenomena["BouncingBall"]
+    carried, turned, drop = (
+        phenomena["Turntable-1"],
+        phenomena["Turntable-3"],
+        phenomena["BouncingBall"],
+    )
     parts = []
     for name in ("mujoco", "newton"):
         family = _family(carried, name)
         best = min(_line([family]), key=lambda point: point.to_closed_form or 0.0)
         end = family.converged
         _check(
-            end is not None and (best.step_s or 0.0) > (end.step_s or 0.0) and not best.is_reference,
+            end is not None
+            and (best.step_s or 0.0) > (end.step_s or 0.0)
+            and not best.is_reference,
             f"{name} is closest to the exact motion at a coarser step",
         )
         parts.append((best, family.model))
-    physx = sorted(_line([_family(carried, "physx")]), key=lambda point: -(point.step_s or 0.0))
+    physx = sorted(
+        _line([_family(carried, "physx")]), key=lambda point: -(point.step_s or 0.0)
+    )
     close = [point for point in physx if (point.to_closed_form or 0.0) < 1e-4]
-    _check(bool(close) and close[-1] is not physx[-1], "PhysX moves away at the finest step")
+    _check(
+        bool(close) and close[-1] is not physx[-1],
+        "PhysX moves away at the finest step",
+    )
     boxes = [_family(turned, f"{name} out_of_box") for name in ("mujoco", "newton")]
-    ends = [sorted(_line([box]), key=lambda point: -(point.step_s or 0.0)) for box in boxes]
-    _check(all((line[0].to_reality or 0.0) < (line[-1].to_reality or 0.0) for line in ends), "Turntable-3 grows worse")
+    ends = [
+        sorted(_line([box]), key=lambda point: -(point.step_s or 0.0)) for box in boxes
+    ]
+    _check(
+        all(
+            (line[0].to_reality or 0.0) < (line[-1].to_reality or 0.0) for line in ends
+        ),
+        "Turntable-3 grows worse",
+    )
     drops = [_family(drop, f"{name} out_of_box") for name in ("mujoco", "newton")]
     (mujoco, mujoco_end), (newton, newton_end) = parts
     return (
@@ -132,15 +170,28 @@ def _finer(phenomena: dict[str, Phenomenon]) -> str:
 
 
 def _step_decides_nothing(phenomena: dict[str, Phenomenon]) -> str:
-    cradle, drop, recorded = (phenomena[name] for name in ("NewtonsCradle", "BouncingBall", "BouncingBall, recorded"))
+    cradle, drop, recorded = (
+        phenomena[name]
+        for name in ("NewtonsCradle", "BouncingBall", "BouncingBall, recorded")
+    )
     steady = [_family(cradle, name) for name in ("mujoco", "physx", "newton")]
-    others = [point for family in steady for point in family.points if not point.diverged]
-    _check(min(_known(point.to_reality for point in others)) > 20.0, "the cradle is far off at every step")
-    rapier = sorted(_line([_family(cradle, "rapier")]), key=lambda point: -(point.step_s or 0.0))
+    others = [
+        point for family in steady for point in family.points if not point.diverged
+    ]
+    _check(
+        min(_known(point.to_reality for point in others)) > 20.0,
+        "the cradle is far off at every step",
+    )
+    rapier = sorted(
+        _line([_family(cradle, "rapier")]), key=lambda point: -(point.step_s or 0.0)
+    )
     default = [family for family in drop.families if family.is_default]
     drops = _known(point.to_reality for point in _line(default))
     _check(min(drops) > 1.0, "no step brings the ball drop within the scatter")
-    finest = [min(_line([family]), key=lambda point: point.step_s or 0.0) for family in recorded.families]
+    finest = [
+        min(_line([family]), key=lambda point: point.step_s or 0.0)
+        for family in recorded.families
+    ]
     mended = _known(point.to_reality for point in finest)
     _check(max(mended) < 1.0, "recorded heights mend the ball drop")
     return (
@@ -162,8 +213,14 @@ def _step(point: Point) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write or check the note; return the exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if the note is not current")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; fail if the note is not current",
+    )
     options = parser.parse_args(arguments)
     values = json.loads(DATA.read_text(encoding="utf-8"))
     found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
@@ -171,7 +228,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     before, _, rest = note.partition(BEGIN)
     _, _, after = rest.partition(END)
     text = f"{before}{BEGIN}\n{lessons(found)}{END}{after}"
-    return settle({NOTE: text}, "../studies/accuracy_and_cost/lessons.py", check=options.check)
+    return settle(
+        {NOTE: text}, "../studies/accuracy_and_cost/lessons.py", check=options.check
+    )
 
 
 if __name__ == "__main__":

@@ -67,7 +67,14 @@ class Run:
     cpu_s: float
 
 
-def run(fabric: str, parameters: Any, *, waves: bool = False, added_mass: bool = False, frames: int = FRAMES) -> Run:
+def run(
+    fabric: str,
+    parameters: Any,
+    *,
+    waves: bool = False,
+    added_mass: bool = False,
+    frames: int = FRAMES,
+) -> Run:
     """Run a fabric from the flat start or from one with waves; with inertia of the air along y, or without."""
     made = gymnasium.make(
         f"GAUGE/{FAMILY}-{fabric}",
@@ -97,7 +104,13 @@ def run(fabric: str, parameters: Any, *, waves: bool = False, added_mass: bool =
     cpu_s = time.process_time() - started
     curvature = env.trajectory().frames[: len(markers)]
     made.close()
-    return Run(np.arange(len(markers)) / FRAME_RATE_HZ, np.array(markers), np.array(angles), curvature, cpu_s)
+    return Run(
+        np.arange(len(markers)) / FRAME_RATE_HZ,
+        np.array(markers),
+        np.array(angles),
+        curvature,
+        cpu_s,
+    )
 
 
 def _add_mass(env: GaugeEnv) -> None:
@@ -120,7 +133,11 @@ def _add_waves(env: GaugeEnv) -> None:
     x, z = part.rest_m[:, 0], part.rest_m[:, 2]
     along = (x - x.min()) / np.ptp(x)
     down = (z.max() - z) / np.ptp(z)
-    wave = WAVE_M * np.sin(2 * np.pi * WAVES_ALONG_ROD * along) * np.sin(np.pi * WAVES_ALONG_WARP * down)
+    wave = (
+        WAVE_M
+        * np.sin(2 * np.pi * WAVES_ALONG_ROD * along)
+        * np.sin(np.pi * WAVES_ALONG_WARP * down)
+    )
     points = part.points
     simulation.data.qpos[points._addresses[:, 1]] += wave[points.free]  # noqa: SLF001
 
@@ -131,7 +148,9 @@ def swings(times_s: FloatArray, angles_deg: FloatArray) -> list[tuple[float, flo
     angles = angles_deg[clip]
     forward = int(angles.argmin())
     lag, back = int(angles[:forward].argmax()), forward + int(angles[forward:].argmax())
-    return [(float(angles[index]), float(times_s[index])) for index in (lag, forward, back)]
+    return [
+        (float(angles[index]), float(times_s[index])) for index in (lag, forward, back)
+    ]
 
 
 def decay_per_cycle(one: Run) -> float:
@@ -141,10 +160,18 @@ def decay_per_cycle(one: Run) -> float:
     """
     angles, times = one.angles_deg, one.times_s
     sizes = np.abs(angles)
-    inner = (sizes[1:-1] > sizes[:-2]) & (sizes[1:-1] >= sizes[2:]) & (times[1:-1] > ROD_STOPS_S)
+    inner = (
+        (sizes[1:-1] > sizes[:-2])
+        & (sizes[1:-1] >= sizes[2:])
+        & (times[1:-1] > ROD_STOPS_S)
+    )
     places = np.flatnonzero(inner) + 1
     first = max(places[:-1], key=lambda place: sizes[place])
-    later = [place for place in places if place > first and np.sign(angles[place]) != np.sign(angles[first])]
+    later = [
+        place
+        for place in places
+        if place > first and np.sign(angles[place]) != np.sign(angles[first])
+    ]
     return float((sizes[later[0]] / sizes[first]) ** 2)
 
 
@@ -154,14 +181,25 @@ def deviation_mm(one: Run) -> FloatArray:
     A sheet that swings flat has none. Coordinates along the rod do not count.
     """
     rows = one.markers_m.reshape(len(one.markers_m), -1, ROWS, 3)[..., 1:]
-    return np.asarray(1e3 * np.sqrt(np.square(rows - rows.mean(axis=1, keepdims=True)).sum(axis=-1).mean(axis=(1, 2))))
+    return np.asarray(
+        1e3
+        * np.sqrt(
+            np.square(rows - rows.mean(axis=1, keepdims=True))
+            .sum(axis=-1)
+            .mean(axis=(1, 2))
+        )
+    )
 
 
 def summary(fabric: str) -> dict[str, Any]:
     """Return all numbers of one fabric."""
     still, air = run(fabric, "calibrated"), run(fabric, "air")
     heavy = [run(fabric, "air", added_mass=True)] if fabric in ADDED else []
-    wavy = [run(fabric, one, waves=True, frames=WAVE_FRAMES) for one in ("calibrated", "air") if fabric in WAVY]
+    wavy = [
+        run(fabric, one, waves=True, frames=WAVE_FRAMES)
+        for one in ("calibrated", "air")
+        if fabric in WAVY
+    ]
     count = min(len(still.times_s), len(air.times_s))
     apart = np.linalg.norm(still.markers_m[:count] - air.markers_m[:count], axis=2)
 
@@ -171,13 +209,22 @@ def summary(fabric: str) -> dict[str, Any]:
     return {
         "fabric": fabric,
         "swings": [swings(one.times_s, one.angles_deg) for one in (still, air, *heavy)],
-        "path_mm": [1e3 * float(np.sqrt(np.square(apart).mean())), 1e3 * float(apart.max())],
+        "path_mm": [
+            1e3 * float(np.sqrt(np.square(apart).mean())),
+            1e3 * float(apart.max()),
+        ],
         "curvature_rms": [rms(one.curvature) for one in (still, air)],
         "curvature_rms_waves": [rms(one.curvature) for one in wavy],
-        "flutter_mm": [float(np.sqrt(np.square(deviation_mm(one)).mean())) for one in (still, air)],
-        "flutter_waves_mm": [float(np.sqrt(np.square(deviation_mm(one)).mean())) for one in wavy],
+        "flutter_mm": [
+            float(np.sqrt(np.square(deviation_mm(one)).mean())) for one in (still, air)
+        ],
+        "flutter_waves_mm": [
+            float(np.sqrt(np.square(deviation_mm(one)).mean())) for one in wavy
+        ],
         "decay": [decay_per_cycle(one) for one in (still, air, *heavy)],
-        "cpu_per_s": [one.cpu_s / (len(one.times_s) / FRAME_RATE_HZ) for one in (still, air)],
+        "cpu_per_s": [
+            one.cpu_s / (len(one.times_s) / FRAME_RATE_HZ) for one in (still, air)
+        ],
         "angles_deg": [one.angles_deg.tolist() for one in (still, air, *heavy)],
         "waves_over_time_mm": [deviation_mm(one).tolist() for one in wavy],
     }
@@ -187,27 +234,41 @@ def print_tables(rows: list[dict[str, Any]]) -> None:
     """Print the tables of the study."""
     recorded = read_table(FACTS / "textile_flinging_chord.csv")
     found = swings(recorded["time_s"] - FLING_ZERO_S, recorded["angle_deg"])
-    print("| fabric | air | lags by | swings past to | swings back to | decay per cycle |")
+    print(
+        "| fabric | air | lags by | swings past to | swings back to | decay per cycle |"
+    )
     print("|---|---|---|---|---|---|")
-    print(f"| recorded, +- 3.4 | | {' | '.join(f'{angle:+.1f} at {at:.2f} s' for angle, at in found)} | |")
+    print(
+        f"| recorded, +- 3.4 | | {' | '.join(f'{angle:+.1f} at {at:.2f} s' for angle, at in found)} | |"
+    )
     for row in rows:
         names = ("no", "yes", "yes, with inertia along y")
         for name, three, ratio in zip(names, row["swings"], row["decay"], strict=False):
             cells = " | ".join(f"{angle:+.1f} at {at:.2f} s" for angle, at in three)
             print(f"| {row['fabric']} | {name} | {cells} | {ratio:.2f} |")
-    print("\n| fabric | markers move by, rms (largest) [mm] | curvature, rms [rad] | processor time per second |")
+    print(
+        "\n| fabric | markers move by, rms (largest) [mm] | curvature, rms [rad] | processor time per second |"
+    )
     print("|---|---|---|---|")
     for row in rows:
         still, air = row["cpu_per_s"]
         curvature = " / ".join(f"{value:.3g}" for value in row["curvature_rms"])
         path = f"{row['path_mm'][0]:.0f} ({row['path_mm'][1]:.0f})"
-        print(f"| {row['fabric']} | {path} | {curvature} | {still:.2f} / {air:.2f}, {100 * (air / still - 1):+.0f} % |")
-    print("\n| fabric | deviation from flat rows, flat start [mm] | start with waves | curvature with waves [rad] |")
+        print(
+            f"| {row['fabric']} | {path} | {curvature} | {still:.2f} / {air:.2f}, {100 * (air / still - 1):+.0f} % |"
+        )
+    print(
+        "\n| fabric | deviation from flat rows, flat start [mm] | start with waves | curvature with waves [rad] |"
+    )
     print("|---|---|---|---|")
     for row in rows:
         if row["flutter_waves_mm"]:
             keys = ("flutter_mm", "flutter_waves_mm", "curvature_rms_waves")
-            print(f"| {row['fabric']} | " + " | ".join(" / ".join(f"{v:.2g}" for v in row[key]) for key in keys) + " |")
+            print(
+                f"| {row['fabric']} | "
+                + " | ".join(" / ".join(f"{v:.2g}" for v in row[key]) for key in keys)
+                + " |"
+            )
 
 
 def plot(rows: list[dict[str, Any]], path: Path) -> None:
@@ -218,12 +279,22 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
     from matplotlib import pyplot
 
     recorded = read_table(FACTS / "textile_flinging_chord.csv")
-    figure, axes = pyplot.subplots(1, 2, figsize=(8.0, 3.2), sharey=True, layout="constrained")
+    figure, axes = pyplot.subplots(
+        1, 2, figsize=(8.0, 3.2), sharey=True, layout="constrained"
+    )
     for axis, fabric in zip(axes, ("satin", "leather"), strict=True):
         row = next(one for one in rows if one["fabric"] == fabric)
         labels = ("without air", "with air", "with air and inertia along y")
-        for label, angles, colour in zip(labels, row["angles_deg"], ("C0", "C1", "C2"), strict=False):
-            axis.plot(np.arange(len(angles)) / FRAME_RATE_HZ, angles, colour, label=label, linewidth=1.2)
+        for label, angles, colour in zip(
+            labels, row["angles_deg"], ("C0", "C1", "C2"), strict=False
+        ):
+            axis.plot(
+                np.arange(len(angles)) / FRAME_RATE_HZ,
+                angles,
+                colour,
+                label=label,
+                linewidth=1.2,
+            )
         axis.errorbar(
             recorded["time_s"] - FLING_ZERO_S,
             recorded["angle_deg"],
@@ -244,13 +315,19 @@ def main() -> None:
     """Run all fabrics, or read their numbers, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plot", type=Path, help="write the figure to this file")
-    parser.add_argument("--json", type=Path, help="keep the numbers in this file; fabrics that it has do not run again")
+    parser.add_argument(
+        "--json",
+        type=Path,
+        help="keep the numbers in this file; fabrics that it has do not run again",
+    )
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
     if arguments.json is not None and arguments.json.exists():
         rows = json.loads(arguments.json.read_text(encoding="utf-8"))
     for variant in gauge_envs.variants():
-        if variant.family != FAMILY or any(row["fabric"] == variant.material for row in rows):
+        if variant.family != FAMILY or any(
+            row["fabric"] == variant.material for row in rows
+        ):
             continue
         rows.append(summary(variant.material))
         if arguments.json is not None:

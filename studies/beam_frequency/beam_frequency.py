@@ -63,11 +63,21 @@ def pieces(name: str) -> list[Piece]:
     for body in load_experiment(name).scene.deformables:
         assert isinstance(body, SoftBody)
         size = sorted(body.shape.size_m)
-        found.append(Piece(size[2], size[0], body.mass_kg, body.young_modulus_pa, body.poisson_ratio))
+        found.append(
+            Piece(
+                size[2],
+                size[0],
+                body.mass_kg,
+                body.young_modulus_pa,
+                body.poisson_ratio,
+            )
+        )
     return found
 
 
-def line_frequency_hz(beam: Sequence[Piece], *, shear: bool, tip_kg: float = 0.0, count: int = 24) -> float:
+def line_frequency_hz(
+    beam: Sequence[Piece], *, shear: bool, tip_kg: float = 0.0, count: int = 24
+) -> float:
     """Return the lowest bending frequency of straight beam elements, of Timoshenko or of Euler and Bernoulli."""
     nodes = 2 * (count * len(beam) + 1)
     stiffness, mass = np.zeros((nodes, nodes)), np.zeros((nodes, nodes))
@@ -85,13 +95,18 @@ def line_frequency_hz(beam: Sequence[Piece], *, shear: bool, tip_kg: float = 0.0
         )
         local *= piece.bending_n_m2 / ((1.0 + soft) * a**3)
         each = piece.mass_kg / count
-        lumped = np.diag([0.5, piece.width_m**2 / 24.0, 0.5, piece.width_m**2 / 24.0]) * each
+        lumped = (
+            np.diag([0.5, piece.width_m**2 / 24.0, 0.5, piece.width_m**2 / 24.0]) * each
+        )
         for element in range(count):
             first = 2 * (number * count + element)
             stiffness[first : first + 4, first : first + 4] += local
             mass[first : first + 4, first : first + 4] += lumped
     mass[-2, -2] += tip_kg
-    return float(np.sqrt(eigh(stiffness[2:, 2:], mass[2:, 2:], eigvals_only=True)[0]) / (2.0 * np.pi))
+    return float(
+        np.sqrt(eigh(stiffness[2:, 2:], mass[2:, 2:], eigvals_only=True)[0])
+        / (2.0 * np.pi)
+    )
 
 
 def solid(beam: Sequence[Piece], along: int, across: int) -> tuple[float, float]:
@@ -104,7 +119,9 @@ def solid(beam: Sequence[Piece], along: int, across: int) -> tuple[float, float]
     corner = list(itertools.product(range(3), repeat=3))
 
     def shape(x: float) -> tuple[FloatArray, FloatArray]:
-        return np.array([x * (x - 1) / 2, 1 - x * x, x * (x + 1) / 2]), np.array([x - 0.5, -2 * x, x + 0.5])
+        return np.array([x * (x - 1) / 2, 1 - x * x, x * (x + 1) / 2]), np.array(
+            [x - 0.5, -2 * x, x + 0.5]
+        )
 
     width = beam[0].width_m
     counts = (2 * along * len(beam) + 1, 2 * across + 1, 2 * across + 1)
@@ -112,17 +129,31 @@ def solid(beam: Sequence[Piece], along: int, across: int) -> tuple[float, float]
     rows, columns, stiff, weights = [], [], [], []
     for block, piece in enumerate(beam):
         size = np.array([piece.length_m / along, width / across, width / across])
-        lame = piece.modulus_pa * piece.poisson / ((1 + piece.poisson) * (1 - 2 * piece.poisson))
+        lame = (
+            piece.modulus_pa
+            * piece.poisson
+            / ((1 + piece.poisson) * (1 - 2 * piece.poisson))
+        )
         shear = piece.modulus_pa / (2 + 2 * piece.poisson)
         elastic = np.diag([2 * shear] * 3 + [shear] * 3)
         elastic[:3, :3] += lame
         local, mass = np.zeros((81, 81)), np.zeros((27, 27))
         for i, j, k in corner:
             parts = [shape(gauss[m]) for m in (i, j, k)]
-            value = np.array([parts[0][0][a] * parts[1][0][b] * parts[2][0][c] for a, b, c in corner])
+            value = np.array(
+                [parts[0][0][a] * parts[1][0][b] * parts[2][0][c] for a, b, c in corner]
+            )
             slope = np.array(
                 [
-                    np.prod([[parts[e][int(e == d)][n[e]] for n in corner] for e in range(3)], axis=0) * 2.0 / size[d]
+                    np.prod(
+                        [
+                            [parts[e][int(e == d)][n[e]] for n in corner]
+                            for e in range(3)
+                        ],
+                        axis=0,
+                    )
+                    * 2.0
+                    / size[d]
                     for d in range(3)
                 ]
             )
@@ -134,10 +165,19 @@ def solid(beam: Sequence[Piece], along: int, across: int) -> tuple[float, float]
                 strain[row, :, d], strain[row, :, e] = slope[e], slope[d]
             flat = strain.reshape(6, 81)
             local += factor * flat.T @ elastic @ flat
-            mass += factor * piece.mass_kg / (piece.length_m * width**2) * np.outer(value, value)
+            mass += (
+                factor
+                * piece.mass_kg
+                / (piece.length_m * width**2)
+                * np.outer(value, value)
+            )
         for cell in itertools.product(range(along), range(across), range(across)):
             start = (2 * (block * along + cell[0]), 2 * cell[1], 2 * cell[2])
-            nodes = number[start[0] : start[0] + 3, start[1] : start[1] + 3, start[2] : start[2] + 3].ravel()
+            nodes = number[
+                start[0] : start[0] + 3,
+                start[1] : start[1] + 3,
+                start[2] : start[2] + 3,
+            ].ravel()
             dofs = (3 * nodes[:, None] + np.arange(3)).ravel()
             rows.append(np.repeat(dofs, 81))
             columns.append(np.tile(dofs, 81))
@@ -145,16 +185,26 @@ def solid(beam: Sequence[Piece], along: int, across: int) -> tuple[float, float]
             weights.append(np.kron(mass, np.eye(3)).ravel())
     places = np.concatenate(rows), np.concatenate(columns)
     total = 3 * number.size
-    free = np.setdiff1d(np.arange(total), (3 * number[0].ravel()[:, None] + np.arange(3)).ravel())
-    stiffness = coo_array((np.concatenate(stiff), places), shape=(total, total)).tocsc()[free][:, free]
-    inertia = coo_array((np.concatenate(weights), places), shape=(total, total)).tocsc()[free][:, free]
+    free = np.setdiff1d(
+        np.arange(total), (3 * number[0].ravel()[:, None] + np.arange(3)).ravel()
+    )
+    stiffness = coo_array(
+        (np.concatenate(stiff), places), shape=(total, total)
+    ).tocsc()[free][:, free]
+    inertia = coo_array(
+        (np.concatenate(weights), places), shape=(total, total)
+    ).tocsc()[free][:, free]
     down = np.zeros(total)
     down[2::3] = G
     droop = spsolve(stiffness, inertia @ down[free])
     full = np.zeros(total)
     full[free] = droop
-    square = eigsh(stiffness, k=1, M=inertia, sigma=0.0, which="LM", return_eigenvectors=False)[0]
-    return float(np.sqrt(square) / (2.0 * np.pi)), float(full[3 * number[-1, across, across] + 2])
+    square = eigsh(
+        stiffness, k=1, M=inertia, sigma=0.0, which="LM", return_eigenvectors=False
+    )[0]
+    return float(np.sqrt(square) / (2.0 * np.pi)), float(
+        full[3 * number[-1, across, across] + 2]
+    )
 
 
 Law = Callable[[FloatArray], FloatArray]
@@ -183,9 +233,13 @@ def plateau_law(piece: Piece) -> Law:
             return float(stress(middle + bent * height).sum())
 
         middle = float(brentq(force, -most, most))
-        moments.append(float((stress(middle + curvature * height) * height).sum() * strip))
+        moments.append(
+            float((stress(middle + curvature * height) * height).sum() * strip)
+        )
     table = np.array(moments)
-    return lambda curvature: np.sign(curvature) * np.interp(np.abs(curvature), curvatures, table)
+    return lambda curvature: (
+        np.sign(curvature) * np.interp(np.abs(curvature), curvatures, table)
+    )
 
 
 FACTORS = {
@@ -199,7 +253,9 @@ FACTORS = {
 class Chain:
     """Rigid segments of foam on springs, and rigid blocks of rubber; angles are below the level, in radians."""
 
-    def __init__(self, beam: Sequence[Piece], law: Callable[[Piece], Law], count: int) -> None:
+    def __init__(
+        self, beam: Sequence[Piece], law: Callable[[Piece], Law], count: int
+    ) -> None:
         lengths, masses, inertias, soft = [], [], [], []
         for piece in beam:
             parts = 1 if piece.modulus_pa > RUBBER_PA else count
@@ -235,14 +291,23 @@ class Chain:
         """Return the lowest frequency of small swings about angles at rest."""
         step = 1e-4
         unit = step * np.eye(len(angles))
-        stiffness = -np.array([self.torques(angles + one) - self.torques(angles - one) for one in unit]) / (2 * step)
+        stiffness = -np.array(
+            [self.torques(angles + one) - self.torques(angles - one) for one in unit]
+        ) / (2 * step)
         mass = self.couplings * np.cos(angles[:, None] - angles) + self.inertias
-        return float(np.sqrt(eigh(0.5 * (stiffness + stiffness.T), mass, eigvals_only=True)[0]) / (2 * np.pi))
+        return float(
+            np.sqrt(eigh(0.5 * (stiffness + stiffness.T), mass, eigvals_only=True)[0])
+            / (2 * np.pi)
+        )
 
     def line_angle(self, angles: FloatArray) -> FloatArray:
         """Return the angle from hanging straight down of the line from the root to the middle of the last block."""
         reach = np.append(self.lengths[:-1], 0.5 * self.lengths[-1])
-        return np.asarray(np.arctan2((reach * np.cos(angles.T)).sum(-1), (reach * np.sin(angles.T)).sum(-1)))
+        return np.asarray(
+            np.arctan2(
+                (reach * np.cos(angles.T)).sum(-1), (reach * np.sin(angles.T)).sum(-1)
+            )
+        )
 
     def release(self, decay_per_s: float) -> tuple[float, float, float]:
         """Return frequency [Hz], middle and first low of the line's angle [rad] of a release from the level.
@@ -255,25 +320,55 @@ class Chain:
             apart = angles[:, None] - angles
             mass = self.couplings * np.cos(apart) + self.inertias
             pull = self.torques(angles) - (self.couplings * np.sin(apart)) @ speeds**2
-            return np.concatenate([speeds, np.linalg.solve(mass, pull) - 2.0 * decay_per_s * speeds])
+            return np.concatenate(
+                [speeds, np.linalg.solve(mass, pull) - 2.0 * decay_per_s * speeds]
+            )
 
         times = np.arange(0.0, 1.41, 0.005)
         start = np.zeros(2 * len(self.lengths))
-        found = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, method="LSODA", rtol=1e-6, atol=1e-8)
+        found = solve_ivp(
+            rate,
+            (0.0, times[-1]),
+            start,
+            t_eval=times,
+            method="LSODA",
+            rtol=1e-6,
+            atol=1e-8,
+        )
         angle = self.line_angle(found.y[: len(self.lengths)])
 
-        def swing(t: FloatArray, mean: float, size: float, decay: float, hz: float, phase: float) -> FloatArray:
-            return np.asarray(mean + size * np.exp(-decay * t) * np.cos(2 * np.pi * hz * t + phase))
+        def swing(
+            t: FloatArray,
+            mean: float,
+            size: float,
+            decay: float,
+            hz: float,
+            phase: float,
+        ) -> FloatArray:
+            return np.asarray(
+                mean + size * np.exp(-decay * t) * np.cos(2 * np.pi * hz * t + phase)
+            )
 
         late = times >= 0.25
-        guesses = ([angle.mean(), 0.5, decay_per_s, hz, phase] for hz in (1.5, 2.5, 3.5) for phase in (0.0, 2.0, 4.0))
+        guesses = (
+            [angle.mean(), 0.5, decay_per_s, hz, phase]
+            for hz in (1.5, 2.5, 3.5)
+            for phase in (0.0, 2.0, 4.0)
+        )
         fits = []
         for guess in guesses:
             try:
-                constants, _ = curve_fit(swing, times[late], angle[late], guess, maxfev=4000)
+                constants, _ = curve_fit(
+                    swing, times[late], angle[late], guess, maxfev=4000
+                )
             except RuntimeError:
                 continue
-            fits.append((float(np.sum((swing(times[late], *constants) - angle[late]) ** 2)), constants))
+            fits.append(
+                (
+                    float(np.sum((swing(times[late], *constants) - angle[late]) ** 2)),
+                    constants,
+                )
+            )
         best = min(fits, key=lambda fit: fit[0])[1]
         return abs(float(best[3])), float(best[0]), float(angle.min())
 
@@ -282,11 +377,22 @@ def silicone(fine: bool) -> None:
     """Print what the constants of the silicone beam give."""
     (beam,) = pieces("SiliconeBeam-0g-silicone")
     for label, tip_kg in (("0 g", 0.0), ("52 g", 0.052), ("101 g", 0.101)):
-        values = [line_frequency_hz([beam], shear=shear, tip_kg=tip_kg) for shear in (False, True)]
-        print(f"silicone, {label}: Euler and Bernoulli {values[0]:.2f} Hz, Timoshenko {values[1]:.2f} Hz")
+        values = [
+            line_frequency_hz([beam], shear=shear, tip_kg=tip_kg)
+            for shear in (False, True)
+        ]
+        print(
+            f"silicone, {label}: Euler and Bernoulli {values[0]:.2f} Hz, Timoshenko {values[1]:.2f} Hz"
+        )
     for poisson in (0.3, beam.poisson):
         one = Piece(beam.length_m, beam.width_m, beam.mass_kg, beam.modulus_pa, poisson)
-        for along, across in ((4, 2), (8, 2), (8, 4), (16, 4), *(((16, 6),) if fine else ())):
+        for along, across in (
+            (4, 2),
+            (8, 2),
+            (8, 4),
+            (16, 4),
+            *(((16, 6),) if fine else ()),
+        ):
             hz, droop_m = solid([one], along, across)
             print(
                 f"silicone, 0 g, nu {poisson}, {along} x {across} x {across} cells: {hz:.2f} Hz, {1e3 * droop_m:.2f} mm"
@@ -296,7 +402,13 @@ def silicone(fine: bool) -> None:
 def scaled(beam: Sequence[Piece], factor: float) -> list[Piece]:
     """Return a beam whose soft blocks have a modulus times a factor."""
     return [
-        Piece(p.length_m, p.width_m, p.mass_kg, p.modulus_pa * (factor if p.modulus_pa < RUBBER_PA else 1.0), p.poisson)
+        Piece(
+            p.length_m,
+            p.width_m,
+            p.mass_kg,
+            p.modulus_pa * (factor if p.modulus_pa < RUBBER_PA else 1.0),
+            p.poisson,
+        )
         for p in beam
     ]
 
@@ -306,10 +418,14 @@ def benchmark(fine: bool) -> None:
     for name in ("soft", "hard"):
         beam = pieces(f"CantileverBeam-{name}")
         values = [line_frequency_hz(beam, shear=shear) for shear in (False, True)]
-        print(f"{name}, straight: Euler and Bernoulli {values[0]:.2f} Hz, Timoshenko {values[1]:.2f} Hz")
+        print(
+            f"{name}, straight: Euler and Bernoulli {values[0]:.2f} Hz, Timoshenko {values[1]:.2f} Hz"
+        )
         for along, across in ((2, 1), (2, 2), (4, 3), *(((6, 5),) if fine else ())):
             hz, droop_m = solid(beam, along, across)
-            print(f"{name}, straight, {along} x {across} x {across} cells a block: {hz:.2f} Hz, {1e3 * droop_m:.1f} mm")
+            print(
+                f"{name}, straight, {along} x {across} x {across} cells a block: {hz:.2f} Hz, {1e3 * droop_m:.1f} mm"
+            )
         chains = [("linear", linear_law), ("plateau", plateau_law)]
         for label, law in chains[: 2 if name == "soft" else 1]:
             chain = Chain(beam, law, 16)
@@ -338,12 +454,16 @@ def pressed(depth_m: float = 0.038, span_m: float = 0.1743) -> None:
         force = depth_m / give
         stress = force / foam.width_m**2
         strain = stress / foam.modulus_pa
-        print(f"FoamBending-{name}: {force:.0f} N, {1e-3 * stress:.1f} kPa under the cube: strain {strain:.2f}")
+        print(
+            f"FoamBending-{name}: {force:.0f} N, {1e-3 * stress:.1f} kPa under the cube: strain {strain:.2f}"
+        )
 
 
 def main() -> None:
     """Print all tables."""
-    parser = argparse.ArgumentParser(description="Frequencies that beams must have by their stated constants.")
+    parser = argparse.ArgumentParser(
+        description="Frequencies that beams must have by their stated constants."
+    )
     parser.add_argument("--fine", action="store_true")
     parser.add_argument("--only", choices=("silicone", "benchmark"))
     options = parser.parse_args()

@@ -23,10 +23,19 @@ def droop_mm(stretch: float, bending: float) -> float:
     pybullet.resetSimulation(pybullet.RESET_USE_DEFORMABLE_WORLD)
     pybullet.setGravity(0.0, 0.0, -9.80665 * UNITS_PER_M)
     pybullet.setPhysicsEngineParameter(fixedTimeStep=1 / 9000, numSubSteps=0)
-    lines = [f"v {x * CELL_M * UNITS_PER_M} {y * CELL_M * UNITS_PER_M} 0" for x in range(ROWS) for y in range(COLUMNS)]
-    for corner in (x * COLUMNS + y + 1 for x in range(ROWS - 1) for y in range(COLUMNS - 1)):
+    lines = [
+        f"v {x * CELL_M * UNITS_PER_M} {y * CELL_M * UNITS_PER_M} 0"
+        for x in range(ROWS)
+        for y in range(COLUMNS)
+    ]
+    for corner in (
+        x * COLUMNS + y + 1 for x in range(ROWS - 1) for y in range(COLUMNS - 1)
+    ):
         across = corner + COLUMNS
-        lines += [f"f {corner} {across} {corner + 1}", f"f {across} {across + 1} {corner + 1}"]
+        lines += [
+            f"f {corner} {across} {corner + 1}",
+            f"f {across} {across + 1} {corner + 1}",
+        ]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "strip.obj"
         file.write_text("\n".join(lines) + "\n")
@@ -44,7 +53,9 @@ def droop_mm(stretch: float, bending: float) -> float:
         pybullet.createSoftBodyAnchor(strip, node, -1, -1)
     for _ in range(9000):
         pybullet.stepSimulation()
-    nodes = np.array(pybullet.getMeshData(strip, -1, flags=pybullet.MESH_DATA_SIMULATION_MESH)[1])
+    nodes = np.array(
+        pybullet.getMeshData(strip, -1, flags=pybullet.MESH_DATA_SIMULATION_MESH)[1]
+    )
     return float(-1e3 * nodes[-COLUMNS:, 2].mean() / UNITS_PER_M)
 
 
@@ -52,7 +63,10 @@ def main() -> None:
     """Print the droop for bending springs of several stiffnesses."""
     pybullet.connect(pybullet.DIRECT)
     for bending in (0.0, 0.1, 1.0, 10.0, 100.0):
-        print(f"edges 100 N/m, bending springs {bending:g} N/m: {droop_mm(100.0, bending):.1f} mm", flush=True)
+        print(
+            f"edges 100 N/m, bending springs {bending:g} N/m: {droop_mm(100.0, bending):.1f} mm",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -15,8 +15,28 @@ import numpy as np
 import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.tools.control.play import engine_limit, play
 
-STEPS_PER_S = (18000, 9000, 4500, 3600, 2700, 1800, 1440, 1260, 1080, 900, 720, 540, 360)
-BISECTED = ("Pendulum-metal", "SlopeSlider-wood", "SlopeSlider-plastic", "SlopeSlider-metal", "Turntable-wood")
+STEPS_PER_S = (
+    18000,
+    9000,
+    4500,
+    3600,
+    2700,
+    1800,
+    1440,
+    1260,
+    1080,
+    900,
+    720,
+    540,
+    360,
+)
+BISECTED = (
+    "Pendulum-metal",
+    "SlopeSlider-wood",
+    "SlopeSlider-plastic",
+    "SlopeSlider-metal",
+    "Turntable-wood",
+)
 REACHING = {"Carry-wood": 8, "Push-wood": 8, "Throw-rubber": 1}
 """Number of goals, which are the first seeds."""
 
@@ -25,16 +45,31 @@ def main() -> None:
     print("id,step_per_s,share_of_law,largest_change")
     for name in (*BISECTED, *REACHING):
         finest = None
-        for count in (*STEPS_PER_S, 180) if name in REACHING or name.startswith("Pendulum") else STEPS_PER_S[1:]:
+        for count in (
+            (*STEPS_PER_S, 180)
+            if name in REACHING or name.startswith("Pendulum")
+            else STEPS_PER_S[1:]
+        ):
             task = name.replace("-", "-Limit-")
-            env = gymnasium.make(f"GAUGE/{task}", settings={"timestep_s": 1 / count}).unwrapped
+            env = gymnasium.make(
+                f"GAUGE/{task}", settings={"timestep_s": 1 / count}
+            ).unwrapped
             if name in BISECTED:
-                print(f"{task},{count},{engine_limit(env, bounds=(0.8, 1.2), resolution=0.0005):.4f},", flush=True)
+                print(
+                    f"{task},{count},{engine_limit(env, bounds=(0.8, 1.2), resolution=0.0005):.4f},",
+                    flush=True,
+                )
                 continue
-            goals = [play(env, lambda _, env=env: env.law_action(0.98), seed=seed) for seed in range(REACHING[name])]
+            goals = [
+                play(env, lambda _, env=env: env.law_action(0.98), seed=seed)
+                for seed in range(REACHING[name])
+            ]
             shares = np.array([report.ratio for report in goals])
             finest = shares if finest is None else finest
-            print(f"{task},{count},{shares.mean():.4f},{np.abs(shares - finest).max():.4f}", flush=True)
+            print(
+                f"{task},{count},{shares.mean():.4f},{np.abs(shares - finest).max():.4f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,9 @@ def main() -> None:
     table = csv.writer(sys.stdout, lineterminator="\n")
     table.writerow(["engine", "family", "ids", "least", "most"])
     for (engine, family), costs in seconds.items():
-        table.writerow([engine, family, len(costs), f"{min(costs):.2g}", f"{max(costs):.2g}"])
+        table.writerow(
+            [engine, family, len(costs), f"{min(costs):.2g}", f"{max(costs):.2g}"]
+        )
 
 
 if __name__ == "__main__":

@@ -31,7 +31,9 @@ BRICK_M = (0.06, 0.03, 0.02)
 def columns(count: int) -> Scene:
     """Columns of bricks, five high, that stand apart on the ground."""
     origin = Pose(position_m=(0.0, 0.0, 0.0))
-    ground = RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, mass_kg=1.0, pose=origin)
+    ground = RigidBody(
+        name="ground", shape=Plane(), motion=Motion.FIXED, mass_kg=1.0, pose=origin
+    )
     names = [f"brick-{index}" for index in range(count)]
     bricks = [
         RigidBody(
@@ -39,11 +41,22 @@ def columns(count: int) -> Scene:
             shape=Box(size_m=BRICK_M),
             motion=Motion.DYNAMIC,
             mass_kg=0.02,
-            pose=Pose(position_m=(0.1 * (index // LAYERS), 0.0, BRICK_M[2] * (index % LAYERS + 0.5))),
+            pose=Pose(
+                position_m=(
+                    0.1 * (index // LAYERS),
+                    0.0,
+                    BRICK_M[2] * (index % LAYERS + 0.5),
+                )
+            ),
         )
         for index, name in enumerate(names)
     ]
-    contact = Contact(first=(*names, "ground"), second=(*names, "ground"), friction=0.4, restitution=0.0)
+    contact = Contact(
+        first=(*names, "ground"),
+        second=(*names, "ground"),
+        friction=0.4,
+        restitution=0.0,
+    )
     return Scene(bodies=(*bricks, ground), contacts=(contact,), duration_s=1.0)
 
 
@@ -71,9 +84,19 @@ def frame_s(count: int) -> float:
 def rows() -> Iterator[tuple[str, str, float, float]]:
     cloth = load_experiment("TextileFlinging-satin").scene
     for cell_m in CELLS_M:
-        yield "cloth", "cell_mm", 1e3 * cell_m, step_s(cloth, {"cell_m": cell_m}, round(2000 * cell_m))
+        yield (
+            "cloth",
+            "cell_mm",
+            1e3 * cell_m,
+            step_s(cloth, {"cell_m": cell_m}, round(2000 * cell_m)),
+        )
     for count in BRICKS:
-        yield "bricks", "count", count, step_s(columns(count), {"preset": "stack"}, max(5, 1000 // count))
+        yield (
+            "bricks",
+            "count",
+            count,
+            step_s(columns(count), {"preset": "stack"}, max(5, 1000 // count)),
+        )
     worlds.clock = time.process_time
     for count in WORLDS:
         yield "worlds of MuJoCo", "count", count, frame_s(count)

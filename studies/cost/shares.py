@@ -55,16 +55,25 @@ def part_of(library: str, symbol: str) -> str | None:
         return None
     if "mujoco.so" not in library:
         return "python"
-    return next((part for part, pattern in SYMBOLS.items() if re.search(pattern, symbol)), "motion")
+    return next(
+        (part for part, pattern in SYMBOLS.items() if re.search(pattern, symbol)),
+        "motion",
+    )
 
 
 def sampled(env: GaugeEnv) -> tuple[Counter[tuple[str, str]], float]:
     """Return samples of `perf` by library and symbol over episodes, and the share of scoring in the time."""
-    action = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    action = (
+        0
+        if isinstance(env.action_space, gymnasium.spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "perf.data"
         env.reset(seed=0)
-        perf = subprocess.Popen(["perf", "record", "-q", "-F", "997", "-p", str(os.getpid()), "-o", file])
+        perf = subprocess.Popen(
+            ["perf", "record", "-q", "-F", "997", "-p", str(os.getpid()), "-o", file]
+        )
         time.sleep(1.0)
         start, steps_s, scoring_s = time.process_time(), 0.0, 0.0
         while steps_s < LEAST_S:
@@ -76,14 +85,30 @@ def sampled(env: GaugeEnv) -> tuple[Counter[tuple[str, str]], float]:
             steps_s = time.process_time() - start - scoring_s
             if env.episode.is_over:
                 env.episode.run_on()
-                steps_s, before = time.process_time() - start - scoring_s, time.process_time()
+                steps_s, before = (
+                    time.process_time() - start - scoring_s,
+                    time.process_time(),
+                )
                 env.episode.score()
                 env.deformation()
                 scoring_s += time.process_time() - before
         perf.send_signal(signal.SIGINT)
         perf.wait()
-        report = ["perf", "report", "-i", file, "--stdio", "--no-children", "-F", "sample,dso,symbol", "-t", "\t"]
-        lines = subprocess.run(report, capture_output=True, text=True, check=True).stdout.splitlines()
+        report = [
+            "perf",
+            "report",
+            "-i",
+            file,
+            "--stdio",
+            "--no-children",
+            "-F",
+            "sample,dso,symbol",
+            "-t",
+            "\t",
+        ]
+        lines = subprocess.run(
+            report, capture_output=True, text=True, check=True
+        ).stdout.splitlines()
     found: Counter[tuple[str, str]] = Counter()
     for line in lines:
         if line.strip() and not line.startswith("#"):
@@ -97,25 +122,40 @@ def measure() -> None:
     with TABLE.open("w", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["id", *PARTS])
-        for name in sorted(families.values(), key=lambda name: episode_costs(find_variant(name).family)["mujoco"].most):
+        for name in sorted(
+            families.values(),
+            key=lambda name: episode_costs(find_variant(name).family)["mujoco"].most,
+        ):
             env = GaugeEnv(name)
             found, scoring = sampled(env)
             env.close()
             shares = Counter(dict.fromkeys(PARTS, 0.0))
-            known = Counter({key: count for key, count in found.items() if part_of(*key)})
+            known = Counter(
+                {key: count for key, count in found.items() if part_of(*key)}
+            )
             for (library, symbol), count in known.items():
                 shares[part_of(library, symbol)] += count / known.total()
             # Scoring is Python and NumPy too.
-            shares["scoring"], shares["python"] = scoring, max(shares["python"] - scoring, 0.0)
+            shares["scoring"], shares["python"] = (
+                scoring,
+                max(shares["python"] - scoring, 0.0),
+            )
             table.writerow([name, *(f"{shares[part]:.3f}" for part in PARTS)])
             file.flush()
-            others = [(s, n) for (d, s), n in found.most_common(60) if part_of(d, s) == "motion" and "mujoco.so" in d]
+            others = [
+                (s, n)
+                for (d, s), n in found.most_common(60)
+                if part_of(d, s) == "motion" and "mujoco.so" in d
+            ]
             print(name, dict(shares), others[:8], file=sys.stderr, flush=True)
 
 
 def draw() -> None:
     with TABLE.open(newline="") as file:
-        rows = sorted(csv.DictReader(file), key=lambda row: [-float(row[part]) for part in ("elements", "constraints")])
+        rows = sorted(
+            csv.DictReader(file),
+            key=lambda row: [-float(row[part]) for part in ("elements", "constraints")],
+        )
     figure = new_figure(8.0, 6.0)
     axis = figure.add_subplot()
     left = np.zeros(len(rows))

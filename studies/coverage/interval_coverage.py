@@ -17,7 +17,17 @@ from pathlib import Path
 
 import numpy as np
 from generated import markdown_table, settle
-from trial_worlds import CHOSEN_ON, HELD_OUT, WORLDS, FloatArray, World, align, band_of, leave_one_out, rms
+from trial_worlds import (
+    CHOSEN_ON,
+    HELD_OUT,
+    WORLDS,
+    FloatArray,
+    World,
+    align,
+    band_of,
+    leave_one_out,
+    rms,
+)
 
 from gauge_envs.evaluation.deviation import percentile_interval
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
@@ -26,7 +36,10 @@ from gauge_envs.tools.compare.grades import GradedExperiment, compare_pairs
 
 TABLE = Path(__file__).with_name("coverage.csv")
 NOTE = Path(__file__).with_name("README.md")
-BEGIN, END = "<!-- tables, written by interval_coverage.py -->", "<!-- end of tables -->"
+BEGIN, END = (
+    "<!-- tables, written by interval_coverage.py -->",
+    "<!-- end of tables -->",
+)
 HOLDS = 92.0
 """Percentage from which a row holds."""
 OVER = 98.0
@@ -78,7 +91,13 @@ class Row:
     @property
     def part(self) -> str:
         """Whether the method was chosen on the world."""
-        return "chosen" if self.world in CHOSEN_ON else "held out" if self.world in HELD_OUT else "beyond"
+        return (
+            "chosen"
+            if self.world in CHOSEN_ON
+            else "held out"
+            if self.world in HELD_OUT
+            else "beyond"
+        )
 
 
 def counts(name: str) -> tuple[int, ...]:
@@ -92,7 +111,9 @@ def verdict(interval: tuple[float, float] | None, truth: float) -> str:
     return HELD if interval[0] <= truth <= interval[1] else MISSED
 
 
-def measure(world: World, count: int, *, realities: int, seed: int, tally: Tally) -> None:
+def measure(
+    world: World, count: int, *, realities: int, seed: int, tally: Tally
+) -> None:
     """Count verdicts of all intervals over simulated realities, by quantity and engines."""
     trials = world.trials(np.random.default_rng([seed, count]), realities, count)
     means = trials.mean(axis=1)
@@ -102,22 +123,44 @@ def measure(world: World, count: int, *, realities: int, seed: int, tally: Tally
     inside = rms(trials - means[:, None]).mean(axis=1)
     for one in range(realities):
         errors = band_errors(band_of(trials[one]), None)
-        raw = [(world.engine(engine, np.zeros(())) - means[one])[:, None] for engine in engines]
-        _measure_kind(world, "raw", [errors] * len(raw), raw, distances["raw"][one], float(inside[one]), tally)
+        raw = [
+            (world.engine(engine, np.zeros(())) - means[one])[:, None]
+            for engine in engines
+        ]
+        _measure_kind(
+            world,
+            "raw",
+            [errors] * len(raw),
+            raw,
+            distances["raw"][one],
+            float(inside[one]),
+            tally,
+        )
         others = distances["aligned"][one]
         aligned = [deviation[one][:, None] for deviation, *_ in shifted]
         own = [
-            aligned_errors(world, engine, errors, *shifted[engine][1:], one).with_baseline(others) for engine in engines
+            aligned_errors(
+                world, engine, errors, *shifted[engine][1:], one
+            ).with_baseline(others)
+            for engine in engines
         ]
-        _measure_kind(world, "aligned", own, aligned, others, float(others.mean()), tally)
+        _measure_kind(
+            world, "aligned", own, aligned, others, float(others.mean()), tally
+        )
 
 
 def aligned_errors(
-    world: World, engine: int, errors: BandErrors, velocities: FloatArray, shifts_s: FloatArray, one: int
+    world: World,
+    engine: int,
+    errors: BandErrors,
+    velocities: FloatArray,
+    shifts_s: FloatArray,
+    one: int,
 ) -> BandErrors:
     """Return the errors of one reality after the alignment of an engine, from velocities and shifts of all."""
     return errors.aligned(
-        velocities[one][:, None], lambda late_s: world.engine(engine, shifts_s[one] + late_s)[..., None]
+        velocities[one][:, None],
+        lambda late_s: world.engine(engine, shifts_s[one] + late_s)[..., None],
     )
 
 
@@ -135,13 +178,21 @@ def _measure_kind(
         size = float(np.linalg.norm(own.flat(deviation)))
         if engine != 1:
             name = "ABC"[engine]
-            mm, ends = own.interval(deviation, over_baseline=False), own.interval(deviation)
+            mm, ends = (
+                own.interval(deviation, over_baseline=False),
+                own.interval(deviation),
+            )
             ratio = None if ends is None else (ends[0] / baseline, ends[1] / baseline)
             percentile = percentile_interval(distances, size, mm)
             tally[f"{kind} mm", name][verdict(mm, truth.mm[kind][engine])] += 1
             tally[f"{kind} ratio", name][verdict(ratio, truth.ratio(kind, engine))] += 1
-            tally[f"{kind} percentile", name][verdict(percentile, truth.percentile(kind, engine))] += 1
-        score, drawn = np.array([size / baseline]), own.draws(deviation)[None] / baseline
+            tally[f"{kind} percentile", name][
+                verdict(percentile, truth.percentile(kind, engine))
+            ] += 1
+        score, drawn = (
+            np.array([size / baseline]),
+            own.draws(deviation)[None] / baseline,
+        )
         influences = own.influences(deviation)[None] / baseline
         scores.append(
             ScoreDraws(
@@ -156,23 +207,31 @@ def _measure_kind(
     for pair in PAIRS:
         (found,) = compare_pairs([experiment], [pair])[0].experiments
         difference = truth.ratio(kind, pair[0]) - truth.ratio(kind, pair[1])
-        tally[f"{kind} pair", "".join("ABC"[one] for one in pair)][verdict(found.difference_95, difference)] += 1
+        tally[f"{kind} pair", "".join("ABC"[one] for one in pair)][
+            verdict(found.difference_95, difference)
+        ] += 1
 
 
-def coverage(name: str, count: int, *, realities: int = REALITIES, seeds: Iterable[int] = SEEDS) -> list[Row]:
+def coverage(
+    name: str, count: int, *, realities: int = REALITIES, seeds: Iterable[int] = SEEDS
+) -> list[Row]:
     """Return the coverage of every quantity in a world, with a number of realities for each seed."""
     tally: Tally = defaultdict(Counter)
     for seed in seeds:
         measure(WORLDS[name], count, realities=realities, seed=seed, tally=tally)
     return [
-        Row(name, count, quantity, engines, found.total(), found[REFUSED], found[MISSED])
+        Row(
+            name, count, quantity, engines, found.total(), found[REFUSED], found[MISSED]
+        )
         for (quantity, engines), found in tally.items()
     ]
 
 
 def _write(file: Path, rows: Iterable[Row]) -> None:
     with file.open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, [one.name for one in fields(Row)], lineterminator="\n")
+        writer = csv.DictWriter(
+            stream, [one.name for one in fields(Row)], lineterminator="\n"
+        )
         writer.writeheader()
         writer.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.held))
 
@@ -181,7 +240,13 @@ def read(file: Path = TABLE) -> list[Row]:
     """Return the measured table, worst first."""
     with file.open(newline="") as stream:
         return [
-            Row(one["world"], int(one["trials"]), one["quantity"], one["engines"], *(int(one[key]) for key in COUNTED))
+            Row(
+                one["world"],
+                int(one["trials"]),
+                one["quantity"],
+                one["engines"],
+                *(int(one[key]) for key in COUNTED),
+            )
             for one in csv.DictReader(stream)
         ]
 
@@ -195,16 +260,38 @@ SHOWN = {"beyond": 2, "held out": 5, "chosen": 3}
 
 def tables(rows: Sequence[Row]) -> str:
     """Return the tables of the note: the worst rows, and how many rows hold."""
-    lines = [f"{len(rows)} rows of {rows[0].realities} realities, seeds {SEEDS[0]} to {SEEDS[-1]}.", ""]
+    lines = [
+        f"{len(rows)} rows of {rows[0].realities} realities, seeds {SEEDS[0]} to {SEEDS[-1]}.",
+        "",
+    ]
     cells, counted = [], []
     for part, shown in SHOWN.items():
         found = [row for row in rows if row.part == part]
         cells += [
-            [f"{one.world}, {one.trials}", f"{one.quantity} {one.engines}", f"{one.held:.0f}"] for one in found[:shown]
+            [
+                f"{one.world}, {one.trials}",
+                f"{one.quantity} {one.engines}",
+                f"{one.held:.0f}",
+            ]
+            for one in found[:shown]
         ]
-        least, over = sum(row.held >= HOLDS for row in found), sum(row.held > OVER for row in found)
-        counted.append([part, f"{len(found)}", f"{len(found) - least}", f"{least - over}", f"{over}"])
-    lines += [*markdown_table(["part", "rows", "below 92 %", "92 to 98 %", "above"], counted), ""]
+        least, over = (
+            sum(row.held >= HOLDS for row in found),
+            sum(row.held > OVER for row in found),
+        )
+        counted.append(
+            [
+                part,
+                f"{len(found)}",
+                f"{len(found) - least}",
+                f"{least - over}",
+                f"{over}",
+            ]
+        )
+    lines += [
+        *markdown_table(["part", "rows", "below 92 %", "92 to 98 %", "above"], counted),
+        "",
+    ]
     lines += markdown_table(["worst rows: world, trials", "quantity", "holds %"], cells)
     return "\n".join(lines)
 
@@ -215,7 +302,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if words[:1] != ["measure"]:
         before, _, rest = NOTE.read_text(encoding="utf-8").partition(BEGIN)
         text = f"{before}{BEGIN}\n\n{tables(read())}\n\n{END}{rest.partition(END)[2]}"
-        return settle({NOTE: text}, "../studies/coverage/interval_coverage.py", check="--check" in words)
+        return settle(
+            {NOTE: text},
+            "../studies/coverage/interval_coverage.py",
+            check="--check" in words,
+        )
     file = Path(words[1]) if len(words) > 1 else TABLE
     rows: list[Row] = []
     started = time.process_time()
@@ -223,7 +314,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for count in counts(name):
             rows += coverage(name, count)
             _write(file, rows)
-            print(f"{name}, {count} trials: {time.process_time() - started:.0f} s", flush=True)
+            print(
+                f"{name}, {count} trials: {time.process_time() - started:.0f} s",
+                flush=True,
+            )
     return 0
 
 

@@ -39,7 +39,9 @@ def normal(random: np.random.Generator, realities: int, trials: int) -> FloatArr
     return random.standard_normal((realities, trials))
 
 
-def skewed(random: np.random.Generator, realities: int, trials: int, *, shape: float) -> FloatArray:
+def skewed(
+    random: np.random.Generator, realities: int, trials: int, *, shape: float
+) -> FloatArray:
     """Gamma law; its skewness is 2 over the root of the shape, 2 for the exponential law."""
     return (random.gamma(shape, size=(realities, trials)) - shape) / math.sqrt(shape)
 
@@ -49,14 +51,18 @@ def heavy(random: np.random.Generator, realities: int, trials: int) -> FloatArra
     return random.standard_t(4.0, (realities, trials)) / math.sqrt(2.0)
 
 
-def outliers(random: np.random.Generator, realities: int, trials: int, *, size: float) -> FloatArray:
+def outliers(
+    random: np.random.Generator, realities: int, trials: int, *, size: float
+) -> FloatArray:
     """One trial in twenty is off by a number of standard deviations of the others, always to the same side."""
     is_off = random.random((realities, trials)) < 0.05
     values = random.standard_normal((realities, trials)) + size * is_off - 0.05 * size
     return values / math.sqrt(1.0 + 0.0475 * size**2)
 
 
-def consecutive(random: np.random.Generator, realities: int, trials: int, *, correlation: float) -> FloatArray:
+def consecutive(
+    random: np.random.Generator, realities: int, trials: int, *, correlation: float
+) -> FloatArray:
     """Each trial is correlated with the one before it."""
     values = random.standard_normal((realities, trials))
     for trial in range(1, trials):
@@ -65,11 +71,20 @@ def consecutive(random: np.random.Generator, realities: int, trials: int, *, cor
     return values
 
 
-def sessions(random: np.random.Generator, realities: int, trials: int, *, count: int, share: float) -> FloatArray:
+def sessions(
+    random: np.random.Generator,
+    realities: int,
+    trials: int,
+    *,
+    count: int,
+    share: float,
+) -> FloatArray:
     """A part of the variance is shared by the trials of a session; sessions are equally long."""
     session = np.arange(trials) * count // trials
     shared = random.standard_normal((realities, count))[:, session]
-    return math.sqrt(share) * shared + math.sqrt(1.0 - share) * random.standard_normal((realities, trials))
+    return math.sqrt(share) * shared + math.sqrt(1.0 - share) * random.standard_normal(
+        (realities, trials)
+    )
 
 
 # --- motions ---
@@ -86,12 +101,16 @@ class Slide:
     release_std_s: float = 0.03
     frame_count: int = 19
 
-    def positions_mm(self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray) -> FloatArray:
+    def positions_mm(
+        self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray
+    ) -> FloatArray:
         """Return downhill positions [mm], shape [..., frame_count], of arrays of one shape."""
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         acceleration = GRAVITY * (math.sin(SLOPE) - constant * math.cos(SLOPE))
         since_s = np.maximum(times_s - release_s[..., None], 0.0)
-        return np.asarray(start_mm[..., None] + 500.0 * acceleration[..., None] * since_s**2)
+        return np.asarray(
+            start_mm[..., None] + 500.0 * acceleration[..., None] * since_s**2
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +124,9 @@ class Drop:
     release_std_s: float = 0.012
     frame_count: int = 66
 
-    def positions_mm(self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray) -> FloatArray:
+    def positions_mm(
+        self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray
+    ) -> FloatArray:
         """Return heights [mm], shape [..., frame_count], of arrays of one shape; `start_mm` is added to 406 mm."""
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         since_s = np.maximum(times_s - release_s[..., None], 0.0)
@@ -115,7 +136,9 @@ class Drop:
         left_s = since_s - speed / GRAVITY
         for _ in range(12):
             speed = speed * constant[..., None]
-            heights = np.where(left_s > 0.0, speed * left_s - 0.5 * GRAVITY * left_s**2, heights)
+            heights = np.where(
+                left_s > 0.0, speed * left_s - 0.5 * GRAVITY * left_s**2, heights
+            )
             left_s = left_s - 2.0 * speed / GRAVITY
         return np.asarray(1e3 * np.where(left_s > 0.0, 0.0, heights))
 
@@ -131,12 +154,16 @@ class Swing:
     release_std_s: float = 0.02
     frame_count: int = 60
 
-    def positions_mm(self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray) -> FloatArray:
+    def positions_mm(
+        self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray
+    ) -> FloatArray:
         """Return displacements [mm], shape [..., frame_count], of arrays of one shape; the amplitude is 200 mm."""
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         since_s = np.maximum(times_s - release_s[..., None], 0.0)
         phase = 2.0 * math.pi * constant[..., None] * since_s
-        return np.asarray((200.0 + start_mm[..., None]) * np.exp(-0.3 * since_s) * np.cos(phase))
+        return np.asarray(
+            (200.0 + start_mm[..., None]) * np.exp(-0.3 * since_s) * np.cos(phase)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,17 +182,25 @@ class World:
     constant: Scatter = normal
     engine_errors: tuple[float, float, float] = (0.03, -0.02, 0.0)
 
-    def trials(self, random: np.random.Generator, realities: int, count: int) -> FloatArray:
+    def trials(
+        self, random: np.random.Generator, realities: int, count: int
+    ) -> FloatArray:
         """Return trials [mm], shape [realities, count, frame_count]."""
         motion = self.motion
-        constant = motion.constant + motion.constant_std * self.constant(random, realities, count)
-        release_s = motion.release_s + motion.release_std_s * self.release(random, realities, count)
+        constant = motion.constant + motion.constant_std * self.constant(
+            random, realities, count
+        )
+        release_s = motion.release_s + motion.release_std_s * self.release(
+            random, realities, count
+        )
         start_mm = motion.start_std_mm * random.standard_normal((realities, count))
         return motion.positions_mm(constant, release_s, start_mm)
 
     def engine(self, number: int, shift_s: FloatArray) -> FloatArray:
         """Return the motion of an engine [mm] after a shift in time, shape [..., frame_count]."""
-        constant = np.full(np.shape(shift_s), self.motion.constant + self.engine_errors[number])
+        constant = np.full(
+            np.shape(shift_s), self.motion.constant + self.engine_errors[number]
+        )
         return self.motion.positions_mm(constant, shift_s, np.zeros(np.shape(shift_s)))
 
     @cached_property
@@ -176,7 +211,10 @@ class World:
         engines = range(len(self.engine_errors))
         raw = [float(rms(self.engine(one, np.zeros(())) - mean)) for one in engines]
         aligned = [float(rms(align(self, one, mean[None])[0][0])) for one in engines]
-        distances = rms(population - mean), aligned_distances(population[:10_000], mean[None])
+        distances = (
+            rms(population - mean),
+            aligned_distances(population[:10_000], mean[None]),
+        )
         return Truth(
             mm={"raw": raw, "aligned": aligned},
             distances={"raw": np.sort(distances[0]), "aligned": np.sort(distances[1])},
@@ -202,7 +240,9 @@ class Truth:
     def percentile(self, kind: str, engine: int) -> float:
         """Return the percentage of all trials that are closer than an engine."""
         values = self.distances[kind]
-        return 100.0 * float(np.searchsorted(values, self.mm[kind][engine])) / len(values)
+        return (
+            100.0 * float(np.searchsorted(values, self.mm[kind][engine])) / len(values)
+        )
 
 
 def rms(deviations: FloatArray) -> FloatArray:
@@ -210,7 +250,9 @@ def rms(deviations: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.square(deviations), axis=-1)))
 
 
-def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def align(
+    world: World, engine: int, means: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the deviation of an engine that is shifted in time to fit best, its velocity [mm/s], and the shift [s].
 
     Args:
@@ -221,14 +263,20 @@ def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, Flo
     Returns:
         Two of the shape of `means`, and one of shape [reality_count].
     """
-    grid_s = np.arange(-MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S + 1e-9, OFFSET_STEP_S)
+    grid_s = np.arange(
+        -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S + 1e-9, OFFSET_STEP_S
+    )
     moved = world.engine(engine, grid_s)
     squares = np.square(moved).sum(axis=1) - 2.0 * means @ moved.T
     best = np.clip(squares.argmin(axis=1), 1, len(grid_s) - 2)
     rows = np.arange(len(means))
     before, here, after = (squares[rows, best + side] for side in (-1, 0, 1))
-    shift_s = grid_s[best] + 0.5 * OFFSET_STEP_S * (before - after) / (before - 2.0 * here + after)
-    velocity = (world.engine(engine, shift_s - 5e-4) - world.engine(engine, shift_s + 5e-4)) / 1e-3
+    shift_s = grid_s[best] + 0.5 * OFFSET_STEP_S * (before - after) / (
+        before - 2.0 * here + after
+    )
+    velocity = (
+        world.engine(engine, shift_s - 5e-4) - world.engine(engine, shift_s + 5e-4)
+    ) / 1e-3
     return world.engine(engine, shift_s) - means, velocity, shift_s
 
 
@@ -242,7 +290,9 @@ def aligned_distances(trials: FloatArray, means: FloatArray) -> FloatArray:
     coarse = round(MAX_RELEASE_OFFSET_S / SHIFT_STEP_S)
     best, found = np.zeros(len(trials)), np.full(len(trials), np.inf)
     for step in range(-coarse, coarse + 1):
-        distance = _shifted_distance(trials, means, np.full(len(trials), step * SHIFT_STEP_S))
+        distance = _shifted_distance(
+            trials, means, np.full(len(trials), step * SHIFT_STEP_S)
+        )
         better = distance < found
         best[better], found[better] = step * SHIFT_STEP_S, distance[better]
     for fine in np.linspace(-SHIFT_STEP_S, SHIFT_STEP_S, 17)[1:-1]:
@@ -250,7 +300,9 @@ def aligned_distances(trials: FloatArray, means: FloatArray) -> FloatArray:
     return found
 
 
-def _shifted_distance(trials: FloatArray, means: FloatArray, shift_s: FloatArray) -> FloatArray:
+def _shifted_distance(
+    trials: FloatArray, means: FloatArray, shift_s: FloatArray
+) -> FloatArray:
     count = trials.shape[1]
     frames = np.arange(count) - shift_s[:, None] * FRAME_RATE_HZ
     usable = frames <= count - 1 + 1e-6
@@ -273,7 +325,9 @@ def leave_one_out(trials: FloatArray) -> tuple[FloatArray, FloatArray]:
     count = trials.shape[1]
     others = (trials.sum(axis=1, keepdims=True) - trials) / (count - 1)
     flat, means = (one.reshape(-1, trials.shape[2]) for one in (trials, others))
-    return rms(trials - others), aligned_distances(flat, means).reshape(trials.shape[:2])
+    return rms(trials - others), aligned_distances(flat, means).reshape(
+        trials.shape[:2]
+    )
 
 
 def band_of(trials: FloatArray) -> Band:
@@ -300,20 +354,38 @@ CHOSEN_ON = {
     "slide": World(motion=Slide()),
     "slide, skewed release": World(motion=Slide(), release=partial(skewed, shape=4.0)),
     "slide, 5 % outliers": World(
-        motion=Slide(), release=partial(outliers, size=5.0), constant=partial(outliers, size=5.0)
+        motion=Slide(),
+        release=partial(outliers, size=5.0),
+        constant=partial(outliers, size=5.0),
     ),
-    "slide, release correlated 0.4": World(motion=Slide(), release=partial(consecutive, correlation=0.4)),
+    "slide, release correlated 0.4": World(
+        motion=Slide(), release=partial(consecutive, correlation=0.4)
+    ),
     "drop": World(motion=Drop(), engine_errors=DROP_ERRORS),
-    "slide, small release scatter": World(motion=Slide(release_std_s=0.005), engine_errors=(0.02, -0.01, 0.0)),
-    "slide, exponential release": World(motion=Slide(release_s=0.03), release=partial(skewed, shape=1.0)),
+    "slide, small release scatter": World(
+        motion=Slide(release_std_s=0.005), engine_errors=(0.02, -0.01, 0.0)
+    ),
+    "slide, exponential release": World(
+        motion=Slide(release_s=0.03), release=partial(skewed, shape=1.0)
+    ),
     "slide, heavy tails": World(motion=Slide(), release=heavy, constant=heavy),
-    "slide, friction correlated 0.3": World(motion=Slide(), constant=partial(consecutive, correlation=0.3)),
-    "slide, 4 sessions 20 %": World(motion=Slide(), constant=partial(sessions, count=4, share=0.2)),
-    "slide, 3 sessions 20 %": World(motion=Slide(), constant=partial(sessions, count=3, share=0.2)),
-    "slide, 4 sessions 50 %": World(motion=Slide(), constant=partial(sessions, count=4, share=0.5)),
+    "slide, friction correlated 0.3": World(
+        motion=Slide(), constant=partial(consecutive, correlation=0.3)
+    ),
+    "slide, 4 sessions 20 %": World(
+        motion=Slide(), constant=partial(sessions, count=4, share=0.2)
+    ),
+    "slide, 3 sessions 20 %": World(
+        motion=Slide(), constant=partial(sessions, count=3, share=0.2)
+    ),
+    "slide, 4 sessions 50 %": World(
+        motion=Slide(), constant=partial(sessions, count=4, share=0.5)
+    ),
     "drop, 18 frames": World(motion=Drop(frame_count=18), engine_errors=DROP_ERRORS),
     "drop, release correlated 0.4": World(
-        motion=Drop(), release=partial(consecutive, correlation=0.4), engine_errors=DROP_ERRORS
+        motion=Drop(),
+        release=partial(consecutive, correlation=0.4),
+        engine_errors=DROP_ERRORS,
     ),
     "drop, 5 % outliers": World(
         motion=Drop(),
@@ -321,29 +393,47 @@ CHOSEN_ON = {
         constant=partial(outliers, size=5.0),
         engine_errors=DROP_ERRORS,
     ),
-    "drop, skewed release": World(motion=Drop(), release=partial(skewed, shape=4.0), engine_errors=DROP_ERRORS),
+    "drop, skewed release": World(
+        motion=Drop(), release=partial(skewed, shape=4.0), engine_errors=DROP_ERRORS
+    ),
 }
 """Worlds on which the method and its numbers were chosen, or whose results were known when it was changed."""
 
 HELD_OUT = {
     "swing": World(motion=Swing(), engine_errors=SWING_ERRORS),
     "swing, release correlated 0.3": World(
-        motion=Swing(), release=partial(consecutive, correlation=0.3), engine_errors=SWING_ERRORS
+        motion=Swing(),
+        release=partial(consecutive, correlation=0.3),
+        engine_errors=SWING_ERRORS,
     ),
     "swing, exponential release": World(
-        motion=Swing(release_s=0.02), release=partial(skewed, shape=1.0), engine_errors=SWING_ERRORS
+        motion=Swing(release_s=0.02),
+        release=partial(skewed, shape=1.0),
+        engine_errors=SWING_ERRORS,
     ),
     "drop, 40 frames": World(motion=Drop(frame_count=40), engine_errors=DROP_ERRORS),
-    "drop, heavy tails": World(motion=Drop(), release=heavy, constant=heavy, engine_errors=DROP_ERRORS),
+    "drop, heavy tails": World(
+        motion=Drop(), release=heavy, constant=heavy, engine_errors=DROP_ERRORS
+    ),
 }
 """Worlds on which it was tested alone."""
 
 BEYOND = {
-    "slide, 2 sessions 20 %": World(motion=Slide(), constant=partial(sessions, count=2, share=0.2)),
-    "slide, 2 sessions 50 %": World(motion=Slide(), constant=partial(sessions, count=2, share=0.5)),
-    "slide, 2 sessions 90 %": World(motion=Slide(), constant=partial(sessions, count=2, share=0.9)),
-    "slide, 4 sessions 90 %": World(motion=Slide(), constant=partial(sessions, count=4, share=0.9)),
-    "slide, release correlated 0.7": World(motion=Slide(), release=partial(consecutive, correlation=0.7)),
+    "slide, 2 sessions 20 %": World(
+        motion=Slide(), constant=partial(sessions, count=2, share=0.2)
+    ),
+    "slide, 2 sessions 50 %": World(
+        motion=Slide(), constant=partial(sessions, count=2, share=0.5)
+    ),
+    "slide, 2 sessions 90 %": World(
+        motion=Slide(), constant=partial(sessions, count=2, share=0.9)
+    ),
+    "slide, 4 sessions 90 %": World(
+        motion=Slide(), constant=partial(sessions, count=4, share=0.9)
+    ),
+    "slide, release correlated 0.7": World(
+        motion=Slide(), release=partial(consecutive, correlation=0.7)
+    ),
 }
 """Worlds that no method holds in without knowing the sessions: equal sessions look like independent trials."""
 

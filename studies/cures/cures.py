@@ -27,7 +27,11 @@ def main() -> None:
         read = configuration(target)
         report = check(read)
         seconds = time.process_time() - started
-        after = "" if report.cure is None else flags(check(applied(read, report.cure.changes)[0], explain=False))
+        after = (
+            ""
+            if report.cure is None
+            else flags(check(applied(read, report.cure.changes)[0], explain=False))
+        )
         row = {
             "target": target,
             "engine": read.trains_on or read.backend,

@@ -37,7 +37,9 @@ class Policy:
     mean: NDArray[np.float64]
     squares: NDArray[np.float64]
 
-    def act(self, seen: NDArray[np.float64], gain: NDArray[np.float64]) -> NDArray[np.float64]:
+    def act(
+        self, seen: NDArray[np.float64], gain: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Return the action."""
         spread = np.sqrt(np.maximum(self.squares / max(self.count, 1.0), 1e-4))
         return np.clip(gain @ ((seen - self.mean) / spread), -1.0, 1.0)
@@ -63,13 +65,17 @@ def train(env: gym.Env, seed: int) -> Policy:
                 seen, _ = env.reset(seed=int(rng.integers(2**31)))
                 for _ in range(HORIZON):
                     policy.see(seen)
-                    seen, reward, is_over, _, _ = env.step(policy.act(seen, policy.gain + sign * NOISE * noise))
+                    seen, reward, is_over, _, _ = env.step(
+                        policy.act(seen, policy.gain + sign * NOISE * noise)
+                    )
                     returns[at, side] += reward
                     if is_over:
                         break
         best = np.argsort(returns.max(axis=1))[-BEST:]
         weights = returns[best, 0] - returns[best, 1]
-        policy.gain = policy.gain + STEP / (BEST * returns[best].std()) * np.tensordot(weights, noises[best], 1)
+        policy.gain = policy.gain + STEP / (BEST * returns[best].std()) * np.tensordot(
+            weights, noises[best], 1
+        )
     return policy
 
 
@@ -81,7 +87,9 @@ def slip_m_per_s(model: mujoco.MjModel, data: mujoco.MjData) -> list[float]:
         if contact.efc_address < 0 or 0 not in bodies:
             continue
         body, velocity = int(bodies.max()), np.zeros(6)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
+        mujoco.mj_objectVelocity(
+            model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0
+        )
         at = velocity[3:] + np.cross(velocity[:3], contact.pos - data.xpos[body])
         speeds.append(float(np.hypot(at[0], at[1])))
     return speeds
@@ -119,9 +127,18 @@ def main() -> None:
         mended.frame_skip = round(env.dt / cured.model.opt.timestep)
         for seed in SEEDS:
             policy = train(env, seed)
-            row: dict[str, object] = {"task": task, "flags": len(flags), "change": report.cure.line, "seed": seed}
+            row: dict[str, object] = {
+                "task": task,
+                "flags": len(flags),
+                "change": report.cure.line,
+                "seed": seed,
+            }
             for name, one in (("as_it_is", env), ("changed", mended)):
-                measured = zip(("return", "distance_m", "slip_m_per_s"), play(one, policy), strict=True)
+                measured = zip(
+                    ("return", "distance_m", "slip_m_per_s"),
+                    play(one, policy),
+                    strict=True,
+                )
                 row |= {f"{key}_{name}": f"{value:.4g}" for key, value in measured}
             rows.append(row)
             print(row, flush=True)

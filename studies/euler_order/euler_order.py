@@ -63,7 +63,9 @@ class OtherOrder:
     corner_mm: float
 
 
-def published_angles(experiment: TaskExperiment) -> dict[str, tuple[float, float, float]]:
+def published_angles(
+    experiment: TaskExperiment,
+) -> dict[str, tuple[float, float, float]]:
     """Return the published angles [deg] of each body for which the order of rotations matters."""
     spec = experiment.spec
     tables = [spec.initial]
@@ -98,14 +100,26 @@ def other_orders() -> Iterator[OtherOrder]:
             orders = ["".join(order) for order in permutations("xyz")]
             by_axis = dict(zip("xyz", angles, strict=True))
             rotations = [
-                Rotation.from_euler(order.upper() if own else order, [by_axis[axis] for axis in order], degrees=True)
+                Rotation.from_euler(
+                    order.upper() if own else order,
+                    [by_axis[axis] for axis in order],
+                    degrees=True,
+                )
                 for order in orders
                 for own in (False, True)
             ]
-            apart = np.array([(assumed.inv() * rotation).magnitude() for rotation in rotations])
-            different = [rotation for rotation, angle in zip(rotations, apart, strict=True) if angle > 1e-9]
+            apart = np.array(
+                [(assumed.inv() * rotation).magnitude() for rotation in rotations]
+            )
+            different = [
+                rotation
+                for rotation, angle in zip(rotations, apart, strict=True)
+                if angle > 1e-9
+            ]
             if len({round(float(angle), 9) for angle in apart if angle > 1e-9}) != 1:
-                raise ValueError(f"{variant.name}: {body} has more than two possible rotations")
+                raise ValueError(
+                    f"{variant.name}: {body} has more than two possible rotations"
+                )
             other = different[0]
             corners = experiment.scene.body(body).shape.corners_m
             x, y, z = other.as_euler(ASSUMED, degrees=True).tolist()
@@ -115,7 +129,12 @@ def other_orders() -> Iterator[OtherOrder]:
                 euler_deg=angles,
                 other_deg=(x, y, z),
                 apart_deg=math.degrees(float(apart.max())),
-                corner_mm=1e3 * float(np.linalg.norm(assumed.apply(corners) - other.apply(corners), axis=1).max()),
+                corner_mm=1e3
+                * float(
+                    np.linalg.norm(
+                        assumed.apply(corners) - other.apply(corners), axis=1
+                    ).max()
+                ),
             )
 
 
@@ -126,8 +145,15 @@ def row(order: OtherOrder) -> list[str]:
         free_flight(load_experiment(order.variant, parameters).scene, order.body)
         for parameters in ("calibrated", changed)
     ]
-    results = [run_episode(RunRequest(order.variant, parameters=chosen)) for chosen in ("calibrated", changed)]
-    frames = [result.trajectory.arrays()[1][::6] for result in results if result.trajectory is not None]
+    results = [
+        run_episode(RunRequest(order.variant, parameters=chosen))
+        for chosen in ("calibrated", changed)
+    ]
+    frames = [
+        result.trajectory.arrays()[1][::6]
+        for result in results
+        if result.trajectory is not None
+    ]
     between = trajectory_rmse(frames[0], frames[1])
     baseline = published_baselines(order.variant)["rmse"].mean
     band = reference_band(load_experiment(order.variant))

@@ -43,7 +43,15 @@ WORDS: Mapping[str, Sequence[str]] = {
     "velocity": ("velocity", "speed"),
     "velocities": ("velocity", "speed"),
     "position": ("position", "place", "pose", "jump", "stay", "move"),
-    "quaternion": ("orientation", "quaternion", "turn", "rotat", "spin", "leans", "frame"),
+    "quaternion": (
+        "orientation",
+        "quaternion",
+        "turn",
+        "rotat",
+        "spin",
+        "leans",
+        "frame",
+    ),
     "size": ("size", "edge", "thick", "inertia", "radius"),
     "radius": ("radius", "size"),
     "length": ("length", "long", "short"),
@@ -85,13 +93,21 @@ def mapped(value: Any, change: Callable[[Key, Any], Any], *, within: str = "") -
         return value
     kind = kind_of(value)
     # A pose or a shape belongs to the body that has it.
-    kind = f"{within} {kind}" if within and kind in ("Pose", "Box", "Sphere", "Cylinder", "ConvexUnion") else kind
+    kind = (
+        f"{within} {kind}"
+        if within and kind in ("Pose", "Box", "Sphere", "Cylinder", "ConvexUnion")
+        else kind
+    )
     changed = {}
     for one in fields(value):
         if not one.init or one.name in SKIPPED:
             continue
         old = getattr(value, one.name)
-        new = change((kind, one.name), old) if is_number(old) else mapped(old, change, within=kind)
+        new = (
+            change((kind, one.name), old)
+            if is_number(old)
+            else mapped(old, change, within=kind)
+        )
         if new is not old:
             changed[one.name] = new
     return replace(value, **changed) if changed else value
@@ -111,7 +127,9 @@ class Recorder(Mutant):
         super().__init__(engine, Fault(what="", caught_by="", says=""))
         self.scenes: list[Scene] = []
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Keep and build a scene."""
         self.scenes.append(scene)
         return super().build(scene, settings)
@@ -153,7 +171,11 @@ def flattened(value: Any) -> Iterator[float]:
 
 def each(value: Any, change: Callable[[float], float]) -> Any:
     """Return a value with each of its numbers changed."""
-    return tuple(each(one, change) for one in value) if isinstance(value, tuple) else change(value)
+    return (
+        tuple(each(one, change) for one in value)
+        if isinstance(value, tuple)
+        else change(value)
+    )
 
 
 def mutation(key: Key, how: str, largest: float) -> Callable[[Scene], Scene]:
@@ -167,9 +189,17 @@ def mutation(key: Key, how: str, largest: float) -> Callable[[Scene], Scene]:
                 return value
             before.append(value)
             if how == "of another":
-                return before[-2] if len(before) > 1 and np.shape(before[-2]) == np.shape(value) else value
+                return (
+                    before[-2]
+                    if len(before) > 1 and np.shape(before[-2]) == np.shape(value)
+                    else value
+                )
             if how == "swapped":
-                return (value[1], value[0], *value[2:]) if np.ndim(value) == 1 and len(value) > 1 else value
+                return (
+                    (value[1], value[0], *value[2:])
+                    if np.ndim(value) == 1 and len(value) > 1
+                    else value
+                )
             limit = LIMIT_SHARE * largest
             numbers: dict[str, Callable[[float], float]] = {
                 "x 1.05": lambda one: FACTOR * one,
@@ -193,7 +223,12 @@ def altered(how: str, value: Array, before: Array) -> Array:
     """Return what a mutant makes of a vector of a call or a report."""
     if how == "swapped":
         return np.concatenate([value[1::-1], value[2:]])
-    changes = {"x 1.05": FACTOR * value, "reversed": -value, "dropped": 0.0 * value, "of another": before}
+    changes = {
+        "x 1.05": FACTOR * value,
+        "reversed": -value,
+        "dropped": 0.0 * value,
+        "of another": before,
+    }
     return changes[how]
 
 
@@ -226,16 +261,28 @@ def calling(part: str, how: str) -> type[Passed]:
             self._before[name] = now
             return values
 
-        def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+        def drive(
+            self, body: str, pose: Pose, velocity: Array, acceleration: Array
+        ) -> None:
             if of == "drive":
-                row = np.concatenate([pose.position_m, pose.quaternion, velocity, acceleration])
+                row = np.concatenate(
+                    [pose.position_m, pose.quaternion, velocity, acceleration]
+                )
                 row = self._change(body, row)
                 x, y, z = (float(one) for one in row[:3])
-                pose, velocity, acceleration = replace(pose, position_m=(x, y, z)), row[7:13], row[13:]
+                pose, velocity, acceleration = (
+                    replace(pose, position_m=(x, y, z)),
+                    row[7:13],
+                    row[13:],
+                )
             super().drive(body, pose, velocity, acceleration)
 
         def apply_wrench(self, body: str, wrench: Array) -> None:
-            changed = self._change(body, np.array(wrench, dtype=float)) if of == "wrench" else wrench
+            changed = (
+                self._change(body, np.array(wrench, dtype=float))
+                if of == "wrench"
+                else wrench
+            )
             super().apply_wrench(body, changed)
 
         def body_states(self, names: Sequence[str]) -> Array:
@@ -258,11 +305,21 @@ def mutants(scenes: Sequence[Scene]) -> Iterator[tuple[str, str, Fault]]:
         for how in MUTATORS:
             if not is_equivalent(key, how):
                 change = mutation(key, how, largest)
-                yield " ".join(key), how, Fault(what="", caught_by="", says="", scene=change)
+                yield (
+                    " ".join(key),
+                    how,
+                    Fault(what="", caught_by="", says="", scene=change),
+                )
     for part in PARTS:
         for how in MUTATORS:
             if how != "limited":
-                yield part, how, Fault(what="", caught_by="", says="", simulation=calling(part, how))
+                yield (
+                    part,
+                    how,
+                    Fault(
+                        what="", caught_by="", says="", simulation=calling(part, how)
+                    ),
+                )
 
 
 def is_equivalent(key: Key, how: str) -> bool:
@@ -279,7 +336,12 @@ def is_equivalent(key: Key, how: str) -> bool:
 
 def is_named(quantity: str, text: str) -> bool:
     """Return whether a text has a word for a quantity."""
-    words = [word for part, found in WORDS.items() if part in quantity.lower() for word in found]
+    words = [
+        word
+        for part, found in WORDS.items()
+        if part in quantity.lower()
+        for word in found
+    ]
     return any(word in text.lower() for word in words)
 
 
@@ -287,7 +349,11 @@ def seen_by(fault: Fault, scenes: Mapping[str, Sequence[Scene]]) -> list[str]:
     """Return the checks whose scenes a mutant changes, in their order; the others do what the engine does."""
     if fault.simulation is not Passed:
         return list(scenes)
-    return [name for name, built in scenes.items() if any(differs(fault, scene) for scene in built)]
+    return [
+        name
+        for name, built in scenes.items()
+        if any(differs(fault, scene) for scene in built)
+    ]
 
 
 def first(mutant: Mutant, ids: Iterable[str], own: set[str]) -> tuple[str, str]:
@@ -300,7 +366,9 @@ def first(mutant: Mutant, ids: Iterable[str], own: set[str]) -> tuple[str, str]:
 
 def main() -> int:
     """Run the mutants that the file lacks."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="mujoco")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
@@ -315,11 +383,21 @@ def main() -> int:
         writer = csv.writer(stream, lineterminator="\n")
         if not known:
             writer.writerow(("quantity", "change", "caught by", "named", "words"))
-        for quantity, how, fault in mutants([scene for built in scenes.values() for scene in built]):
+        for quantity, how, fault in mutants(
+            [scene for built in scenes.values() for scene in built]
+        ):
             if (quantity, how) in known or not (ids := seen_by(fault, scenes)):
                 continue
             check, text = first(Mutant(engine, fault), ids, own)
-            writer.writerow((quantity, how, check, "yes" if check and is_named(quantity, text) else "no", text[:160]))
+            writer.writerow(
+                (
+                    quantity,
+                    how,
+                    check,
+                    "yes" if check and is_named(quantity, text) else "no",
+                    text[:160],
+                )
+            )
             stream.flush()
             print(f"{quantity}, {how}: {check or 'SURVIVES'}", flush=True)
     return 0

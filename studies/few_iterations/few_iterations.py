@@ -24,7 +24,19 @@ from functools import partial
 
 import mujoco
 import numpy as np
-from sliding_bodies import UPRIGHT, Body, FloatArray, G, Options, at_rest, cube, feet, model_of, rest, sphere
+from sliding_bodies import (
+    UPRIGHT,
+    Body,
+    FloatArray,
+    G,
+    Options,
+    at_rest,
+    cube,
+    feet,
+    model_of,
+    rest,
+    sphere,
+)
 
 SLIDE_S, CASE_S = 0.4, 0.5
 """Time of a push in the map, and time over which the acceleration of a case is the mean [s]."""
@@ -57,10 +69,18 @@ class Case:
 
 
 CASES = (
-    Case("cube of 5 cm, mu 0.274, 30 degrees", cube(friction=0.274), slope=np.radians(30.0)),
+    Case(
+        "cube of 5 cm, mu 0.274, 30 degrees",
+        cube(friction=0.274),
+        slope=np.radians(30.0),
+    ),
     Case("12 kg on four feet, mu 0.6, 35 degrees", feet(), slope=np.radians(35.0)),
     Case("12 kg on four feet, mu 0.6, 40 degrees", feet(), slope=np.radians(40.0)),
-    Case("12 kg on four feet, mu 0.3, level, pushed with 1.5 mu m g", feet(friction=0.3), push=0.45),
+    Case(
+        "12 kg on four feet, mu 0.3, level, pushed with 1.5 mu m g",
+        feet(friction=0.3),
+        push=0.45,
+    ),
 )
 PYRAMIDAL = {
     "1 / 5, 4 ms": Options(),
@@ -71,7 +91,8 @@ PYRAMIDAL = {
     "100 / 50, 4 ms": Options().converged,
 }
 ELLIPTIC = {
-    f"{name}, elliptic": replace(PYRAMIDAL[name], cone="elliptic") for name in ("1 / 5, 4 ms", "100 / 50, 4 ms")
+    f"{name}, elliptic": replace(PYRAMIDAL[name], cone="elliptic")
+    for name in ("1 / 5, 4 ms", "100 / 50, 4 ms")
 }
 COLUMNS = PYRAMIDAL | ELLIPTIC
 
@@ -100,7 +121,10 @@ def acceleration_warp(case: Case, options: Options) -> float:
     import mujoco_warp
 
     model, data = case_start(case, options)
-    device_model, device_data = mujoco_warp.put_model(model), mujoco_warp.put_data(model, data, nconmax=16, njmax=64)
+    device_model, device_data = (
+        mujoco_warp.put_model(model),
+        mujoco_warp.put_data(model, data, nconmax=16, njmax=64),
+    )
     device_model.opt.warn_overflow = 0
     for _ in range(round(CASE_S / options.timestep)):
         mujoco_warp.step(device_model, device_data)
@@ -114,7 +138,11 @@ def acceleration_mjx(case: Case, options: Options) -> float:
 
     model, data = case_start(case, options)
     device_model = mjx.put_model(model, impl="jax")
-    step = jax.jit(lambda state: jax.lax.fori_loop(0, steps, lambda _, one: mjx.step(device_model, one), state))
+    step = jax.jit(
+        lambda state: jax.lax.fori_loop(
+            0, steps, lambda _, one: mjx.step(device_model, one), state
+        )
+    )
     steps = round(CASE_S / options.timestep)
     return float(step(mjx.put_data(model, data, impl="jax")).qvel[0]) / CASE_S
 
@@ -126,7 +154,11 @@ def cases(engine: str = "c") -> Iterable[list[str]]:
     """Yield the rows of the table of cases."""
     yield ["case", "Coulomb", *COLUMNS]
     for case in CASES:
-        yield [case.title, f"{case.law:.2f}", *(f"{ENGINES[engine](case, one):.2f}" for one in COLUMNS.values())]
+        yield [
+            case.title,
+            f"{case.law:.2f}",
+            *(f"{ENGINES[engine](case, one):.2f}" for one in COLUMNS.values()),
+        ]
 
 
 # --- map -------------------------------------------------------------------------------------------------------------
@@ -144,12 +176,17 @@ class Push:
 LOADS, SPEEDS = (1.25, 1.5, 2.0, 3.0), (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
 PUSHES = tuple(itertools.starmap(Push, itertools.product(LOADS, SPEEDS)))
 DIAGONAL = tuple(replace(push, direction=np.radians(45.0)) for push in PUSHES)
-MAPPED = {"sphere": partial(sphere, joints=UPRIGHT), "cube": partial(cube, joints=UPRIGHT)}
+MAPPED = {
+    "sphere": partial(sphere, joints=UPRIGHT),
+    "cube": partial(cube, joints=UPRIGHT),
+}
 MAPPED |= {"four feet": partial(feet, joints=UPRIGHT)}
 BRAKED = (0.3, 1.0, 3.0)
 
 
-def push_body(body: Body, options: Options, push: Push, seconds: float = SLIDE_S) -> tuple[float, float]:
+def push_body(
+    body: Body, options: Options, push: Push, seconds: float = SLIDE_S
+) -> tuple[float, float]:
     """Return speed [m/s] and displacement [m] of a body in the direction of a push after some time."""
     model, data = at_rest(body, options)
     along = np.array([np.cos(push.direction), np.sin(push.direction), 0.0])
@@ -175,30 +212,60 @@ def braking_share(body: Body, options: Options, speed: float) -> float:
 
 
 VARIED: dict[str, list[tuple[str, Options, dict[str, float]]]] = {
-    "iterations": [(str(n), Options(iterations=n), {}) for n in (1, 2, 3, 4, 5, 6, 8, 10, 100)],
-    "ls_iterations": [(str(n), Options(ls_iterations=n), {}) for n in (1, 5, 10, 20, 50)],
-    "step": [(f"{1e3 * dt:g} ms", Options(timestep=dt), {}) for dt in (0.001, 0.002, 0.004, 0.01)],
-    "mass": [(f"{mass:g} kg", Options(), {"mass": mass}) for mass in (0.1, 1.0, 12.0, 50.0)],
-    "friction": [(f"{mu:g}", Options(), {"friction": mu}) for mu in (0.1, 0.3, 0.6, 1.0, 1.5)],
-    "solref": [(value, Options(solref=value), {}) for value in ("0.005 1", "0.01 1", "0.02 1", "0.04 1")],
+    "iterations": [
+        (str(n), Options(iterations=n), {}) for n in (1, 2, 3, 4, 5, 6, 8, 10, 100)
+    ],
+    "ls_iterations": [
+        (str(n), Options(ls_iterations=n), {}) for n in (1, 5, 10, 20, 50)
+    ],
+    "step": [
+        (f"{1e3 * dt:g} ms", Options(timestep=dt), {})
+        for dt in (0.001, 0.002, 0.004, 0.01)
+    ],
+    "mass": [
+        (f"{mass:g} kg", Options(), {"mass": mass}) for mass in (0.1, 1.0, 12.0, 50.0)
+    ],
+    "friction": [
+        (f"{mu:g}", Options(), {"friction": mu}) for mu in (0.1, 0.3, 0.6, 1.0, 1.5)
+    ],
+    "solref": [
+        (value, Options(solref=value), {})
+        for value in ("0.005 1", "0.01 1", "0.02 1", "0.04 1")
+    ],
     "solimp": [
         (value, Options(solimp=value), {})
-        for value in ("0.9 0.95 0.001 0.5 2", "0.9 0.95 0.023 0.5 2", "0.9 0.95 0.036 0.5 2", "0 0.8 0.01 0.5 2")
+        for value in (
+            "0.9 0.95 0.001 0.5 2",
+            "0.9 0.95 0.023 0.5 2",
+            "0.9 0.95 0.036 0.5 2",
+            "0 0.8 0.01 0.5 2",
+        )
     ],
-    "impratio": [(f"{value:g}", Options(impratio=value), {}) for value in (1.0, 10.0, 100.0)],
-    "integrator": [(value, Options(integrator=value), {}) for value in ("Euler", "implicitfast")],
+    "impratio": [
+        (f"{value:g}", Options(impratio=value), {}) for value in (1.0, 10.0, 100.0)
+    ],
+    "integrator": [
+        (value, Options(integrator=value), {}) for value in ("Euler", "implicitfast")
+    ],
     "implicitfast, iterations": [
-        (str(n), Options(integrator="implicitfast", iterations=n), {}) for n in (2, 3, 4, 100)
+        (str(n), Options(integrator="implicitfast", iterations=n), {})
+        for n in (2, 3, 4, 100)
     ],
-    "warm start": [(text, Options(warmstart=text == "on"), {}) for text in ("on", "off")],
+    "warm start": [
+        (text, Options(warmstart=text == "on"), {}) for text in ("on", "off")
+    ],
     "solver": [(value, Options(solver=value), {}) for value in ("Newton", "CG", "PGS")],
     "cone": [(value, Options(cone=value), {}) for value in ("pyramidal", "elliptic")],
-    "elliptic, iterations": [(str(n), Options(cone="elliptic", iterations=n), {}) for n in (1, 2, 3, 4)],
+    "elliptic, iterations": [
+        (str(n), Options(cone="elliptic", iterations=n), {}) for n in (1, 2, 3, 4)
+    ],
     "elliptic, warm start off": [
-        (str(n), Options(cone="elliptic", iterations=n, warmstart=False), {}) for n in (1, 2, 3, 4)
+        (str(n), Options(cone="elliptic", iterations=n, warmstart=False), {})
+        for n in (1, 2, 3, 4)
     ],
     "elliptic, 1 iteration, impratio": [
-        (f"{value:g}", Options(cone="elliptic", impratio=value), {}) for value in (1.0, 10.0, 100.0)
+        (f"{value:g}", Options(cone="elliptic", impratio=value), {})
+        for value in (1.0, 10.0, 100.0)
     ],
 }
 """What is varied, one thing at a time, about the options of Go1 and Spot."""
@@ -217,9 +284,15 @@ def spread(shares: Sequence[float]) -> list[str]:
     ]
 
 
-def shares_of(options: Options, constants: dict[str, float], pushes: Sequence[Push] = PUSHES) -> list[float]:
+def shares_of(
+    options: Options, constants: dict[str, float], pushes: Sequence[Push] = PUSHES
+) -> list[float]:
     """Return the shares of speed of all bodies under all pushes."""
-    return [speed_share(build(**constants), options, push) for build in MAPPED.values() for push in pushes]
+    return [
+        speed_share(build(**constants), options, push)
+        for build in MAPPED.values()
+        for push in pushes
+    ]
 
 
 def varied() -> Iterable[list[str]]:
@@ -236,7 +309,11 @@ def varied() -> Iterable[list[str]]:
 def crossed() -> Iterable[list[str]]:
     """Yield the shares of cases that stick and slide over all combinations of masses, frictions and steps."""
     yield ["iterations", "cases", "stick", "slide", "5 %", "median", "95 %"]
-    grid = list(itertools.product((0.1, 12.0, 50.0), (0.1, 0.3, 0.6, 1.0, 1.5), (0.001, 0.002, 0.004, 0.01)))
+    grid = list(
+        itertools.product(
+            (0.1, 12.0, 50.0), (0.1, 0.3, 0.6, 1.0, 1.5), (0.001, 0.002, 0.004, 0.01)
+        )
+    )
     for iterations in (1, 2, 3, 4, 10):
         shares = []
         for mass, friction, step in grid:
@@ -252,7 +329,10 @@ def by_load_and_speed(iterations: int) -> Iterable[list[str]]:
         row = [f"{load:g} mu m g"]
         for speed in SPEEDS:
             options = Options(iterations=iterations)
-            shares = [speed_share(build(), options, Push(load, speed)) for build in MAPPED.values()]
+            shares = [
+                speed_share(build(), options, Push(load, speed))
+                for build in MAPPED.values()
+            ]
             row.append(f"{min(shares):.2f} to {max(shares):.2f}")
         yield row
 
@@ -261,13 +341,19 @@ def braking() -> Iterable[list[str]]:
     """Yield the distances in which bodies stop without a push, over those of Coulomb's law."""
     yield ["body", "initial speed", *PYRAMIDAL, *ELLIPTIC]
     for (name, build), speed in itertools.product(MAPPED.items(), BRAKED):
-        yield [name, f"{speed:g} m/s", *(f"{braking_share(build(), one, speed):.2f}" for one in COLUMNS.values())]
+        yield [
+            name,
+            f"{speed:g} m/s",
+            *(f"{braking_share(build(), one, speed):.2f}" for one in COLUMNS.values()),
+        ]
 
 
 # --- cause -----------------------------------------------------------------------------------------------------------
 
 
-def start_from(case: Case, options: Options, *, given_s: float, noise: float = 0.0) -> float:
+def start_from(
+    case: Case, options: Options, *, given_s: float, noise: float = 0.0
+) -> float:
     """Return the acceleration [m/s^2] where the solver starts from the converged solution for some time.
 
     Args:
@@ -282,9 +368,15 @@ def start_from(case: Case, options: Options, *, given_s: float, noise: float = 0
     solved, random = mujoco.MjData(converged), np.random.default_rng(0)
     for step in range(round(CASE_S / options.timestep)):
         if step * options.timestep < given_s:
-            solved.qpos[:], solved.qvel[:], solved.qacc_warmstart[:] = data.qpos, data.qvel, data.qacc_warmstart
+            solved.qpos[:], solved.qvel[:], solved.qacc_warmstart[:] = (
+                data.qpos,
+                data.qvel,
+                data.qacc_warmstart,
+            )
             mujoco.mj_forward(converged, solved)
-            data.qacc_warmstart[:] = solved.qacc * (1.0 + noise * random.uniform(-1.0, 1.0, model.nv))
+            data.qacc_warmstart[:] = solved.qacc * (
+                1.0 + noise * random.uniform(-1.0, 1.0, model.nv)
+            )
         mujoco.mj_step(model, data)
     return float(data.qvel[0]) / CASE_S
 
@@ -309,7 +401,9 @@ def cause() -> Iterable[list[str]]:
         "none: 1 iteration, 5 of the line search": Options(),
         "50 iterations of the line search": Options(ls_iterations=50),
         "no warm start": Options(warmstart=False),
-        "no warm start, 50 iterations of the line search": Options(warmstart=False, ls_iterations=50),
+        "no warm start, 50 iterations of the line search": Options(
+            warmstart=False, ls_iterations=50
+        ),
         "2 iterations": Options(iterations=2),
         "3 iterations": Options(iterations=3),
         "4 iterations": Options(iterations=4),
@@ -319,17 +413,29 @@ def cause() -> Iterable[list[str]]:
         "elliptic cone, 3 iterations": Options(cone="elliptic", iterations=3),
     }
     for name, options in settings.items():
-        yield [name, *(f"{acceleration(case, options):.2f}" for case in chosen.values())]
-    for name, options in {"1 iteration": Options(), "100 iterations": Options().converged}.items():
+        yield [
+            name,
+            *(f"{acceleration(case, options):.2f}" for case in chosen.values()),
+        ]
+    for name, options in {
+        "1 iteration": Options(),
+        "100 iterations": Options().converged,
+    }.items():
         yield [
             f"{name}, by the contact forces",
             *(f"{force_acceleration(case, options):.2f}" for case in chosen.values()),
         ]
     starts = {"every step starts from the converged solution": (np.inf, 0.0)}
     starts["the same, each acceleration changed by up to 1 %"] = (np.inf, 0.01)
-    starts |= {f"the first {seconds:g} s start from it": (seconds, 0.0) for seconds in (0.02, 0.1)}
+    starts |= {
+        f"the first {seconds:g} s start from it": (seconds, 0.0)
+        for seconds in (0.02, 0.1)
+    }
     for name, (seconds, noise) in starts.items():
-        row = [start_from(case, Options(), given_s=seconds, noise=noise) for case in chosen.values()]
+        row = [
+            start_from(case, Options(), given_s=seconds, noise=noise)
+            for case in chosen.values()
+        ]
         yield [name, *(f"{value:.2f}" for value in row)]
 
 
@@ -342,7 +448,15 @@ FRICTION_RANGE = (0.4, 1.0)
 
 def randomized() -> Iterable[list[str]]:
     """Yield the spread of accelerations over random frictions of the ground, for three pushes in multiples of m g."""
-    yield ["push", "options", "mean", "standard deviation", "5 %", "95 %", "correlation with mu"]
+    yield [
+        "push",
+        "options",
+        "mean",
+        "standard deviation",
+        "5 %",
+        "95 %",
+        "correlation with mu",
+    ]
     frictions = np.random.default_rng(0).uniform(*FRICTION_RANGE, RANDOM_COUNT)
     for push in (0.5, 0.7, 1.2):
         law = np.maximum(0.0, push - frictions) * G
@@ -355,7 +469,12 @@ def randomized() -> Iterable[list[str]]:
             "100 / 50, 4 ms, elliptic",
         ):
             found = [
-                push_body(feet(friction=mu, joints=UPRIGHT), COLUMNS[name], Push(push / mu, 0.0))[0] / SLIDE_S
+                push_body(
+                    feet(friction=mu, joints=UPRIGHT),
+                    COLUMNS[name],
+                    Push(push / mu, 0.0),
+                )[0]
+                / SLIDE_S
                 for mu in frictions
             ]
             yield [f"{push:g} m g", name, *statistics(np.array(found), frictions)]
@@ -382,14 +501,23 @@ def show(rows: Iterable[list[str]]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the chosen tables; return the exit status."""
-    parser = argparse.ArgumentParser(description="What too few solver iterations do to sliding friction.")
+    parser = argparse.ArgumentParser(
+        description="What too few solver iterations do to sliding friction."
+    )
     parser.add_argument("part", choices=("cases", "map", "cause", "randomized"))
-    parser.add_argument("--engine", choices=tuple(ENGINES), default="c", help="engine of `cases`")
+    parser.add_argument(
+        "--engine", choices=tuple(ENGINES), default="c", help="engine of `cases`"
+    )
     options = parser.parse_args(arguments)
     if options.part == "cases":
         show(cases(options.engine))
     elif options.part == "map":
-        for rows in (*map(by_load_and_speed, (1, 2, 3, 4)), braking(), varied(), crossed()):
+        for rows in (
+            *map(by_load_and_speed, (1, 2, 3, 4)),
+            braking(),
+            varied(),
+            crossed(),
+        ):
             show(rows)
     else:
         show(cause() if options.part == "cause" else randomized())

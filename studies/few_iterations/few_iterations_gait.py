@@ -32,7 +32,12 @@ EVALUATIONS = 24
 RESAMPLES = 2000
 """Resamples of the bootstrap."""
 
-LEGS = {"FL": (0.19, 0.047), "FR": (0.19, -0.047), "RL": (-0.19, 0.047), "RR": (-0.19, -0.047)}
+LEGS = {
+    "FL": (0.19, 0.047),
+    "FR": (0.19, -0.047),
+    "RL": (-0.19, 0.047),
+    "RR": (-0.19, -0.047),
+}
 """Positions of the abduction joints on the trunk [m]."""
 
 PHASES = {"FL": 0.0, "FR": np.pi, "RL": np.pi, "RR": 0.0}
@@ -108,7 +113,11 @@ def sensors(name: str) -> str:
 def robot(options: Options, friction: float) -> mujoco.MjModel:
     """Return the quadruped on a plane."""
     o = options
-    actuators = "".join(f'<position joint="{name} {joint}" class="{joint}"/>' for name in LEGS for joint in HOME)
+    actuators = "".join(
+        f'<position joint="{name} {joint}" class="{joint}"/>'
+        for name in LEGS
+        for joint in HOME
+    )
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco>
       <compiler angle="radian" autolimits="true"/>
@@ -173,13 +182,20 @@ def standing_slip(options: Options, friction: float, slope_deg: float) -> float:
     mujoco.mj_step(settled, start, nstep=round(1.0 / settled.opt.timestep))
     model = robot(options, friction)
     data = mujoco.MjData(model)
-    data.qpos[:], data.qacc_warmstart[:], data.ctrl[:] = start.qpos, start.qacc_warmstart, start.ctrl
+    data.qpos[:], data.qacc_warmstart[:], data.ctrl[:] = (
+        start.qpos,
+        start.qacc_warmstart,
+        start.ctrl,
+    )
     slope, level = np.radians(slope_deg), model.opt.gravity.copy()
     model.opt.gravity[:] = G * np.sin(slope), 0.0, -G * np.cos(slope)
     slip = 0.0
     for _ in range(round(STAND_S / options.timestep)):
         mujoco.mj_step(model, data)
-        slip += float(contact_velocity(data.sensordata[FEET_START:])[0].mean()) * options.timestep
+        slip += (
+            float(contact_velocity(data.sensordata[FEET_START:])[0].mean())
+            * options.timestep
+        )
     model.opt.gravity[:] = level
     return slip
 
@@ -199,8 +215,14 @@ def standing() -> None:
     print("| mu | slope | " + " | ".join(STANDING) + " |")
     print("|" + "---|" * (2 + len(STANDING)))
     for friction, slope in itertools.product(FRICTIONS, SLOPES_DEG):
-        slips = [f"{1e3 * standing_slip(one, friction, slope):.0f}" for one in STANDING.values()]
-        print(f"| {friction:g} | {slope} degrees | " + " | ".join(slips) + " |", flush=True)
+        slips = [
+            f"{1e3 * standing_slip(one, friction, slope):.0f}"
+            for one in STANDING.values()
+        ]
+        print(
+            f"| {friction:g} | {slope} degrees | " + " | ".join(slips) + " |",
+            flush=True,
+        )
 
 
 # --- gaits -----------------------------------------------------------------------------------------------------------
@@ -224,7 +246,15 @@ def targets(parameters: FloatArray, step_s: float) -> FloatArray:
     for number, (name, phase) in enumerate(PHASES.items()):
         row = rows[0 if name.startswith("F") else 1]
         angle = 2.0 * np.pi * frequency * times + phase
-        waves = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)])
+        waves = np.stack(
+            [
+                np.ones_like(angle),
+                np.cos(angle),
+                np.sin(angle),
+                np.cos(2 * angle),
+                np.sin(2 * angle),
+            ]
+        )
         wanted[:, 3 * number + 1] += start * (row[:5] @ waves)
         wanted[:, 3 * number + 2] += start * (row[5:] @ waves)
     return wanted
@@ -247,7 +277,11 @@ class Episodes:
     fell: FloatArray
 
 
-def run(models: Sequence[mujoco.MjModel], gaits: Sequence[FloatArray], random: np.random.Generator) -> Episodes:
+def run(
+    models: Sequence[mujoco.MjModel],
+    gaits: Sequence[FloatArray],
+    random: np.random.Generator,
+) -> Episodes:
     """Run one episode of each gait on its model, from a random pose near the standing one."""
     first = models[0]
     data = mujoco.MjData(first)
@@ -271,7 +305,9 @@ def episodes(found: FloatArray, step_s: float) -> Episodes:
     forces = found[..., FEET_START::FOOT_READINGS]
     walking = np.arange(found.shape[1]) * step_s > 2.0 * SETTLE_S
     stance = forces[:, walking] > TOUCH_N
-    slips = (np.hypot(*contact_velocity(found[:, walking, FEET_START:])) * stance).sum(axis=(1, 2))
+    slips = (np.hypot(*contact_velocity(found[:, walking, FEET_START:])) * stance).sum(
+        axis=(1, 2)
+    )
     ahead = place[:, -1, 0] - place[:, walking, 0][:, 0]
     fell = ((place[..., 2] < FALLEN_HEIGHT_M) | (up < FALLEN_UP)).any(axis=1)
     return Episodes(
@@ -292,7 +328,9 @@ def search(training: Training, seed: int, generations: int) -> FloatArray:
     for _ in range(generations):
         gaits = mean + spread * random.normal(size=(POPULATION, PARAMETER_COUNT))
         frictions = np.round(random.uniform(*training.frictions, POPULATION), 2)
-        models = [robot(OPTIONS[training.options], float(friction)) for friction in frictions]
+        models = [
+            robot(OPTIONS[training.options], float(friction)) for friction in frictions
+        ]
         found = run(models, list(gaits), random)
         value = found.speed - 0.5 * np.abs(found.aside) / EPISODE_S - 2.0 * found.fell
         best = gaits[np.argsort(-value)[:ELITES]]
@@ -309,31 +347,55 @@ def interval(groups: Sequence[FloatArray]) -> str:
     means = []
     for _ in range(RESAMPLES):
         chosen = random.integers(len(groups), size=len(groups))
-        means.append(np.mean([random.choice(groups[one], len(groups[one])).mean() for one in chosen]))
+        means.append(
+            np.mean(
+                [random.choice(groups[one], len(groups[one])).mean() for one in chosen]
+            )
+        )
     low, high = np.quantile(means, (0.025, 0.975))
     return f"{np.mean(groups):.2f} ({low:.2f} to {high:.2f})"
 
 
 def gaits_table(seeds: int, generations: int) -> None:
     """Search the gaits, and print what they do with all options and frictions."""
-    print("| searched with | runs with | mu | speed [m/s] | slip in stance [m/s] | falls |", flush=True)
+    print(
+        "| searched with | runs with | mu | speed [m/s] | slip in stance [m/s] | falls |",
+        flush=True,
+    )
     print("|---|---|---|---|---|---|")
     for training in TRAININGS:
         gaits = [search(training, seed, generations) for seed in range(seeds)]
         for name, friction in itertools.product(OPTIONS, FRICTIONS):
             models = [robot(OPTIONS[name], friction)] * EVALUATIONS
-            found = [run(models, [gait] * EVALUATIONS, np.random.default_rng(100)) for gait in gaits]
-            cells = [interval([one.speed for one in found]), interval([one.slip for one in found])]
+            found = [
+                run(models, [gait] * EVALUATIONS, np.random.default_rng(100))
+                for gait in gaits
+            ]
+            cells = [
+                interval([one.speed for one in found]),
+                interval([one.slip for one in found]),
+            ]
             fallen = f"{np.mean([one.fell for one in found]):.0%}"
-            print("| " + " | ".join((training.title, name, f"{friction:g}", *cells, fallen)) + " |", flush=True)
+            print(
+                "| "
+                + " | ".join((training.title, name, f"{friction:g}", *cells, fallen))
+                + " |",
+                flush=True,
+            )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the chosen table; return the exit status."""
-    parser = argparse.ArgumentParser(description="A legged robot under few solver iterations.")
+    parser = argparse.ArgumentParser(
+        description="A legged robot under few solver iterations."
+    )
     parser.add_argument("part", choices=("standing", "gaits"))
-    parser.add_argument("--seeds", type=int, default=3, help="gaits that are searched for each row")
-    parser.add_argument("--generations", type=int, default=60, help="generations of the search")
+    parser.add_argument(
+        "--seeds", type=int, default=3, help="gaits that are searched for each row"
+    )
+    parser.add_argument(
+        "--generations", type=int, default=60, help="generations of the search"
+    )
     options = parser.parse_args(arguments)
     if options.part == "standing":
         standing()

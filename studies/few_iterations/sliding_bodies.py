@@ -37,7 +37,9 @@ class Options:
     @property
     def converged(self) -> Options:
         """The same options with enough iterations."""
-        return replace(self, iterations=CONVERGED_ITERATIONS, ls_iterations=CONVERGED_LS)
+        return replace(
+            self, iterations=CONVERGED_ITERATIONS, ls_iterations=CONVERGED_LS
+        )
 
 
 FREE = "<freejoint/>"
@@ -54,20 +56,36 @@ class Body:
     joints: str = FREE
 
 
-UPRIGHT = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+UPRIGHT = "".join(
+    f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
+)
 FEET = "".join(
-    f'<geom type="sphere" size="0.023" pos="{x} {y} -0.247" mass="0"/>' for x in (-0.19, 0.19) for y in (-0.13, 0.13)
+    f'<geom type="sphere" size="0.023" pos="{x} {y} -0.247" mass="0"/>'
+    for x in (-0.19, 0.19)
+    for y in (-0.13, 0.13)
 )
 
 
 def cube(mass: float = 0.1, friction: float = 0.6, joints: str = FREE) -> Body:
     """Return a cube of 5 cm, which has four contacts."""
-    return Body(f'<geom type="box" size="0.025 0.025 0.025" mass="{mass}"/>', mass, 0.025, friction, joints)
+    return Body(
+        f'<geom type="box" size="0.025 0.025 0.025" mass="{mass}"/>',
+        mass,
+        0.025,
+        friction,
+        joints,
+    )
 
 
 def sphere(mass: float = 0.1, friction: float = 0.6, joints: str = UPRIGHT) -> Body:
     """Return a sphere, which has one contact."""
-    return Body(f'<geom type="sphere" size="0.025" mass="{mass}"/>', mass, 0.025, friction, joints)
+    return Body(
+        f'<geom type="sphere" size="0.025" mass="{mass}"/>',
+        mass,
+        0.025,
+        friction,
+        joints,
+    )
 
 
 def feet(mass: float = 12.0, friction: float = 0.6, joints: str = FREE) -> Body:
@@ -80,7 +98,9 @@ def feet(mass: float = 12.0, friction: float = 0.6, joints: str = FREE) -> Body:
 def model_of(body: Body, options: Options) -> mujoco.MjModel:
     """Return a body on a plane."""
     o = options
-    warmstart, eulerdamp = ("enable" if flag else "disable" for flag in (o.warmstart, o.eulerdamp))
+    warmstart, eulerdamp = (
+        "enable" if flag else "disable" for flag in (o.warmstart, o.eulerdamp)
+    )
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco>
       <option timestep="{o.timestep}" iterations="{o.iterations}" ls_iterations="{o.ls_iterations}" cone="{o.cone}"
@@ -98,7 +118,9 @@ def model_of(body: Body, options: Options) -> mujoco.MjModel:
 
 
 @lru_cache
-def rest(body: Body, options: Options, slope: float = 0.0) -> tuple[FloatArray, FloatArray]:
+def rest(
+    body: Body, options: Options, slope: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
     """Return positions and accelerations of a body at rest on level ground, with the normal load of a slope [rad]."""
     model = model_of(body, options.converged)
     model.opt.gravity[:] = 0.0, 0.0, -G * np.cos(slope)

@@ -24,14 +24,23 @@ from gauge_envs.evaluation.deformation import DeformationScore, score_deformatio
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics
+from gauge_envs.observables.deformation import (
+    STATISTICS,
+    affine_map,
+    marked_solid,
+    trial_statistics,
+)
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.scene import SoftBody
 
 FOAMS = ("FoamStretching", "FoamCompressing", "FoamShearing")
 BEAM = "CantileverBeam"
-CHANGES = {"calibrated": {}, "2 E": {"young_modulus_pa": 2.0}, "nu = 0.05": {"poisson_ratio": 0.05}}
+CHANGES = {
+    "calibrated": {},
+    "2 E": {"young_modulus_pa": 2.0},
+    "nu = 0.05": {"poisson_ratio": 0.05},
+}
 """Changed constants of the foam blocks: Young's modulus as a factor, the Poisson ratio as a value."""
 
 FOAM_BELOW_PA = 1e6
@@ -58,9 +67,15 @@ class Rollout:
 
 def rollout(name: str, change: str, *, backend: str) -> Rollout:
     """Run a variant with material points as markers, with the constants of a change."""
-    blocks = [body for body in gauge_envs.load_experiment(name).scene.deformables if isinstance(body, SoftBody)]
+    blocks = [
+        body
+        for body in gauge_envs.load_experiment(name).scene.deformables
+        if isinstance(body, SoftBody)
+    ]
     overrides = {
-        f"{block.name}.{key}": value * block.young_modulus_pa if key == "young_modulus_pa" else value
+        f"{block.name}.{key}": value * block.young_modulus_pa
+        if key == "young_modulus_pa"
+        else value
         for block in blocks
         if block.young_modulus_pa < FOAM_BELOW_PA
         for key, value in CHANGES[change].items()
@@ -81,7 +96,12 @@ def rollout(name: str, change: str, *, backend: str) -> Rollout:
             np.zeros(env.action_space.shape) if inner.experiment.scene.drivers else 0
         )
         over = terminated or truncated
-    found = Rollout(inner.experiment, inner.trajectory().markers_m, info["score"], info["deformation"])
+    found = Rollout(
+        inner.experiment,
+        inner.trajectory().markers_m,
+        info["score"],
+        info["deformation"],
+    )
     env.close()
     return found
 
@@ -90,11 +110,15 @@ def synthetic_trials(markers_m: FloatArray, *, seed: int = 0) -> FloatArray:
     """Return markers of trials whose material moves as given, [trial_count, frame_count, marker_count, 3]."""
     random = np.random.default_rng(seed)
     off = PLACEMENT_M * random.normal(size=markers_m.shape[1:])
-    placed = markers_m + np.einsum("fij,mj->fmi", affine_map(markers_m[0], markers_m).gradient, off)
+    placed = markers_m + np.einsum(
+        "fij,mj->fmi", affine_map(markers_m[0], markers_m).gradient, off
+    )
     return placed + NOISE_M * random.normal(size=(TRIAL_COUNT, *markers_m.shape))
 
 
-def synthetic_reference(experiment: Experiment, trials_m: FloatArray, shown: Sequence[str]) -> DeformationReference:
+def synthetic_reference(
+    experiment: Experiment, trials_m: FloatArray, shown: Sequence[str]
+) -> DeformationReference:
     """Return mean and scatter of the statistics of synthetic trials."""
     solid = marked_solid(experiment.scene)
     assert solid is not None
@@ -110,12 +134,19 @@ def synthetic_reference(experiment: Experiment, trials_m: FloatArray, shown: Seq
     )
 
 
-def synthetic_z(rollouts: Sequence[Rollout], trials_m: FloatArray) -> list[dict[str, float]]:
+def synthetic_z(
+    rollouts: Sequence[Rollout], trials_m: FloatArray
+) -> list[dict[str, float]]:
     """Return the normalized RMSE and |z| of the areas, and the z of the statistics, of each rollout."""
     experiment = rollouts[0].experiment
     markers = experiment.scene.markers
     assert markers is not None
-    areas = np.stack([observe_markers(trial, markers, experiment.score.observable) for trial in trials_m])
+    areas = np.stack(
+        [
+            observe_markers(trial, markers, experiment.score.observable)
+            for trial in trials_m
+        ]
+    )
     mean, sigma = areas.mean(axis=0), areas.std(axis=0, ddof=1)
     baseline = np.mean([trajectory_rmse(trial, mean) for trial in areas])
     reference = synthetic_reference(experiment, trials_m, SHOWN)
@@ -135,7 +166,9 @@ def synthetic_z(rollouts: Sequence[Rollout], trials_m: FloatArray) -> list[dict[
 def synthetic_beam_z(rollouts: Sequence[Rollout]) -> list[dict[str, float]]:
     """Return the root mean square z over the swing of each rollout; nothing prescribes how the beam moves."""
     experiment = rollouts[0].experiment
-    reference = synthetic_reference(experiment, synthetic_trials(rollouts[0].markers_m), SHOWN_OF_BEAM)
+    reference = synthetic_reference(
+        experiment, synthetic_trials(rollouts[0].markers_m), SHOWN_OF_BEAM
+    )
     rows = []
     for run in rollouts:
         scored = score_deformation(experiment, run.markers_m, reference=reference)
@@ -147,7 +180,10 @@ def synthetic_beam_z(rollouts: Sequence[Rollout]) -> list[dict[str, float]]:
 def recorded_z(run: Rollout) -> dict[str, float]:
     """Return the same numbers against the published recording."""
     normalized = run.score.rmse_normalized
-    row = {"areas, RMSE": float("nan") if normalized is None else normalized, "areas, |z|": run.score.mean_abs_z or 0.0}
+    row = {
+        "areas, RMSE": float("nan") if normalized is None else normalized,
+        "areas, |z|": run.score.mean_abs_z or 0.0,
+    }
     return row | {name: run.deformation[name].z or 0.0 for name in SHOWN}
 
 
@@ -159,32 +195,48 @@ def print_table(title: str, rows: dict[tuple[str, str], dict[str, float]]) -> No
     )
     print(f"|---|---|{'---:|' * len(columns)}")
     for (name, change), row in rows.items():
-        cells = ["-" if np.isnan(row[column]) else f"{round(row[column], 1) + 0.0:.1f}" for column in columns]
+        cells = [
+            "-" if np.isnan(row[column]) else f"{round(row[column], 1) + 0.0:.1f}"
+            for column in columns
+        ]
         print(f"| {name} | {change} | {' | '.join(cells)} |")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", default="mujoco")
     options = parser.parse_args(arguments)
     recorded, synthetic = {}, {}
     for family in FOAMS:
         for foam in ("soft", "hard"):
             name = f"{family}-{foam}"
-            rollouts = [rollout(name, change, backend=options.backend) for change in CHANGES]
+            rollouts = [
+                rollout(name, change, backend=options.backend) for change in CHANGES
+            ]
             against = synthetic_z(rollouts, synthetic_trials(rollouts[0].markers_m))
             for change, run, row in zip(CHANGES, rollouts, against, strict=True):
                 recorded[name, change], synthetic[name, change] = recorded_z(run), row
     beams = {}
     for foam in ("soft", "hard"):
-        rollouts = [rollout(f"{BEAM}-{foam}", change, backend=options.backend) for change in CHANGES]
+        rollouts = [
+            rollout(f"{BEAM}-{foam}", change, backend=options.backend)
+            for change in CHANGES
+        ]
         beams |= {
-            (f"{BEAM}-{foam}", change): row for change, row in zip(CHANGES, synthetic_beam_z(rollouts), strict=True)
+            (f"{BEAM}-{foam}", change): row
+            for change, row in zip(CHANGES, synthetic_beam_z(rollouts), strict=True)
         }
     print_table("Against synthetic trials of the calibrated foam:", synthetic)
-    print_table("Against synthetic trials of the calibrated beam, root mean square over the swing:", beams)
-    print_table("Against the published recording, which shows soft or hard foam:", recorded)
+    print_table(
+        "Against synthetic trials of the calibrated beam, root mean square over the swing:",
+        beams,
+    )
+    print_table(
+        "Against the published recording, which shows soft or hard foam:", recorded
+    )
     return 0
 
 

@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.tools.video import FileFrames, read_camera
-from gauge_envs.tools.video.phone_films import SQUARES, FrontalFilm, charuco, score_phone_film
+from gauge_envs.tools.video.phone_films import (
+    SQUARES,
+    FrontalFilm,
+    charuco,
+    score_phone_film,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +59,13 @@ class Shot:
 
 
 def shot(
-    motion: str, seed: int, folder: Path, *, fps: float = 30.0, readout_s: float = 0.0, crop_px: float = 0.0
+    motion: str,
+    seed: int,
+    folder: Path,
+    *,
+    fps: float = 30.0,
+    readout_s: float = 0.0,
+    crop_px: float = 0.0,
 ) -> Shot:
     """Write a film with random constants, camera and light, and return it with the truth.
 
@@ -74,38 +85,70 @@ def shot(
     lens = (np.array([[focal, 0.0, 639.5], [0.0, focal, 359.5], [0.0, 0.0, 1.0]]), bent)
     wall, offset = _wall(motion, rng, place), OFFSET_M + rng.normal(0.0, OFFSET_SIGMA_M)
     # Straight rays of all pixels.
-    grid = np.stack(np.meshgrid(*(np.arange(one, dtype=np.float32) for one in SIZE_PX)), axis=-1)
-    rays = cv2.undistortPoints(grid.reshape(-1, 1, 2), *lens).reshape(*SIZE_PX[::-1], 1, 2)
+    grid = np.stack(
+        np.meshgrid(*(np.arange(one, dtype=np.float32) for one in SIZE_PX)), axis=-1
+    )
+    rays = cv2.undistortPoints(grid.reshape(-1, 1, 2), *lens).reshape(
+        *SIZE_PX[::-1], 1, 2
+    )
     edges = np.linspace(0, SIZE_PX[1], (BANDS if readout_s else 1) + 1).astype(int)
     video = folder / f"{motion}_{seed}.mp4"
     if not video.exists():
-        writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE_PX)
-        grain = rng.normal(0.0, 2.5, (SIZE_PX[1] + 64, SIZE_PX[0] + 64, 3)).astype(np.float32)
+        writer = cv2.VideoWriter(
+            str(video), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE_PX
+        )
+        grain = rng.normal(0.0, 2.5, (SIZE_PX[1] + 64, SIZE_PX[0] + 64, 3)).astype(
+            np.float32
+        )
         for number in range(int(lasts_s * fps)):
             total = np.zeros((*SIZE_PX[::-1], 3), np.float32)
             for part in range(EXPOSURES):
                 for top, end in pairwise(map(int, edges)):
                     late_s = readout_s * (0.5 * (top + end) / SIZE_PX[1] - 0.5)
-                    time_s = (number + 0.5 * (part / (EXPOSURES - 1) - 0.5)) / fps + late_s
+                    time_s = (
+                        number + 0.5 * (part / (EXPOSURES - 1) - 0.5)
+                    ) / fps + late_s
                     seen = (*place(time_s), offset, pivot)
-                    total[top:end] += _picture(wall, rays[top:end], lens, camera(time_s), motion, seen, top)
+                    total[top:end] += _picture(
+                        wall, rays[top:end], lens, camera(time_s), motion, seen, top
+                    )
             # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
             x, y = rng.integers(0, 64, 2)
             noisy = total / EXPOSURES + grain[y : y + SIZE_PX[1], x : x + SIZE_PX[0]]
             if crop_px and number:
                 moved = np.column_stack([np.eye(2), rng.normal(0.0, crop_px, 2)])
-                noisy = cv2.warpAffine(noisy, moved, SIZE_PX, borderMode=cv2.BORDER_REPLICATE)
+                noisy = cv2.warpAffine(
+                    noisy, moved, SIZE_PX, borderMode=cv2.BORDER_REPLICATE
+                )
             writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
         writer.release()
-    corners = np.column_stack([outline := _outline(motion, *place(0.0)), np.full(len(outline), offset + 0.5 * EDGE_M)])
+    corners = np.column_stack(
+        [
+            outline := _outline(motion, *place(0.0)),
+            np.full(len(outline), offset + 0.5 * EDGE_M),
+        ]
+    )
     seen = cv2.projectPoints(corners, *camera(0.0), *lens)[0]
     low, high = seen[:, 0].min(axis=0), seen[:, 0].max(axis=0)
     toml = folder / f"{motion}_{seed}.toml"
-    swing = "" if pivot is None else f"[motion]\npivot_m = {pivot.tolist()}\npivot_sigma_m = 0.002\n"
+    swing = (
+        ""
+        if pivot is None
+        else f"[motion]\npivot_m = {pivot.tolist()}\npivot_sigma_m = 0.002\n"
+    )
     roll = "[motion]\ninertia_factor = 0.4\n" if motion == "roll" else ""
     board = f"[board]\nsquare_m = {SQUARE_M}\noffset_m = {OFFSET_M}\noffset_sigma_m = {OFFSET_SIGMA_M}\n"
-    toml.write_text(f"size_px = {list(SIZE_PX)}\n{board}{swing}{roll}", encoding="utf-8")
-    return Shot(video=video, camera=toml, box_px=(*low, *(high - low)), motion=motion, name=name, truth=truth)
+    toml.write_text(
+        f"size_px = {list(SIZE_PX)}\n{board}{swing}{roll}", encoding="utf-8"
+    )
+    return Shot(
+        video=video,
+        camera=toml,
+        box_px=(*low, *(high - low)),
+        motion=motion,
+        name=name,
+        truth=truth,
+    )
 
 
 # --- motions ---------------------------------------------------------------------------------------------------------
@@ -126,10 +169,17 @@ def _roll(rng: np.random.Generator) -> Motion:
 
 
 def _descent(
-    rng: np.random.Generator, name: str, slopes_deg: tuple[float, float], values: tuple[float, float], inertia: float
+    rng: np.random.Generator,
+    name: str,
+    slopes_deg: tuple[float, float],
+    values: tuple[float, float],
+    inertia: float,
 ) -> Motion:
     slope, truth = math.radians(rng.uniform(*slopes_deg)), rng.uniform(*values)
-    a, release = G * (math.sin(slope) - truth * math.cos(slope)) / inertia, rng.uniform(0.3, 0.6)
+    a, release = (
+        G * (math.sin(slope) - truth * math.cos(slope)) / inertia,
+        rng.uniform(0.3, 0.6),
+    )
     reach = 0.42
     lasts = math.sqrt(2.0 * reach / a)
     # The board is level within its uncertainty.
@@ -163,7 +213,11 @@ def _fall(rng: np.random.Generator) -> Motion:
 
 
 def _swing(rng: np.random.Generator) -> Motion:
-    damping, length, amplitude = rng.uniform(0.05, 0.3), rng.uniform(0.3, 0.36), rng.uniform(0.25, 0.45)
+    damping, length, amplitude = (
+        rng.uniform(0.05, 0.3),
+        rng.uniform(0.3, 0.36),
+        rng.uniform(0.25, 0.45),
+    )
     omega, pivot = math.sqrt(G / length), np.array([0.38, 0.2])
 
     def place(time_s: float) -> tuple[FloatArray, float]:
@@ -176,9 +230,13 @@ def _swing(rng: np.random.Generator) -> Motion:
 # --- pictures --------------------------------------------------------------------------------------------------------
 
 
-def _camera(rng: np.random.Generator, lasts_s: float) -> Callable[[float], tuple[FloatArray, FloatArray]]:
+def _camera(
+    rng: np.random.Generator, lasts_s: float
+) -> Callable[[float], tuple[FloatArray, FloatArray]]:
     """Return rotation vector and translation from the board to a camera that a hand moves, at a time."""
-    eye = np.array([0.25, 0.0, 0.0]) + rng.uniform([-0.25, -0.1, 1.05], [0.25, 0.2, 1.25])
+    eye = np.array([0.25, 0.0, 0.0]) + rng.uniform(
+        [-0.25, -0.1, 1.05], [0.25, 0.2, 1.25]
+    )
     target = np.array([0.22, -0.03, 0.0])
     waves = rng.uniform(0.3, 2.5, (6, 3))
     phases = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
@@ -202,29 +260,64 @@ def _camera(rng: np.random.Generator, lasts_s: float) -> Callable[[float], tuple
 def _wall(motion: str, rng: np.random.Generator, place: Place) -> NDArray[np.uint8]:
     """Return the wall with the board and what stands still, from the left top corner."""
     width, height = (WALL_M * PX_PER_M).astype(int)
-    light = cv2.resize(rng.normal(0.0, 1.0, (6, 9, 3)), (width, height), interpolation=cv2.INTER_CUBIC)
+    light = cv2.resize(
+        rng.normal(0.0, 1.0, (6, 9, 3)), (width, height), interpolation=cv2.INTER_CUBIC
+    )
     wall = np.clip(rng.uniform(150, 215) + 12.0 * light, 0, 255).astype(np.uint8)
     side = round(SQUARE_M * PX_PER_M * 4)
     large = charuco().generateImage(tuple(map(int, SQUARES * side)))
     extent = SQUARES * SQUARE_M
     low = _wall_px(np.array([[-0.5 * extent[0], 0.5 * extent[1]]]))[0]
-    scale = np.array([[SQUARE_M * PX_PER_M / side, 0.0, low[0] - 0.5], [0.0, SQUARE_M * PX_PER_M / side, low[1] - 0.5]])
+    scale = np.array(
+        [
+            [SQUARE_M * PX_PER_M / side, 0.0, low[0] - 0.5],
+            [0.0, SQUARE_M * PX_PER_M / side, low[1] - 0.5],
+        ]
+    )
     scale[:, 2] += 0.5 * scale[0, 0]
     small = cv2.GaussianBlur(large, (0, 0), 1.6)
-    paper = _wall_px(np.array([[-0.5, 0.5], [0.5, -0.5]]) * (extent + 0.02)).round().astype(int)
-    cv2.rectangle(wall, tuple(map(int, paper[0])), tuple(map(int, paper[1])), (245, 245, 245), -1)
+    paper = (
+        _wall_px(np.array([[-0.5, 0.5], [0.5, -0.5]]) * (extent + 0.02))
+        .round()
+        .astype(int)
+    )
+    cv2.rectangle(
+        wall, tuple(map(int, paper[0])), tuple(map(int, paper[1])), (245, 245, 245), -1
+    )
     cv2.warpAffine(
-        cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), scale, (width, height), dst=wall, borderMode=cv2.BORDER_TRANSPARENT
+        cv2.cvtColor(small, cv2.COLOR_GRAY2BGR),
+        scale,
+        (width, height),
+        dst=wall,
+        borderMode=cv2.BORDER_TRANSPARENT,
     )
     if motion in ("slide", "roll"):
         start, slope = place(0.0)
-        along, up = np.array([math.cos(slope), math.sin(slope)]), np.array([-math.sin(slope), math.cos(slope)])
-        ends = [start + 0.08 * along - 0.5 * EDGE_M * up, start - 0.62 * along - 0.5 * EDGE_M * up]
+        along, up = (
+            np.array([math.cos(slope), math.sin(slope)]),
+            np.array([-math.sin(slope), math.cos(slope)]),
+        )
+        ends = [
+            start + 0.08 * along - 0.5 * EDGE_M * up,
+            start - 0.62 * along - 0.5 * EDGE_M * up,
+        ]
         board = np.array([*ends, ends[1] - 0.02 * up, ends[0] - 0.02 * up])
-        cv2.fillPoly(wall, [_wall_px(board).round().astype(np.int32)], (105, 150, 190), cv2.LINE_AA)
+        cv2.fillPoly(
+            wall,
+            [_wall_px(board).round().astype(np.int32)],
+            (105, 150, 190),
+            cv2.LINE_AA,
+        )
     for _ in range(12):
         x, y = rng.uniform([0, 0], [width, 0.2 * height])
-        cv2.circle(wall, (int(x), int(y)), int(rng.uniform(4, 14)), rng.uniform(60, 180, 3).tolist(), -1, cv2.LINE_AA)
+        cv2.circle(
+            wall,
+            (int(x), int(y)),
+            int(rng.uniform(4, 14)),
+            rng.uniform(60, 180, 3).tolist(),
+            -1,
+            cv2.LINE_AA,
+        )
     return wall
 
 
@@ -256,23 +349,48 @@ def _picture(
     rotation = cv2.Rodrigues(rvec)[0]
     plane = np.column_stack([rotation[:, 0], rotation[:, 1], tvec])
     middle = [0.55 * PX_PER_M - 0.5, 0.5 * WALL_M[1] * PX_PER_M - 0.5]
-    to_wall = np.array([[PX_PER_M, 0.0, middle[0]], [0.0, -PX_PER_M, middle[1]], [0.0, 0.0, 1.0]])
-    maps = cv2.perspectiveTransform(rays.reshape(-1, 1, 2), to_wall @ np.linalg.inv(plane)).reshape(-1, SIZE_PX[0], 2)
-    picture = cv2.remap(wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    to_wall = np.array(
+        [[PX_PER_M, 0.0, middle[0]], [0.0, -PX_PER_M, middle[1]], [0.0, 0.0, 1.0]]
+    )
+    maps = cv2.perspectiveTransform(
+        rays.reshape(-1, 1, 2), to_wall @ np.linalg.inv(plane)
+    ).reshape(-1, SIZE_PX[0], 2)
+    picture = cv2.remap(
+        wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
 
-    def drawn(points_m: FloatArray, depth_m: float, colour: tuple[int, int, int]) -> None:
+    def drawn(
+        points_m: FloatArray, depth_m: float, colour: tuple[int, int, int]
+    ) -> None:
         world = np.column_stack([points_m, np.full(len(points_m), depth_m)])
         places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0] - [0.0, top]
-        cv2.fillConvexPoly(picture, cv2.convexHull((places * 16).round().astype(np.int32)), colour, cv2.LINE_AA, 4)
+        cv2.fillConvexPoly(
+            picture,
+            cv2.convexHull((places * 16).round().astype(np.int32)),
+            colour,
+            cv2.LINE_AA,
+            4,
+        )
 
     outline = _outline(motion, centre, tilt)
     front_m = offset_m + (0.5 * EDGE_M if motion == "slide" else 0.0)
     if pivot is not None:
         across = 0.0015 * np.array([math.cos(tilt), math.sin(tilt)])
-        drawn(np.array([pivot - across, pivot + across, centre + across, centre - across]), offset_m, (90, 90, 90))
+        drawn(
+            np.array(
+                [pivot - across, pivot + across, centre + across, centre - across]
+            ),
+            offset_m,
+            (90, 90, 90),
+        )
     if motion == "slide":
         # The sides of the cube behind its face are seen where the camera is not before it.
-        world = np.vstack([np.column_stack([outline, np.full(4, depth)]) for depth in (front_m, front_m - EDGE_M)])
+        world = np.vstack(
+            [
+                np.column_stack([outline, np.full(4, depth)])
+                for depth in (front_m, front_m - EDGE_M)
+            ]
+        )
         places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0] - [0.0, top]
         hull = cv2.convexHull((places * 16).round().astype(np.int32))
         cv2.fillConvexPoly(picture, hull, (40, 60, 90), cv2.LINE_AA, 4)
@@ -286,29 +404,62 @@ def _picture(
 def main() -> None:
     """Score films of new seeds and write `handheld.csv`; a film that is refused is printed with the cause."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(300, 320), metavar=("FIRST", "END"))
-    parser.add_argument("--motions", nargs="*", default=["slide", "roll", "fall", "pendulum"])
-    parser.add_argument("--folder", type=Path, default=Path("handheld_films"), help="films are kept there")
+    parser.add_argument(
+        "--seeds", type=int, nargs=2, default=(300, 320), metavar=("FIRST", "END")
+    )
+    parser.add_argument(
+        "--motions", nargs="*", default=["slide", "roll", "fall", "pendulum"]
+    )
+    parser.add_argument(
+        "--folder",
+        type=Path,
+        default=Path("handheld_films"),
+        help="films are kept there",
+    )
     parser.add_argument("--csv", type=Path, default=Path(__file__).with_suffix(".csv"))
     given = parser.parse_args()
     given.folder.mkdir(exist_ok=True)
     with given.csv.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade"])
+        rows.writerow(
+            ["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade"]
+        )
         for motion in given.motions:
             for seed in range(*given.seeds):
-                one = shot(motion, seed, given.folder, fps=30.0 if motion == "pendulum" else 60.0)
+                one = shot(
+                    motion,
+                    seed,
+                    given.folder,
+                    fps=30.0 if motion == "pendulum" else 60.0,
+                )
                 try:
                     film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
                     found = score_phone_film(film, one.motion, one.box_px)
                 except VideoError as error:
                     print(error)
-                    rows.writerow([motion, seed, f"{one.truth:.4f}", *["nan"] * 3, "False", "refused"])
+                    rows.writerow(
+                        [
+                            motion,
+                            seed,
+                            f"{one.truth:.4f}",
+                            *["nan"] * 3,
+                            "False",
+                            "refused",
+                        ]
+                    )
                     continue
                 low, high = found.uncertainty.get(one.name) or (math.nan, math.nan)
                 value = found.metrics.get(one.name) or math.nan
                 numbers = [f"{number:.4f}" for number in (one.truth, value, low, high)]
-                rows.writerow([motion, seed, *numbers, low <= one.truth <= high, found.grade.value])
+                rows.writerow(
+                    [
+                        motion,
+                        seed,
+                        *numbers,
+                        low <= one.truth <= high,
+                        found.grade.value,
+                    ]
+                )
                 file.flush()
 
 

@@ -26,7 +26,11 @@ NOISE_RAD = 1e-3
 def world(seed: int, kind: str) -> list[tuple[str, float, float, float, float]]:
     """Return seed, name, truth, and ends of the interval of each number of one world."""
     random = np.random.default_rng(seed)
-    engine, mass_kg, length_m = backend("mujoco"), random.uniform(0.1, 1.0), random.uniform(0.1, 0.4)
+    engine, mass_kg, length_m = (
+        backend("mujoco"),
+        random.uniform(0.1, 1.0),
+        random.uniform(0.1, 0.4),
+    )
     scene = one_joint(mass_kg, length_m)
     weight, inertia = 9.80665 * mass_kg * length_m, mass_kg * length_m**2
     rate = np.sqrt(weight / inertia)
@@ -58,13 +62,27 @@ def world(seed: int, kind: str) -> list[tuple[str, float, float, float, float]]:
     memory = np.exp(-0.01 / 0.1)
     lasting = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], shocks)
     noisy = measured + NOISE_RAD * np.sqrt(0.5) * (white + lasting)[:, None]
-    found = identify(engine, scene, [Log(log.name, times_s, noisy, command)], tuple(truth), settings=SETTINGS)
-    return [(str(seed), one.name, truth[one.name], one.low, one.high) for one in found.settings]
+    found = identify(
+        engine,
+        scene,
+        [Log(log.name, times_s, noisy, command)],
+        tuple(truth),
+        settings=SETTINGS,
+    )
+    return [
+        (str(seed), one.name, truth[one.name], one.low, one.high)
+        for one in found.settings
+    ]
 
 
 def main() -> None:
     """Write a row for each number of each world, and print how many intervals hold the truth."""
-    kind, first, count, path = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
+    kind, first, count, path = (
+        sys.argv[1],
+        int(sys.argv[2]),
+        int(sys.argv[3]),
+        Path(sys.argv[4]),
+    )
     new = not path.exists()
     with path.open("a+", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -74,17 +92,23 @@ def main() -> None:
         done = {row["seed"] for row in csv.DictReader(file)}
         for seed in range(first, first + count):
             if str(seed) not in done:
-                writer.writerows((*row[:2], *(f"{value:.5g}" for value in row[2:])) for row in world(seed, kind))
+                writer.writerows(
+                    (*row[:2], *(f"{value:.5g}" for value in row[2:]))
+                    for row in world(seed, kind)
+                )
                 file.flush()
         file.seek(0)
         rows = [
-            (one["setting"], *(float(one[key]) for key in ("truth", "low", "high"))) for one in csv.DictReader(file)
+            (one["setting"], *(float(one[key]) for key in ("truth", "low", "high")))
+            for one in csv.DictReader(file)
         ]
     for name in dict.fromkeys(row[0] for row in rows):
         table = np.array([row[1:] for row in rows if row[0] == name])
         truth, low, high = table.T
         inside, half = (low <= truth) & (truth <= high), 0.5 * (high - low) / truth
-        print(f"{name}: {inside.sum()} of {len(inside)}, half width {100.0 * np.median(half):.2g} % (median)")
+        print(
+            f"{name}: {inside.sum()} of {len(inside)}, half width {100.0 * np.median(half):.2g} % (median)"
+        )
 
 
 if __name__ == "__main__":

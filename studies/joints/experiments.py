@@ -26,11 +26,26 @@ from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.tools.transfer.envelope import sobol_sigmas
 
-IDS = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
+IDS = (
+    "JointPendulum-dry",
+    "JointPendulum-viscous",
+    "DoublePendulum-bars",
+    "TorquePendulum-ak80",
+    "ServoArm-so101",
+)
 
 DRAWS = 32
 
-COLUMNS = ("engine", "id", "trial", "half", "rmse_mm", "rmse_low_mm", "rmse_high_mm", "cpu_s")
+COLUMNS = (
+    "engine",
+    "id",
+    "trial",
+    "half",
+    "rmse_mm",
+    "rmse_low_mm",
+    "rmse_high_mm",
+    "cpu_s",
+)
 
 
 def rows() -> list[dict[str, str]]:
@@ -44,7 +59,9 @@ def rows() -> list[dict[str, str]]:
 
 def run(engine: str) -> None:
     """Score all trials with an engine, and replace its rows; the frames go to a file for the table."""
-    kept = [[row[name] for name in COLUMNS] for row in rows() if row["engine"] != engine]
+    kept = [
+        [row[name] for name in COLUMNS] for row in rows() if row["engine"] != engine
+    ]
     found: list[list[object]] = []
     frames: dict[str, np.ndarray] = {}
     for name in IDS:
@@ -94,9 +111,17 @@ def table() -> None:
     found = []
     for engine, name in dict.fromkeys((row["engine"], row["id"]) for row in stored):
         own = [row for row in stored if (row["engine"], row["id"]) == (engine, name)]
-        halves = {half: [float(row["rmse_mm"]) for row in own if row["half"] == half] for half in ("fit", "judge")}
+        halves = {
+            half: [float(row["rmse_mm"]) for row in own if row["half"] == half]
+            for half in ("fit", "judge")
+        }
         apart = [
-            np.mean(np.square(frames[f"{engine}/{name}/{row['trial']}"] - frames[f"drake/{name}/{row['trial']}"]))
+            np.mean(
+                np.square(
+                    frames[f"{engine}/{name}/{row['trial']}"]
+                    - frames[f"drake/{name}/{row['trial']}"]
+                )
+            )
             for row in own
             if row["half"] == "judge" and f"{engine}/{name}/1" in frames
         ]
@@ -112,15 +137,40 @@ def table() -> None:
                 len(halves["judge"]),
             )
         )
-    write("engines.csv", ("engine", "id", "fit_mm", "judged_mm", "low_mm", "high_mm", "from_drake_mm", "judged"), found)
+    write(
+        "engines.csv",
+        (
+            "engine",
+            "id",
+            "fit_mm",
+            "judged_mm",
+            "low_mm",
+            "high_mm",
+            "from_drake_mm",
+            "judged",
+        ),
+        found,
+    )
 
 
 def step_errors() -> None:
     """Write the error on judged trial 5 with the step of the preset, and shorter ones."""
     found = []
-    cases = [(one, "DoublePendulum-bars", factor) for one in ("mujoco", "rapier", "physx") for factor in (1, 2, 5)]
-    for engine, name, factor in (*cases, ("rapier", "ServoArm-so101", 1), ("rapier", "ServoArm-so101", 2)):
-        env = gymnasium.make(f"GAUGE/{name}", backend=engine, settings={"timestep_s": 1.0 / (1800 * factor)})
+    cases = [
+        (one, "DoublePendulum-bars", factor)
+        for one in ("mujoco", "rapier", "physx")
+        for factor in (1, 2, 5)
+    ]
+    for engine, name, factor in (
+        *cases,
+        ("rapier", "ServoArm-so101", 1),
+        ("rapier", "ServoArm-so101", 2),
+    ):
+        env = gymnasium.make(
+            f"GAUGE/{name}",
+            backend=engine,
+            settings={"timestep_s": 1.0 / (1800 * factor)},
+        )
         env.reset(options={"trial": 5})
         over = False
         while not over:
@@ -136,12 +186,17 @@ def draws() -> None:
     """Write the errors of MuJoCo on judged trials of pendulums, with constants from scoring/uncertainties.toml."""
     found = []
     for name in IDS[:-1]:
-        parameters, shots = uncertain_parameters(load_experiment(name)), single_shots(name)
+        parameters, shots = (
+            uncertain_parameters(load_experiment(name)),
+            single_shots(name),
+        )
         assert shots is not None
         judged = range(1, len(shots), 2)
         errors: list[list[float]] = [[] for _ in judged]
         for sigmas in sobol_sigmas(DRAWS, len(parameters)):
-            env = gymnasium.make(f"GAUGE/{name}", parameters=overrides_at(parameters, sigmas.tolist()))
+            env = gymnasium.make(
+                f"GAUGE/{name}", parameters=overrides_at(parameters, sigmas.tolist())
+            )
             for own, trial in zip(errors, judged, strict=True):
                 env.reset(options={"trial": trial})
                 over = False
@@ -151,9 +206,15 @@ def draws() -> None:
                 own.append(info["score"].rmse)
             env.close()
         for own, trial in zip(errors, judged, strict=True):
-            found.append((name, trial, *map(float, np.quantile(own, (0.0, 0.025, 0.5, 0.975)))))
+            found.append(
+                (name, trial, *map(float, np.quantile(own, (0.0, 0.025, 0.5, 0.975))))
+            )
             print(found[-1], flush=True)
-    write("draws.csv", ("id", "trial", "least_mm", "low_mm", "median_mm", "high_mm"), found)
+    write(
+        "draws.csv",
+        ("id", "trial", "least_mm", "low_mm", "median_mm", "high_mm"),
+        found,
+    )
 
 
 def main() -> None:

@@ -56,10 +56,23 @@ def trials(name: str) -> list[Trial]:
     for k, title in enumerate(sidecar["trials"]):
         rows = slice(*data["first"][k : k + 2])
         angles = sidecar["angle_unit_rad"] * data["angle"][rows].astype(float)
-        commands = sidecar["command_unit"] * data["command"][rows] if "command" in data else None
+        commands = (
+            sidecar["command_unit"] * data["command"][rows]
+            if "command" in data
+            else None
+        )
         load = loads[rows] if name == "ServoArm-so101" else None
         times_s = data["interval_s"][k] * np.arange(len(angles))
-        found.append(Trial(title, times_s, angles, data["start_angle_rate"][k].astype(float), commands, load))
+        found.append(
+            Trial(
+                title,
+                times_s,
+                angles,
+                data["start_angle_rate"][k].astype(float),
+                commands,
+                load,
+            )
+        )
     return found
 
 
@@ -155,10 +168,19 @@ class Fit:
     def errors(self) -> FloatArray:
         """Return standard errors for white residuals."""
         spread = self.cost / (len(self.residual) - len(self.values))
-        return np.sqrt(spread * np.maximum(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian)), 0.0))
+        return np.sqrt(
+            spread
+            * np.maximum(np.diag(np.linalg.pinv(self.jacobian.T @ self.jacobian)), 0.0)
+        )
 
 
-def fit(residuals: Residuals, guess: FloatArray, steps: FloatArray, rounds: int = 30, least: float = 0.0) -> Fit:
+def fit(
+    residuals: Residuals,
+    guess: FloatArray,
+    steps: FloatArray,
+    rounds: int = 30,
+    least: float = 0.0,
+) -> Fit:
     """Minimize a sum of squares by Levenberg's and Marquardt's method; the copies of a Jacobian run as one batch.
 
     Args:
@@ -177,7 +199,9 @@ def fit(residuals: Residuals, guess: FloatArray, steps: FloatArray, rounds: int 
         normal, slope = jacobian.T @ jacobian, jacobian.T @ base
         improved = False
         for _ in range(8):
-            change = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-12), -slope)
+            change = np.linalg.solve(
+                normal + damping * np.diag(np.diag(normal) + 1e-12), -slope
+            )
             tried = values + change
             tried[bounded] = np.maximum(tried[bounded], least)
             new = residuals(tried + np.vstack([np.zeros_like(steps), np.diag(steps)]))
@@ -197,8 +221,12 @@ def fit(residuals: Residuals, guess: FloatArray, steps: FloatArray, rounds: int 
 
 def ar_filter(residual: FloatArray, order: int) -> FloatArray:
     """Return the autoregressive filter 1, -a1, ... that makes a residual white (least squares), shape [order + 1]."""
-    lagged = np.stack([residual[order - k - 1 : len(residual) - k - 1] for k in range(order)], axis=1)
-    return np.concatenate([[1.0], -np.linalg.lstsq(lagged, residual[order:], rcond=None)[0]])
+    lagged = np.stack(
+        [residual[order - k - 1 : len(residual) - k - 1] for k in range(order)], axis=1
+    )
+    return np.concatenate(
+        [[1.0], -np.linalg.lstsq(lagged, residual[order:], rcond=None)[0]]
+    )
 
 
 def whitened(residual: FloatArray, white: FloatArray) -> FloatArray:
@@ -217,4 +245,6 @@ def write(name: str, header: Sequence[str], rows: Iterable[Sequence[object]]) ->
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(header)
         for row in rows:
-            table.writerow([f"{entry:.4g}" if isinstance(entry, float) else entry for entry in row])
+            table.writerow(
+                [f"{entry:.4g}" if isinstance(entry, float) else entry for entry in row]
+            )

@@ -11,7 +11,18 @@ from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
 import numpy as np
-from fits import HERE, Fit, FloatArray, Trial, ar_filter, fit, swing, trials, whitened, write
+from fits import (
+    HERE,
+    Fit,
+    FloatArray,
+    Trial,
+    ar_filter,
+    fit,
+    swing,
+    trials,
+    whitened,
+    write,
+)
 from scipy.signal import find_peaks
 
 STEPS = 10
@@ -70,7 +81,9 @@ def fit_law(trial: Trial, law: str, white: FloatArray, guess: FloatArray) -> Fit
 
 def guess_of(trial: Trial) -> FloatArray:
     """Return a first guess of the parameters."""
-    return np.array([65.0, 0.0, 0.05, 0.02, trial.angles_rad[0, 0], trial.start_rates[0]])
+    return np.array(
+        [65.0, 0.0, 0.05, 0.02, trial.angles_rad[0, 0], trial.start_rates[0]]
+    )
 
 
 def log_ratio(smaller: Fit, larger: Fit) -> float:
@@ -100,15 +113,22 @@ def law_test(trial: Trial, rng: np.random.Generator) -> Verdict:
 
     Residuals of a copy are blocks of the whitened ones. Its fits are linear, about the values that made it.
     """
-    plain = {law: fit_law(trial, law, np.ones(1), guess_of(trial)) for law in ("dry", "viscous")}
+    plain = {
+        law: fit_law(trial, law, np.ones(1), guess_of(trial))
+        for law in ("dry", "viscous")
+    }
     best = min(plain.values(), key=lambda one: one.cost)
     plain["both"] = fit_law(trial, "both", np.ones(1), best.values)
     errors = {law: errors_of(plain[law], rng) for law in LAWS}
     white = ar_filter(plain["both"].residual, AR_ORDER)
-    fits = {law: fit_law(trial, law, white, plain[law].values) for law in ("dry", "viscous")}
+    fits = {
+        law: fit_law(trial, law, white, plain[law].values) for law in ("dry", "viscous")
+    }
     best = min(fits.values(), key=lambda one: one.cost)
     starts = (plain["both"].values, best.values)
-    fits["both"] = min((fit_law(trial, "both", white, one) for one in starts), key=lambda one: one.cost)
+    fits["both"] = min(
+        (fit_law(trial, "both", white, one) for one in starts), key=lambda one: one.cost
+    )
     ratios = {law: log_ratio(fits[law], fits["both"]) for law in ("dry", "viscous")}
     innovations = fits["both"].residual - fits["both"].residual.mean()
     chances = {}
@@ -120,10 +140,15 @@ def law_test(trial: Trial, rng: np.random.Generator) -> Verdict:
         # A negative friction is none, so that the larger model is no better then.
         added = np.linalg.lstsq(slopes, copies, rcond=None)[0][other] > 0.0
         costs = [
-            np.square(copies - one @ np.linalg.lstsq(one, copies, rcond=None)[0]).sum(axis=0) for one in (alone, slopes)
+            np.square(copies - one @ np.linalg.lstsq(one, copies, rcond=None)[0]).sum(
+                axis=0
+            )
+            for one in (alone, slopes)
         ]
         drawn = np.where(added, len(copies) * np.log(costs[0] / costs[1]), 0.0)
-        chances[law] = float((1 + np.count_nonzero(drawn >= ratios[law])) / (1 + COPIES))
+        chances[law] = float(
+            (1 + np.count_nonzero(drawn >= ratios[law])) / (1 + COPIES)
+        )
     return Verdict(plain, errors, ratios, chances)
 
 
@@ -135,15 +160,23 @@ def errors_of(found: Fit, rng: np.random.Generator) -> FloatArray:
 
 def slopes_at(trial: Trial, white: FloatArray, values: FloatArray) -> FloatArray:
     """Return the derivatives of whitened angles by all parameters, shape [R, 6]."""
-    moved = np.maximum(values + np.diag(SCALES), np.array([0.0, -np.inf, 0.0, 0.0, -np.inf, -np.inf]))
+    moved = np.maximum(
+        values + np.diag(SCALES), np.array([0.0, -np.inf, 0.0, 0.0, -np.inf, -np.inf])
+    )
     both = simulate(np.vstack([values, moved]), len(trial.times_s), trial.interval_s)
-    return (whitened(both[1:, ::EVERY], white) - whitened(both[:1, ::EVERY], white)).T / SCALES
+    return (
+        whitened(both[1:, ::EVERY], white) - whitened(both[:1, ::EVERY], white)
+    ).T / SCALES
 
 
-def blocks(values: FloatArray, rng: np.random.Generator, length: int = BLOCK) -> FloatArray:
+def blocks(
+    values: FloatArray, rng: np.random.Generator, length: int = BLOCK
+) -> FloatArray:
     """Return as many values, in blocks that are drawn with replacement."""
     starts = rng.integers(0, len(values) - length, len(values) // length + 1)
-    return np.concatenate([values[first : first + length] for first in starts])[: len(values)]
+    return np.concatenate([values[first : first + length] for first in starts])[
+        : len(values)
+    ]
 
 
 def peaks(trial: Trial, rest: float) -> FloatArray:
@@ -165,7 +198,9 @@ def held_out_mrad(values: FloatArray, law: str, trial: Trial) -> float:
     return 1e3 * float(np.sqrt(np.mean(np.square(simulated - trial.angles_rad[:, 0]))))
 
 
-def picture(joints: dict[str, list[Trial]], rests: dict[str, float], fits: dict[str, Fit]) -> None:
+def picture(
+    joints: dict[str, list[Trial]], rests: dict[str, float], fits: dict[str, Fit]
+) -> None:
     """Draw amplitudes over time, and what the two laws alone give."""
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.4), layout="constrained")
     for axis, (name, swings) in zip(axes, joints.items(), strict=True):
@@ -173,14 +208,33 @@ def picture(joints: dict[str, list[Trial]], rests: dict[str, float], fits: dict[
         for k, trial in enumerate(swings):
             begin = sum(float(one.times_s[-1]) + one.interval_s for one in swings[:k])
             turning = peaks(trial, rests[name])
-            axis.plot(begin + turning[:, 0], turning[:, 1], "k.", label="recorded" if k == 0 else None)
+            axis.plot(
+                begin + turning[:, 0],
+                turning[:, 1],
+                "k.",
+                label="recorded" if k == 0 else None,
+            )
         time = np.linspace(0.0, begin + float(swings[-1].times_s[-1]), 200)
         first = peaks(swings[0], rests[name])[0]
-        stiffness, dry, viscous = found["both"].values[0], found["dry"].values[DRY], found["viscous"].values[VISCOUS]
+        stiffness, dry, viscous = (
+            found["both"].values[0],
+            found["dry"].values[DRY],
+            found["viscous"].values[VISCOUS],
+        )
         linear = first[1] - 2.0 * dry / np.sqrt(stiffness) / np.pi * (time - first[0])
         axis.plot(time, np.maximum(linear, 0.0), label="dry: linear")
-        axis.plot(time, first[1] * np.exp(-0.5 * viscous * (time - first[0])), "--", label="viscous: exponential")
-        axis.set(xlabel="time [s]", ylabel="amplitude [rad]", title=f"JointPendulum-{name}", ylim=(0.0, None))
+        axis.plot(
+            time,
+            first[1] * np.exp(-0.5 * viscous * (time - first[0])),
+            "--",
+            label="viscous: exponential",
+        )
+        axis.set(
+            xlabel="time [s]",
+            ylabel="amplitude [rad]",
+            title=f"JointPendulum-{name}",
+            ylim=(0.0, None),
+        )
         axis.legend()
     figure.savefig(HERE / "envelope.png", dpi=110)
 
@@ -198,22 +252,70 @@ def main() -> None:
                 found = verdict.fits[law]
                 values, errors = full(found.values[None], law)[0], verdict.errors[law]
                 stiffness, rest, dry, viscous = values[:4]
-                fitted = simulate(values[None], len(trial.times_s), trial.interval_s)[0] - trial.angles_rad[:, 0]
-                held = held_out_mrad(found.values, law, pieces[k + 1]) if k % 2 == 0 else float("nan")
+                fitted = (
+                    simulate(values[None], len(trial.times_s), trial.interval_s)[0]
+                    - trial.angles_rad[:, 0]
+                )
+                held = (
+                    held_out_mrad(found.values, law, pieces[k + 1])
+                    if k % 2 == 0
+                    else float("nan")
+                )
                 period, loss = 2.0 * np.pi / np.sqrt(stiffness), 4e3 * dry / stiffness
                 fitted_mrad = 1e3 * float(np.sqrt(np.mean(np.square(fitted))))
                 frictions = (dry, errors[DRY], viscous, errors[VISCOUS], loss)
-                swings.append((f"{name}-{k}", law, period, 1e3 * rest, *frictions, fitted_mrad, held))
+                swings.append(
+                    (
+                        f"{name}-{k}",
+                        law,
+                        period,
+                        1e3 * rest,
+                        *frictions,
+                        fitted_mrad,
+                        held,
+                    )
+                )
             for law in ("dry", "viscous"):
-                tests.append((f"{name}-{k}", law, verdict.ratios[law], verdict.chances[law]))
+                tests.append(
+                    (f"{name}-{k}", law, verdict.ratios[law], verdict.chances[law])
+                )
             turning = peaks(trial, float(verdict.fits["both"].values[1]))
             whole = turning[2:, 1], turning[:-2, 1], turning[2:, 0] - turning[:-2, 0]
-            envelope += [(f"{name}-{k}", a, 1e3 * (a - b), t) for b, a, t in zip(*whole, strict=True)]
-    frictions = ("dry_rad_per_s2", "dry_error", "viscous_per_s", "viscous_error", "dry_loss_a_cycle_mrad")
-    write("swings.csv", ("trial", "law", "period_s", "rest_mrad", *frictions, "fit_mrad", "next_trial_mrad"), swings)
+            envelope += [
+                (f"{name}-{k}", a, 1e3 * (a - b), t)
+                for b, a, t in zip(*whole, strict=True)
+            ]
+    frictions = (
+        "dry_rad_per_s2",
+        "dry_error",
+        "viscous_per_s",
+        "viscous_error",
+        "dry_loss_a_cycle_mrad",
+    )
+    write(
+        "swings.csv",
+        (
+            "trial",
+            "law",
+            "period_s",
+            "rest_mrad",
+            *frictions,
+            "fit_mrad",
+            "next_trial_mrad",
+        ),
+        swings,
+    )
     write("law_test.csv", ("trial", "law_alone", "likelihood_ratio", "chance"), tests)
-    write("envelope.csv", ("trial", "amplitude_rad", "loss_in_the_cycle_mrad", "period_s"), envelope)
-    picture(joints, {name: float(fits["both"].values[1]) for name, fits in first.items()}, first)
+    write(
+        "envelope.csv",
+        ("trial", "amplitude_rad", "loss_in_the_cycle_mrad", "period_s"),
+        envelope,
+    )
+    picture(
+        joints,
+        {name: float(fits["both"].values[1]) for name, fits in first.items()},
+        first,
+    )
 
 
 if __name__ == "__main__":

@@ -70,13 +70,19 @@ class Servos:
     def changed(self, field: str, step: float) -> Servos:
         """Return the constants with one field of all joints changed, by a factor or a time."""
         value = getattr(self, field)
-        return replace(self, **{field: value + step if field == "delay" else value * np.exp(step)})
+        return replace(
+            self, **{field: value + step if field == "delay" else value * np.exp(step)}
+        )
 
     def model(self, interval_s: float) -> mujoco.MjModel:
         """Return the arm with these servos."""
         model = copy.copy(TASK)
         model.opt.timestep = interval_s / SUBSTEPS
-        model.dof_damping[:], model.dof_frictionloss[:], model.dof_armature[:] = self.damping, self.dry, self.armature
+        model.dof_damping[:], model.dof_frictionloss[:], model.dof_armature[:] = (
+            self.damping,
+            self.dry,
+            self.armature,
+        )
         model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1] = self.kp, -self.kp
         model.actuator_biasprm[:, 2] = -self.kv
         model.actuator_forcerange[:] = np.stack([-self.limit, self.limit], axis=1)
@@ -85,7 +91,10 @@ class Servos:
             model.body_inertia[:] *= 0.01
             model.opt.gravity[:] *= 100.0
         if self.soft:
-            model.dof_solref[:], model.dof_solimp[:, :3] = (0.02, 1.0), (0.9, 0.95, 0.001)
+            model.dof_solref[:], model.dof_solimp[:, :3] = (
+                (0.02, 1.0),
+                (0.9, 0.95, 0.001),
+            )
         # The softness of dry friction is scaled by the inertia that the model has here.
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
@@ -101,7 +110,9 @@ def commands(trial: Trial, delay: FloatArray) -> FloatArray:
     for j in range(6):
         held = trial.commands[:, j]
         integral = np.concatenate([[-10.0 * held[0], 0.0], np.cumsum(held) * interval])
-        columns.append(np.diff(np.interp(edges - delay[j], grid, integral)) * SUBSTEPS / interval)
+        columns.append(
+            np.diff(np.interp(edges - delay[j], grid, integral)) * SUBSTEPS / interval
+        )
     return np.stack(columns, axis=1)
 
 
@@ -110,9 +121,13 @@ def simulate(servos: list[Servos], trial: Trial) -> FloatArray:
     models = [one.model(trial.interval_s) for one in servos]
     start = np.concatenate([[0.0], trial.angles_rad[0], np.zeros(6)])
     control = np.stack([commands(trial, one.delay) for one in servos])
-    states, _ = rollout(models, mujoco.MjData(models[0]), np.tile(start, (len(models), 1)), control)
+    states, _ = rollout(
+        models, mujoco.MjData(models[0]), np.tile(start, (len(models), 1)), control
+    )
     after = states[:, SUBSTEPS - 1 :: SUBSTEPS, 1:7]
-    return np.concatenate([np.tile(trial.angles_rad[:1], (len(models), 1, 1)), after[:, :-1]], axis=1)
+    return np.concatenate(
+        [np.tile(trial.angles_rad[:1], (len(models), 1, 1)), after[:, :-1]], axis=1
+    )
 
 
 def shared(servos: Servos) -> Servos:
@@ -123,7 +138,9 @@ def shared(servos: Servos) -> Servos:
 
 def residuals(servos: list[Servos], fit: list[Trial]) -> FloatArray:
     """Return simulated minus recorded angles of all trials [rad], shape [copies, frames, 6]."""
-    return np.concatenate([simulate(servos, trial) - trial.angles_rad for trial in fit], axis=1)
+    return np.concatenate(
+        [simulate(servos, trial) - trial.angles_rad for trial in fit], axis=1
+    )
 
 
 def identify(guess: Servos, fit: list[Trial], rounds: int) -> tuple[Servos, FloatArray]:
@@ -133,7 +150,9 @@ def identify(guess: Servos, fit: list[Trial], rounds: int) -> tuple[Servos, Floa
     joint keeps the step that improves it.
     """
     now, damping = shared(guess), np.full(6, 1e-2)
-    rows = residuals([now, *(now.changed(*one) for one in zip(FIELDS, STEPS, strict=True))], fit)
+    rows = residuals(
+        [now, *(now.changed(*one) for one in zip(FIELDS, STEPS, strict=True))], fit
+    )
     for _ in range(rounds):
         jacobian = (rows[1:] - rows[0]) / STEPS[:, None, None]
         cost = np.square(rows[0]).sum(axis=0)
@@ -144,21 +163,38 @@ def identify(guess: Servos, fit: list[Trial], rounds: int) -> tuple[Servos, Floa
             slope = jacobian[free, :, j]
             normal = slope @ slope.T
             moves[free, j] = -np.linalg.solve(
-                normal + damping[j] * np.diag(np.diag(normal) + 1e-9), slope @ rows[0][:, j]
+                normal + damping[j] * np.diag(np.diag(normal) + 1e-9),
+                slope @ rows[0][:, j],
             )
         for k, field in enumerate(FIELDS):
             value = getattr(tried, field)
             if field == "delay":
-                tried = replace(tried, delay=np.clip(value + np.clip(moves[k], -0.02, 0.02), 0.0, 0.2))
+                tried = replace(
+                    tried,
+                    delay=np.clip(value + np.clip(moves[k], -0.02, 0.02), 0.0, 0.2),
+                )
             else:
-                tried = replace(tried, **{field: value * np.exp(np.clip(moves[k], -0.7, 0.7))})
+                tried = replace(
+                    tried, **{field: value * np.exp(np.clip(moves[k], -0.7, 0.7))}
+                )
         tried = shared(tried)
-        new = residuals([tried, *(tried.changed(*one) for one in zip(FIELDS, STEPS, strict=True))], fit)
+        new = residuals(
+            [tried, *(tried.changed(*one) for one in zip(FIELDS, STEPS, strict=True))],
+            fit,
+        )
         better = np.square(new[0]).sum(axis=0) < cost
         damping = np.where(better, damping / 4.0, damping * 6.0)
-        now = replace(now, **{field: np.where(better, getattr(tried, field), getattr(now, field)) for field in FIELDS})
+        now = replace(
+            now,
+            **{
+                field: np.where(better, getattr(tried, field), getattr(now, field))
+                for field in FIELDS
+            },
+        )
         rows = np.where(better, new, rows)
-        print(1e3 * np.sqrt(np.square(rows[0]).mean(axis=0)).round(5), better, flush=True)
+        print(
+            1e3 * np.sqrt(np.square(rows[0]).mean(axis=0)).round(5), better, flush=True
+        )
     return now, rows
 
 
@@ -167,7 +203,12 @@ def part(trial: Trial, first_s: float, last_s: float) -> Trial:
     inside = slice(*np.searchsorted(trial.times_s, [first_s, last_s]))
     assert trial.commands is not None
     times = trial.times_s[inside] - trial.times_s[inside][0]
-    return replace(trial, times_s=times, angles_rad=trial.angles_rad[inside], commands=trial.commands[inside])
+    return replace(
+        trial,
+        times_s=times,
+        angles_rad=trial.angles_rad[inside],
+        commands=trial.commands[inside],
+    )
 
 
 def intervals(servos: Servos, rows: FloatArray) -> dict[str, FloatArray]:
@@ -186,12 +227,20 @@ def intervals(servos: Servos, rows: FloatArray) -> dict[str, FloatArray]:
         for _ in range(COPIES):
             drawn = rng.integers(0, count, count)
             normal = normals[drawn].sum(axis=0)
-            moves.append(-np.linalg.lstsq(normal, (pulls[drawn] - pulls.mean(axis=0)).sum(axis=0), rcond=1e-10)[0])
+            moves.append(
+                -np.linalg.lstsq(
+                    normal, (pulls[drawn] - pulls.mean(axis=0)).sum(axis=0), rcond=1e-10
+                )[0]
+            )
         low, high = np.percentile(moves, [2.5, 97.5], axis=0)
         for k, which in enumerate(free):
             field, value = FIELDS[which], getattr(servos, FIELDS[which])[j]
             ends = np.array([low[k], high[k]])
-            found[field][:, j] = value + ends if field == "delay" else value * np.exp(np.clip(ends, -7.0, 7.0))
+            found[field][:, j] = (
+                value + ends
+                if field == "delay"
+                else value * np.exp(np.clip(ends, -7.0, 7.0))
+            )
     return found
 
 
@@ -200,9 +249,19 @@ def same(value: float) -> FloatArray:
     return np.full(6, value)
 
 
-def circulating(kp: float, damping: float, dry: float, armature: float, kv: float = 0.0) -> Servos:
+def circulating(
+    kp: float, damping: float, dry: float, armature: float, kv: float = 0.0
+) -> Servos:
     """Return constants of a file, with its torque limit of 3.35 N m and MuJoCo's default softness."""
-    one = {"kp": kp, "damping": damping, "dry": dry, "armature": armature, "delay": 0.0, "limit": 3.35, "kv": kv}
+    one = {
+        "kp": kp,
+        "damping": damping,
+        "dry": dry,
+        "armature": armature,
+        "delay": 0.0,
+        "limit": 3.35,
+        "kv": kv,
+    }
     return Servos(**{name: same(value) for name, value in one.items()}, soft=True)
 
 
@@ -262,17 +321,27 @@ def load_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
             assert trial.load is not None
             command = commands(trial, found.delay)[::SUBSTEPS, j]
             torque.append(
-                np.abs(np.clip(found.kp[j] * (command - trial.angles_rad[:, j]), -found.limit[j], found.limit[j]))
+                np.abs(
+                    np.clip(
+                        found.kp[j] * (command - trial.angles_rad[:, j]),
+                        -found.limit[j],
+                        found.limit[j],
+                    )
+                )
             )
             load.append(trial.load[:, j])
             change = np.abs(np.gradient(trial.angles_rad[:, j], trial.interval_s))
             moving.append(change > 0.2)
             resting.append(np.convolve(change > 0.0, np.ones(25), mode="same") == 0.0)
-        loads, torques, fast, still = (np.concatenate(one) for one in (load, torque, moving, resting))
+        loads, torques, fast, still = (
+            np.concatenate(one) for one in (load, torque, moving, resting)
+        )
         held = still & (torques > 0.1)
         silent = float(np.mean(loads[held] == 0.0)) if held.any() else float("nan")
         correlation = float(np.corrcoef(loads[fast], torques[fast])[0, 1])
-        rows.append((joint, len(np.unique(loads)), correlation, float(np.mean(held)), silent))
+        rows.append(
+            (joint, len(np.unique(loads)), correlation, float(np.mean(held)), silent)
+        )
     return rows
 
 
@@ -286,7 +355,10 @@ def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
     sags: list[FloatArray] = []
     for trial in motions:
         assert trial.commands is not None
-        same = [(one[50:] == one[:-50]).all(axis=1) for one in (trial.angles_rad, trial.commands)]
+        same = [
+            (one[50:] == one[:-50]).all(axis=1)
+            for one in (trial.angles_rad, trial.commands)
+        ]
         for frame in (np.flatnonzero(same[0] & same[1]) + 50)[::50]:
             data.qpos[:] = trial.angles_rad[frame]
             mujoco.mj_forward(TASK, data)
@@ -295,7 +367,9 @@ def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
             shares.append(np.abs(servo - data.qfrc_bias) / found.dry)
     middle, most, largest = np.percentile(shares, [50, 90, 100], axis=0)
     sag = np.percentile(sags, 90, axis=0)
-    numbers = zip(JOINTS, zip(middle, most, largest, sag, strict=True), LOADED, strict=True)
+    numbers = zip(
+        JOINTS, zip(middle, most, largest, sag, strict=True), LOADED, strict=True
+    )
     return [(joint, *map(float, values)) for joint, values, loaded in numbers if loaded]
 
 
@@ -314,18 +388,35 @@ def step_rows(motions: list[Trial]) -> list[tuple[object, ...]]:
                 continue
             still = np.abs(command[k : k + 40] - command[k]) < 0.02
             size = command[k] - command[k - 1]
-            left = 0.5 * abs(size) - np.sign(size) * (angle[k : k + int(still.argmin() or 40)] - angle[k - 1])
+            left = 0.5 * abs(size) - np.sign(size) * (
+                angle[k : k + int(still.argmin() or 40)] - angle[k - 1]
+            )
             if (left < 0.0).any() and left[0] > 0.0:
                 over = int((left < 0.0).argmax())
-                times_ms.append(1e3 * trial.interval_s * (over + left[over] / (left[over - 1] - left[over])))
+                times_ms.append(
+                    1e3
+                    * trial.interval_s
+                    * (over + left[over] / (left[over - 1] - left[over]))
+                )
         if times_ms:
-            rows.append((trial.name, joint, len(times_ms), *map(float, np.percentile(times_ms, [0, 50, 100]))))
+            rows.append(
+                (
+                    trial.name,
+                    joint,
+                    len(times_ms),
+                    *map(float, np.percentile(times_ms, [0, 50, 100])),
+                )
+            )
     return rows
 
 
-def picture(judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]) -> None:
+def picture(
+    judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]
+) -> None:
     """Draw errors per joint, and steps of three joints."""
-    figure, axes = plt.subplots(1, 4, figsize=(14, 3.6), layout="constrained", width_ratios=(1.5, 1, 1, 1))
+    figure, axes = plt.subplots(
+        1, 4, figsize=(14, 3.6), layout="constrained", width_ratios=(1.5, 1, 1, 1)
+    )
     shown = ("identified", *IN_CIRCULATION)
     for k, name in enumerate(shown):
         axes[0].bar(np.arange(6) + 0.2 * (k - 1.5), judged[name], 0.2, label=name)
@@ -333,11 +424,15 @@ def picture(judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]
     axes[0].set(ylabel="error on judged motions [mrad rms]")
     axes[0].legend()
     steps = part(trial, 14.0, 18.5)
-    angles = simulate([sets[name] for name in shown], replace(steps, angles_rad=steps.angles_rad))
+    angles = simulate(
+        [sets[name] for name in shown], replace(steps, angles_rad=steps.angles_rad)
+    )
     assert steps.commands is not None
     for axis, j in zip(axes[1:], (1, 2, 5), strict=True):
         axis.plot(steps.times_s, steps.commands[:, j], color="0.7", label="command")
-        axis.plot(steps.times_s, steps.angles_rad[:, j], "k.", markersize=3, label="recorded")
+        axis.plot(
+            steps.times_s, steps.angles_rad[:, j], "k.", markersize=3, label="recorded"
+        )
         for k in range(len(shown)):
             axis.plot(steps.times_s, angles[k, :, j], color=f"C{k}", linewidth=1)
         axis.set(xlabel="time [s]", title=JOINTS[j])
@@ -353,19 +448,34 @@ def main() -> None:
     found, rows = identify(GUESS, fit, ROUNDS)
     ends = intervals(found, rows)
     constants = [
-        (joint, field, *(float(one) for one in (getattr(found, field)[j], *ends[field][:, j])))
+        (
+            joint,
+            field,
+            *(float(one) for one in (getattr(found, field)[j], *ends[field][:, j])),
+        )
         for j, joint in enumerate(JOINTS)
         for field in FIELDS
     ]
-    write("so101_constants.csv", ("joint", "constant", "value", "low", "high"), constants)
-    inertia = zip(JOINTS, map(float, link_inertia()), map(float, found.armature), strict=True)
+    write(
+        "so101_constants.csv", ("joint", "constant", "value", "low", "high"), constants
+    )
+    inertia = zip(
+        JOINTS, map(float, link_inertia()), map(float, found.armature), strict=True
+    )
     write("so101_inertia.csv", ("joint", "links_kg_m2", "armature_kg_m2"), inertia)
     sets = variants(found)
     table, squares, count = [], np.zeros((len(sets), 6)), 0
     for k, trial in enumerate(motions):
         off = simulate(list(sets.values()), trial) - trial.angles_rad
-        split = int(np.searchsorted(trial.times_s, CHIRP_S)) if k == 0 else len(trial.times_s)
-        for name, cut in ((trial.name, slice(0, split)), (f"{trial.name} from {CHIRP_S:g} s", slice(split, None))):
+        split = (
+            int(np.searchsorted(trial.times_s, CHIRP_S))
+            if k == 0
+            else len(trial.times_s)
+        )
+        for name, cut in (
+            (trial.name, slice(0, split)),
+            (f"{trial.name} from {CHIRP_S:g} s", slice(split, None)),
+        ):
             if cut.start == len(trial.times_s):
                 continue
             half = "judge" if k % 2 or cut.start else "fit"
@@ -377,15 +487,29 @@ def main() -> None:
                 count += off[:, cut].shape[1]
     judged = dict(zip(sets, 1e3 * np.sqrt(squares / count), strict=True))
     write("so101_errors.csv", ("motion", "half", "constants", *JOINTS), table)
-    write("so101_judged.csv", ("constants", *JOINTS), [(name, *map(float, errors)) for name, errors in judged.items()])
-    loads = ("joint", "levels", "correlation_with_torque", "share_of_frames_held", "share_of_these_without_load")
+    write(
+        "so101_judged.csv",
+        ("constants", *JOINTS),
+        [(name, *map(float, errors)) for name, errors in judged.items()],
+    )
+    loads = (
+        "joint",
+        "levels",
+        "correlation_with_torque",
+        "share_of_frames_held",
+        "share_of_these_without_load",
+    )
     write("so101_load.csv", loads, load_rows(found, motions))
     write(
         "so101_held.csv",
         ("joint", "median", "percentile_90", "largest", "sag_percentile_90_mrad"),
         held_rows(found, motions),
     )
-    write("so101_steps.csv", ("motion", "joint", "steps", "least_ms", "median_ms", "most_ms"), step_rows(motions))
+    write(
+        "so101_steps.csv",
+        ("motion", "joint", "steps", "least_ms", "median_ms", "most_ms"),
+        step_rows(motions),
+    )
     picture(judged, motions[4], sets)
 
 

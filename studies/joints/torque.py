@@ -40,7 +40,15 @@ def simulate(values: FloatArray, starts: FloatArray, trial: Trial) -> FloatArray
         return (torques[frame] - offset - gravity * np.sin(q)) / inertia
 
     frames = len(trial.times_s)
-    return swing(acceleration, starts.T, dry / inertia, viscous / inertia, frames, trial.interval_s / STEPS, STEPS)
+    return swing(
+        acceleration,
+        starts.T,
+        dry / inertia,
+        viscous / inertia,
+        frames,
+        trial.interval_s / STEPS,
+        STEPS,
+    )
 
 
 @dataclass(frozen=True)
@@ -57,14 +65,21 @@ class Piece:
         part = slice(self.first, self.last)
         angles, commands = self.run.angles_rad[part], self.run.commands[part]
         times = self.run.times_s[: self.last - self.first]
-        rates = np.polyfit(times[:9], angles[:9], 3)[2] if self.first else self.run.start_rates
+        rates = (
+            np.polyfit(times[:9], angles[:9], 3)[2]
+            if self.first
+            else self.run.start_rates
+        )
         return Trial(self.run.name, times, angles, rates, commands)
 
 
 def pieces(run: Trial, length_s: float) -> list[Trial]:
     """Return the run in pieces: an upright pendulum forgets no error of its start, so long ones tell less."""
     count = round(length_s / run.interval_s)
-    return [Piece(run, first, first + count).trial for first in range(0, len(run.times_s) - count + 1, count)]
+    return [
+        Piece(run, first, first + count).trial
+        for first in range(0, len(run.times_s) - count + 1, count)
+    ]
 
 
 def fit_pieces(parts: list[Trial]) -> Fit:
@@ -74,10 +89,16 @@ def fit_pieces(parts: list[Trial]) -> Fit:
         columns = []
         for k, part in enumerate(parts):
             starts = values[:, 5 + 2 * k : 7 + 2 * k]
-            columns.append(simulate(values[:, :5], starts, part) - part.angles_rad[:, 0])
+            columns.append(
+                simulate(values[:, :5], starts, part) - part.angles_rad[:, 0]
+            )
         return np.concatenate(columns, axis=1)
 
-    starts = [entry for part in parts for entry in (part.angles_rad[0, 0], part.start_rates[0])]
+    starts = [
+        entry
+        for part in parts
+        for entry in (part.angles_rad[0, 0], part.start_rates[0])
+    ]
     steps = np.concatenate([SCALES, np.tile([1e-3, 1e-2], len(parts))])
     return fit(residuals, np.concatenate([GUESS, starts]), steps, rounds=12, least=1e-6)
 
@@ -86,7 +107,10 @@ def errors(values: FloatArray, run: Trial) -> list[float]:
     """Return the error of a rollout from the recorded start after some times, and over all pieces of 1 s [mrad rms]."""
     start = np.array([[run.angles_rad[0, 0], run.start_rates[0]]])
     off = simulate(values[None, :5], start, run)[0] - run.angles_rad[:, 0]
-    found = [1e3 * float(np.sqrt(np.mean(np.square(off[run.times_s <= time])))) for time in CHECKED_S]
+    found = [
+        1e3 * float(np.sqrt(np.mean(np.square(off[run.times_s <= time]))))
+        for time in CHECKED_S
+    ]
     offs = []
     for part in pieces(run, 1.0):
         start = np.array([[part.angles_rad[0, 0], part.start_rates[0]]])
@@ -96,7 +120,11 @@ def errors(values: FloatArray, run: Trial) -> list[float]:
 
 def constants(found: Fit) -> list[float]:
     """Return the constants of a fit, each with its standard error for white residuals."""
-    return [float(entry) for pair in zip(found.values[:5], found.errors()[:5], strict=True) for entry in pair]
+    return [
+        float(entry)
+        for pair in zip(found.values[:5], found.errors()[:5], strict=True)
+        for entry in pair
+    ]
 
 
 def rms_of(found: Fit) -> float:
@@ -110,12 +138,17 @@ def main() -> None:
     rows = []
     for k, run in enumerate(runs):
         found = fit_pieces(pieces(run, 1.0))
-        rows.append((run.name, "judge" if k % 2 else "fit", *constants(found), rms_of(found)))
+        rows.append(
+            (run.name, "judge" if k % 2 else "fit", *constants(found), rms_of(found))
+        )
     header = [entry for name in NAMES for entry in (name, f"{name}_error")]
     parts = [part for run in runs[::2] for part in pieces(run, 1.0)]
     shared = fit_pieces(parts)
     columns = (*(f"after_{time:g}_s_mrad" for time in CHECKED_S), "pieces_mrad")
-    judged = [(run.name, "judge" if k % 2 else "fit", *errors(shared.values, run)) for k, run in enumerate(runs)]
+    judged = [
+        (run.name, "judge" if k % 2 else "fit", *errors(shared.values, run))
+        for k, run in enumerate(runs)
+    ]
     write("torque_errors.csv", ("run", "half", *columns), judged)
     rows.append(("all runs of the fit", "fit", *constants(shared), rms_of(shared)))
     write("torque_runs.csv", ("run", "half", *header, "pieces_mrad"), rows)

@@ -112,23 +112,47 @@ def at_the_limit(env: FrictionLimit) -> tuple[Act, FloatArray, float, int]:
     def act(one: ControlEnv, frame: int, numbers: FloatArray) -> FloatArray:
         assert isinstance(one, FrictionLimit)
         share = 0.97 + 0.1 * float(numbers[0])
-        added = float(numbers[1 + frame - ramp]) if ramp <= frame < ramp + HOLD_FRAMES else 0.0
+        added = (
+            float(numbers[1 + frame - ramp])
+            if ramp <= frame < ramp + HOLD_FRAMES
+            else 0.0
+        )
         if not is_slope:
             return one.law_action(share).astype(float) + added
         half_s = 0.5 * ramp * FRAME_S
-        tilt = math.atan(share * one.limit.value) / half_s**2 / one.ACCELERATION_RAD_PER_S2
-        return np.array([(tilt if 2 * frame < ramp else -tilt if frame < ramp else 0.0) + added])
+        tilt = (
+            math.atan(share * one.limit.value) / half_s**2 / one.ACCELERATION_RAD_PER_S2
+        )
+        return np.array(
+            [(tilt if 2 * frame < ramp else -tilt if frame < ramp else 0.0) + added]
+        )
 
     return act, np.zeros(1 + HOLD_FRAMES), 0.05, ramp + HOLD_FRAMES + 3
 
 
 def bounce(env: ControlEnv, _: int, numbers: FloatArray) -> FloatArray:
     """Return the law's action with other places, speeds and times of the impacts."""
-    ball_x_m, height_m, ball_x_rate, ball_z_rate, plate_m, rate_x, rate_z, impacts, _ = env.trajectory()[-1].tolist()
+    (
+        ball_x_m,
+        height_m,
+        ball_x_rate,
+        ball_z_rate,
+        plate_m,
+        rate_x,
+        rate_z,
+        impacts,
+        _,
+    ) = env.trajectory()[-1].tolist()
     aside, speed_x, place, delay = numbers.reshape(3, 4)[min(int(impacts), 2)].tolist()
     place_m = min(max(0.8 * STROKE_M + 0.05 * place, -STROKE_M), STROKE_M)
-    gravity, most = env.experiment.scene.gravity_m_per_s2, ThrowLimit.ACCELERATION_M_PER_S2
-    meets_s = (ball_z_rate + math.sqrt(max(ball_z_rate**2 + 2.0 * gravity * (height_m - place_m), 0.0))) / gravity
+    gravity, most = (
+        env.experiment.scene.gravity_m_per_s2,
+        ThrowLimit.ACCELERATION_M_PER_S2,
+    )
+    meets_s = (
+        ball_z_rate
+        + math.sqrt(max(ball_z_rate**2 + 2.0 * gravity * (height_m - place_m), 0.0))
+    ) / gravity
     velocity_x = min(max(speed_x, -SPEED_M_PER_S), SPEED_M_PER_S)
     across_m = ball_x_m + ball_x_rate * meets_s + 0.1 * aside - velocity_x * meets_s
     across = acceleration_to_rest(across_m, rate_x - velocity_x, 0.5 * most)
@@ -152,12 +176,21 @@ def searched(task: str, options: dict[str, Any]) -> tuple[Act, FloatArray, float
     return sequence(env, base_actions(task, options))
 
 
-def play(worlds: ControlWorlds, act: Act, population: list[FloatArray], frames: int) -> list[tuple[float, float, str]]:
+def play(
+    worlds: ControlWorlds, act: Act, population: list[FloatArray], frames: int
+) -> list[tuple[float, float, str]]:
     """Run an episode of each policy, cut after some frames; return ratio, reward and ending."""
     worlds.begin(dict.fromkeys(range(len(population)), SEED))
-    paid, endings, running = np.zeros(len(population)), ["cut"] * len(population), list(range(len(population)))
+    paid, endings, running = (
+        np.zeros(len(population)),
+        ["cut"] * len(population),
+        list(range(len(population))),
+    )
     for frame in range(frames):
-        actions = {one: np.clip(act(worlds.envs[one], frame, population[one]), -1.0, 1.0) for one in running}
+        actions = {
+            one: np.clip(act(worlds.envs[one], frame, population[one]), -1.0, 1.0)
+            for one in running
+        }
         for one, (_, reward, terminated, truncated, _) in worlds.step(actions).items():
             paid[one] += reward
             if terminated or truncated:
@@ -173,7 +206,13 @@ def play(worlds: ControlWorlds, act: Act, population: list[FloatArray], frames: 
     return list(zip(ratios, paid.tolist(), endings, strict=True))
 
 
-def search(task: str, options: dict[str, Any], episodes: int, seed: int, first: FloatArray | None) -> dict[str, Any]:
+def search(
+    task: str,
+    options: dict[str, Any],
+    episodes: int,
+    seed: int,
+    first: FloatArray | None,
+) -> dict[str, Any]:
     """Return the largest ratio and reward that CMA-ES finds."""
     import cma
 
@@ -181,9 +220,16 @@ def search(task: str, options: dict[str, Any], episodes: int, seed: int, first: 
     worlds = ControlWorlds(task, [{}] * WORLDS, **options)
     began = time.process_time()
     strategy = cma.CMAEvolutionStrategy(
-        start if first is None else first, scatter, {"popsize": WORLDS, "seed": seed + 1, "verbose": -9}
+        start if first is None else first,
+        scatter,
+        {"popsize": WORLDS, "seed": seed + 1, "verbose": -9},
     )
-    found: dict[str, Any] = {"episodes": 0, "ratio": -1.0, "reward": -math.inf, "above": 0}
+    found: dict[str, Any] = {
+        "episodes": 0,
+        "ratio": -1.0,
+        "reward": -math.inf,
+        "above": 0,
+    }
     population = [start if first is None else first, *strategy.ask()[1:]]
     while found["episodes"] < episodes:
         results = play(worlds, act, population, frames)
@@ -191,17 +237,34 @@ def search(task: str, options: dict[str, Any], episodes: int, seed: int, first: 
         for numbers, (ratio, reward, ending) in zip(population, results, strict=True):
             found["above"] += ratio > 1.0
             if ratio > found["ratio"]:
-                found |= {"ratio": ratio, "ending": ending, "numbers": np.asarray(numbers).tolist()}
+                found |= {
+                    "ratio": ratio,
+                    "ending": ending,
+                    "numbers": np.asarray(numbers).tolist(),
+                }
             found["reward"] = max(found["reward"], reward)
         # An episode that reached nothing is worth less than any other, and more with a larger reward.
-        strategy.tell(population, [-ratio if ratio > 0.0 else 1.0 - 0.1 * reward for ratio, reward, _ in results])
+        strategy.tell(
+            population,
+            [
+                -ratio if ratio > 0.0 else 1.0 - 0.1 * reward
+                for ratio, reward, _ in results
+            ],
+        )
         if strategy.stop():
             strategy = cma.CMAEvolutionStrategy(
-                found["numbers"], 2.0 * scatter, {"popsize": WORLDS, "seed": seed + found["episodes"], "verbose": -9}
+                found["numbers"],
+                2.0 * scatter,
+                {"popsize": WORLDS, "seed": seed + found["episodes"], "verbose": -9},
             )
         population = strategy.ask()
     worlds.close()
-    return {"task": task, **options, **found, "cpu_s": round(time.process_time() - began, 1)}
+    return {
+        "task": task,
+        **options,
+        **found,
+        "cpu_s": round(time.process_time() - began, 1),
+    }
 
 
 def numbers_of(path: str) -> FloatArray:
@@ -211,14 +274,20 @@ def numbers_of(path: str) -> FloatArray:
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("task")
     parser.add_argument("--engine", default="mujoco")
     parser.add_argument("--set", default="{}", help="settings of the engine, JSON")
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--start", help="JSON file of an earlier search, to go on from its numbers")
-    parser.add_argument("--replay", help="JSON file of a search, whose numbers are replayed")
+    parser.add_argument(
+        "--start", help="JSON file of an earlier search, to go on from its numbers"
+    )
+    parser.add_argument(
+        "--replay", help="JSON file of a search, whose numbers are replayed"
+    )
     given = parser.parse_args()
     options = {"backend": given.engine, "settings": json.loads(given.set) or None}
     if given.replay:
@@ -226,10 +295,22 @@ def main() -> None:
         act, _, _, frames = searched(given.task, options)
         worlds = ControlWorlds(given.task, [{}], **options)
         ((ratio, reward, ending),) = play(worlds, act, [numbers], frames)
-        print(json.dumps({"task": given.task, **options, "ratio": ratio, "reward": reward, "ending": ending}))
+        print(
+            json.dumps(
+                {
+                    "task": given.task,
+                    **options,
+                    "ratio": ratio,
+                    "reward": reward,
+                    "ending": ending,
+                }
+            )
+        )
         return
     first = numbers_of(given.start) if given.start else None
-    json.dump(search(given.task, options, given.episodes, given.seed, first), sys.stdout)
+    json.dump(
+        search(given.task, options, given.episodes, given.seed, first), sys.stdout
+    )
     print()
 
 

@@ -33,9 +33,19 @@ GRAVITY = 9.80665
 SCORED: Mapping[str, tuple[str, ...]] = {
     "Pendulum-metal": ("calibrated",),
     "NewtonsCradle-metal": ("calibrated", "effective"),
-    **{f"Turntable-2-{material}": ("calibrated",) for material in ("wood", "plastic", "metal")},
-    **{f"TableclothPulling-{material}": ("calibrated",) for material in ("wood", "plastic", "metal")},
-    **{f"Foam{way}-{foam}": ("calibrated",) for way in ("Stretching", "Compressing") for foam in ("soft", "hard")},
+    **{
+        f"Turntable-2-{material}": ("calibrated",)
+        for material in ("wood", "plastic", "metal")
+    },
+    **{
+        f"TableclothPulling-{material}": ("calibrated",)
+        for material in ("wood", "plastic", "metal")
+    },
+    **{
+        f"Foam{way}-{foam}": ("calibrated",)
+        for way in ("Stretching", "Compressing")
+        for foam in ("soft", "hard")
+    },
 }
 """Parameter sets of each id."""
 
@@ -52,11 +62,15 @@ def scored(engines: tuple[str, ...]) -> Iterator[dict[str, object]]:
             for engine in engines:
                 if experiment.scene.deformables and engine not in DEFORMABLE:
                     continue
-                result = run_episode(RunRequest(name, backend=engine, parameters=parameters))
+                result = run_episode(
+                    RunRequest(name, backend=engine, parameters=parameters)
+                )
                 if result.trajectory is None or result.score is None:
                     continue
                 frames = result.trajectory.arrays()[1][::6][: len(known)]
-                apart = np.linalg.norm((band.project(frames) - band.mean)[known], axis=1)
+                apart = np.linalg.norm(
+                    (band.project(frames) - band.mean)[known], axis=1
+                )
                 yield {
                     "id": name,
                     "parameters": parameters,
@@ -85,7 +99,9 @@ def markers_at_end(name: str, engine: str) -> FloatArray:
     observation, _ = env.reset(seed=0)
     ended = False
     while not ended:
-        observation, _, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape or ()))
+        observation, _, terminated, truncated, _ = env.step(
+            np.zeros(env.action_space.shape or ())
+        )
         ended = terminated or truncated
     return np.asarray(observation["markers"], dtype=np.float64)
 
@@ -101,7 +117,10 @@ def twist(name: str, engine: str) -> Iterator[dict[str, object]]:
     turned = []
     for level in levels:
         at = np.abs(rest[:, 2] - level) < 1e-4
-        before, after = (((rows[at, 0] - axis[0]) + 1j * (rows[at, 1] - axis[1])) for rows in (rest, end))
+        before, after = (
+            ((rows[at, 0] - axis[0]) + 1j * (rows[at, 1] - axis[1]))
+            for rows in (rest, end)
+        )
         turned.append(float(np.angle(np.vdot(before, after))))
     rate = float(np.polyfit(levels, np.unwrap(turned), 1)[0])
     driver = scene.drivers[0].motions[0].value((experiment.frame_count - 1) / 30)
@@ -110,7 +129,14 @@ def twist(name: str, engine: str) -> Iterator[dict[str, object]]:
     areas = face_areas_mm2(np.array([rest, end]), scene.markers.faces).sum(axis=1)
     shear = 0.025 * abs(exact)
     # A face 25 mm from the axis shears by 25 mm times the twist per length; shear alone keeps its area.
-    yield row(name, engine, f"area ratio at a shear of {shear:.3f}", "1", float(areas[1] / areas[0]), 1.0)
+    yield row(
+        name,
+        engine,
+        f"area ratio at a shear of {shear:.3f}",
+        "1",
+        float(areas[1] / areas[0]),
+        1.0,
+    )
 
 
 def sag(name: str, engine: str) -> Iterator[dict[str, object]]:
@@ -125,17 +151,30 @@ def sag(name: str, engine: str) -> Iterator[dict[str, object]]:
     rest, end = np.array(scene.markers.positions_m), markers_at_end(name, engine)
     driver = scene.drivers[0]
     moved = np.subtract(
-        driver.pose(scene.body(driver.body).pose, (experiment.frame_count - 1) / 30).position_m,
+        driver.pose(
+            scene.body(driver.body).pose, (experiment.frame_count - 1) / 30
+        ).position_m,
         scene.body(driver.body).pose.position_m,
     )
     length = cloth.size_m[0]
     span = length - float(np.linalg.norm(moved))
-    scale = brentq(lambda a: 2.0 * a * np.sinh(0.5 * span / a) - length, 1e-3 * span, 1e3 * span)
+    scale = brentq(
+        lambda a: 2.0 * a * np.sinh(0.5 * span / a) - length, 1e-3 * span, 1e3 * span
+    )
     exact = scale * (np.cosh(0.5 * span / scale) - 1.0)
-    yield row(name, engine, "largest depth", "mm", 1e3 * float((rest[:, 2] - end[:, 2]).max()), 1e3 * float(exact))
+    yield row(
+        name,
+        engine,
+        "largest depth",
+        "mm",
+        1e3 * float((rest[:, 2] - end[:, 2]).max()),
+        1e3 * float(exact),
+    )
 
 
-def row(name: str, engine: str, what: str, unit: str, value: float, exact: float) -> dict[str, object]:
+def row(
+    name: str, engine: str, what: str, unit: str, value: float, exact: float
+) -> dict[str, object]:
     """Return a row of `checks.csv`."""
     return {
         "id": name,
@@ -156,7 +195,9 @@ def main() -> None:
     options = parser.parse_args()
     rows = scored(tuple(options.engines)) if options.part == "scored" else checks()
     writer = None
-    with (FOLDER / f"{options.part}.csv").open("w", encoding="utf-8", newline="") as file:
+    with (FOLDER / f"{options.part}.csv").open(
+        "w", encoding="utf-8", newline=""
+    ) as file:
         for values in rows:
             if writer is None:
                 writer = csv.DictWriter(file, list(values), lineterminator="\n")

@@ -35,7 +35,10 @@ def draw_curves(folder: Path, file: Path) -> None:
     rows = []
     for path in sorted(folder.glob(f"{TASK}-*.csv")):
         with path.open(newline="") as opened:
-            rows += [{"seed": path.stem.rpartition("-")[2], **row} for row in csv.DictReader(opened)]
+            rows += [
+                {"seed": path.stem.rpartition("-")[2], **row}
+                for row in csv.DictReader(opened)
+            ]
     with file.with_suffix(".csv").open("w", newline="") as opened:
         writer = csv.DictWriter(opened, [*rows[0]])
         writer.writeheader()
@@ -47,11 +50,17 @@ def draw_curves(folder: Path, file: Path) -> None:
     for seed in sorted({row["seed"] for row in rows}):
         own = [row for row in rows if row["seed"] == seed]
         axis.plot(
-            [1e-3 * float(row["steps"]) for row in own], [float(row["ratio"]) for row in own], label=f"seed {seed}"
+            [1e-3 * float(row["steps"]) for row in own],
+            [float(row["ratio"]) for row in own],
+            label=f"seed {seed}",
         )
     axis.axhline(law, color="#303030", lw=1, ls="--", label="the law's policy")
     axis.axhline(SHARE * law, color="#303030", lw=1, ls=":", label=f"{SHARE:.0%} of it")
-    axis.set(xlabel="steps [thousands]", ylabel="rise over the law's limit (0 if U is left)", ylim=(0.0, 0.7))
+    axis.set(
+        xlabel="steps [thousands]",
+        ylabel="rise over the law's limit (0 if U is left)",
+        ylim=(0.0, 0.7),
+    )
     axis.legend(loc="lower right", fontsize=8)
     figure.savefig(file, dpi=110)
 
@@ -60,20 +69,37 @@ def film(policies: list[Policy | None], file: Path) -> None:
     """Write a film of policies side by side with the default preset; None stands for the law's policy."""
     columns = []
     for policy in policies:
-        env = gymnasium.make(f"GAUGE/{TASK}", render_mode="rgb_array", width=240, height=200)
+        env = gymnasium.make(
+            f"GAUGE/{TASK}", render_mode="rgb_array", width=240, height=200
+        )
         observation, _ = env.reset(seed=0)
         pictures, over = [env.render()], False
         while not over:
-            action = env.unwrapped.law_action(1.0) if policy is None else policy(observation)
+            action = (
+                env.unwrapped.law_action(1.0) if policy is None else policy(observation)
+            )
             observation, _, terminated, truncated, _ = env.step(action)
             over = terminated or truncated
             pictures.append(env.render())
         columns.append(pictures[::2])
         env.close()
     longest = max(map(len, columns))
-    rows = zip(*([*column, *[column[-1]] * (longest - len(column))] for column in columns), strict=True)
-    frames = [Image.fromarray(np.hstack(row)).quantize(32, dither=Image.Dither.NONE) for row in rows]
-    frames[0].save(file, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, optimize=True)
+    rows = zip(
+        *([*column, *[column[-1]] * (longest - len(column))] for column in columns),
+        strict=True,
+    )
+    frames = [
+        Image.fromarray(np.hstack(row)).quantize(32, dither=Image.Dither.NONE)
+        for row in rows
+    ]
+    frames[0].save(
+        file,
+        save_all=True,
+        append_images=frames[1:],
+        duration=FRAME_MS,
+        loop=0,
+        optimize=True,
+    )
 
 
 def main() -> None:
@@ -84,8 +110,14 @@ def main() -> None:
     arguments = parser.parse_args()
     draw_curves(arguments.folder, arguments.out / "curves.png")
     first = sorted(arguments.folder.glob(f"{TASK}-*.zip"))[0]
-    model, scaled = PPO.load(first, device="cpu"), pickle.loads(first.with_suffix(".pkl").read_bytes())
-    learned = lambda observation: model.predict(scaled.normalize_obs(observation), deterministic=True)[0]  # noqa: E731
+    model, scaled = (
+        PPO.load(first, device="cpu"),
+        pickle.loads(first.with_suffix(".pkl").read_bytes()),
+    )
+
+    def learned(observation):
+        return model.predict(scaled.normalize_obs(observation), deterministic=True)[0]
+
     film([learned, None], arguments.out / "policy.gif")
 
 

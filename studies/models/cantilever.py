@@ -20,7 +20,13 @@ import numpy as np
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import Air
-from gauge_envs.tools.conformance.cloth import BENT_FABRIC, BENT_FREE_M, BENT_GRAVITY, CLAMP_SHARE, cantilever_strip
+from gauge_envs.tools.conformance.cloth import (
+    BENT_FABRIC,
+    BENT_FREE_M,
+    BENT_GRAVITY,
+    CLAMP_SHARE,
+    cantilever_strip,
+)
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from extrapolation import extrapolate
@@ -42,7 +48,11 @@ STATED_S = 6.0
 AIR = Air(density_kg_per_m3=2.0, normal_coefficient=2.0)
 
 LEVELS = {
-    "cell": (({}, 1.0), ({"cell_m": 0.0125}, 0.5), ({"cell_m": 0.025 / 3.0}, 1.0 / 3.0)),
+    "cell": (
+        ({}, 1.0),
+        ({"cell_m": 0.0125}, 0.5),
+        ({"cell_m": 0.025 / 3.0}, 1.0 / 3.0),
+    ),
     "step": (({}, 1.0), ({"timestep_s": 1 / 1800}, 0.5)),
 }
 """Settings of the runs of each parameter, and its size over the default one."""
@@ -55,8 +65,16 @@ def resting_angle_deg(settings: dict[str, float | str]) -> tuple[float, float]:
     """
     # A softer fabric bends as far at the gravity of the check, and moves slowly enough for air to stop it.
     softer = LOAD / (6.0 * TIP_SLOPE)
-    made_of = replace(BENT_FABRIC, bend_stiffness_n_m_per_rad=BENT_FABRIC.bend_stiffness_n_m_per_rad / softer)
-    scene = replace(cantilever_strip(made_of), gravity_m_per_s2=BENT_GRAVITY, air=AIR, duration_s=STATED_S)
+    made_of = replace(
+        BENT_FABRIC,
+        bend_stiffness_n_m_per_rad=BENT_FABRIC.bend_stiffness_n_m_per_rad / softer,
+    )
+    scene = replace(
+        cantilever_strip(made_of),
+        gravity_m_per_s2=BENT_GRAVITY,
+        air=AIR,
+        duration_s=STATED_S,
+    )
     simulation = backend("mujoco").build(scene, {"solver": "CG"} | settings)
     name = scene.deformables[0].name
     start = simulation.nodes(name).copy()
@@ -69,29 +87,45 @@ def resting_angle_deg(settings: dict[str, float | str]) -> tuple[float, float]:
         angles.append(np.degrees(np.arctan2(start[0, 2] - z, x - edge)))
     simulation.close()
     last = np.array(angles[-150:])
-    return float(np.average(last, weights=np.hanning(152)[1:-1])), 0.5 * float(np.ptp(last))
+    return float(np.average(last, weights=np.hanning(152)[1:-1])), 0.5 * float(
+        np.ptp(last)
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
     plain = argparse.RawDescriptionHelpFormatter
-    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args(arguments)
+    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args(
+        arguments
+    )
     base, still = resting_angle_deg({})
     total, square = base, 0.0
     rows = [["default", 1.0, f"{base:.3f}", f"{still:.3f}", "", ""]]
     for parameter, levels in LEVELS.items():
-        found = [(base, still) if not settings else resting_angle_deg(settings) for settings, _ in levels]
+        found = [
+            (base, still) if not settings else resting_angle_deg(settings)
+            for settings, _ in levels
+        ]
         factors = [factor for _, factor in levels]
         result = extrapolate([np.array([[angle]]) for angle, _ in found], factors)
-        total, square = total + float(result.correction[0, 0]), square + float(result.uncertainty[0, 0]) ** 2
+        total, square = (
+            total + float(result.correction[0, 0]),
+            square + float(result.uncertainty[0, 0]) ** 2,
+        )
         for (angle, moving), factor in zip(found, factors, strict=True):
             order = "" if result.order is None else f"{result.order:.2f}"
-            rows.append([parameter, f"{factor:.3g}", f"{angle:.3f}", f"{moving:.3f}", order, ""])
+            rows.append(
+                [parameter, f"{factor:.3g}", f"{angle:.3f}", f"{moving:.3f}", order, ""]
+            )
     rows.append(["solution", 0.0, f"{total:.3f}", "", "", f"{square**0.5:.3f}"])
     print(f"{total:.2f} +- {square**0.5:.2f} degrees, the standards {STANDARD_DEG}")
-    with (Path(__file__).parent / "cantilever.csv").open("w", encoding="utf-8", newline="") as stream:
+    with (Path(__file__).parent / "cantilever.csv").open(
+        "w", encoding="utf-8", newline=""
+    ) as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["refined", "factor", "angle_deg", "change_deg", "order", "uncertainty_deg"])
+        writer.writerow(
+            ["refined", "factor", "angle_deg", "change_deg", "order", "uncertainty_deg"]
+        )
         writer.writerows(rows)
     return 0
 

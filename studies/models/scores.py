@@ -39,7 +39,18 @@ from build_convergence import supported
 from build_models import Level, digits, solve
 
 PRESETS = ("default", "out_of_box")
-COLUMNS = ("id", "engine", "preset", "rmse", "low_95", "high_95", "unit", "frames", "rmse_without", "scatter")
+COLUMNS = (
+    "id",
+    "engine",
+    "preset",
+    "rmse",
+    "low_95",
+    "high_95",
+    "unit",
+    "frames",
+    "rmse_without",
+    "scatter",
+)
 TABLE = Path(__file__).with_name("scores.csv")
 
 
@@ -75,37 +86,59 @@ def run(options: argparse.Namespace) -> int:
                 if preset == "default" and done and done.exists():
                     shutil.copy(done, file)
                     continue
-                settings = {} if preset == "default" else backend(engine).configurations[preset]
+                settings = (
+                    {}
+                    if preset == "default"
+                    else backend(engine).configurations[preset]
+                )
                 level = Level(parameter="preset", factor=1.0, settings=settings)
                 try:
-                    values = solve(load_experiment(name), engine, level, limit_s=options.limit_s)
+                    values = solve(
+                        load_experiment(name), engine, level, limit_s=options.limit_s
+                    )
                 except Exception as error:  # An engine that fails is a result.
-                    values = {"fault": f"{type(error).__name__}: {error}".splitlines()[0]}
+                    values = {
+                        "fault": f"{type(error).__name__}: {error}".splitlines()[0]
+                    }
                 content = io.BytesIO()
                 np.savez_compressed(content, **values)
                 write_whole(file, content.getvalue())
-                print(f"{name}, {engine} {preset}: {values.get('processor_s', 0):.0f} s {values['fault']}", flush=True)
+                print(
+                    f"{name}, {engine} {preset}: {values.get('processor_s', 0):.0f} s {values['fault']}",
+                    flush=True,
+                )
     return 0
 
 
-def score(name: str, engine: str, file: Path) -> tuple[Deviation | None, dict[str, Any]]:
+def score(
+    name: str, engine: str, file: Path
+) -> tuple[Deviation | None, dict[str, Any]]:
     """Return the deviation of an episode and its row; None and a row with the fault if it did not end."""
     experiment = load_experiment(name)
     band, model = reference_band(experiment), solved_model(name)
     assert band is not None
     with np.load(file) as archive:
-        fault, frames = str(archive["fault"]), np.asarray(archive["frames"]) if "frames" in archive.files else None
+        fault, frames = (
+            str(archive["fault"]),
+            np.asarray(archive["frames"]) if "frames" in archive.files else None,
+        )
     row: dict[str, Any] = {"id": name, "engine": engine, "unit": band.unit}
     if fault or frames is None:
         return None, row | {"rmse": fault or "no frames"}
     times_s = np.arange(len(frames)) / FRAME_RATE_HZ
     deviation = band_deviations(experiment, band, times_s=times_s, values=frames).raw
     low, high = deviation.interval or (float("nan"), float("nan"))
-    row |= {"rmse": digits(deviation.rmse), "low_95": digits(low), "high_95": digits(high)}
+    row |= {
+        "rmse": digits(deviation.rmse),
+        "low_95": digits(low),
+        "high_95": digits(high),
+    }
     row["frames"] = int(np.isfinite(band.mean).any(axis=1).sum())
     if model is not None and engine in model.others:
         apart = band.project(frames) - model.others[engine]
-        row["rmse_without"] = digits(float(np.sqrt(np.nanmean(np.square(apart).sum(axis=1)))))
+        row["rmse_without"] = digits(
+            float(np.sqrt(np.nanmean(np.square(apart).sum(axis=1))))
+        )
     baseline = published_baselines(name).get("rmse")
     if baseline is not None and baseline.mean:
         row["scatter"] = digits(deviation.rmse / baseline.mean)
@@ -129,7 +162,13 @@ def write(options: argparse.Namespace) -> int:
         keys = list(found)
         for place, one in enumerate(keys):
             for other in keys[place + 1 :]:
-                kind = one[1] if one[1] == other[1] else "both" if one[0] == other[0] else None
+                kind = (
+                    one[1]
+                    if one[1] == other[1]
+                    else "both"
+                    if one[0] == other[0]
+                    else None
+                )
                 if kind is not None:
                     apart[kind][0] += differ(found[one], found[other])
                     apart[kind][1] += 1
@@ -151,13 +190,24 @@ def differ(one: Deviation, other: Deviation) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("action", choices=("run", "write"))
-    parser.add_argument("--out", type=Path, required=True, help="folder of the episodes")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder of the episodes"
+    )
     parser.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns")
     parser.add_argument("--engine", nargs="*", help="only these engines")
-    parser.add_argument("--solved", type=Path, help="runs of scripts/build_models.py solve")
-    parser.add_argument("--limit-s", type=float, default=600.0, help="processor time of an episode at most")
+    parser.add_argument(
+        "--solved", type=Path, help="runs of scripts/build_models.py solve"
+    )
+    parser.add_argument(
+        "--limit-s",
+        type=float,
+        default=600.0,
+        help="processor time of an episode at most",
+    )
     parser.add_argument("--table", type=Path, default=TABLE, help="table to write")
     options = parser.parse_args(arguments)
     return run(options) if options.action == "run" else write(options)

@@ -35,7 +35,9 @@ def gap_parameters(gap_m: float, restitution: float | None = None) -> dict[str, 
         restitution: Restitution of all balls; None keeps the calibrated one.
     """
     scene = load_experiment(VARIANT).scene
-    anchors = {joint.body: joint.anchor_m for joint in scene.joints if isinstance(joint, Hinge)}
+    anchors = {
+        joint.body: joint.anchor_m for joint in scene.joints if isinstance(joint, Hinge)
+    }
     overrides: dict[str, Any] = {}
     for number, ball in enumerate(BALLS):
         x, y, z = anchors[ball]
@@ -48,7 +50,9 @@ def gap_parameters(gap_m: float, restitution: float | None = None) -> dict[str, 
 def transfer(parameters: Mapping[str, Any], *, steps_per_s: int) -> float:
     """Return the momentum transfer efficiency of the first impact, MuJoCo with a number of steps a second."""
     scene = load_experiment(VARIANT, dict(parameters)).scene
-    hinge = next(j for j in scene.joints if isinstance(j, Hinge) and j.body == BALLS[-1])
+    hinge = next(
+        j for j in scene.joints if isinstance(j, Hinge) and j.body == BALLS[-1]
+    )
     simulation = backend("mujoco").build(scene, {"timestep_s": 1.0 / steps_per_s})
     simulation.reset(0)
     heights_mm = []
@@ -57,20 +61,35 @@ def transfer(parameters: Mapping[str, Any], *, steps_per_s: int) -> float:
         simulation.advance(SAMPLE_INTERVAL_S)
     drop_mm = 1e3 * (hinge.anchor_m[2] - scene.body(BALLS[-1]).pose.position_m[2])
     return momentum_transfer_efficiency(
-        np.array(heights_mm), drop_height_mm=drop_mm, rest_height_mm=1e3 * hinge.anchor_m[2] - drop_mm
+        np.array(heights_mm),
+        drop_height_mm=drop_mm,
+        rest_height_mm=1e3 * hinge.anchor_m[2] - drop_mm,
     )
 
 
 def main() -> None:
     """Print the table."""
-    effective = load_experiment(VARIANT, "effective").overrides[f"{BALLS[0]}.restitution"]
+    effective = load_experiment(VARIANT, "effective").overrides[
+        f"{BALLS[0]}.restitution"
+    ]
     print(markdown_row(["e", "gap [mm]", *(f"1/{steps} s" for steps in STEPS_PER_S)]))
     print(markdown_row(["---"] * (2 + len(STEPS_PER_S))))
     for restitution in (None, float(effective)):
         for gap_m in GAPS_M:
             parameters = gap_parameters(gap_m, restitution)
-            cells = [f"{transfer(parameters, steps_per_s=steps):.4f}" for steps in STEPS_PER_S]
-            print(markdown_row(["0.202" if restitution is None else f"{restitution:.3f}", f"{1e3 * gap_m:g}", *cells]))
+            cells = [
+                f"{transfer(parameters, steps_per_s=steps):.4f}"
+                for steps in STEPS_PER_S
+            ]
+            print(
+                markdown_row(
+                    [
+                        "0.202" if restitution is None else f"{restitution:.3f}",
+                        f"{1e3 * gap_m:g}",
+                        *cells,
+                    ]
+                )
+            )
 
 
 if __name__ == "__main__":

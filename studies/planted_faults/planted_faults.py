@@ -36,28 +36,47 @@ def main() -> int:
     """Print the table and the numbers of faults that are caught and named."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("--backend", default="mujoco")
-    parser.add_argument("--only", action="append", default=[], help="id or pattern of faults; repeatable")
-    parser.add_argument("--own-check", action="store_true", help="run only the check that is stored with each fault")
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        help="id or pattern of faults; repeatable",
+    )
+    parser.add_argument(
+        "--own-check",
+        action="store_true",
+        help="run only the check that is stored with each fault",
+    )
     arguments = parser.parse_args()
     engine = backend(arguments.backend)
     chosen = {
         name: fault
         for name, fault in FAULTS.items()
         if fault.engine in ("", arguments.backend)
-        and (not arguments.only or any(fnmatchcase(name, pattern) for pattern in arguments.only))
+        and (
+            not arguments.only
+            or any(fnmatchcase(name, pattern) for pattern in arguments.only)
+        )
     }
     print(markdown_row(["fault", "caught by", "diagnosis", "named"]))
     print(markdown_row(["---"] * 4))
     survivors, named = [], 0
     for name, fault in chosen.items():
-        result = first_failure(Mutant(engine, fault), only=[fault.caught_by] if arguments.own_check else ())
+        result = first_failure(
+            Mutant(engine, fault), only=[fault.caught_by] if arguments.own_check else ()
+        )
         if result is None:
             survivors.append(name)
             print(markdown_row([fault.what, "none", "", "no"]), flush=True)
             continue
         is_named = fault.says in result.diagnosis
         named += is_named
-        row = [fault.what, result.check, _shortened(result.diagnosis), "yes" if is_named else "no"]
+        row = [
+            fault.what,
+            result.check,
+            _shortened(result.diagnosis),
+            "yes" if is_named else "no",
+        ]
         print(markdown_row(row), flush=True)
     run = "one check each" if arguments.own_check else f"{len(checks())} checks"
     print(

@@ -23,11 +23,27 @@ from robot_faults import FAULTS, good_xml  # noqa: E402
 from gauge_envs.tools.sanity import Report, check, configuration  # noqa: E402
 from gauge_envs.tools.sanity.run import applied  # noqa: E402
 
-GOOD = ("Ant-v5", "HalfCheetah-v5", "Hopper-v5", "Humanoid-v5", "Walker2d-v5", "Swimmer-v5")
+GOOD = (
+    "Ant-v5",
+    "HalfCheetah-v5",
+    "Hopper-v5",
+    "Humanoid-v5",
+    "Walker2d-v5",
+    "Swimmer-v5",
+)
 """Robots of Gymnasium. `sanity_good.csv` also has those of dm_control, Playground and mjlab."""
 
 ROBOT = ("robot-*", "floor-tilt", "gravity")
-QUICK = (*ROBOT, "foot-*", "creep-wood", "rest-height", "release", "slide-wood", "slide-turned", "point")
+QUICK = (
+    *ROBOT,
+    "foot-*",
+    "creep-wood",
+    "rest-height",
+    "release",
+    "slide-wood",
+    "slide-turned",
+    "point",
+)
 """Rows that are measured: without the slow turntables, pendulum and wall."""
 
 
@@ -45,7 +61,11 @@ def planted(name: str) -> dict[str, object]:
         report = check(read, only=QUICK)
         seconds = time.process_time() - started
         found = flags(report)
-        left = found if report.cure is None else flags(check(applied(read, report.cure.changes)[0], only=QUICK))
+        left = (
+            found
+            if report.cure is None
+            else flags(check(applied(read, report.cure.changes)[0], only=QUICK))
+        )
     return {
         "fault": name,
         "thread": fault.thread,
@@ -63,9 +83,18 @@ def good(target: str) -> dict[str, object]:
     started = time.process_time()
     report = check(target, only=ROBOT)
     rows = [row for row in report.rows if row.is_flag]
-    said = "; ".join(f"{r.phenomenon} {r.configured:.3g} ({r.remark})" for r in rows if r.configured is not None)
+    said = "; ".join(
+        f"{r.phenomenon} {r.configured:.3g} ({r.remark})"
+        for r in rows
+        if r.configured is not None
+    )
     measured = sum(row.configured is not None for row in report.rows)
-    return {"target": target, "rows": measured, "flags": said, "cpu_s": f"{time.process_time() - started:.1f}"}
+    return {
+        "target": target,
+        "rows": measured,
+        "flags": said,
+        "cpu_s": f"{time.process_time() - started:.1f}",
+    }
 
 
 def write(path: Path, rows: list[dict[str, object]]) -> None:
@@ -79,7 +108,12 @@ def main() -> None:
     warnings.simplefilter("ignore")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--good", nargs="*", metavar="TARGET", help="good robots beside those of Gymnasium")
+    parser.add_argument(
+        "--good",
+        nargs="*",
+        metavar="TARGET",
+        help="good robots beside those of Gymnasium",
+    )
     options = parser.parse_args()
     rows = []
     if options.good is None and not options.only:

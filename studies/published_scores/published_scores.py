@@ -25,14 +25,27 @@ from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.pages.text import markdown_row
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines, published_variants
+from gauge_envs.references.published import (
+    PUBLISHED_ENGINES,
+    published_baselines,
+    published_variants,
+)
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 
 TOLERANCE = 0.03
 """Largest difference from a published score, as a share of it, with which a score counts as repeated."""
 
-COLUMNS = ("variant", "metric", "grade", "driver", "published", "reached", "reached / published", "within 3 %")
+COLUMNS = (
+    "variant",
+    "metric",
+    "grade",
+    "driver",
+    "published",
+    "reached",
+    "reached / published",
+    "within 3 %",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +71,18 @@ class Repeated:
     @property
     def ratio(self) -> float | None:
         """The reached over the published score; None without a score, or where the published one is 0."""
-        return None if self.reached is None or not self.published else self.reached / self.published
+        return (
+            None
+            if self.reached is None or not self.published
+            else self.reached / self.published
+        )
 
     @property
     def is_repeated(self) -> bool:
         """Whether the score is within `TOLERANCE` of the published one."""
-        return self.reached is not None and abs(self.reached - self.published) <= TOLERANCE * abs(self.published)
+        return self.reached is not None and abs(
+            self.reached - self.published
+        ) <= TOLERANCE * abs(self.published)
 
     def cells(self) -> list[str]:
         """Return the cells of a row under `COLUMNS`."""
@@ -79,7 +98,9 @@ class Repeated:
         ]
 
 
-def comparable(engine: str, pattern: str = "*") -> Iterator[tuple[str, dict[str, float]]]:
+def comparable(
+    engine: str, pattern: str = "*"
+) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield each variant with published scores that this package can measure too, and these scores by metric.
 
     Args:
@@ -92,11 +113,16 @@ def comparable(engine: str, pattern: str = "*") -> Iterator[tuple[str, dict[str,
         experiment = load_experiment(variant)
         band = reference_band(experiment)
         # Published scores are distances from reality, and not from a solved model.
-        has_distance = band is not None and band.grade is not BandGrade.MODEL and band.normalized_by_baseline
+        has_distance = (
+            band is not None
+            and band.grade is not BandGrade.MODEL
+            and band.normalized_by_baseline
+        )
         scores = {
             metric: score
             for metric, line in published_baselines(variant).items()
-            if (score := line.engines[engine]) is not None and (METRICS[metric].is_event or has_distance)
+            if (score := line.engines[engine]) is not None
+            and (METRICS[metric].is_event or has_distance)
         }
         if scores:
             yield variant, scores
@@ -115,11 +141,18 @@ def late_score(request: RunRequest, steps_late: int) -> Score:
     values = np.array([*trajectory.samples, *trajectory.later_samples])
     band = reference_band(experiment)
     end = len(times_s) - steps_late
-    return score_trajectory(experiment, band, times_s=times_s[:end], values=values[steps_late:])
+    return score_trajectory(
+        experiment, band, times_s=times_s[:end], values=values[steps_late:]
+    )
 
 
 def compare(
-    backend: str, preset: str | None, engine: str, pattern: str = "*", *, steps_late: int = 0
+    backend: str,
+    preset: str | None,
+    engine: str,
+    pattern: str = "*",
+    *,
+    steps_late: int = 0,
 ) -> Iterator[Repeated]:
     """Run each comparable variant and yield its scores beside the published ones.
 
@@ -133,9 +166,17 @@ def compare(
     for variant, published in comparable(engine, pattern):
         if steps_late and load_experiment(variant).scene.drivers:
             continue
-        request = RunRequest(variant, backend=backend, settings=None if preset is None else {"preset": preset})
+        request = RunRequest(
+            variant,
+            backend=backend,
+            settings=None if preset is None else {"preset": preset},
+        )
         try:
-            score = late_score(request, steps_late) if steps_late else run_episode(request).score
+            score = (
+                late_score(request, steps_late)
+                if steps_late
+                else run_episode(request).score
+            )
         except UnsupportedSceneError:
             score = None
         for metric, value in published.items():
@@ -152,16 +193,38 @@ def compare(
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--backend", required=True, help="engine of this package")
-    parser.add_argument("--preset", help="preset of the engine; without it, the default of each scene")
-    parser.add_argument("--engine", required=True, choices=tuple(PUBLISHED_ENGINES), help="published engine")
-    parser.add_argument("--only", default="*", help="pattern of variants, as SlopeSlider-*")
-    parser.add_argument("--steps-late", type=int, default=0, help="steps of 1/180 s by which frames are late")
+    parser.add_argument(
+        "--preset", help="preset of the engine; without it, the default of each scene"
+    )
+    parser.add_argument(
+        "--engine",
+        required=True,
+        choices=tuple(PUBLISHED_ENGINES),
+        help="published engine",
+    )
+    parser.add_argument(
+        "--only", default="*", help="pattern of variants, as SlopeSlider-*"
+    )
+    parser.add_argument(
+        "--steps-late",
+        type=int,
+        default=0,
+        help="steps of 1/180 s by which frames are late",
+    )
     given = parser.parse_args()
     print(markdown_row(COLUMNS))
     print(markdown_row(["---"] * len(COLUMNS)))
-    for row in compare(given.backend, given.preset, given.engine, given.only, steps_late=given.steps_late):
+    for row in compare(
+        given.backend,
+        given.preset,
+        given.engine,
+        given.only,
+        steps_late=given.steps_late,
+    ):
         print(markdown_row(row.cells()), flush=True)
 
 

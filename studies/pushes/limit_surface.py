@@ -14,7 +14,12 @@ from scipy.optimize import minimize_scalar
 FloatArray = NDArray[np.float64]
 
 
-def turn_rate(point_m: FloatArray, velocity: FloatArray, supports_m: FloatArray, weights: FloatArray) -> float:
+def turn_rate(
+    point_m: FloatArray,
+    velocity: FloatArray,
+    supports_m: FloatArray,
+    weights: FloatArray,
+) -> float:
     """Return the rate of rotation [rad/s] of a body that a point pushes.
 
     Args:
@@ -30,11 +35,19 @@ def turn_rate(point_m: FloatArray, velocity: FloatArray, supports_m: FloatArray,
         return float(weights @ np.linalg.norm(velocity + rate * normals, axis=1))
 
     # The power is convex in the rate, and least where some support rests or moves slower than the pusher.
-    bound = 4.0 * float(np.linalg.norm(velocity)) / float(np.ptp(supports_m, axis=0).max())
-    return float(minimize_scalar(power, bounds=(-bound, bound), method="bounded", options={"xatol": 1e-10}).x)
+    bound = (
+        4.0 * float(np.linalg.norm(velocity)) / float(np.ptp(supports_m, axis=0).max())
+    )
+    return float(
+        minimize_scalar(
+            power, bounds=(-bound, bound), method="bounded", options={"xatol": 1e-10}
+        ).x
+    )
 
 
-def ellipsoid_turn_rate(point_m: FloatArray, velocity: FloatArray, length_m: float) -> float:
+def ellipsoid_turn_rate(
+    point_m: FloatArray, velocity: FloatArray, length_m: float
+) -> float:
     """Return the rate of the ellipsoidal limit surface (Lynch, Maekawa and Tanie 1992), in closed form.
 
     Args:
@@ -46,7 +59,9 @@ def ellipsoid_turn_rate(point_m: FloatArray, velocity: FloatArray, length_m: flo
     return float(moment / (length_m**2 + point_m @ point_m))
 
 
-def turn_of_push(offset_m: float, path_m: float, half_edge_m: float, *, steps: int = 300) -> float:
+def turn_of_push(
+    offset_m: float, path_m: float, half_edge_m: float, *, steps: int = 300
+) -> float:
     """Return the rotation [rad] of a square on its four corners that a point pushes straight on.
 
     Args:
@@ -55,7 +70,9 @@ def turn_of_push(offset_m: float, path_m: float, half_edge_m: float, *, steps: i
         half_edge_m: Half the edge of the square.
         steps: Steps of the path.
     """
-    corners_m = half_edge_m * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+    corners_m = half_edge_m * np.array(
+        [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]]
+    )
     point_m, weights, angle = np.array([-half_edge_m, offset_m]), np.full(4, 0.25), 0.0
     for _ in range(steps):
         # In the frame of the body, where the point stays, the pusher turns back.

@@ -39,7 +39,18 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.envs.trial_start import driven_trial
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.scene import Box, Contact, ContactMode, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
@@ -86,13 +97,19 @@ class Track:
 
 def sample_times_s(scene: Scene) -> FloatArray:
     """Return the common times of the samples of an episode."""
-    return START_S + SAMPLE_INTERVAL_S * np.arange(round(scene.duration_s / SAMPLE_INTERVAL_S) + 1)
+    return START_S + SAMPLE_INTERVAL_S * np.arange(
+        round(scene.duration_s / SAMPLE_INTERVAL_S) + 1
+    )
 
 
 def recorded(push: Push, times_s: FloatArray) -> Track:
     """Return a recorded push at common times."""
     turn_deg = np.degrees(push.at(push.cube_turn, times_s))
-    return Track(1e3 * push.at(push.cube_m, times_s), turn_deg, 1e3 * push.at(push.hand_path, times_s)[:, :3])
+    return Track(
+        1e3 * push.at(push.cube_m, times_s),
+        turn_deg,
+        1e3 * push.at(push.hand_path, times_s)[:, :3],
+    )
 
 
 def own_path(experiment: TaskExperiment, trial: int) -> Scene:
@@ -102,7 +119,9 @@ def own_path(experiment: TaskExperiment, trial: int) -> Scene:
     return own.scene
 
 
-def simulated(engine: str, scene: Scene, settings: Mapping[str, Any] | None = None) -> Track:
+def simulated(
+    engine: str, scene: Scene, settings: Mapping[str, Any] | None = None
+) -> Track:
     """Return a simulated push."""
     simulation = backend_for(engine, None).build(scene, dict(settings or {}))
     simulation.reset(0)
@@ -114,7 +133,9 @@ def simulated(engine: str, scene: Scene, settings: Mapping[str, Any] | None = No
             paths.advance(simulation, index - 1)
         states[index] = simulation.body_states(("cube", "hand"))
     simulation.close()
-    turns = Rotation.from_quat(states[:, 0, 3:7], scalar_first=True).as_rotvec(degrees=True)
+    turns = Rotation.from_quat(states[:, 0, 3:7], scalar_first=True).as_rotvec(
+        degrees=True
+    )
     return Track(1e3 * states[:, 0, :3], turns, 1e3 * states[:, 1, :3])
 
 
@@ -141,8 +162,13 @@ def scored(
     experiment = load_experiment(NAME, dict(constants or {}))
     scene = experiment.scene
     bodies = tuple(replace(body, **changes.get(body.name, {})) for body in scene.bodies)
-    contacts = tuple(replace(one, mode=mode) if "hand" in one.first + one.second else one for one in scene.contacts)
-    experiment = replace(experiment, scene=replace(scene, bodies=bodies, contacts=contacts))
+    contacts = tuple(
+        replace(one, mode=mode) if "hand" in one.first + one.second else one
+        for one in scene.contacts
+    )
+    experiment = replace(
+        experiment, scene=replace(scene, bodies=bodies, contacts=contacts)
+    )
     times_s = sample_times_s(scene)
     pushing = (times_s > PUSH_S[0]) & (times_s < PUSH_S[1])
     rows = []
@@ -153,20 +179,42 @@ def scored(
             found = simulated(engine, shifted(own, copy, 1e-7 * (copy > 0)))
             error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
             errors = {"rmse_mm": error_mm, "push_rmse_mm": error_mm[pushing]}
-            means = {name: float(np.sqrt(np.mean(one**2))) for name, one in errors.items()}
+            means = {
+                name: float(np.sqrt(np.mean(one**2))) for name, one in errors.items()
+            }
             several.append(means | found.measures(times_s))
-        expected = {f"real_{name}": value for name, value in real.measures(times_s).items()}
-        measures = {name: float(np.mean([one[name] for one in several])) for name in several[0]}
-        spread = float(np.std([one["travel_mm"] for one in several]) * np.sqrt(copies / max(copies - 1, 1)))
-        rows.append({"trial": float(trial), **measures, "copies_mm": spread, **expected})
+        expected = {
+            f"real_{name}": value for name, value in real.measures(times_s).items()
+        }
+        measures = {
+            name: float(np.mean([one[name] for one in several])) for name in several[0]
+        }
+        spread = float(
+            np.std([one["travel_mm"] for one in several])
+            * np.sqrt(copies / max(copies - 1, 1))
+        )
+        rows.append(
+            {"trial": float(trial), **measures, "copies_mm": spread, **expected}
+        )
     return rows
 
 
 def shifted(scene: Scene, seed: int, size_m: float) -> Scene:
     """Return the scene with a cube that starts elsewhere on the table, by a normal number in each direction."""
-    cube, shift_m = scene.body("cube"), np.append(np.random.default_rng(seed).normal(0.0, size_m, 2), 0.0)
-    moved = replace(cube, pose=replace(cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))))
-    return replace(scene, bodies=tuple(moved if body.name == "cube" else body for body in scene.bodies))
+    cube, shift_m = (
+        scene.body("cube"),
+        np.append(np.random.default_rng(seed).normal(0.0, size_m, 2), 0.0),
+    )
+    moved = replace(
+        cube,
+        pose=replace(
+            cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))
+        ),
+    )
+    return replace(
+        scene,
+        bodies=tuple(moved if body.name == "cube" else body for body in scene.bodies),
+    )
 
 
 def column(rows: Sequence[Mapping[str, float]], name: str) -> FloatArray:
@@ -176,7 +224,9 @@ def column(rows: Sequence[Mapping[str, float]], name: str) -> FloatArray:
 
 def bootstrap(values: FloatArray, *, seed: int = 0) -> tuple[float, float]:
     """Return the 95 % interval of the mean over trials."""
-    draws = np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
+    draws = (
+        np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
+    )
     low, high = np.percentile(draws, [2.5, 97.5])
     return float(low), float(high)
 
@@ -184,15 +234,40 @@ def bootstrap(values: FloatArray, *, seed: int = 0) -> tuple[float, float]:
 def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the table row of some trials: means, with the 95 % interval of RMSE and error of travel."""
     error_mm = column(rows, "travel_mm") - column(rows, "real_travel_mm")
-    ends = {"rmse_mm": bootstrap(column(rows, "rmse_mm")), "travel_error_mm": bootstrap(error_mm)}
-    found = {"rmse_mm": float(column(rows, "rmse_mm").mean()), "travel_error_mm": float(error_mm.mean())}
-    both = {
-        f"{name}_{end}": value for name, pair in ends.items() for end, value in zip(("low", "high"), pair, strict=True)
+    ends = {
+        "rmse_mm": bootstrap(column(rows, "rmse_mm")),
+        "travel_error_mm": bootstrap(error_mm),
     }
-    names = ("push_rmse_mm", "travel_mm", "aside_mm", "slip_mm", "pitch_deg", "yaw_deg", "copies_mm")
+    found = {
+        "rmse_mm": float(column(rows, "rmse_mm").mean()),
+        "travel_error_mm": float(error_mm.mean()),
+    }
+    both = {
+        f"{name}_{end}": value
+        for name, pair in ends.items()
+        for end, value in zip(("low", "high"), pair, strict=True)
+    }
+    names = (
+        "push_rmse_mm",
+        "travel_mm",
+        "aside_mm",
+        "slip_mm",
+        "pitch_deg",
+        "yaw_deg",
+        "copies_mm",
+    )
     means = {name: float(column(rows, name).mean()) for name in names}
-    stds = {f"{name}_std": float(column(rows, name).std(ddof=1)) for name in ("travel_mm", "yaw_deg")}
-    return found | both | {"travel_error_std_mm": float(error_mm.std(ddof=1))} | means | stds
+    stds = {
+        f"{name}_std": float(column(rows, name).std(ddof=1))
+        for name in ("travel_mm", "yaw_deg")
+    }
+    return (
+        found
+        | both
+        | {"travel_error_std_mm": float(error_mm.std(ddof=1))}
+        | means
+        | stds
+    )
 
 
 def write(name: str, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -201,10 +276,17 @@ def write(name: str, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
         writer.writeheader()
         for row in rows:
-            writer.writerow({key: f"{cell:.3f}" if isinstance(cell, float) else cell for key, cell in row.items()})
+            writer.writerow(
+                {
+                    key: f"{cell:.3f}" if isinstance(cell, float) else cell
+                    for key, cell in row.items()
+                }
+            )
 
 
-def slide_friction(times_s: FloatArray, positions_m: FloatArray, *, last_m: float = 0.006) -> tuple[float, float]:
+def slide_friction(
+    times_s: FloatArray, positions_m: FloatArray, *, last_m: float = 0.006
+) -> tuple[float, float]:
     """Return the coefficient of friction of a slide to rest, and its standard error.
 
     A free body on a level table ends with x = x_end - mu g (t_end - t)^2 / 2, fitted to the last part of its path.
@@ -221,9 +303,17 @@ def slide_friction(times_s: FloatArray, positions_m: FloatArray, *, last_m: floa
     def misfit(parameters: FloatArray) -> FloatArray:
         friction, end_s, end_mm = parameters
         left_s = np.maximum(end_s - times_s[part], 0.0)
-        return end_mm - 500.0 * friction * GRAVITY_M_PER_S2 * left_s**2 - 1e3 * positions_m[part]
+        return (
+            end_mm
+            - 500.0 * friction * GRAVITY_M_PER_S2 * left_s**2
+            - 1e3 * positions_m[part]
+        )
 
-    fit = least_squares(misfit, [0.3, times_s[first] + 0.06, 1e3 * positions_m[-1]], x_scale=[0.1, 0.01, 1.0])
+    fit = least_squares(
+        misfit,
+        [0.3, times_s[first] + 0.06, 1e3 * positions_m[-1]],
+        x_scale=[0.1, 0.01, 1.0],
+    )
     variance = 2.0 * fit.cost / (len(fit.fun) - 3) * np.linalg.inv(fit.jac.T @ fit.jac)
     return float(fit.x[0]), float(np.sqrt(variance[0, 0]))
 
@@ -234,7 +324,14 @@ def slide(options: argparse.Namespace) -> None:
     for trial, push in enumerate(read_pushes().trials):
         late = push.times_s > 0.3
         friction, error = slide_friction(push.times_s[late], push.cube_m[late, 0])
-        rows.append({"trial": trial, "half": "judge" if trial % 2 else "fit", "friction": friction, "error": error})
+        rows.append(
+            {
+                "trial": trial,
+                "half": "judge" if trial % 2 else "fit",
+                "friction": friction,
+                "error": error,
+            }
+        )
     write("slides.csv", rows)
     for half in ("fit", "judge"):
         values = np.array([row["friction"] for row in rows if row["half"] == half])
@@ -247,19 +344,31 @@ def fit(options: argparse.Namespace) -> None:
     The friction of the hand is where the cube tips as far as the recorded ones; the interval is over the trials.
     """
     frictions = (0.05, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2)
-    cases = [("sustained", value, 0.0) for value in frictions] + [("impact", 0.2, value) for value in (0.0, 0.2, 0.4)]
+    cases = [("sustained", value, 0.0) for value in frictions] + [
+        ("impact", 0.2, value) for value in (0.0, 0.2, 0.4)
+    ]
     rows, tips_deg = [], []
     for mode, friction, restitution in cases:
         constants = {"hand.friction": friction, "hand.restitution": restitution}
         found = scored("mujoco", EVEN, constants, mode=ContactMode(mode), copies=COPIES)
         tips_deg.append(column(found, "pitch_deg") - column(found, "real_pitch_deg"))
-        rows.append({"mode": mode, "friction": friction, "restitution": restitution, **summary(found)})
+        rows.append(
+            {
+                "mode": mode,
+                "friction": friction,
+                "restitution": restitution,
+                **summary(found),
+            }
+        )
         print(rows[-1])
     write("fits.csv", rows)
     tips = np.array(tips_deg[: len(frictions)])
     chosen = np.random.default_rng(0).integers(0, len(EVEN), (2000, len(EVEN)))
     # The tipping grows with friction but for its noise; the largest friction that tips too little bounds the zero.
-    zeros = [_zero(frictions, tips[:, one].mean(axis=1)) for one in (np.arange(len(EVEN)), *chosen)]
+    zeros = [
+        _zero(frictions, tips[:, one].mean(axis=1))
+        for one in (np.arange(len(EVEN)), *chosen)
+    ]
     print("friction of the hand", zeros[0], np.percentile(zeros[1:], [2.5, 97.5]))
 
 
@@ -276,15 +385,23 @@ def run(options: argparse.Namespace) -> None:
     rows: list[Mapping[str, Any]] = []
     if file.is_file():
         with file.open(encoding="utf-8", newline="") as stream:
-            rows = [row for row in csv.DictReader(stream) if row["engine"] not in (options.engine, "recorded")]
+            rows = [
+                row
+                for row in csv.DictReader(stream)
+                if row["engine"] not in (options.engine, "recorded")
+            ]
     found = scored(options.engine, ODD, copies=COPIES)
     rows.append({"engine": options.engine, **summary(found)})
     names = [name for name in found[0] if name.startswith("real_")]
-    real = [row | {name.removeprefix("real_"): row[name] for name in names} for row in found]
+    real = [
+        row | {name.removeprefix("real_"): row[name] for name in names} for row in found
+    ]
     nothing = {"rmse_mm": 0.0, "push_rmse_mm": 0.0, "copies_mm": 0.0}
     rows.append({"engine": "recorded", **summary([row | nothing for row in real])})
     write("engines.csv", sorted(rows, key=lambda row: row["engine"]))
-    travel = np.corrcoef(column(found, "travel_mm"), column(found, "real_travel_mm"))[0, 1]
+    travel = np.corrcoef(column(found, "travel_mm"), column(found, "real_travel_mm"))[
+        0, 1
+    ]
     print(rows[-2], "correlation of travel", travel)
 
 
@@ -306,19 +423,45 @@ def bounds(options: argparse.Namespace) -> None:
         "width 75 mm": ({}, hand(width_m=0.075)),
         "front 0.3 mm back": ({}, hand(front_m=front_m - 0.0003)),
         "tip 2.5 mm shorter": ({}, hand(front_m=front_m[:-1], heights_m=short)),
-        "tip 2.5 mm longer": ({}, hand(front_m=np.append(front_m, 2 * front_m[-1] - front_m[-2]), heights_m=long)),
-        "no fingers below the joint": ({}, {"hand": {"shape": union(pieces_m(front_m)[:1])}}),
-        "hollow cube": ({}, {"cube": {"inertia_kg_m2": 5.0 / 18.0 * mass_kg * edge_m**2}}),
-        **{f"cube.friction {value}": ({"cube.friction": value}, {}) for value in (0.25, 0.29)},
-        **{f"hand.friction {value}": ({"hand.friction": value}, {}) for value in (0.05, 0.5, 1.2)},
+        "tip 2.5 mm longer": (
+            {},
+            hand(
+                front_m=np.append(front_m, 2 * front_m[-1] - front_m[-2]),
+                heights_m=long,
+            ),
+        ),
+        "no fingers below the joint": (
+            {},
+            {"hand": {"shape": union(pieces_m(front_m)[:1])}},
+        ),
+        "hollow cube": (
+            {},
+            {"cube": {"inertia_kg_m2": 5.0 / 18.0 * mass_kg * edge_m**2}},
+        ),
+        **{
+            f"cube.friction {value}": ({"cube.friction": value}, {})
+            for value in (0.25, 0.29)
+        },
+        **{
+            f"hand.friction {value}": ({"hand.friction": value}, {})
+            for value in (0.05, 0.5, 1.2)
+        },
         "turned by 1.9 degrees": (
             {},
-            {name: {"pose": turned(scene.body(name).pose, 1.9)} for name in ("cube", "hand")},
+            {
+                name: {"pose": turned(scene.body(name).pose, 1.9)}
+                for name in ("cube", "hand")
+            },
         ),
     }
     rows = []
     for name, (constants, changes) in cases.items():
-        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, copies=COPIES, **changes))})
+        rows.append(
+            {
+                "case": name,
+                **summary(scored("mujoco", ODD, constants, copies=COPIES, **changes)),
+            }
+        )
         print(rows[-1])
     write("bounds.csv", rows)
 
@@ -327,7 +470,13 @@ def start(options: argparse.Namespace) -> None:
     """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
     scene = load_experiment(NAME).scene
     times_s = sample_times_s(scene)
-    rows = [{"seed": one, **simulated("mujoco", shifted(scene, one, 1e-4)).measures(times_s)} for one in range(20)]
+    rows = [
+        {
+            "seed": one,
+            **simulated("mujoco", shifted(scene, one, 1e-4)).measures(times_s),
+        }
+        for one in range(20)
+    ]
     write("starts.csv", rows)
     travels_mm = column(rows, "travel_mm")
     print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
@@ -335,15 +484,26 @@ def start(options: argparse.Namespace) -> None:
 
 def turned(pose: Pose, angle_deg: float) -> Pose:
     """Return a pose that is turned about the vertical."""
-    return Pose.from_rotation(pose.position_m, Rotation.from_euler("z", angle_deg, degrees=True) * pose.rotation)
+    return Pose.from_rotation(
+        pose.position_m,
+        Rotation.from_euler("z", angle_deg, degrees=True) * pose.rotation,
+    )
 
 
 def union(pieces: Sequence[FloatArray]) -> ConvexUnion:
     """Return the shape of some convex pieces."""
-    return ConvexUnion(pieces_m=tuple(tuple(vector(point) for point in piece) for piece in pieces))
+    return ConvexUnion(
+        pieces_m=tuple(tuple(vector(point) for point in piece) for piece in pieces)
+    )
 
 
-def point_push_scene(offset_m: float, friction: float, *, half_edge_m: float = 0.0375, path_m: float = 0.02) -> Scene:
+def point_push_scene(
+    offset_m: float,
+    friction: float,
+    *,
+    half_edge_m: float = 0.0375,
+    path_m: float = 0.02,
+) -> Scene:
     """Return a scene in which a slow low ball pushes a cube beside the middle of its face, without slip."""
     radius_m, duration_s = 0.005, 2.0
     cube = RigidBody(
@@ -354,7 +514,11 @@ def point_push_scene(offset_m: float, friction: float, *, half_edge_m: float = 0
         mass_kg=0.0884,
     )
     table = RigidBody(
-        name="table", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0
+        name="table",
+        shape=Plane(),
+        motion=Motion.FIXED,
+        pose=Pose(position_m=(0.0, 0.0, 0.0)),
+        mass_kg=0.0,
     )
     hand = RigidBody(
         name="hand",
@@ -363,13 +527,17 @@ def point_push_scene(offset_m: float, friction: float, *, half_edge_m: float = 0
         pose=Pose(position_m=(-half_edge_m - radius_m, offset_m, radius_m + 0.001)),
         mass_kg=1.0,
     )
-    profile = TrapezoidProfile(start_s=0.0, duration_s=duration_s, accelerate_s=0.2, brake_s=0.2, amount=path_m)
+    profile = TrapezoidProfile(
+        start_s=0.0, duration_s=duration_s, accelerate_s=0.2, brake_s=0.2, amount=path_m
+    )
     motion = DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(profile,))
     return Scene(
         bodies=(cube, table, hand),
         duration_s=duration_s,
         contacts=(
-            Contact(first=("cube",), second=("table",), friction=friction, restitution=0.0),
+            Contact(
+                first=("cube",), second=("table",), friction=friction, restitution=0.0
+            ),
             Contact(first=("cube",), second=("hand",), friction=2.0, restitution=0.0),
         ),
         drivers=(Driver(body="hand", motions=(motion,), provenance="nominal"),),
@@ -382,8 +550,17 @@ def point(options: argparse.Namespace) -> None:
     for offset_m in (0.005, 0.01, 0.02):
         law_deg = float(np.degrees(turn_of_push(offset_m, 0.02, 0.0375)))
         for friction in (0.1, 0.2, 0.4):
-            found = simulated(options.engine, point_push_scene(offset_m, friction)).turn_deg[-1, 2]
-            rows.append({"offset_mm": 1e3 * offset_m, "friction": friction, "law_deg": law_deg, "engine_deg": found})
+            found = simulated(
+                options.engine, point_push_scene(offset_m, friction)
+            ).turn_deg[-1, 2]
+            rows.append(
+                {
+                    "offset_mm": 1e3 * offset_m,
+                    "friction": friction,
+                    "law_deg": law_deg,
+                    "engine_deg": found,
+                }
+            )
             print(rows[-1])
     write("point.csv", rows)
 
@@ -394,47 +571,89 @@ def picture(options: argparse.Namespace) -> None:
 
     pushes = read_pushes()
     times_s = sample_times_s(load_experiment(NAME).scene)
-    figure, (front, speed, travel) = plt.subplots(1, 3, figsize=(11.0, 3.6), layout="constrained")
+    figure, (front, speed, travel) = plt.subplots(
+        1, 3, figsize=(11.0, 3.6), layout="constrained"
+    )
     for push in pushes.trials:
         front.plot(1e3 * push.front_m(), 1e3 * HEIGHTS_M, color="0.75", linewidth=0.8)
     for first, color in ((0, "tab:blue"), (1, "tab:red")):
-        front.plot(1e3 * pushes.front_m(first), 1e3 * HEIGHTS_M, color=color, label=("even", "odd")[first])
-    front.set(xlabel="forward [mm]", ylabel="up [mm]", title="Front of the hand, from 20 pushes")
+        front.plot(
+            1e3 * pushes.front_m(first),
+            1e3 * HEIGHTS_M,
+            color=color,
+            label=("even", "odd")[first],
+        )
+    front.set(
+        xlabel="forward [mm]",
+        ylabel="up [mm]",
+        title="Front of the hand, from 20 pushes",
+    )
     front.legend()
     task = load_experiment(NAME)
-    found = [simulated("mujoco", own_path(task, trial)) for trial in range(len(pushes.trials))]
+    found = [
+        simulated("mujoco", own_path(task, trial))
+        for trial in range(len(pushes.trials))
+    ]
     real = [recorded(push, times_s) for push in pushes.trials]
-    for tracks, color, label in ((real, "tab:red", "real"), (found, "tab:blue", "MuJoCo")):
-        speeds = np.gradient([track.cube_mm[:, 0] for track in tracks], SAMPLE_INTERVAL_S, axis=1)
+    for tracks, color, label in (
+        (real, "tab:red", "real"),
+        (found, "tab:blue", "MuJoCo"),
+    ):
+        speeds = np.gradient(
+            [track.cube_mm[:, 0] for track in tracks], SAMPLE_INTERVAL_S, axis=1
+        )
         speed.plot(times_s, speeds.mean(axis=0), color=color, label=label)
         low, high = np.percentile(speeds, [16, 84], axis=0)
         speed.fill_between(times_s, low, high, color=color, alpha=0.2, linewidth=0)
-    speed.set(xlabel="time [s]", ylabel="speed of the cube [mm/s]", title="Mean and 68 % of 20 trials")
+    speed.set(
+        xlabel="time [s]",
+        ylabel="speed of the cube [mm/s]",
+        title="Mean and 68 % of 20 trials",
+    )
     speed.legend()
-    pairs = [[track.measures(times_s)["travel_mm"] for track in tracks] for tracks in (real, found)]
+    pairs = [
+        [track.measures(times_s)["travel_mm"] for track in tracks]
+        for tracks in (real, found)
+    ]
     write(
         "travels.csv",
-        [{"trial": trial, "real_mm": a, "mujoco_mm": b} for trial, (a, b) in enumerate(zip(*pairs, strict=True))],
+        [
+            {"trial": trial, "real_mm": a, "mujoco_mm": b}
+            for trial, (a, b) in enumerate(zip(*pairs, strict=True))
+        ],
     )
     draws = np.random.default_rng(0).integers(0, len(real), (10_000, len(real)))
     correlations = [np.corrcoef(np.array(pairs)[:, one])[0, 1] for one in draws]
-    print("correlation", np.corrcoef(pairs)[0, 1], np.percentile(correlations, [2.5, 97.5]))
+    print(
+        "correlation",
+        np.corrcoef(pairs)[0, 1],
+        np.percentile(correlations, [2.5, 97.5]),
+    )
     travel.plot(*pairs, "o", color="0.2", markersize=4)
     travel.axline((97.0, 97.0), slope=1.0, color="0.7", zorder=0)
-    travel.set(xlabel="real travel [mm]", ylabel="travel in MuJoCo [mm]", title="Each trial on its own path")
+    travel.set(
+        xlabel="real travel [mm]",
+        ylabel="travel in MuJoCo [mm]",
+        title="Each trial on its own path",
+    )
     travel.set_aspect("equal")
     figure.savefig(HERE / "pushes.png", dpi=110)
 
 
 def main() -> None:
     """Run one command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(required=True)
     for function in (slide, fit, run, bounds, start, point, picture):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
         if function in (run, point):
-            command.add_argument("engine", **({} if function is run else {"nargs": "?", "default": "mujoco"}))
+            command.add_argument(
+                "engine",
+                **({} if function is run else {"nargs": "?", "default": "mujoco"}),
+            )
     options = parser.parse_args()
     options.function(options)
 

@@ -23,11 +23,17 @@ PLATE, CUBE, WIDE = (0.06, 0.06, 0.015), (0.05, 0.05, 0.05), (0.3, 0.3, 0.015)
 """Half edges [m]."""
 
 FREE = "<freejoint/>"
-SLIDING = "".join(f"<joint type='slide' axis='{axis}'/>" for axis in ("1 0 0", "0 1 0", "0 0 1"))
+SLIDING = "".join(
+    f"<joint type='slide' axis='{axis}'/>" for axis in ("1 0 0", "0 1 0", "0 0 1")
+)
 
 
 def slide(
-    contact: str, half: tuple[float, ...], turn_deg: float, joints: str, tip: NDArray[np.float64]
+    contact: str,
+    half: tuple[float, ...],
+    turn_deg: float,
+    joints: str,
+    tip: NDArray[np.float64],
 ) -> tuple[float, float, float]:
     """Return the friction of the box and of its contacts, and how far it hops [mm]."""
     x, y, z = half
@@ -53,7 +59,11 @@ def slide(
     seen = np.array(times) >= 0.1
     fit = 2.0 * np.polyfit(np.array(times)[seen], np.array(places)[seen], 2)[0]
     friction = (G * math.sin(slope) - fit[0]) / (G * math.cos(slope) + fit[2])
-    return float(friction), tangential / normal, 1e3 * max(place[2] - z for place in places)
+    return (
+        float(friction),
+        tangential / normal,
+        1e3 * max(place[2] - z for place in places),
+    )
 
 
 def main() -> None:
@@ -62,7 +72,13 @@ def main() -> None:
     print(recipe.snippet)
     level, rng = np.zeros((1, 2)), np.random.default_rng(0)
     tips = 1e-3 * rng.standard_normal((16, 2))
-    print("box", *(f"{turn:g} deg" for turn in TURNS_DEG), "contacts", "hop [mm]", sep=" | ")
+    print(
+        "box",
+        *(f"{turn:g} deg" for turn in TURNS_DEG),
+        "contacts",
+        "hop [mm]",
+        sep=" | ",
+    )
     for name, half, joints, starts in (
         ("plate that cannot turn", PLATE, SLIDING, level),
         ("wide plate, level start", WIDE, FREE, level),
@@ -71,7 +87,13 @@ def main() -> None:
         ("cube, 16 tipped starts", CUBE, FREE, tips),
     ):
         found = np.array(
-            [np.mean([slide(recipe.snippet, half, turn, joints, tip) for tip in starts], axis=0) for turn in TURNS_DEG]
+            [
+                np.mean(
+                    [slide(recipe.snippet, half, turn, joints, tip) for tip in starts],
+                    axis=0,
+                )
+                for turn in TURNS_DEG
+            ]
         )
         print(
             name,

@@ -78,14 +78,24 @@ def damaged(name: str, parser: Parser, seed: int, number: int) -> bytes:
     return parser.damage(chance.choice(parser.seeds), chance)
 
 
-def work(name: str, parser: Parser, seed: int, last: int, shared: Any, kept: Path, folder: Path) -> None:
+def work(
+    name: str,
+    parser: Parser,
+    seed: int,
+    last: int,
+    shared: Any,
+    kept: Path,
+    folder: Path,
+) -> None:
     """Read files up to a number in a worker, which never returns."""
     quiet = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(quiet, stream)
     warnings.simplefilter("ignore")
     start_memory = _data_bytes()
-    resource.setrlimit(resource.RLIMIT_DATA, (start_memory + MOST_MEMORY, resource.RLIM_INFINITY))
+    resource.setrlimit(
+        resource.RLIMIT_DATA, (start_memory + MOST_MEMORY, resource.RLIM_INFINITY)
+    )
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     start_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     while shared[NEXT] < last:
@@ -101,7 +111,9 @@ def work(name: str, parser: Parser, seed: int, last: int, shared: Any, kept: Pat
         except EXPECTED:
             shared[REFUSED] += 1
         except BaseException:
-            (kept / f"{name}-{seed}-{number}.reason").write_text(traceback.format_exc(limit=-6), errors="replace")
+            (kept / f"{name}-{seed}-{number}.reason").write_text(
+                traceback.format_exc(limit=-6), errors="replace"
+            )
         taken_s = _cpu_s() - start_s
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         if taken_s > shared[SLOWEST_S]:
@@ -135,7 +147,15 @@ def _data_bytes() -> int:
     return pages * resource.getpagesize()
 
 
-def attack(name: str, parser: Parser, seed: int, last: int, one: Standing, state: Path, folder: Path) -> None:
+def attack(
+    name: str,
+    parser: Parser,
+    seed: int,
+    last: int,
+    one: Standing,
+    state: Path,
+    folder: Path,
+) -> None:
     """Read files of a parser from where it stands up to a number, or until a worker dies."""
     shared = np.frombuffer(mmap.mmap(-1, 64), dtype=np.float64)
     shared[NEXT] = one.tried
@@ -151,14 +171,20 @@ def attack(name: str, parser: Parser, seed: int, last: int, one: Standing, state
     if status:
         code = os.waitstatus_to_exitcode(status)
         reason = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        (kept / f"{name}-{seed}-{end}.reason").write_text(f"the worker ended: {reason}\n")
+        (kept / f"{name}-{seed}-{end}.reason").write_text(
+            f"the worker ended: {reason}\n"
+        )
         end += 1
     for number in range(one.tried, end):
         reason_file = kept / f"{name}-{seed}-{number}.reason"
         if reason_file.exists():
-            one.failures[str(number)] = reason_file.read_text().strip().rpartition("\n")[2][:200]
+            one.failures[str(number)] = (
+                reason_file.read_text().strip().rpartition("\n")[2][:200]
+            )
             reason_file.rename(reason_file.with_suffix(".txt"))
-            (kept / f"{name}-{seed}-{number}{parser.suffix}").write_bytes(damaged(name, parser, seed, number))
+            (kept / f"{name}-{seed}-{number}{parser.suffix}").write_bytes(
+                damaged(name, parser, seed, number)
+            )
     one.tried = end
     one.refused += int(shared[REFUSED])
     if shared[SLOWEST_S] > one.slowest_s:
@@ -172,34 +198,62 @@ def main() -> None:
     """Attack the parsers in turn, print a line for each, and exit with 1 after a failure."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=1_000_000, help="files in all")
-    parser.add_argument("--minutes", type=float, default=20.0, help="most processor time of this run")
+    parser.add_argument(
+        "--minutes", type=float, default=20.0, help="most processor time of this run"
+    )
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", action="append", help="parser to attack; repeatable; all by default")
-    parser.add_argument("--state", type=Path, default=Path(tempfile.gettempdir()) / "gauge-attack", help="folder")
+    parser.add_argument(
+        "--only", action="append", help="parser to attack; repeatable; all by default"
+    )
+    parser.add_argument(
+        "--state",
+        type=Path,
+        default=Path(tempfile.gettempdir()) / "gauge-attack",
+        help="folder",
+    )
     given = parser.parse_args()
     (given.state / "failures").mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as place:
-        known = {name: one for name, one in parsers(Path(place)).items() if name in (given.only or [name])}
+        known = {
+            name: one
+            for name, one in parsers(Path(place)).items()
+            if name in (given.only or [name])
+        }
         state_file = given.state / f"seed-{given.seed}.json"
         stored = json.loads(state_file.read_text()) if state_file.exists() else {}
         standings = {name: Standing(**stored.get(name, {})) for name in known}
         warm_up(known, Path(place))
         missing = [name for name, one in known.items() if not one.seeds]
-        run(known, standings, given, Path(place), lambda: _save(state_file, stored, standings))
+        run(
+            known,
+            standings,
+            given,
+            Path(place),
+            lambda: _save(state_file, stored, standings),
+        )
     report(standings, missing)
     raise SystemExit(any(one.failures for one in standings.values()))
 
 
 def run(
-    known: Mapping[str, Parser], standings: Mapping[str, Standing], given: argparse.Namespace, folder: Path, save: Any
+    known: Mapping[str, Parser],
+    standings: Mapping[str, Standing],
+    given: argparse.Namespace,
+    folder: Path,
+    save: Any,
 ) -> None:
     """Read failures again, then chunks of the parser that is farthest behind, as long as there are files and time."""
     shares = {name: one.share for name, one in known.items() if one.seeds}
-    goals = {name: max(1, round(given.count * share / sum(shares.values()))) for name, share in shares.items()}
+    goals = {
+        name: max(1, round(given.count * share / sum(shares.values())))
+        for name, share in shares.items()
+    }
     for name, one in standings.items():
         for number in [int(key) for key in one.failures]:
             again = Standing(tried=number)
-            attack(name, known[name], given.seed, number + 1, again, given.state, folder)
+            attack(
+                name, known[name], given.seed, number + 1, again, given.state, folder
+            )
             if not again.failures:
                 del one.failures[str(number)]
                 one.refused += again.refused
@@ -216,13 +270,22 @@ def run(
         save()
 
 
-def _save(file: Path, stored: dict[str, Any], standings: Mapping[str, Standing]) -> None:
-    write_whole(file, json.dumps(stored | {name: asdict(one) for name, one in standings.items()}, indent=1).encode())
+def _save(
+    file: Path, stored: dict[str, Any], standings: Mapping[str, Standing]
+) -> None:
+    write_whole(
+        file,
+        json.dumps(
+            stored | {name: asdict(one) for name, one in standings.items()}, indent=1
+        ).encode(),
+    )
 
 
 def report(standings: Mapping[str, Standing], missing: list[str]) -> None:
     """Print what was found."""
-    print("parser          files   refused  read  failed  slowest s  MB more  MB child   CPU s")
+    print(
+        "parser          files   refused  read  failed  slowest s  MB more  MB child   CPU s"
+    )
     for name, one in standings.items():
         read = one.tried - one.refused - len(one.failures)
         print(
@@ -234,7 +297,9 @@ def report(standings: Mapping[str, Standing], missing: list[str]) -> None:
     for name, one in standings.items():
         for number, reason in list(one.failures.items())[:5]:
             print(f"{name} {number}: {reason}", file=sys.stderr)
-    print(f"{sum(one.tried for one in standings.values())} files, {sum(one.cpu_s for one in standings.values()):.0f} s")
+    print(
+        f"{sum(one.tried for one in standings.values())} files, {sum(one.cpu_s for one in standings.values()):.0f} s"
+    )
 
 
 if __name__ == "__main__":

@@ -14,7 +14,20 @@ from typing import Any
 Damage = Callable[[bytes, random.Random], bytes]
 
 NUMBERS = (
-    *(b"nan", b"-inf", b".inf", b"1e999", b"-1e308", b"1e-320", b"0", b"-0.0", b"-1", b"0.1", b"1e9", b"1000000000"),
+    *(
+        b"nan",
+        b"-inf",
+        b".inf",
+        b"1e999",
+        b"-1e308",
+        b"1e-320",
+        b"0",
+        b"-0.0",
+        b"-1",
+        b"0.1",
+        b"1e9",
+        b"1000000000",
+    ),
     *(
         b"9223372036854775808",
         b"-9223372036854775809",
@@ -23,7 +36,17 @@ NUMBERS = (
         b"0x" + b"f" * 9000,
         b"0." + b"1" * 5000,
     ),
-    *(b"1:30:59.5", b"1_000", b"true", b"null", b'"1"', b"[]", b"{}", b"1" * 64 + b".5", b"\xd9\xa3"),
+    *(
+        b"1:30:59.5",
+        b"1_000",
+        b"true",
+        b"null",
+        b'"1"',
+        b"[]",
+        b"{}",
+        b"1" * 64 + b".5",
+        b"\xd9\xa3",
+    ),
 )
 """What takes the place of a number; the last is a digit of another script."""
 
@@ -55,12 +78,46 @@ TOKENS = (
         b"=",
         b"\r",
     ),
-    *(b"\x1b[2J", b"\n# heading\n", b"$\\frac{$", b":smile:", b"~nosuchuser/x", b"../../../etc/passwd"),
+    *(
+        b"\x1b[2J",
+        b"\n# heading\n",
+        b"$\\frac{$",
+        b":smile:",
+        b"~nosuchuser/x",
+        b"../../../etc/passwd",
+    ),
 )
 
 VALUES: tuple[Any, ...] = (
-    *(None, True, "", "a\x00b", "\ud800", "x" * 10_000, "../../../etc/passwd", "nan", [], {}, [[]], [None], {"": 0}),
-    *(0, -1, -0.0, 0.5, 1e308, 5e-324, float("nan"), float("inf"), 2**63, -(2**64), 10**400, 10**9),
+    *(
+        None,
+        True,
+        "",
+        "a\x00b",
+        "\ud800",
+        "x" * 10_000,
+        "../../../etc/passwd",
+        "nan",
+        [],
+        {},
+        [[]],
+        [None],
+        {"": 0},
+    ),
+    *(
+        0,
+        -1,
+        -0.0,
+        0.5,
+        1e308,
+        5e-324,
+        float("nan"),
+        float("inf"),
+        2**63,
+        -(2**64),
+        10**400,
+        10**9,
+    ),
 )
 """What takes the place of a value of a JSON document."""
 
@@ -83,7 +140,9 @@ def in_bytes(content: bytes, chance: random.Random) -> bytes:
         elif kind == 1:
             del values[place : place + length]
         elif kind == 2:
-            values[place:place] = values[other : other + length] * chance.choice((1, 2, 50))
+            values[place:place] = values[other : other + length] * chance.choice(
+                (1, 2, 50)
+            )
         elif kind == 3:
             values[place : place + length] = values[other : other + length]
         elif kind == 4:
@@ -100,13 +159,22 @@ def in_text(content: bytes, chance: random.Random) -> bytes:
     for _ in range(chance.choice((1, 1, 2, 4))):
         kind = chance.randrange(6)
         if kind in (0, 1):
-            content = _replaced(content, NUMBER, chance, lambda found: chance.choice(NUMBERS))
+            content = _replaced(
+                content, NUMBER, chance, lambda found: chance.choice(NUMBERS)
+            )
         elif kind == 2:
             keys = KEY.findall(content[:10_000]) or [b"a"]
-            content = _replaced(content, KEY, chance, lambda found, keys=keys: chance.choice(keys))
+            content = _replaced(
+                content, KEY, chance, lambda found, keys=keys: chance.choice(keys)
+            )
         elif kind == 3:
             depth = chance.choice((1, 2, 60, 70, 900, 3000))
-            content = _replaced(content, NUMBER, chance, lambda found, depth=depth: b"[" * depth + found + b"]" * depth)
+            content = _replaced(
+                content,
+                NUMBER,
+                chance,
+                lambda found, depth=depth: b"[" * depth + found + b"]" * depth,
+            )
         elif kind == 4:
             content = _moved_lines(content, chance)
         else:
@@ -115,11 +183,20 @@ def in_text(content: bytes, chance: random.Random) -> bytes:
 
 
 def _replaced(
-    content: bytes, pattern: re.Pattern[bytes], chance: random.Random, other: Callable[[bytes], bytes]
+    content: bytes,
+    pattern: re.Pattern[bytes],
+    chance: random.Random,
+    other: Callable[[bytes], bytes],
 ) -> bytes:
     """Replace the first match after a random place."""
-    found = pattern.search(content, chance.randrange(len(content) + 1)) or pattern.search(content)
-    return content if found is None else content[: found.start()] + other(found[0]) + content[found.end() :]
+    found = pattern.search(
+        content, chance.randrange(len(content) + 1)
+    ) or pattern.search(content)
+    return (
+        content
+        if found is None
+        else content[: found.start()] + other(found[0]) + content[found.end() :]
+    )
 
 
 def _moved_lines(content: bytes, chance: random.Random) -> bytes:
@@ -158,7 +235,11 @@ def _changed(value: Any, chance: random.Random, whole: Any) -> Any:
     """Return a copy of a value that differs at one place; what stays is shared with the original."""
     if not (isinstance(value, dict | list) and value) or chance.random() < 0.15:
         return chance.choice((*VALUES, DEEP, whole if len(str(whole)) < 10_000 else 0))
-    key = chance.choice(list(value)) if isinstance(value, dict) else chance.randrange(len(value))
+    key = (
+        chance.choice(list(value))
+        if isinstance(value, dict)
+        else chance.randrange(len(value))
+    )
     copy = value.copy()
     kind = chance.random()
     if kind < 0.1:
@@ -183,13 +264,18 @@ def in_archive(content: bytes, chance: random.Random) -> bytes:
     if kind < 0.1:
         del members[number]
     elif kind < 0.2:
-        members[number] = (chance.choice(("../a", "/a", "", "a" * 5000, members[0][0])), inner)
+        members[number] = (
+            chance.choice(("../a", "/a", "", "a" * 5000, members[0][0])),
+            inner,
+        )
     elif kind < 0.25:
         members.append((name, inner))
     else:
         members[number] = (name, _damage_of(inner)(inner, chance))
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+    with zipfile.ZipFile(
+        stream, "w", chance.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    ) as archive:
         for name, inner in members:
             archive.writestr(zipfile.ZipInfo(name), inner)
     return stream.getvalue()
@@ -214,5 +300,14 @@ def _in_npy(content: bytes, chance: random.Random) -> bytes:
     end = content.find(b"\n") + 1
     if chance.random() < 0.3:
         return content[:end] + in_bytes(content[end:], chance)
-    head = in_text(content[10:end], chance) if chance.random() < 0.7 else in_bytes(content[10:end], chance)
-    return content[:8] + min(len(head), 0xFFFF).to_bytes(2, "little") + head + content[end:]
+    head = (
+        in_text(content[10:end], chance)
+        if chance.random() < 0.7
+        else in_bytes(content[10:end], chance)
+    )
+    return (
+        content[:8]
+        + min(len(head), 0xFFFF).to_bytes(2, "little")
+        + head
+        + content[end:]
+    )

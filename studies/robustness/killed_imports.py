@@ -31,7 +31,13 @@ FOLDERS = {
     "SlopeSlider-2-plastic": "data/rigid/slope slider/json/plastic/task-2",
 }
 
-COMMAND = [sys.executable, "-c", "from gauge_envs.cli.app import main; main()", "data", "import"]
+COMMAND = [
+    sys.executable,
+    "-c",
+    "from gauge_envs.cli.app import main; main()",
+    "data",
+    "import",
+]
 
 
 def write_data_set(root: Path, shift_mm: float) -> None:
@@ -43,7 +49,9 @@ def write_data_set(root: Path, shift_mm: float) -> None:
         for number in range(3):
             frames = np.arange(experiment.frame_count)[:, None]
             positions = start + frames * [2.0, 0.0, 0.0] + [0.0, shift_mm + number, 0.0]
-            cube = {axis: positions[:, index].tolist() for index, axis in enumerate("xyz")}
+            cube = {
+                axis: positions[:, index].tolist() for index, axis in enumerate("xyz")
+            }
             content = {"FPS": 30, "translation unit": "mm", "cube": cube}
             (root / folder / f"trial-{number + 1}.json").write_text(json.dumps(content))
 
@@ -68,7 +76,9 @@ def main() -> None:
         ended, changed, leftovers, before = 0, 0, 0, means[1]
         for number in range(given.kills):
             process = subprocess.Popen(
-                [*COMMAND, str(roots[number % 2])], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+                [*COMMAND, str(roots[number % 2])],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
             )
             # The first part of the time is the import of modules.
             time.sleep(chance.uniform(0.4, 1.05) * duration_s)
@@ -77,12 +87,19 @@ def main() -> None:
             process.wait()
             now = stored_means()
             for name, mean in now.items():
-                assert any(np.array_equal(mean, known[name]) for known in means), f"kill {number}: {name} is damaged"
-            changed += any(not np.array_equal(now[name], before[name]) for name in FOLDERS)
+                assert any(np.array_equal(mean, known[name]) for known in means), (
+                    f"kill {number}: {name} is damaged"
+                )
+            changed += any(
+                not np.array_equal(now[name], before[name]) for name in FOLDERS
+            )
             leftovers += len(stored_files()) > 2 * len(FOLDERS)
             before = now
         subprocess.run([*COMMAND, str(roots[0])], check=True, capture_output=True)
-        assert all(np.array_equal(mean, means[0][name]) for name, mean in stored_means().items())
+        assert all(
+            np.array_equal(mean, means[0][name])
+            for name, mean in stored_means().items()
+        )
         assert len(stored_files()) == 2 * len(FOLDERS), stored_files()
     print(
         f"{given.kills} kills: {given.kills - ended} during an import, the store changed in {changed}, leftovers after "
@@ -98,7 +115,11 @@ def stored_means() -> dict[str, np.ndarray]:
 
 def stored_files() -> list[str]:
     """Return the names of the files of the store, without its lock."""
-    return sorted(file.name for file in (user_data_folder() / "trials").iterdir() if file.name != ".lock")
+    return sorted(
+        file.name
+        for file in (user_data_folder() / "trials").iterdir()
+        if file.name != ".lock"
+    )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,13 @@ from pxr import Sdf
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.cli.arguments import parsed_jitter, parsed_limits, parsed_settings, quantities, split_details
+from gauge_envs.cli.arguments import (
+    parsed_jitter,
+    parsed_limits,
+    parsed_settings,
+    quantities,
+    split_details,
+)
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
@@ -40,7 +46,12 @@ from gauge_envs.runs.result_file import load_result, result_file_name, write_res
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.conformance import checks
-from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns, run_column, write_columns
+from gauge_envs.tools.conformance.matrix import (
+    MatrixColumn,
+    read_columns,
+    run_column,
+    write_columns,
+)
 from gauge_envs.tools.conformance.words import matrix_document
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.dataset.importer import import_trials
@@ -133,7 +144,13 @@ decimation: 4
 
 GENESIS = json.dumps(
     {
-        "sim": {"dt": 0.01, "substeps": 2, "gravity": [0.0, 0.0, -9.81], "floor_height": 0.0, "requires_grad": False},
+        "sim": {
+            "dt": 0.01,
+            "substeps": 2,
+            "gravity": [0.0, 0.0, -9.81],
+            "floor_height": 0.0,
+            "requires_grad": False,
+        },
         "rigid": {
             "dt": None,
             "integrator": 3,
@@ -210,7 +227,9 @@ sigma_m = 0.001
 """,
 )
 
-TRACK = "frame,x,y,confidence\n" + "".join(f"{row},{400 + row},{100 + row * row},0.9\n" for row in range(30))
+TRACK = "frame,x,y,confidence\n" + "".join(
+    f"{row},{400 + row},{100 + row * row},0.9\n" for row in range(30)
+)
 
 NUMBER_TEXTS = (
     "1mm,0.5deg",
@@ -233,10 +252,20 @@ def sb3_policies(size: int) -> list[bytes]:
     named = {"mlp_extractor.policy_net.0.": hidden, "action_net.": last}
     weights, file = io.BytesIO(), io.BytesIO()
     torch.save(
-        {prefix + key: one for prefix, layer in named.items() for key, one in layer.state_dict().items()}, weights
+        {
+            prefix + key: one
+            for prefix, layer in named.items()
+            for key, one in layer.state_dict().items()
+        },
+        weights,
     )
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("data", json.dumps({"policy_class": {"__module__": "stable_baselines3.common.policies"}}))
+        archive.writestr(
+            "data",
+            json.dumps(
+                {"policy_class": {"__module__": "stable_baselines3.common.policies"}}
+            ),
+        )
         archive.writestr("policy.pth", weights.getvalue())
     return [file.getvalue()]
 
@@ -261,14 +290,21 @@ def onnx_policies(size: int) -> list[bytes]:
     weights += field(9, np.full(size, 0.1, dtype="<f4").tobytes())
     graph = field(1, node) + field(2, "policy") + field(5, weights)
     graph += field(11, port("o", 1, size)) + field(12, port("a", 1, 1))
-    return [field(1, 8) + bytes((7 << 3 | 2, len(graph) & 127 | 128, len(graph) >> 7)) + graph + field(8, field(2, 17))]
+    return [
+        field(1, 8)
+        + bytes((7 << 3 | 2, len(graph) & 127 | 128, len(graph) >> 7))
+        + graph
+        + field(8, field(2, 17))
+    ]
 
 
 def videos(folder: Path) -> list[bytes]:
     """Return short videos in containers that OpenCV writes."""
     found = []
     for name, code in (("a.mp4", "mp4v"), ("a.avi", "MJPG")):
-        writer = cv2.VideoWriter(str(folder / name), cv2.VideoWriter_fourcc(*code), 30.0, (64, 48))
+        writer = cv2.VideoWriter(
+            str(folder / name), cv2.VideoWriter_fourcc(*code), 30.0, (64, 48)
+        )
         for number in range(12):
             writer.write(np.full((48, 64, 3), 20 * number, dtype=np.uint8))
         writer.release()
@@ -289,7 +325,9 @@ def parsers(folder: Path) -> Mapping[str, Parser]:
         **_of_training(folder),
         **_of_policies(),
         **_of_videos(folder),
-        "numbers": Parser(".words", [text.encode() for text in NUMBER_TEXTS], read_numbers),
+        "numbers": Parser(
+            ".words", [text.encode() for text in NUMBER_TEXTS], read_numbers
+        ),
     }
 
 
@@ -312,7 +350,10 @@ def read_numbers(file: Path) -> None:
         lambda: quantities("size", text, x=1.0),
         aim,
         settings,
-        *((lambda engine=engine: parsed_contact(engine, text, 0.002)) for engine in engines),
+        *(
+            (lambda engine=engine: parsed_contact(engine, text, 0.002))
+            for engine in engines
+        ),
     ]
     refused = []
     for read in reads:
@@ -326,15 +367,28 @@ def read_numbers(file: Path) -> None:
 
 def _of_trajectories(folder: Path) -> dict[str, Parser]:
     experiment = load_experiment(NAME)
-    frames, steps = experiment.frame_count, np.linspace(0.0, 40.0, experiment.frame_count)
+    frames, steps = (
+        experiment.frame_count,
+        np.linspace(0.0, 40.0, experiment.frame_count),
+    )
     start_mm = 1e3 * np.asarray(experiment.scene.body("cube").pose.position_m)
-    columns = {axis: (start_mm[index] + steps).round(3).tolist() for index, axis in enumerate("xyz")}
-    turned = {axis: [0.0 if axis != "qw" else 1.0] * frames for axis in ("qx", "qy", "qz", "qw")}
-    trial = json.dumps({"FPS": 30, "translation unit": "mm", "cube": columns | turned}).encode()
+    columns = {
+        axis: (start_mm[index] + steps).round(3).tolist()
+        for index, axis in enumerate("xyz")
+    }
+    turned = {
+        axis: [0.0 if axis != "qw" else 1.0] * frames
+        for axis in ("qx", "qy", "qz", "qw")
+    }
+    trial = json.dumps(
+        {"FPS": 30, "translation unit": "mm", "cube": columns | turned}
+    ).encode()
     path = np.column_stack([columns[axis] for axis in "xyz"])
     np.savez(folder / "g.npz", g=path, time_s=np.arange(frames) / 30.0)
     np.savez_compressed(folder / "small.npz", g=path)
-    table = "\n".join(["cube.x,cube.y,cube.z", *(",".join(map(str, row)) for row in path.tolist())])
+    table = "\n".join(
+        ["cube.x,cube.y,cube.z", *(",".join(map(str, row)) for row in path.tolist())]
+    )
     arrays = [(folder / name).read_bytes() for name in ("g.npz", "small.npz")]
 
     def trial_read(file: Path) -> None:
@@ -351,7 +405,10 @@ def _of_trajectories(folder: Path) -> dict[str, Parser]:
         "csv": Parser(".csv", [table.encode()], trajectory_read),
         "npz": Parser(".npz", arrays, trajectory_read, damage.in_archive),
         "json": Parser(
-            ".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, damage.in_json
+            ".json",
+            [json.dumps({"id": NAME, "g": path.tolist()}).encode()],
+            trajectory_read,
+            damage.in_json,
         ),
     }
 
@@ -374,10 +431,19 @@ all = "nominal: a seed"
 """
     model = (data_folder("assets") / "mjcf" / f"{NAME}.xml").read_bytes()
     return {
-        "task": Parser(".toml", [task_path("SlopeSlider").read_bytes()], load_task, share=0.3),
+        "task": Parser(
+            ".toml", [task_path("SlopeSlider").read_bytes()], load_task, share=0.3
+        ),
         "experiment": Parser(".toml", [own.encode()], load_experiment_file, share=0.1),
-        "band": Parser(".csv", [band.read_bytes()], lambda file: read_band(file, sidecar, file)),
-        "usda": Parser(".usda", [layer.read_bytes()], lambda file: from_usd(file, duration_s=1.0), share=0.03),
+        "band": Parser(
+            ".csv", [band.read_bytes()], lambda file: read_band(file, sidecar, file)
+        ),
+        "usda": Parser(
+            ".usda",
+            [layer.read_bytes()],
+            lambda file: from_usd(file, duration_s=1.0),
+            share=0.03,
+        ),
         "usdc": Parser(
             ".usdc",
             [(folder / "scene.usdc").read_bytes()],
@@ -385,7 +451,12 @@ all = "nominal: a seed"
             damage.in_bytes,
             0.004,
         ),
-        "mjcf": Parser(".xml", [model], lambda file: load_experiment_from_asset(NAME, file), share=0.004),
+        "mjcf": Parser(
+            ".xml",
+            [model],
+            lambda file: load_experiment_from_asset(NAME, file),
+            share=0.004,
+        ),
     }
 
 
@@ -414,8 +485,14 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     board = folder / "board"
     place = board / "mujoco" / result.versions["mujoco"] / "default"
     (place / "results").mkdir(parents=True)
-    left_out = "".join(f'"{one.name}" = "not run"\n' for one in variants() if one.id != result.id)
-    stated = STATEMENT.replace("rapier3d", "mujoco").replace("rapier", "mujoco").partition("settings =")[0]
+    left_out = "".join(
+        f'"{one.name}" = "not run"\n' for one in variants() if one.id != result.id
+    )
+    stated = (
+        STATEMENT.replace("rapier3d", "mujoco")
+        .replace("rapier", "mujoco")
+        .partition("settings =")[0]
+    )
     stated = stated.replace("0.36.1", result.versions["mujoco"])
     (place / "submission.toml").write_text(f"{stated}[left_out]\n{left_out}")
 
@@ -442,7 +519,9 @@ def _of_results(folder: Path) -> dict[str, Parser]:
             documents,
             0.2,
         ),
-        "rerun": Parser(".json", results if find_spec("rerun") else [], rerun_read, documents, 0.02),
+        "rerun": Parser(
+            ".json", results if find_spec("rerun") else [], rerun_read, documents, 0.02
+        ),
         "replay": Parser(".npz", [replayed], replay_read, damage.in_archive, 0.02),
         "submission": Parser(".json", results, submission_read, documents, 0.01),
         "statement": Parser(".toml", [STATEMENT.encode()], statement_read),
@@ -450,7 +529,9 @@ def _of_results(folder: Path) -> dict[str, Parser]:
         "matrix": Parser(
             ".json",
             [matrix],
-            lambda file: as_markdown(matrix_document(read_columns(file), checks(["free-fall"]))),
+            lambda file: as_markdown(
+                matrix_document(read_columns(file), checks(["free-fall"]))
+            ),
             documents,
             0.3,
         ),
@@ -474,19 +555,31 @@ def _of_imports(folder: Path) -> dict[str, Parser]:
 def _of_training(folder: Path) -> dict[str, Parser]:
     probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     rows = [
-        {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
+        {
+            "phenomenon": "creep-wood",
+            "verdict": "wrong",
+            "configured": 0.3,
+            "reality": {"value": 0, "tolerance": 1},
+        }
     ]
     large = [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))]
     return {
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
         "g1": Parser(".yaml", large, configuration, share=0.02),
         "isaac_gym": Parser(".yaml", [GYM.encode()], configuration, share=0.3),
-        "genesis": Parser(".json", [GENESIS.encode()], configuration, damage.in_json, 0.3),
+        "genesis": Parser(
+            ".json", [GENESIS.encode()], configuration, damage.in_json, 0.3
+        ),
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
         "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
-        "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
+        "probe": Parser(
+            ".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1
+        ),
         "baseline": Parser(
-            ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
+            ".json",
+            [b"\n".join(json.dumps(row).encode() for row in rows)],
+            read_baseline,
+            damage.in_json,
         ),
     }
 
@@ -502,7 +595,13 @@ def _of_policies() -> dict[str, Parser]:
             lambda file: load_sb3(file, observation_size=size, action_size=1),
             damage.in_archive,
         ),
-        "onnx": Parser(".onnx", onnx_policies(size), lambda file: load_policy(str(file), env), damage.in_bytes, 0.004),
+        "onnx": Parser(
+            ".onnx",
+            onnx_policies(size),
+            lambda file: load_policy(str(file), env),
+            damage.in_bytes,
+            0.004,
+        ),
     }
 
 
@@ -513,6 +612,8 @@ def _of_videos(folder: Path) -> dict[str, Parser]:
 
     return {
         "camera": Parser(".toml", [text.encode() for text in CAMERAS], read_camera),
-        "track": Parser(".csv", [TRACK.encode()], lambda file: read_track(file, fps=30.0)),
+        "track": Parser(
+            ".csv", [TRACK.encode()], lambda file: read_track(file, fps=30.0)
+        ),
         "video": Parser(".mp4", videos(folder), video_read, damage.in_bytes, 0.3),
     }

@@ -29,7 +29,9 @@ TIMES_S = (0.5, 0.7, 1.0, 1.5)
 
 def run(settings: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the times [s] and the positions of both balls [mm], shape [sample_count, 2, 3]."""
-    env = gym.make("GAUGE/RopeWinding-rubber", settings=settings, disable_env_checker=True).unwrapped
+    env = gym.make(
+        "GAUGE/RopeWinding-rubber", settings=settings, disable_env_checker=True
+    ).unwrapped
     env.reset(seed=0)
     over = False
     while not over:
@@ -37,13 +39,17 @@ def run(settings: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float
         over = terminated or truncated
     trajectory = env.trajectory()
     env.close()
-    return trajectory.times_s, trajectory.samples.reshape(len(trajectory.samples), -1, 3)
+    return trajectory.times_s, trajectory.samples.reshape(
+        len(trajectory.samples), -1, 3
+    )
 
 
 def main() -> None:
     times_s, default = run({})
     table = csv.writer(sys.stdout, lineterminator="\n")
-    table.writerow(["change", "balls rms mm", *(f"at {time_s} s" for time_s in TIMES_S)])
+    table.writerow(
+        ["change", "balls rms mm", *(f"at {time_s} s" for time_s in TIMES_S)]
+    )
     for name, settings in CHANGES.items():
         _, changed = run(settings)
         away = np.linalg.norm(changed - default, axis=2).mean(axis=1)

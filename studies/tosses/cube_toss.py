@@ -22,7 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from toss_errors import bootstrap_interval, impacts, shot_error
-from tosses import Run, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
+from tosses import (
+    Run,
+    add_run_options,
+    median,
+    quartiles,
+    recorded_tosses,
+    simulated_tosses,
+    write,
+)
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.single_shot import SingleShots
@@ -59,7 +67,12 @@ def toss(
         worlds_at_once=WORLDS,
     )
     for trial, times_s, states in some:
-        yield trial, times_s, states[:, 0, :3], Rotation.from_quat(states[:, 0, 3:7], scalar_first=True)
+        yield (
+            trial,
+            times_s,
+            states[:, 0, :3],
+            Rotation.from_quat(states[:, 0, 3:7], scalar_first=True),
+        )
 
 
 Toss = tuple[int, FloatArray, FloatArray, Rotation]
@@ -82,9 +95,18 @@ def rows(engine: str, trials: Sequence[int], **keywords: Any) -> list[dict[str, 
 def run(options: argparse.Namespace) -> None:
     """Write the errors of an engine."""
     wanted = Run(options, shots(), lambda key: key.startswith("cube."))
-    found = rows(options.engine, wanted.trials, settings=wanted.settings, constants=wanted.constants)
+    found = rows(
+        options.engine,
+        wanted.trials,
+        settings=wanted.settings,
+        constants=wanted.constants,
+    )
     wanted.write(found)
-    print(wanted.name, len(found), {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm")})
+    print(
+        wanted.name,
+        len(found),
+        {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm")},
+    )
 
 
 def floor(options: argparse.Namespace) -> None:
@@ -92,7 +114,9 @@ def floor(options: argparse.Namespace) -> None:
     trials = shots().trials("judge", every=options.every)
     plain = {trial: rest for trial, *rest in toss(options.engine, trials)}
     found = []
-    for trial, times_s, positions_m, rotations in toss(options.engine, trials, floor=True):
+    for trial, times_s, positions_m, rotations in toss(
+        options.engine, trials, floor=True
+    ):
         _, reference_m, turned = plain[trial]
         shot = replace(
             shots().shot(trial),
@@ -101,8 +125,18 @@ def floor(options: argparse.Namespace) -> None:
             quaternions=turned.as_quat(scalar_first=True),
         )
         found.append(asdict(shot_error(shot, times_s, positions_m, rotations)))
-    write(options.out, f"floor-{options.engine}", {"engine": options.engine, "rows": found})
-    print(options.engine, {key: median(found, key) for key in ("early_mm", "early_deg", "rest_mm", "rest_deg")})
+    write(
+        options.out,
+        f"floor-{options.engine}",
+        {"engine": options.engine, "rows": found},
+    )
+    print(
+        options.engine,
+        {
+            key: median(found, key)
+            for key in ("early_mm", "early_deg", "rest_mm", "rest_deg")
+        },
+    )
 
 
 def loss(row: Mapping[str, float]) -> float:
@@ -124,31 +158,52 @@ def recorded(options: argparse.Namespace) -> None:
 
 def report(options: argparse.Namespace) -> None:
     """Print the tables of the page."""
-    print("| engine | preset | tosses | 0.3 s, mm | 0.3 s, degrees | at rest, mm | at rest, degrees | same face |")
+    print(
+        "| engine | preset | tosses | 0.3 s, mm | 0.3 s, degrees | at rest, mm | at rest, degrees | same face |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     keys = ("early_mm", "early_deg", "rest_mm", "rest_deg")
-    for file in (*sorted(options.out.glob("run-*.json")), *sorted(options.out.glob("floor-*.json"))):
+    for file in (
+        *sorted(options.out.glob("run-*.json")),
+        *sorted(options.out.glob("floor-*.json")),
+    ):
         content = json.loads(file.read_text())
         found = content["rows"]
         label = "floor" if file.name.startswith("floor") else content["preset"]
         if content.get("changes"):
             label += f", {content['changes']}"
-        cells = [content["engine"], label, str(len(found)), *(quartiles(found, key) for key in keys)]
+        cells = [
+            content["engine"],
+            label,
+            str(len(found)),
+            *(quartiles(found, key) for key in keys),
+        ]
         same = 100 * float(np.mean([row["same_face"] for row in found]))
         print(f"| {' | '.join(cells)} | {same:.0f} % |")
-    print("\n| engine | mean error, mm | mean error, degrees | loss | slip at rest, mm/s |\n|---|---|---|---|---|")
+    print(
+        "\n| engine | mean error, mm | mean error, degrees | loss | slip at rest, mm/s |\n|---|---|---|---|---|"
+    )
     for file in sorted(options.out.glob("run-*.json")):
         content = json.loads(file.read_text())
         found = content["rows"]
         cells = [f"{file.stem.removeprefix('run-')}"]
-        for values in ([row["mean_mm"] for row in found], [row["mean_deg"] for row in found], [*map(loss, found)]):
+        for values in (
+            [row["mean_mm"] for row in found],
+            [row["mean_deg"] for row in found],
+            [*map(loss, found)],
+        ):
             low, high = bootstrap_interval(values, np.mean)
             cells.append(f"{np.mean(values):.3g} [{low:.3g}, {high:.3g}]")
         print(f"| {' | '.join([*cells, quartiles(found, 'slip_mm_per_s')])} |")
     print("\n| | corner: number, e, energy lost | edge | face |\n|---|---|---|---|")
-    for file in (options.out / "recorded.json", *sorted(options.out.glob("run-*.json"))):
+    for file in (
+        options.out / "recorded.json",
+        *sorted(options.out.glob("run-*.json")),
+    ):
         if file.is_file():
-            print(f"| {file.stem} | {' | '.join(_impact_cells(json.loads(file.read_text())['rows']))} |")
+            print(
+                f"| {file.stem} | {' | '.join(_impact_cells(json.loads(file.read_text())['rows']))} |"
+            )
 
 
 def _impact_cells(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -168,7 +223,9 @@ def _impact_cells(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def main() -> None:
     """Run one of the commands."""
-    parser = argparse.ArgumentParser(description="Real tosses of a cube on every engine.")
+    parser = argparse.ArgumentParser(
+        description="Real tosses of a cube on every engine."
+    )
     commands = parser.add_subparsers(required=True)
     for function in (run, floor, recorded, report):
         command = commands.add_parser(function.__name__)

@@ -59,7 +59,9 @@ class Space:
     def values(self, unit: FloatArray) -> list[float]:
         """Return the constants at a point of the unit cube."""
         return [
-            low * (high / low) ** float(x) if low > 0.0 and high / low > WIDE else low + float(x) * (high - low)
+            low * (high / low) ** float(x)
+            if low > 0.0 and high / low > WIDE
+            else low + float(x) * (high - low)
             for x, (low, high) in zip(unit, self.bounds, strict=True)
         ]
 
@@ -71,14 +73,20 @@ def _time_constant_s(damping_ratio: float, frequency_hz: float) -> float:
 
 def _mujoco(values: Sequence[float]) -> Changes:
     friction, ratio, frequency_hz = values
-    return {"cube.friction": friction}, {"contact_solref": (_time_constant_s(ratio, frequency_hz), ratio)}
+    return {"cube.friction": friction}, {
+        "contact_solref": (_time_constant_s(ratio, frequency_hz), ratio)
+    }
 
 
 def _newton(values: Sequence[float]) -> Changes:
     constants, settings = _mujoco(values)
     # Impedance as of the impacts of this package, and friction with the time constant of the contact. The solver takes
     # time constants of at least two steps; half the preset's rate is enough for them here.
-    more = {"contact_solimp": (0.99, 0.99, 0.001, 0.5, 2.0), "contact_kf_n_s_per_m": -1.0, "timestep_s": 1.0 / 1800.0}
+    more = {
+        "contact_solimp": (0.99, 0.99, 0.001, 0.5, 2.0),
+        "contact_kf_n_s_per_m": -1.0,
+        "timestep_s": 1.0 / 1800.0,
+    }
     return constants, settings | more
 
 
@@ -93,7 +101,10 @@ def _drake(values: Sequence[float]) -> Changes:
 
 
 def _rapier(values: Sequence[float]) -> Changes:
-    springs = {"static_contact_damping_ratio": values[1], "static_contact_frequency_hz": values[2]}
+    springs = {
+        "static_contact_damping_ratio": values[1],
+        "static_contact_frequency_hz": values[2],
+    }
     return {"cube.friction": values[0], "cube.restitution": 0.0}, springs
 
 
@@ -117,8 +128,14 @@ def _rigid(values: Sequence[float]) -> Changes:
     return _with_restitution(values), {}
 
 
-SPRINGS = ("friction", "damping_ratio", "frequency_hz"), (FRICTION, DAMPING_RATIO, FREQUENCY_HZ)
-REBOUNDS = ("friction", "restitution", "frequency_hz"), (FRICTION, RESTITUTION, FREQUENCY_HZ)
+SPRINGS = (
+    ("friction", "damping_ratio", "frequency_hz"),
+    (FRICTION, DAMPING_RATIO, FREQUENCY_HZ),
+)
+REBOUNDS = (
+    ("friction", "restitution", "frequency_hz"),
+    (FRICTION, RESTITUTION, FREQUENCY_HZ),
+)
 SPACES: dict[str, Space] = {
     "mujoco": Space(*SPRINGS, _mujoco),
     "newton": Space(SPRINGS[0], (FRICTION, (0.4, 1.5), (15.0, 90.0)), _newton),
@@ -134,7 +151,9 @@ The frequency is that of the cube on its contact spring: sqrt(stiffness / mass) 
 """
 
 
-def losses_at(engine: str, trials: Sequence[int], changes: Changes, settings: Mapping[str, Any]) -> list[float]:
+def losses_at(
+    engine: str, trials: Sequence[int], changes: Changes, settings: Mapping[str, Any]
+) -> list[float]:
     """Return the loss of each toss."""
     constants, own = changes
     found = []
@@ -158,7 +177,9 @@ def surrogate(points: FloatArray, values: FloatArray) -> FloatArray:
 
     def error(smoothing: float) -> float:
         smooth = RBFInterpolator(points, np.eye(count), smoothing=smoothing)(points)
-        return float(np.mean(((values - smooth @ values) / (1.0 - np.diag(smooth))) ** 2))
+        return float(
+            np.mean(((values - smooth @ values) / (1.0 - np.diag(smooth))) ** 2)
+        )
 
     best = min(SMOOTHINGS, key=error)
     axes = np.meshgrid(*[np.linspace(0.0, 1.0, GRID)] * dimension, indexing="ij")
@@ -174,18 +195,30 @@ def place(index: int, dimension: int) -> FloatArray:
 def fit(options: argparse.Namespace) -> None:
     """Write the losses of each toss at the points of the design."""
     space = SPACES[options.engine]
-    settings = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
+    settings = {
+        key: json.loads(value)
+        for key, value in (text.split("=", 1) for text in options.set)
+    }
     even, independent = range(0, len(shots()), 2), set(shots().trials("fit"))
-    chosen = [even[index] for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)]
+    chosen = [
+        even[index]
+        for index in np.linspace(0, len(even) - 1, options.tosses).round().astype(int)
+    ]
     trials = [trial for trial in chosen if trial in independent]
     dimension, start = len(space.names), time.process_time()
     points = qmc.Sobol(dimension, seed=0).random(options.first)
-    losses = [losses_at(options.engine, trials, space.changes(space.values(point)), settings) for point in points]
+    losses = [
+        losses_at(options.engine, trials, space.changes(space.values(point)), settings)
+        for point in points
+    ]
     mean = np.mean(losses, axis=1)
     centre = place(int(np.argmin(surrogate(points, mean) @ mean)), dimension)
     low = np.clip(centre - 0.25, 0.0, 0.5)
     more = low + 0.5 * qmc.Sobol(dimension, seed=1).random(options.second)
-    losses += [losses_at(options.engine, trials, space.changes(space.values(point)), settings) for point in more]
+    losses += [
+        losses_at(options.engine, trials, space.changes(space.values(point)), settings)
+        for point in more
+    ]
     content = {
         "engine": options.engine,
         "settings": settings,
@@ -205,23 +238,41 @@ def best(content: Mapping[str, Any]) -> dict[str, Any]:
     losses = np.array(content["losses"])
     weights = surrogate(points, losses.mean(axis=1))
     dimension, count = points.shape[1], losses.shape[1]
-    resample = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), DRAWS).T / count
+    resample = (
+        np.random.default_rng(0)
+        .multinomial(count, np.full(count, 1.0 / count), DRAWS)
+        .T
+        / count
+    )
     at = int(np.argmin(weights @ losses.mean(axis=1)))
     drawn = np.array(
-        [space.values(place(int(index), dimension)) for index in np.argmin(weights @ losses @ resample, 0)]
+        [
+            space.values(place(int(index), dimension))
+            for index in np.argmin(weights @ losses @ resample, 0)
+        ]
     )
     found: dict[str, Any] = {
         name: [value, *np.percentile(drawn[:, column], [2.5, 97.5]).tolist()]
-        for column, (name, value) in enumerate(zip(space.names, space.values(place(at, dimension)), strict=True))
+        for column, (name, value) in enumerate(
+            zip(space.names, space.values(place(at, dimension)), strict=True)
+        )
     }
-    return found | {"loss": float((weights @ losses.mean(axis=1))[at]), "tosses": count, "cpu_s": content["cpu_s"]}
+    return found | {
+        "loss": float((weights @ losses.mean(axis=1))[at]),
+        "tosses": count,
+        "cpu_s": content["cpu_s"],
+    }
 
 
 def report(options: argparse.Namespace) -> None:
     """Print the best constants of each engine."""
     for file in sorted(options.out.glob("joint-*.json")):
         found = best(json.loads(file.read_text()))
-        texts = [f"{key} {v[0]:.3g} [{v[1]:.3g}, {v[2]:.3g}]" for key, v in found.items() if isinstance(v, list)]
+        texts = [
+            f"{key} {v[0]:.3g} [{v[1]:.3g}, {v[2]:.3g}]"
+            for key, v in found.items()
+            if isinstance(v, list)
+        ]
         print(
             f"| {file.stem} | {found['tosses']} | {' | '.join(texts)} | {found['loss']:.3f} | {found['cpu_s']:.0f} s |"
         )
@@ -229,7 +280,9 @@ def report(options: argparse.Namespace) -> None:
 
 def main() -> None:
     """Run one of the commands."""
-    parser = argparse.ArgumentParser(description="Best contact constants of each engine on real tosses of a cube.")
+    parser = argparse.ArgumentParser(
+        description="Best contact constants of each engine on real tosses of a cube."
+    )
     commands = parser.add_subparsers(required=True)
     for function in (fit, report):
         command = commands.add_parser(function.__name__)

@@ -50,13 +50,17 @@ class Contact:
     height_m: float
 
 
-def first_contact(position_m: FloatArray, rotation: Rotation, velocity: FloatArray, spin: FloatArray) -> Contact | None:
+def first_contact(
+    position_m: FloatArray, rotation: Rotation, velocity: FloatArray, spin: FloatArray
+) -> Contact | None:
     """Return the first contact of a cube that flies from a start, or None if it starts in contact."""
 
     def clearance(time_s: float) -> float:
         turned = Rotation.from_rotvec(spin * time_s) * rotation
         fall = velocity[2] * time_s - 0.5 * GRAVITY_M_PER_S2 * time_s**2
-        return float(position_m[2] + fall + turned.apply(HALF_WIDTH_M * VERTICES)[:, 2].min())
+        return float(
+            position_m[2] + fall + turned.apply(HALF_WIDTH_M * VERTICES)[:, 2].min()
+        )
 
     times = np.linspace(0.0, 0.4, 201)
     below = np.flatnonzero([clearance(time_s) < 0.0 for time_s in times])
@@ -64,14 +68,26 @@ def first_contact(position_m: FloatArray, rotation: Rotation, velocity: FloatArr
         return None
     time_s = float(brentq(clearance, times[below[0] - 1], times[below[0]]))
     now = velocity - np.array([0.0, 0.0, GRAVITY_M_PER_S2 * time_s])
-    height_m = float(position_m[2] + velocity[2] * time_s - 0.5 * GRAVITY_M_PER_S2 * time_s**2)
-    return Contact(time_s, (Rotation.from_rotvec(spin * time_s) * rotation).as_matrix(), now, spin, height_m)
+    height_m = float(
+        position_m[2] + velocity[2] * time_s - 0.5 * GRAVITY_M_PER_S2 * time_s**2
+    )
+    return Contact(
+        time_s,
+        (Rotation.from_rotvec(spin * time_s) * rotation).as_matrix(),
+        now,
+        spin,
+        height_m,
+    )
 
 
 def yaw_matrix(angles: FloatArray) -> FloatArray:
     """Return turns about the vertical, shape [..., 3, 3]."""
     zero, one = np.zeros_like(angles), np.ones_like(angles)
-    rows = [[np.cos(angles), -np.sin(angles), zero], [np.sin(angles), np.cos(angles), zero], [zero, zero, one]]
+    rows = [
+        [np.cos(angles), -np.sin(angles), zero],
+        [np.sin(angles), np.cos(angles), zero],
+        [zero, zero, one],
+    ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
@@ -98,27 +114,48 @@ def closest(contacts: dict[int, Contact], count: int) -> list[Pair]:
         later = slice(place + 1, None)
         for mirror in (np.eye(3), MIRROR):
             sign = np.linalg.det(mirror)
-            turned = np.einsum("ab,nbc,cd,gde->ngae", mirror, rotations[later], mirror, CUBE)
+            turned = np.einsum(
+                "ab,nbc,cd,gde->ngae", mirror, rotations[later], mirror, CUBE
+            )
             speed, spin = velocities[later] @ mirror, sign * spins[later] @ mirror
             # The turn that minimizes the sum of squared chords; squares of differences weigh as in the distance.
             own = rotations[place]
             chord = 0.5 * LEVER_M**2
             plane = chord * np.einsum("ai,ngbi->ngab", own[:2], turned[..., :2, :])
-            plane += FLIGHT_S**2 * np.einsum("a,nb->nab", velocities[place, :2], speed[:, :2])[:, None]
-            plane += (LEVER_M * FLIGHT_S) ** 2 * np.einsum("a,nb->nab", spins[place, :2], spin[:, :2])[:, None]
-            angle = np.arctan2(plane[..., 1, 0] - plane[..., 0, 1], plane[..., 0, 0] + plane[..., 1, 1])
+            plane += (
+                FLIGHT_S**2
+                * np.einsum("a,nb->nab", velocities[place, :2], speed[:, :2])[:, None]
+            )
+            plane += (LEVER_M * FLIGHT_S) ** 2 * np.einsum(
+                "a,nb->nab", spins[place, :2], spin[:, :2]
+            )[:, None]
+            angle = np.arctan2(
+                plane[..., 1, 0] - plane[..., 0, 1], plane[..., 0, 0] + plane[..., 1, 1]
+            )
             yaw = yaw_matrix(angle)
             trace = np.einsum("ai,ngab,ngbi->ng", own, yaw, turned)
             turn = np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
             moved = np.einsum("ngab,nb->nga", yaw, speed) - velocities[place]
             spun = np.einsum("ngab,nb->nga", yaw, spin) - spins[place]
-            square = (LEVER_M * turn) ** 2 + ((heights[later] - heights[place]) ** 2)[:, None]
-            square += FLIGHT_S**2 * np.sum(moved**2, axis=-1) + (LEVER_M * FLIGHT_S) ** 2 * np.sum(spun**2, axis=-1)
+            square = (LEVER_M * turn) ** 2 + ((heights[later] - heights[place]) ** 2)[
+                :, None
+            ]
+            square += FLIGHT_S**2 * np.sum(moved**2, axis=-1) + (
+                LEVER_M * FLIGHT_S
+            ) ** 2 * np.sum(spun**2, axis=-1)
             best = np.argmin(square, axis=1)
             for other, group in enumerate(best):
                 distance = float(np.sqrt(square[other, group]))
                 world = yaw[other, group] @ mirror
-                found.append(Pair(trial, trials[place + 1 + other], distance, world, mirror @ CUBE[group]))
+                found.append(
+                    Pair(
+                        trial,
+                        trials[place + 1 + other],
+                        distance,
+                        world,
+                        mirror @ CUBE[group],
+                    )
+                )
     best_of: dict[tuple[int, int], Pair] = {}
     for pair in sorted(found, key=lambda pair: pair.distance_m):
         best_of.setdefault((pair.first, pair.second), pair)
@@ -128,7 +165,9 @@ def closest(contacts: dict[int, Contact], count: int) -> list[Pair]:
 Path = tuple[FloatArray, FloatArray, Rotation]
 
 
-def parted(pair: Pair, contacts: dict[int, Contact], paths: dict[int, Path]) -> FloatArray:
+def parted(
+    pair: Pair, contacts: dict[int, Contact], paths: dict[int, Path]
+) -> FloatArray:
     """Return how far the tosses of a pair are apart at times after their contacts [mm, degrees], [time_count, 2]."""
     shifts, turns = [], []
     for trial in (pair.first, pair.second):
@@ -140,7 +179,9 @@ def parted(pair: Pair, contacts: dict[int, Contact], paths: dict[int, Path]) -> 
         turns.append(Slerp(times_s, rotations)(later)[1:].as_matrix())
     shift = shifts[1] @ pair.world.T - shifts[0]
     other = np.einsum("ab,nbc,cd->nad", pair.world, turns[1], pair.body)
-    angle = (Rotation.from_matrix(other) * Rotation.from_matrix(turns[0]).inv()).magnitude()
+    angle = (
+        Rotation.from_matrix(other) * Rotation.from_matrix(turns[0]).inv()
+    ).magnitude()
     return np.stack([1e3 * np.linalg.norm(shift, axis=1), np.degrees(angle)], axis=1)
 
 
@@ -151,8 +192,13 @@ def _starts(trials: Sequence[int], *, perturbed: bool = False) -> dict[int, Cont
         body = with_trial(experiment, trial).scene.body("cube")
         if perturbed:
             body = perturbed_start(body, data.sidecar.nuisances, seed=trial)
-        velocity, spin = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
-        contact = first_contact(np.array(body.pose.position_m), body.pose.rotation, velocity, spin)
+        velocity, spin = (
+            np.array(body.linear_velocity_m_per_s),
+            np.array(body.angular_velocity_rad_per_s),
+        )
+        contact = first_contact(
+            np.array(body.pose.position_m), body.pose.rotation, velocity, spin
+        )
         if contact is not None:
             found[trial] = contact
     return found
@@ -160,8 +206,16 @@ def _starts(trials: Sequence[int], *, perturbed: bool = False) -> dict[int, Cont
 
 def _distance_m(one: Contact, other: Contact) -> float:
     turn = Rotation.from_matrix(other.rotation @ one.rotation.T).magnitude()
-    speed, spin = np.linalg.norm(other.velocity - one.velocity), np.linalg.norm(other.spin - one.spin)
-    terms = [LEVER_M * turn, other.height_m - one.height_m, FLIGHT_S * speed, LEVER_M * FLIGHT_S * spin]
+    speed, spin = (
+        np.linalg.norm(other.velocity - one.velocity),
+        np.linalg.norm(other.spin - one.spin),
+    )
+    terms = [
+        LEVER_M * turn,
+        other.height_m - one.height_m,
+        FLIGHT_S * speed,
+        LEVER_M * FLIGHT_S * spin,
+    ]
     return float(np.linalg.norm(terms))
 
 
@@ -172,22 +226,37 @@ def _cell(values: FloatArray) -> str:
 
 def main() -> None:
     """Print how far pairs part."""
-    parser = argparse.ArgumentParser(description="How far nearly equal real tosses of a cube part.")
+    parser = argparse.ArgumentParser(
+        description="How far nearly equal real tosses of a cube part."
+    )
     parser.add_argument("--pairs", type=int, default=270)
     parser.add_argument("--engine", default="mujoco")
     options = parser.parse_args()
     data = shots()
     contacts = _starts(data.trials())
     moved = _starts(data.trials(), perturbed=True)
-    noise = [_distance_m(contacts[trial], moved[trial]) for trial in contacts if trial in moved]
-    print(f"{len(contacts)} tosses start in flight; the uncertainty of a start is {1e3 * np.median(noise):.2f} mm")
+    noise = [
+        _distance_m(contacts[trial], moved[trial])
+        for trial in contacts
+        if trial in moved
+    ]
+    print(
+        f"{len(contacts)} tosses start in flight; the uncertainty of a start is {1e3 * np.median(noise):.2f} mm"
+    )
     pairs = closest(contacts, options.pairs)
     used = sorted({trial for pair in pairs for trial in (pair.first, pair.second)})
     real: dict[int, Path] = {}
     for trial in used:
         shot = data.shot(trial)
-        real[trial] = (shot.times_s, shot.positions_m, Rotation.from_quat(shot.quaternions, scalar_first=True))
-    engine = {trial: (times, places, turns) for trial, times, places, turns in toss(options.engine, used)}
+        real[trial] = (
+            shot.times_s,
+            shot.positions_m,
+            Rotation.from_quat(shot.quaternions, scalar_first=True),
+        )
+    engine = {
+        trial: (times, places, turns)
+        for trial, times, places, turns in toss(options.engine, used)
+    }
     print(
         "| pairs | distance at contact, mm | after | recorded, mm | engine, mm | recorded, degrees | engine, degrees |"
     )
@@ -200,8 +269,14 @@ def main() -> None:
         found = np.array([parted(pair, contacts, real) for pair in some])
         simulated = np.array([parted(pair, contacts, engine) for pair in some])
         for number, later in enumerate(LATER_S):
-            cells = [_cell(values[:, number, column]) for column in (0, 1) for values in (found, simulated)]
-            print(f"| {len(some)} | {distances[0]:.1f} to {distances[-1]:.1f} | {later} s | {' | '.join(cells)} |")
+            cells = [
+                _cell(values[:, number, column])
+                for column in (0, 1)
+                for values in (found, simulated)
+            ]
+            print(
+                f"| {len(some)} | {distances[0]:.1f} to {distances[-1]:.1f} | {later} s | {' | '.join(cells)} |"
+            )
 
 
 if __name__ == "__main__":

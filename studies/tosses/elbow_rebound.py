@@ -54,7 +54,9 @@ LEAST_APPROACH_M_PER_S = 0.8
 DRAWS = 2000
 
 
-def rebound(heights_m: FloatArray, interval_s: float) -> tuple[int, float, float] | None:
+def rebound(
+    heights_m: FloatArray, interval_s: float
+) -> tuple[int, float, float] | None:
     """Return corner, speed of approach [m/s], and rebound of the first impact, or None without one.
 
     Args:
@@ -65,16 +67,26 @@ def rebound(heights_m: FloatArray, interval_s: float) -> tuple[int, float, float
     fall = GRAVITY_M_PER_S2 * (GAP + 0.5) * interval_s
     for at in range(GAP + 1, len(normal) - GAP):
         approach = fall - normal[at - GAP - 1]
-        stops = (heights_m[at] < NEAR_M) & (normal[at - 1] < 0.0) & (normal[at] > 0.25 * normal[at - 1])
+        stops = (
+            (heights_m[at] < NEAR_M)
+            & (normal[at - 1] < 0.0)
+            & (normal[at] > 0.25 * normal[at - 1])
+        )
         if stops.any():
             corner = int(np.argmax(np.where(stops, approach, 0.0)))
             speed = float(approach[corner])
             after = float(normal[at : at + GAP + 1, corner].max())
-            return None if speed < LEAST_APPROACH_M_PER_S else (corner, speed, after / speed)
+            return (
+                None
+                if speed < LEAST_APPROACH_M_PER_S
+                else (corner, speed, after / speed)
+            )
     return None
 
 
-def heights(positions_m: Sequence[FloatArray], rotations: Sequence[Rotation]) -> FloatArray:
+def heights(
+    positions_m: Sequence[FloatArray], rotations: Sequence[Rotation]
+) -> FloatArray:
     """Return the heights of the corners of both blocks, shape [T, 16]."""
     corners_m = load_experiment(NAME).scene.body(shots().sidecar.body).shape.corners_m
     found = [
@@ -87,22 +99,36 @@ def heights(positions_m: Sequence[FloatArray], rotations: Sequence[Rotation]) ->
 def recorded(trial: int) -> tuple[int, float, float] | None:
     """Return the first impact of a recorded toss."""
     both = records(trial)
-    return rebound(heights([s.positions_m for s in both], [s.rotations for s in both]), 1.0 / shots().sidecar.rate_hz)
+    return rebound(
+        heights([s.positions_m for s in both], [s.rotations for s in both]),
+        1.0 / shots().sidecar.rate_hz,
+    )
 
 
 def noisy(states: FloatArray, draw: np.random.Generator) -> FloatArray:
     """Return the heights of the corners in simulated states, shape [T, 2, 13], with the noise of the recording."""
     errors = shots().sidecar.nuisances
     shift = draw.normal(0.0, errors.position_noise_m, (len(states), 3))
-    turn = Rotation.from_rotvec(np.radians(draw.normal(0.0, errors.rotation_noise_deg, (len(states), 3))))
+    turn = Rotation.from_rotvec(
+        np.radians(draw.normal(0.0, errors.rotation_noise_deg, (len(states), 3)))
+    )
     opened = np.radians(draw.normal(0.0, errors.angle_noise_deg or 0.0, len(states)))
-    own = [Rotation.from_quat(states[:, place, 3:7], scalar_first=True) for place in (0, 1)]
+    own = [
+        Rotation.from_quat(states[:, place, 3:7], scalar_first=True) for place in (0, 1)
+    ]
     # Noise moves both blocks together about the first one, and the second one about the hinge.
     hung = shots().sidecar.hung[0]
     first = own[0] * turn
-    second = first * (own[0].inv() * own[1]) * Rotation.from_rotvec(np.outer(opened, hung.axis))
+    second = (
+        first
+        * (own[0].inv() * own[1])
+        * Rotation.from_rotvec(np.outer(opened, hung.axis))
+    )
     origin = states[:, 0, :3] + shift
-    return heights([origin, origin + first.apply(hung.anchor_on_m) - second.apply(hung.anchor_m)], [first, second])
+    return heights(
+        [origin, origin + first.apply(hung.anchor_on_m) - second.apply(hung.anchor_m)],
+        [first, second],
+    )
 
 
 def returned(states: FloatArray) -> float | None:
@@ -112,18 +138,27 @@ def returned(states: FloatArray) -> float | None:
         states: States of both blocks at fine intervals, shape [T, 2, 13].
     """
     corners_m = load_experiment(NAME).scene.body(shots().sidecar.body).shape.corners_m
-    turned = [Rotation.from_quat(states[:, place, 3:7], scalar_first=True) for place in (0, 1)]
+    turned = [
+        Rotation.from_quat(states[:, place, 3:7], scalar_first=True) for place in (0, 1)
+    ]
     high = heights([states[:, place, :3] for place in (0, 1)], turned)
     speeds = []
     for place in (0, 1):
         arms = np.einsum("tij,vj->tvi", turned[place].as_matrix(), corners_m)
-        speeds.append(states[:, place, 9, None] + np.cross(states[:, place, None, 10:], arms)[:, :, 2])
+        speeds.append(
+            states[:, place, 9, None]
+            + np.cross(states[:, place, None, 10:], arms)[:, :, 2]
+        )
     normal = np.concatenate(speeds, axis=1)
     lowest = high.argmin(axis=1)
     gained = np.diff(normal, axis=0, append=normal[-1:])
     for at in range(len(states) - 1):
         corner = lowest[at + 1]
-        if high[at + 1, corner] < TOUCH_M and gained[at, corner] > JUMP_M_PER_S and normal[at, corner] < 0.0:
+        if (
+            high[at + 1, corner] < TOUCH_M
+            and gained[at, corner] > JUMP_M_PER_S
+            and normal[at, corner] < 0.0
+        ):
             end = at + 1
             while gained[end, corner] > LEAST_GAIN_M_PER_S:
                 end += 1
@@ -135,7 +170,9 @@ Hit = tuple[float, float] | None
 """Rebound as in a recording, and what the engine's corner returned of its speed."""
 
 
-def simulated(engine: str, trials: Sequence[int], friction: float, restitution: float) -> dict[int, Hit]:
+def simulated(
+    engine: str, trials: Sequence[int], friction: float, restitution: float
+) -> dict[int, Hit]:
     """Return what the first impact of each toss of an engine was."""
     bodies = shots().sidecar.bodies
     constants = {f"{body}.friction": friction for body in bodies}
@@ -144,7 +181,9 @@ def simulated(engine: str, trials: Sequence[int], friction: float, restitution: 
     found: dict[int, Hit] = {}
     for begin in range(0, len(trials), WORLDS):
         chunk = trials[begin : begin + WORLDS]
-        worlds = backend_for(engine, None).build_worlds([with_trial(experiment, trial).scene for trial in chunk], {})
+        worlds = backend_for(engine, None).build_worlds(
+            [with_trial(experiment, trial).scene for trial in chunk], {}
+        )
         worlds.reset(0)
         states = [worlds.body_states(bodies)]
         for _ in range(round(DURATION_S / FINE_S)):
@@ -153,30 +192,51 @@ def simulated(engine: str, trials: Sequence[int], friction: float, restitution: 
         worlds.close()
         for place, trial in enumerate(chunk):
             fine = np.array(states)[:, place]
-            hit, own = rebound(noisy(fine[::PARTS], np.random.default_rng(trial)), INTERVAL_S), returned(fine)
+            hit, own = (
+                rebound(noisy(fine[::PARTS], np.random.default_rng(trial)), INTERVAL_S),
+                returned(fine),
+            )
             found[trial] = None if hit is None or own is None else (hit[2], own)
     return found
 
 
-def crossing(restitutions: Sequence[float] | FloatArray, medians: FloatArray, wanted: float) -> float:
+def crossing(
+    restitutions: Sequence[float] | FloatArray, medians: FloatArray, wanted: float
+) -> float:
     """Return the restitution at which the medians cross a value; the ends where they do not."""
     return float(np.interp(wanted, np.maximum.accumulate(medians), restitutions))
 
 
 def main() -> None:
     """Print the rebounds and the estimate."""
-    parser = argparse.ArgumentParser(description="Restitution of the hinged blocks from the first impact of each toss.")
+    parser = argparse.ArgumentParser(
+        description="Restitution of the hinged blocks from the first impact of each toss."
+    )
     parser.add_argument("engine")
     parser.add_argument("out", type=Path)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--friction", type=float, default=0.2)
-    parser.add_argument("--restitution", type=float, nargs="+", default=[0.0, 0.125, 0.25, 0.375, 0.5])
+    parser.add_argument(
+        "--restitution", type=float, nargs="+", default=[0.0, 0.125, 0.25, 0.375, 0.5]
+    )
     options = parser.parse_args()
-    real = {trial: hit for trial in shots().trials("fit", every=options.every) if (hit := recorded(trial)) is not None}
-    tossed = [simulated(options.engine, list(real), options.friction, value) for value in options.restitution]
+    real = {
+        trial: hit
+        for trial in shots().trials("fit", every=options.every)
+        if (hit := recorded(trial)) is not None
+    }
+    tossed = [
+        simulated(options.engine, list(real), options.friction, value)
+        for value in options.restitution
+    ]
     used = [trial for trial in real if all(one[trial] is not None for one in tossed)]
     count = len(tossed)
-    rows = np.array([[real[trial][2], *np.array([one[trial] for one in tossed]).T.ravel()] for trial in used])
+    rows = np.array(
+        [
+            [real[trial][2], *np.array([one[trial] for one in tossed]).T.ravel()]
+            for trial in used
+        ]
+    )
 
     def estimate(some: FloatArray) -> float:
         middle = np.median(some, axis=0)
@@ -185,12 +245,25 @@ def main() -> None:
     draws = np.random.default_rng(0).integers(0, len(used), (DRAWS, len(used)))
     medians = np.median(rows, axis=0)
     low, high = np.percentile([estimate(rows[draw]) for draw in draws], [2.5, 97.5])
-    write(options.out, f"rebound-{options.engine}-{options.friction}", {"trials": used, "rows": rows.tolist()})
-    print(f"{len(used)} first impacts; recorded rebound {medians[0]:.3f}, quartiles", end=" ")
+    write(
+        options.out,
+        f"rebound-{options.engine}-{options.friction}",
+        {"trials": used, "rows": rows.tolist()},
+    )
+    print(
+        f"{len(used)} first impacts; recorded rebound {medians[0]:.3f}, quartiles",
+        end=" ",
+    )
     print(np.percentile(rows[:, 0], [25, 75]).round(3).tolist())
-    for value, median, own in zip(options.restitution, medians[1 : 1 + count], medians[1 + count :], strict=True):
-        print(f"{options.engine}, restitution {value}: corners return {own:.3f}, rebound {median:.3f}")
-    print(f"{options.engine}, friction {options.friction}: restitution {estimate(rows):.3f} [{low:.3f}, {high:.3f}]")
+    for value, median, own in zip(
+        options.restitution, medians[1 : 1 + count], medians[1 + count :], strict=True
+    ):
+        print(
+            f"{options.engine}, restitution {value}: corners return {own:.3f}, rebound {median:.3f}"
+        )
+    print(
+        f"{options.engine}, friction {options.friction}: restitution {estimate(rows):.3f} [{low:.3f}, {high:.3f}]"
+    )
 
 
 if __name__ == "__main__":

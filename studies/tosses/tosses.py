@@ -59,7 +59,10 @@ def simulated_tosses(
         chunk = trials[begin : begin + worlds_at_once]
         scenes = [with_trial(experiment, trial).scene for trial in chunk]
         if floor:
-            scenes = [perturbed_scene(scene, sidecar, seed=trial) for trial, scene in zip(chunk, scenes, strict=True)]
+            scenes = [
+                perturbed_scene(scene, sidecar, seed=trial)
+                for trial, scene in zip(chunk, scenes, strict=True)
+            ]
         worlds = backend_for(engine, None).build_worlds(scenes, dict(settings))
         worlds.reset(0)
         states = np.empty((count + 1, len(chunk), len(sidecar.bodies), 13))
@@ -69,7 +72,9 @@ def simulated_tosses(
             for place, world in enumerate(worlds.worlds):
                 states[number, place] = world.body_states(sidecar.bodies)
         worlds.close()
-        yield from ((trial, times_s, states[:, place]) for place, trial in enumerate(chunk))
+        yield from (
+            (trial, times_s, states[:, place]) for place, trial in enumerate(chunk)
+        )
 
 
 class Run:
@@ -81,10 +86,22 @@ class Run:
         is_constant: Whether a changed key is a constant of the bodies; the others are settings of the engine.
     """
 
-    def __init__(self, options: argparse.Namespace, recorded: SingleShots, is_constant: Callable[[str], bool]) -> None:
-        changes = {key: json.loads(value) for key, value in (text.split("=", 1) for text in options.set)}
-        self.constants = {key: value for key, value in changes.items() if is_constant(key)}
-        self.settings = {key: value for key, value in changes.items() if key not in self.constants}
+    def __init__(
+        self,
+        options: argparse.Namespace,
+        recorded: SingleShots,
+        is_constant: Callable[[str], bool],
+    ) -> None:
+        changes = {
+            key: json.loads(value)
+            for key, value in (text.split("=", 1) for text in options.set)
+        }
+        self.constants = {
+            key: value for key, value in changes.items() if is_constant(key)
+        }
+        self.settings = {
+            key: value for key, value in changes.items() if key not in self.constants
+        }
         self.settings |= {"preset": options.preset} if options.preset else {}
         self.trials = recorded.trials(options.half, every=options.every)
         preset = options.preset or "default"
@@ -94,7 +111,11 @@ class Run:
 
     def write(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Write the rows, with what ran and how long it took."""
-        write(self._out, self.name, self._head | {"wall_s": time.perf_counter() - self._start, "rows": rows})
+        write(
+            self._out,
+            self.name,
+            self._head | {"wall_s": time.perf_counter() - self._start, "rows": rows},
+        )
 
 
 def add_run_options(command: argparse.ArgumentParser) -> None:

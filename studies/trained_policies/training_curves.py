@@ -24,8 +24,16 @@ def curves(folder: Path, task: str) -> dict[str, np.ndarray]:
     tables = []
     for path in sorted(folder.glob(f"{task}-*.csv")):
         with path.open(newline="") as file:
-            tables.append([{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)])
-    return {key: np.array([[row[key] for row in table] for table in tables]) for key in tables[0][0]}
+            tables.append(
+                [
+                    {key: float(value) for key, value in row.items()}
+                    for row in csv.DictReader(file)
+                ]
+            )
+    return {
+        key: np.array([[row[key] for row in table] for table in tables])
+        for key in tables[0][0]
+    }
 
 
 def main() -> None:
@@ -35,17 +43,38 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("train_control.png"))
     arguments = parser.parse_args()
     figure = Figure(figsize=(10, 3.4), layout="constrained")
-    for axis, (task, law) in zip(figure.subplots(1, len(LAW), sharey=True), LAW.items(), strict=True):
+    for axis, (task, law) in zip(
+        figure.subplots(1, len(LAW), sharey=True), LAW.items(), strict=True
+    ):
         found = curves(arguments.folder, task)
         steps, ratio = 1e-3 * found["steps"][0], found["ratio"]
-        axis.fill_between(steps, ratio.min(axis=0), ratio.max(axis=0), color="#0072b2", alpha=0.2, lw=0)
-        axis.plot(steps, ratio.mean(axis=0), color="#0072b2", label=f"PPO, mean and range of {len(ratio)} seeds")
+        axis.fill_between(
+            steps,
+            ratio.min(axis=0),
+            ratio.max(axis=0),
+            color="#0072b2",
+            alpha=0.2,
+            lw=0,
+        )
+        axis.plot(
+            steps,
+            ratio.mean(axis=0),
+            color="#0072b2",
+            label=f"PPO, mean and range of {len(ratio)} seeds",
+        )
         axis.axhline(law, color="#303030", lw=1, ls="--", label="the law's policy")
         axis.set(title=task, xlabel="steps [thousands]", ylim=(0.0, 1.05))
         for number, (success, end, wall_s) in enumerate(
-            zip(found["success"][:, -1], ratio[:, -1], found["wall_s"][:, -1], strict=True)
+            zip(
+                found["success"][:, -1],
+                ratio[:, -1],
+                found["wall_s"][:, -1],
+                strict=True,
+            )
         ):
-            print(f"{task} seed {number}: {10 * success:.0f} of 10, ratio {end:.3f}, {wall_s:.0f} s")
+            print(
+                f"{task} seed {number}: {10 * success:.0f} of 10, ratio {end:.3f}, {wall_s:.0f} s"
+            )
     figure.axes[0].set_ylabel("ratio to the law's limit (0 if failed)")
     figure.axes[-1].legend(loc="lower right", fontsize=8)
     figure.savefig(arguments.out, dpi=130)

@@ -9,7 +9,15 @@ from pathlib import Path
 TESTS = Path(__file__).parents[2] / "tests"
 sys.path += [str(TESTS), str(TESTS / "tools" / "transfer")]
 
-from test_transfer import FRICTION, TASK, TRAINING, constant, held_share, predicted_reward, tilting  # noqa: E402
+from test_transfer import (  # noqa: E402
+    FRICTION,
+    TASK,
+    TRAINING,
+    constant,
+    held_share,
+    predicted_reward,
+    tilting,
+)
 
 from gauge_envs.tools.transfer.policy_replays import replay  # noqa: E402
 from gauge_envs.tools.transfer.transfer import transfer_report  # noqa: E402
@@ -29,9 +37,15 @@ STUDIES = (
 """Policies, starts, and scatter between policies, starts and single episodes."""
 
 worlds = [constant(f"{share:.2f}", share * FRICTION) for share in SHARES]
-report = transfer_report(replay(TASK, {"steep": tilting(0.98)}, TRAINING, worlds, starts=1))
+report = transfer_report(
+    replay(TASK, {"steep": tilting(0.98)}, TRAINING, worlds, starts=1)
+)
 for share, row in zip(SHARES, report.others, strict=True):
-    print(f"| {share:.2f} | {predicted_reward(0.98, share * FRICTION):.2f} | {row.reward.value:.2f} |")
+    print(
+        f"| {share:.2f} | {predicted_reward(0.98, share * FRICTION):.2f} | {row.reward.value:.2f} |"
+    )
 for policies, starts, scatter in STUDIES:
     held = held_share(policies, starts, scatter, count=2000)
-    print(f"| {policies} x {starts} | {', '.join(f'{one:g}' for one in scatter)} | {held:.2f} |")
+    print(
+        f"| {policies} x {starts} | {', '.join(f'{one:g}' for one in scatter)} | {held:.2f} |"
+    )

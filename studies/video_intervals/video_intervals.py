@@ -35,7 +35,23 @@ FEWEST = 6
 NEAR = 0.03
 """Largest relative difference of both numbers that reproduces them."""
 
-STARTS_PX = (0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0)
+STARTS_PX = (
+    0.3,
+    0.5,
+    0.75,
+    1.0,
+    1.5,
+    2.0,
+    3.0,
+    4.0,
+    5.0,
+    6.0,
+    8.0,
+    10.0,
+    12.0,
+    15.0,
+    20.0,
+)
 ENDS_PX = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 """Thresholds of the displacement in a window, at the start and at the end [px]."""
 
@@ -60,9 +76,15 @@ class Clip:
         points = self.track.points_px[self.rows]
         one = self.track.registration
         if is_rounded and one is not None:
-            scale, offset = np.array([one.scale_x, one.scale_y]), np.array([one.offset_x_px, one.offset_y_px])
+            scale, offset = (
+                np.array([one.scale_x, one.scale_y]),
+                np.array([one.offset_x_px, one.offset_y_px]),
+            )
             points = np.round((points + 0.5 - offset) / scale - 0.5) * scale
-        return np.asarray(points @ np.array(self.task.direction)) * self.task.scale_m_per_px
+        return (
+            np.asarray(points @ np.array(self.task.direction))
+            * self.task.scale_m_per_px
+        )
 
 
 def main() -> None:
@@ -72,10 +94,14 @@ def main() -> None:
     arguments = parser.parse_args()
     clips = read_clips(arguments.folder, arguments.first_frames)
     intervals = [all_intervals(one) for one in clips]
-    print("| clip | published a, QFI | package: frames, a, QFI | frames that give both published numbers |")
+    print(
+        "| clip | published a, QFI | package: frames, a, QFI | frames that give both published numbers |"
+    )
     print("|---|---|---|---|")
     for one, found in zip(clips, intervals, strict=True):
-        print(f"| {one.model}, {one.task.id} | {pair(*one.published)} | {own(one)} | {reproducing(one, found)} |")
+        print(
+            f"| {one.model}, {one.task.id} | {pair(*one.published)} | {own(one)} | {reproducing(one, found)} |"
+        )
     print()
     print_choices(clips)
     print()
@@ -94,7 +120,9 @@ def read_clips(folder: Path, first_frames: Path | None) -> list[Clip]:
         known = published[model.replace("-", "_")]
         numbers = known[task_id, "a_m_s2"], known[task_id, "qfi"]
         assert None not in numbers
-        clips.append(Clip(model, task, track, score_track(track, task).interval_frames, numbers))
+        clips.append(
+            Clip(model, task, track, score_track(track, task).interval_frames, numbers)
+        )
     return clips
 
 
@@ -106,10 +134,15 @@ def all_intervals(one: Clip) -> NDArray[np.float64]:
         u, y = (times[first:] - times[first]) ** 2, values[first:] - values[first]
         counts = np.arange(1, len(u) + 1)
         unit = np.maximum(u, 1e-12)
-        power = [counts.astype(float), *(np.cumsum(u**n) / unit**n for n in range(1, 5))]
+        power = [
+            counts.astype(float),
+            *(np.cumsum(u**n) / unit**n for n in range(1, 5)),
+        ]
         product = [np.cumsum(y * u**n) / unit**n for n in range(3)]
         last = np.arange(FEWEST - 1, len(u))
-        matrix = np.array([[power[i + j][last] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
+        matrix = np.array(
+            [[power[i + j][last] for j in range(3)] for i in range(3)]
+        ).transpose(2, 0, 1)
         right = np.array([product[i][last] for i in range(3)]).T[..., None]
         linear = np.linalg.solve(matrix[:, :2, :2], right[:, :2])[..., 0]
         full = np.linalg.solve(matrix, right)[..., 0]
@@ -117,7 +150,16 @@ def all_intervals(one: Clip) -> NDArray[np.float64]:
         sse_linear = total - (linear * right[:, :2, 0]).sum(axis=1)
         sse_full = np.maximum(total - (full * right[..., 0]).sum(axis=1), 1e-12)
         qfi = (sse_linear - sse_full) / (sse_full / (last + 1 - 3))
-        found.append(np.column_stack([np.full(len(last), first), first + last, 2.0 * linear[:, 1] / unit[last], qfi]))
+        found.append(
+            np.column_stack(
+                [
+                    np.full(len(last), first),
+                    first + last,
+                    2.0 * linear[:, 1] / unit[last],
+                    qfi,
+                ]
+            )
+        )
     return np.vstack(found)
 
 
@@ -131,11 +173,16 @@ def reproducing(one: Clip, found: NDArray[np.float64]) -> str:
     frames = one.track.frames[one.rows]
     away = difference(one, found)
     order = [row for row in np.argsort(away) if away[row] <= NEAR][:3]
-    text = [f"{frames[int(found[row, 0])]}-{frames[int(found[row, 1])]}: {pair(*found[row, 2:])}" for row in order]
+    text = [
+        f"{frames[int(found[row, 0])]}-{frames[int(found[row, 1])]}: {pair(*found[row, 2:])}"
+        for row in order
+    ]
     if not text:
         row = int(np.argmin(away))
         start, end = (frames[int(found[row, column])] for column in (0, 1))
-        text = [f"none; nearest {start}-{end}: {pair(*found[row, 2:])}, {away[row]:.0%} away"]
+        text = [
+            f"none; nearest {start}-{end}: {pair(*found[row, 2:])}, {away[row]:.0%} away"
+        ]
     return "; ".join(text)
 
 
@@ -146,14 +193,21 @@ def own(one: Clip) -> str:
     return f"{one.span[0]}-{one.span[1]}: {pair(*fit)}"
 
 
-def fitted(one: Clip, later: int, earlier: int, *, is_rounded: bool, is_released: bool) -> tuple[float, float]:
+def fitted(
+    one: Clip, later: int, earlier: int, *, is_rounded: bool, is_released: bool
+) -> tuple[float, float]:
     """Return acceleration and QFI in the package's interval, with its start later and its end earlier [frames]."""
     assert one.span is not None
     frames = one.track.frames[one.rows]
     kept = np.flatnonzero((frames >= one.span[0]) & (frames <= one.span[1]))
     kept = kept[later : len(kept) - earlier]
-    times, values = one.track.times_s[one.rows][kept], one.along_m(is_rounded=is_rounded)[kept]
-    fit = fit_constant_acceleration(times, values, release_within_s=1.0 / one.track.fps if is_released else 0.0)
+    times, values = (
+        one.track.times_s[one.rows][kept],
+        one.along_m(is_rounded=is_rounded)[kept],
+    )
+    fit = fit_constant_acceleration(
+        times, values, release_within_s=1.0 / one.track.fps if is_released else 0.0
+    )
     return fit.a_m_per_s2, fit.qfi
 
 
@@ -173,7 +227,13 @@ def print_choices(clips: list[Clip]) -> None:
             continue
         cells = []
         for choice in choices.values():
-            options = {"later": 0, "earlier": 0, "is_rounded": False, "is_released": False, **choice}
+            options = {
+                "later": 0,
+                "earlier": 0,
+                "is_rounded": False,
+                "is_released": False,
+                **choice,
+            }
             cells.append(pair(*fitted(one, **options)))
         print(f"| {one.model}, {one.task.id} | {' | '.join(cells)} |")
 
@@ -181,11 +241,17 @@ def print_choices(clips: list[Clip]) -> None:
 def print_rules(clips: list[Clip], intervals: list[NDArray[np.float64]]) -> None:
     """Print the rules of the paper's form that explain most clips."""
     found = []
-    for start, is_last, end, is_end_last in itertools.product(STARTS_PX, (False, True), ENDS_PX, (False, True)):
+    for start, is_last, end, is_end_last in itertools.product(
+        STARTS_PX, (False, True), ENDS_PX, (False, True)
+    ):
         both, acceleration = 0, 0
         for one, fits in zip(clips, intervals, strict=True):
             span = ruled(one, start, is_last=is_last, end=end, is_end_last=is_end_last)
-            row = fits[(fits[:, 0] == span[0]) & (fits[:, 1] == span[1])] if span else fits[:0]
+            row = (
+                fits[(fits[:, 0] == span[0]) & (fits[:, 1] == span[1])]
+                if span
+                else fits[:0]
+            )
             if len(row):
                 both += bool(difference(one, row)[0] <= 0.1)
                 acceleration += bool(abs(row[0, 2] / one.published[0] - 1.0) <= 0.1)
@@ -200,14 +266,20 @@ def print_rules(clips: list[Clip], intervals: list[NDArray[np.float64]]) -> None
         )
 
 
-def ruled(one: Clip, start: float, *, is_last: bool, end: float, is_end_last: bool) -> tuple[int, int] | None:
+def ruled(
+    one: Clip, start: float, *, is_last: bool, end: float, is_end_last: bool
+) -> tuple[int, int] | None:
     along = one.along_m(is_rounded=True) / one.task.scale_m_per_px
     moved = along[WINDOW:] - along[:-WINDOW]
     moving = np.flatnonzero(moved > start)
     if not len(moving):
         return None
     stops = np.flatnonzero(moved[moving[0] + 1 :] < end)
-    last = len(along) - 1 if not len(stops) else int(moving[0] + 1 + stops[0]) + (WINDOW if is_end_last else 0)
+    last = (
+        len(along) - 1
+        if not len(stops)
+        else int(moving[0] + 1 + stops[0]) + (WINDOW if is_end_last else 0)
+    )
     return int(moving[0]) + (WINDOW if is_last else 0), last
 
 

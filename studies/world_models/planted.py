@@ -90,44 +90,72 @@ class Scene:
             box = cv2.boxPoints((object_px, (1.06 * task.size_px,) * 2, -angle))
             if task.motion is Motion.TURN:
                 box[box[:, 0] > object_px[0], 0] += 0.18 * task.size_px
-            cv2.fillConvexPoly(self.mask, np.round(16 * box).astype(int), 1.0, cv2.LINE_AA, 4)
+            cv2.fillConvexPoly(
+                self.mask, np.round(16 * box).astype(int), 1.0, cv2.LINE_AA, 4
+            )
         else:
             place = tuple(round(16 * value) for value in object_px)
-            cv2.circle(self.mask, place, round(8.2 * task.size_px), 1.0, -1, cv2.LINE_AA, 4)
+            cv2.circle(
+                self.mask, place, round(8.2 * task.size_px), 1.0, -1, cv2.LINE_AA, 4
+            )
         hidden = cv2.dilate((self.mask > 0).astype(np.uint8), np.ones((9, 9), np.uint8))
         if task.motion in (Motion.CRADLE, Motion.PENDULUM):
             end = task.centre_px
-            cv2.circle(hidden, tuple(round(v) for v in end), round(0.62 * task.size_px), 1, -1)
+            cv2.circle(
+                hidden, tuple(round(v) for v in end), round(0.62 * task.size_px), 1, -1
+            )
             start = task.pivot_px if task.motion is Motion.PENDULUM else (300.0, 85.0)
             if task.motion is Motion.PENDULUM:
                 start = (task.pivot_px[0] + 14.0, task.pivot_px[1] + 60.0)
-            cv2.line(hidden, tuple(round(v) for v in start), tuple(round(v) for v in end), 1, 9)
+            cv2.line(
+                hidden,
+                tuple(round(v) for v in start),
+                tuple(round(v) for v in end),
+                1,
+                9,
+            )
         self.whole = whole.astype(np.float32)
         self.still = cv2.inpaint(whole, hidden, 5, cv2.INPAINT_TELEA).astype(np.float32)
         self.object_px = np.array(object_px)
         if task.motion is Motion.TURN:
             rows, columns = np.mgrid[0:height, 0:width]
-            self.plate = (np.hypot(columns - PLATE_PX[0], rows - PLATE_PX[1]) < 223.0).astype(np.float32)
+            self.plate = (
+                np.hypot(columns - PLATE_PX[0], rows - PLATE_PX[1]) < 223.0
+            ).astype(np.float32)
 
     def backdrop(self, place: NDArray[np.float64], angle: float) -> Image:
         """Return what is behind the object: the plate turns, and the pendulum has its rod."""
         task, picture = self.task, self.still.copy()
         if task.motion is Motion.TURN:
-            turned = cv2.warpAffine(self.still, about(PLATE_PX, angle, (0, 0)), (832, 480))
+            turned = cv2.warpAffine(
+                self.still, about(PLATE_PX, angle, (0, 0)), (832, 480)
+            )
             picture += self.plate[..., None] * (turned - picture)
         if task.motion is Motion.PENDULUM:
             ends = [tuple(round(16 * v) for v in one) for one in (task.pivot_px, place)]
             cv2.line(picture, *ends, (60, 100, 140), 4, cv2.LINE_AA, 4)
         return picture
 
-    def draw(self, picture: Image, exposed: list[tuple[NDArray[np.float64], float]], gain: float = 1.0) -> None:
+    def draw(
+        self,
+        picture: Image,
+        exposed: list[tuple[NDArray[np.float64], float]],
+        gain: float = 1.0,
+    ) -> None:
         """Draw the object into a picture, as the mean over its places and rotations during the exposure."""
         places = np.array([place for place, _ in exposed])
-        low = np.clip(np.floor(places.min(axis=0) - self.task.size_px).astype(int), 0, (832, 480))
-        high = np.clip(np.ceil(places.max(axis=0) + self.task.size_px).astype(int), 0, (832, 480))
+        low = np.clip(
+            np.floor(places.min(axis=0) - self.task.size_px).astype(int), 0, (832, 480)
+        )
+        high = np.clip(
+            np.ceil(places.max(axis=0) + self.task.size_px).astype(int), 0, (832, 480)
+        )
         if (high <= low).any():
             return
-        size, part = tuple(int(v) for v in high - low), picture[low[1] : high[1], low[0] : high[0]]
+        size, part = (
+            tuple(int(v) for v in high - low),
+            picture[low[1] : high[1], low[0] : high[0]],
+        )
         covered, colour = np.zeros_like(part), np.zeros_like(part)
         for place, angle in exposed:
             turn = angle if self.task.motion is Motion.TURN else 0.0
@@ -172,14 +200,19 @@ def path_of(  # noqa: C901
 
         def turning(t):
             since = max(0.0, t - release)
-            angle = sign * rate * (0.5 * since**2 / 0.5 if since < 0.5 else since - 0.25)
+            angle = (
+                sign * rate * (0.5 * since**2 / 0.5 if since < 0.5 else since - 0.25)
+            )
             c, s = np.cos(angle), np.sin(angle)
             return pivot + np.array([[c, -s], [s, c]]) @ (start - pivot), angle
 
         return turning, {"de_n": 0.0}, release, duration
     if task.motion is Motion.PENDULUM:
         period, damping = float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.2))
-        length, amplitude = float(np.linalg.norm(start - pivot)), float(np.arctan2(*(start - pivot)))
+        length, amplitude = (
+            float(np.linalg.norm(start - pivot)),
+            float(np.arctan2(*(start - pivot))),
+        )
 
         def swinging(t):
             angle = amplitude * np.exp(-damping * t) * np.cos(2.0 * np.pi * t / period)
@@ -212,55 +245,105 @@ def planted(scenes: dict[str, Scene], seed: int) -> Clip:  # noqa: C901
     middle = begins + rng.uniform(0.3, 0.7) * (ends - begins)
     if nuisance == "vanish" and task.motion is Motion.CRADLE:
         # The truth is what the clip shows: the apices before the ball vanishes.
-        shown = [truth["mte"] * ratio for ratio, at in ((1.08, 0.25), (0.92, 1.25)) if begins + at < middle]
+        shown = [
+            truth["mte"] * ratio
+            for ratio, at in ((1.08, 0.25), (0.92, 1.25))
+            if begins + at < middle
+        ]
         truth = {"mte": float(np.mean(shown)) if shown else float("nan")}
     noise = rng.uniform(8, 18) if nuisance == "noise" else rng.uniform(0, 3)
-    quality = int(rng.uniform(8, 25)) if nuisance == "jpeg" else int(rng.uniform(70, 95))
+    quality = (
+        int(rng.uniform(8, 25)) if nuisance == "jpeg" else int(rng.uniform(70, 95))
+    )
     strength = float(rng.uniform(0.2, 1.0))
     away = rng.normal(0.0, 1.0, (2,))
     name, material = task.id.rsplit("-", 1)
-    other = scenes[f"{name}-{OTHER[material]}" if material in OTHER and name in CUBES else "Turntable-2-wood"]
-    shake = np.cumsum(rng.normal(0.0, 1.0, (200, 2)), axis=0) * 0.2 + rng.normal(0.0, 1.0, (200, 2))
+    other = scenes[
+        f"{name}-{OTHER[material]}"
+        if material in OTHER and name in CUBES
+        else "Turntable-2-wood"
+    ]
+    shake = np.cumsum(rng.normal(0.0, 1.0, (200, 2)), axis=0) * 0.2 + rng.normal(
+        0.0, 1.0, (200, 2)
+    )
     still = scene.still
     if nuisance == "merge":
         scene.still = still.copy()
-        at = np.array(place(begins + 0.6 * (ends - begins))[0]) + away / np.linalg.norm(away) * task.size_px
+        at = (
+            np.array(place(begins + 0.6 * (ends - begins))[0])
+            + away / np.linalg.norm(away) * task.size_px
+        )
         colour = scene.whole[int(scene.object_px[1]), int(scene.object_px[0])]
-        cv2.circle(scene.still, tuple(map(round, at)), round(0.7 * task.size_px), tuple(map(float, colour)), -1)
+        cv2.circle(
+            scene.still,
+            tuple(map(round, at)),
+            round(0.7 * task.size_px),
+            tuple(map(float, colour)),
+            -1,
+        )
     sheet = rng.normal(0.0, noise, (480, 832, 1)).astype(np.float32)
     blip = int(rng.integers(1, 4))
     corners = np.float32([[0, 0], [832, 0], [832, 480], [0, 480]])
-    bent = cv2.getPerspectiveTransform(corners, corners + rng.uniform(-30, 30, (4, 2)).astype(np.float32))
+    bent = cv2.getPerspectiveTransform(
+        corners, corners + rng.uniform(-30, 30, (4, 2)).astype(np.float32)
+    )
     drift = rng.normal(0.0, 1.0, 2)
     frames, places = [], []
     for number in range(int(duration * fps)):
         t = number / fps
         picture = scene.backdrop(*place(t))
-        exposed = [place(max(t + part / EXPOSURES * 0.4 / fps, 0.0)) for part in range(-1, EXPOSURES - 1)]
+        exposed = [
+            place(max(t + part / EXPOSURES * 0.4 / fps, 0.0))
+            for part in range(-1, EXPOSURES - 1)
+        ]
         if nuisance == "blip" and number == blip:
-            exposed = [(where + 23.0 * away / np.linalg.norm(away), angle) for where, angle in exposed]
+            exposed = [
+                (where + 23.0 * away / np.linalg.norm(away), angle)
+                for where, angle in exposed
+            ]
         if nuisance == "wrong object" and t > begins + 0.1 * (ends - begins):
             other.draw(picture, exposed)
         elif not (nuisance == "vanish" and t > middle):
-            scene.draw(picture, exposed, 1.0 + 0.35 * strength * np.sin(4.0 * t) * (nuisance == "light"))
+            scene.draw(
+                picture,
+                exposed,
+                1.0 + 0.35 * strength * np.sin(4.0 * t) * (nuisance == "light"),
+            )
         if nuisance == "duplicate" and t > middle:
-            scene.draw(picture, [(where - 1.6 * task.size_px * np.sign(away), angle) for where, angle in exposed])
+            scene.draw(
+                picture,
+                [
+                    (where - 1.6 * task.size_px * np.sign(away), angle)
+                    for where, angle in exposed
+                ],
+            )
         if nuisance == "hallucination" and t > middle:
-            scene.draw(picture, [(np.array([280.0 + (t - middle) * 120.0 * strength, 240.0]), 0.0)])
+            scene.draw(
+                picture,
+                [(np.array([280.0 + (t - middle) * 120.0 * strength, 240.0]), 0.0)],
+            )
         if nuisance == "occlusion" and t > 0.15:
             at = place(middle)[0]
             cv2.rectangle(picture, *[tuple(map(round, at + s * np.array([0.35, 0.9]) * task.size_px)) for s in (-1, 1)],
                           (120.0, 60.0, 150.0), -1)  # fmt: skip
         if nuisance in ("zoom", "shake", "pan"):
-            zoom = 1.0 + (0.06 * strength * np.sign(away[0]) * t / duration if nuisance == "zoom" else 0.0)
+            zoom = 1.0 + (
+                0.06 * strength * np.sign(away[0]) * t / duration
+                if nuisance == "zoom"
+                else 0.0
+            )
             matrix = cv2.getRotationMatrix2D((416, 240), 0.0, zoom)
             if nuisance == "shake":
                 matrix[:, 2] += 3.0 * strength * (shake[number] - shake[0])
             if nuisance == "pan":
                 matrix[:, 2] += 40.0 * strength * t / duration * drift
-            picture = cv2.warpAffine(picture, matrix, (832, 480), borderMode=cv2.BORDER_REPLICATE)
+            picture = cv2.warpAffine(
+                picture, matrix, (832, 480), borderMode=cv2.BORDER_REPLICATE
+            )
         if nuisance == "oblique":
-            picture = cv2.warpPerspective(picture, bent, (832, 480), borderMode=cv2.BORDER_REPLICATE)
+            picture = cv2.warpPerspective(
+                picture, bent, (832, 480), borderMode=cv2.BORDER_REPLICATE
+            )
         if nuisance == "blur":
             picture = cv2.GaussianBlur(picture, (0, 0), 1.0 + 2.5 * strength)
         grain = np.roll(sheet, rng.integers(0, 400, 2), axis=(0, 1))
@@ -294,14 +377,20 @@ def judged(clip: Clip, seed: int) -> tuple[dict[str, str], float]:
     off_px = float("nan")
     if result.interval_frames is not None:
         first_row, last_row = np.searchsorted(track.frames, result.interval_frames)
-        rows = np.arange(first_row, last_row + 1)[track.is_found[first_row : last_row + 1]]
-        off = np.linalg.norm(track.points_px[rows] - clip.places[track.frames[rows]], axis=1)
+        rows = np.arange(first_row, last_row + 1)[
+            track.is_found[first_row : last_row + 1]
+        ]
+        off = np.linalg.norm(
+            track.points_px[rows] - clip.places[track.frames[rows]], axis=1
+        )
         off_px = float(np.median(off)) if len(off) else off_px
     limit = LIMITS[name] * (truth if name in ("a_m_s2", "pd_s") else 1.0)
     is_off = value is None or not abs(value - truth) <= limit
     is_valid = result.grade is Grade.VALID
     is_wrong = is_valid and (
-        is_off or not off_px <= max(TRACK_PX, TRACK_SIZES * clip.task.size_px) or clip.nuisance in NEVER_VALID
+        is_off
+        or not off_px <= max(TRACK_PX, TRACK_SIZES * clip.task.size_px)
+        or clip.nuisance in NEVER_VALID
     )
     holds = interval is not None and interval[0] - 1e-9 <= truth <= interval[1] + 1e-9
     ends = [""] * 2 if interval is None else [f"{end:.4g}" for end in interval]
@@ -338,7 +427,9 @@ def main() -> None:
             print(f"{value}: {counted([row for row in rows if row[name] == value])}")
     print(counted(rows))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    print(f"{np.mean(seconds):.1f} s of processor time a clip, {max(seconds):.1f} at most; {memory:.0f} MB at most")
+    print(
+        f"{np.mean(seconds):.1f} s of processor time a clip, {max(seconds):.1f} at most; {memory:.0f} MB at most"
+    )
 
 
 def counted(rows: list[dict[str, str]]) -> str:
@@ -346,7 +437,10 @@ def counted(rows: list[dict[str, str]]) -> str:
     valid = [row for row in rows if row["grade"] == "valid"]
     fair = [row for row in valid if row["nuisance"] not in NEVER_VALID]
     doubtful = sum(row["grade"] == "doubtful" for row in rows)
-    wrong, held = (sum(int(row[name]) for row in part) for name, part in (("is_wrong", valid), ("holds", fair)))
+    wrong, held = (
+        sum(int(row[name]) for row in part)
+        for name, part in (("is_wrong", valid), ("holds", fair))
+    )
     grades = f"{len(rows)} clips, {len(valid)} valid, {doubtful} doubtful"
     return f"{grades}; {wrong} wrong among the valid; intervals hold in {held} of {len(fair)}"
 

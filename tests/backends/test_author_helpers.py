@@ -14,7 +14,13 @@ from mutations import Passed
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.backends import Backend, ReplayedSimulation, Simulation, Support, backend
+from gauge_envs.backends import (
+    Backend,
+    ReplayedSimulation,
+    Simulation,
+    Support,
+    backend,
+)
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
@@ -50,17 +56,31 @@ class Stateless(Backend):
     def supports(self, scene: Scene) -> Support:
         return MUJOCO.supports(scene)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         simulation = NoState(MUJOCO.build(scene, settings), scene)
         return ReplayedSimulation(simulation) if self.replayed else simulation
 
 
-STATE_CHECKS = ["restore", "restore-wrench", "copy", "cloth-restore", "sample-positions", "reset-*"]
+STATE_CHECKS = [
+    "restore",
+    "restore-wrench",
+    "copy",
+    "cloth-restore",
+    "sample-positions",
+    "reset-*",
+]
 
 
 @pytest.mark.parametrize(
     "only",
-    [STATE_CHECKS, pytest.param(["restore-*-rigid", "restore-rest", "cloth-copy"], marks=pytest.mark.slow)],
+    [
+        STATE_CHECKS,
+        pytest.param(
+            ["restore-*-rigid", "restore-rest", "cloth-copy"], marks=pytest.mark.slow
+        ),
+    ],
     ids=["short", "long"],
 )
 def test_a_replayed_simulation_continues_bit_for_bit(only: list[str]) -> None:
@@ -93,7 +113,10 @@ def test_a_replayed_state_is_taken_before_any_reset() -> None:
 
 
 def test_the_base_class_saves_no_state() -> None:
-    simulation = NoState(MUJOCO.build(load_experiment("BouncingBall-rubber").scene), Scene(bodies=(), duration_s=1.0))
+    simulation = NoState(
+        MUJOCO.build(load_experiment("BouncingBall-rubber").scene),
+        Scene(bodies=(), duration_s=1.0),
+    )
     for call in (simulation.state, lambda: simulation.restore(None)):
         with pytest.raises(BackendError, match="ReplayedSimulation"):
             call()
@@ -104,7 +127,9 @@ def test_the_base_class_saves_no_state() -> None:
 TRIANGLE = {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.6}
 
 
-def combined(values: Mapping[str, float], pair: tuple[str, str], rule: Combination) -> float:
+def combined(
+    values: Mapping[str, float], pair: tuple[str, str], rule: Combination
+) -> float:
     one, other = values[pair[0]], values[pair[1]]
     return {
         Combination.PRODUCT: one * other,
@@ -128,7 +153,9 @@ def combined(values: Mapping[str, float], pair: tuple[str, str], rule: Combinati
         (Combination.PRODUCT, {}),
     ],
 )
-def test_values_of_bodies_give_those_of_pairs(rule: Combination, pairs: dict[tuple[str, str], float]) -> None:
+def test_values_of_bodies_give_those_of_pairs(
+    rule: Combination, pairs: dict[tuple[str, str], float]
+) -> None:
     values = body_values(pairs, rule)
     assert all(value >= 0.0 for value in values.values())
     for pair, value in pairs.items():
@@ -149,7 +176,9 @@ def test_values_of_bodies_give_those_of_pairs(rule: Combination, pairs: dict[tup
         ),
     ],
 )
-def test_no_solution_names_a_pair(rule: str, pairs: dict[tuple[str, str], float], named: str) -> None:
+def test_no_solution_names_a_pair(
+    rule: str, pairs: dict[tuple[str, str], float], named: str
+) -> None:
     with pytest.raises(UnsupportedSceneError, match=named):
         body_values(pairs, rule)
 
@@ -167,7 +196,9 @@ def test_pairs_of_a_scene() -> None:
 def test_a_pair_in_two_contacts_is_an_error() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
     again = Contact(first=("board",), second=("cube",), friction=0.9, restitution=0.0)
-    with pytest.raises(ParameterError, match="two contacts list the pair 'board' and 'cube'"):
+    with pytest.raises(
+        ParameterError, match="two contacts list the pair 'board' and 'cube'"
+    ):
         replace(scene, contacts=(*scene.contacts, again))
 
 
@@ -184,7 +215,9 @@ def test_a_group_with_itself_lists_a_pair_once() -> None:
 def test_mean_velocities_follow_the_motion_exactly() -> None:
     start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
     motion = DrivenMotion(
-        start, np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5]), np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0])
+        start,
+        np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5]),
+        np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0]),
     )
     steps = np.linspace(0.0, 1 / 180, 5)
     position, rotation = np.asarray(start.position_m), start.rotation
@@ -195,4 +228,6 @@ def test_mean_velocities_follow_the_motion_exactly() -> None:
     end = motion.pose(1 / 180)
     assert position == pytest.approx(end.position_m, abs=1e-15)
     assert (rotation * end.rotation.inv()).magnitude() < 1e-14
-    assert motion.velocity_at(1 / 180) == pytest.approx(motion.velocity + motion.acceleration / 180)
+    assert motion.velocity_at(1 / 180) == pytest.approx(
+        motion.velocity + motion.acceleration / 180
+    )

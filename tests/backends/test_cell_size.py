@@ -13,7 +13,16 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Motion, Pose, Region, RigidBody, Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Attachment,
+    Box,
+    Motion,
+    Pose,
+    Region,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.conformance import Status, run_checks
 
@@ -35,28 +44,55 @@ def node_count(simulation: Simulation, scene: Scene) -> int:
     [
         ("mujoco", "TextileBending-satin", {}, (0.025, 0.0125), (17**2, 33**2)),
         pytest.param(
-            *("mujoco", "TableclothPulling-wood", {}, (0.025, 0.0125), (19 * 17, 37 * 33)), marks=pytest.mark.slow
+            *(
+                "mujoco",
+                "TableclothPulling-wood",
+                {},
+                (0.025, 0.0125),
+                (19 * 17, 37 * 33),
+            ),
+            marks=pytest.mark.slow,
         ),
         ("mujoco", "FoamStretching-soft", {}, (None, 0.02), (17 * 5 * 5, 19 * 7 * 7)),
         ("mujoco", "RopeWinding-rubber", {}, (0.01, 0.005), (35, 69)),
         ("mujoco", "StickStack-soft", {}, (None, 0.005), (16, 31)),
         ("newton", "TextileBending-satin", {}, (0.025, 0.0125), (17**2, 33**2)),
         pytest.param(
-            *("newton", "FoamStretching-soft", {}, (0.0125, 0.00625), (15 * 5 * 5, 29 * 9 * 9)), marks=pytest.mark.slow
+            *(
+                "newton",
+                "FoamStretching-soft",
+                {},
+                (0.0125, 0.00625),
+                (15 * 5 * 5, 29 * 9 * 9),
+            ),
+            marks=pytest.mark.slow,
         ),
-        pytest.param(*("newton", "FoamStretching-soft", MPM, (0.018, 0.009), (720, 7267)), marks=pytest.mark.slow),
+        pytest.param(
+            *("newton", "FoamStretching-soft", MPM, (0.018, 0.009), (720, 7267)),
+            marks=pytest.mark.slow,
+        ),
         ("newton", "StickStack-soft", {}, (None, 0.01), (9, 16)),
     ],
 )
 def test_half_the_cell_refines_the_default_mesh(
-    engine: str, name: str, settings: dict[str, Any], cells_m: tuple[float | None, float], counts: tuple[int, int]
+    engine: str,
+    name: str,
+    settings: dict[str, Any],
+    cells_m: tuple[float | None, float],
+    counts: tuple[int, int],
 ) -> None:
     """The default of foam in MuJoCo, and of rods, is a number of cells and no size."""
     scene = load_experiment(name).scene
     default = built(engine, scene, settings)
-    assert (default.settings["cell_m"], node_count(default, scene)) == (cells_m[0], counts[0])
+    assert (default.settings["cell_m"], node_count(default, scene)) == (
+        cells_m[0],
+        counts[0],
+    )
     finer = built(engine, scene, settings | {"cell_m": cells_m[1]})
-    assert (finer.settings["cell_m"], node_count(finer, scene)) == (cells_m[1], counts[1])
+    assert (finer.settings["cell_m"], node_count(finer, scene)) == (
+        cells_m[1],
+        counts[1],
+    )
     finer.reset(0)
     start = finer.nodes(scene.deformables[0].name).copy()
     finer.advance(DRIVE_INTERVAL_S)
@@ -92,15 +128,47 @@ def relative_error(engine: str, check: str, settings: Mapping[str, Any]) -> floa
     [
         ("mujoco", "cloth-bending", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.015),
         ("mujoco", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.004),
-        pytest.param("mujoco", "foam-tension", {}, {"cell_m": 0.025}, 0.0001, marks=pytest.mark.slow),
-        pytest.param("mujoco", "foam-poisson", {}, {"cell_m": 0.025}, 0.0001, marks=pytest.mark.slow),
+        pytest.param(
+            "mujoco",
+            "foam-tension",
+            {},
+            {"cell_m": 0.025},
+            0.0001,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "mujoco",
+            "foam-poisson",
+            {},
+            {"cell_m": 0.025},
+            0.0001,
+            marks=pytest.mark.slow,
+        ),
         ("mujoco", "rod-bending", {"cell_m": 0.02}, {"cell_m": 0.01}, 0.001),
-        pytest.param("newton", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.002, marks=pytest.mark.slow),
-        pytest.param("newton", "rod-bending", {"cell_m": 0.02}, {"cell_m": 0.01}, 0.001, marks=pytest.mark.slow),
+        pytest.param(
+            "newton",
+            "cloth-stretch",
+            {"cell_m": 0.025},
+            {"cell_m": 0.0125},
+            0.002,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "newton",
+            "rod-bending",
+            {"cell_m": 0.02},
+            {"cell_m": 0.01},
+            0.001,
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_closed_forms_converge(
-    engine: str, check: str, coarse: dict[str, float], fine: dict[str, float], limit: float
+    engine: str,
+    check: str,
+    coarse: dict[str, float],
+    fine: dict[str, float],
+    limit: float,
 ) -> None:
     """Conformance checks with finer cells: the error falls, and is below the limit."""
     if engine == "newton":
@@ -122,9 +190,17 @@ def cantilever() -> Scene:
         motion=Motion.FIXED,
         mass_kg=1.0,
     )
-    held = Attachment(deformable="foam", to="wall", region=Region(axis="z", side="low", depth_m=0.0))
-    bar = block(length_m=LENGTH_M, centre_m=(0.5 * LENGTH_M, 0.0, 0.0), euler_deg=(0.0, 90.0, 0.0))
-    return Scene(duration_s=1.0, bodies=(wall,), deformables=(bar,), attachments=(held,))
+    held = Attachment(
+        deformable="foam", to="wall", region=Region(axis="z", side="low", depth_m=0.0)
+    )
+    bar = block(
+        length_m=LENGTH_M,
+        centre_m=(0.5 * LENGTH_M, 0.0, 0.0),
+        euler_deg=(0.0, 90.0, 0.0),
+    )
+    return Scene(
+        duration_s=1.0, bodies=(wall,), deformables=(bar,), attachments=(held,)
+    )
 
 
 def droop_error(engine: str, settings: Mapping[str, Any]) -> float:
@@ -153,7 +229,9 @@ def droop_error(engine: str, settings: Mapping[str, Any]) -> float:
 
 def test_cantilever_of_foam_converges_in_mujoco() -> None:
     """Cells of 50 and 25 mm droop 2.7 and 1.4 % too little; cells of 12.5 mm do by 1.3 %."""
-    coarse, fine = (droop_error("mujoco", {"cell_m": cell_m}) for cell_m in (0.05, 0.025))
+    coarse, fine = (
+        droop_error("mujoco", {"cell_m": cell_m}) for cell_m in (0.05, 0.025)
+    )
     assert (coarse, fine) == pytest.approx((-0.027, -0.014), abs=0.003)
 
 
@@ -163,7 +241,10 @@ def test_cantilever_of_foam_converges_in_newton_with_enough_iterations() -> None
 
     With the 3 iterations of the preset, and cells of 12.5 mm, the free end droops by more than twice as much.
     """
-    errors = [droop_error("newton", {"cell_m": cell_m, "iterations": 60}) for cell_m in (0.025, 0.0125)]
+    errors = [
+        droop_error("newton", {"cell_m": cell_m, "iterations": 60})
+        for cell_m in (0.025, 0.0125)
+    ]
     assert errors == pytest.approx([-0.36, -0.14], abs=0.02)
     assert droop_error("newton", {}) > 1.0
 
@@ -177,13 +258,23 @@ def test_cantilever_of_foam_converges_in_newton_with_enough_iterations() -> None
     [
         ("TextileBending-satin", 1e-4, "'cell_m'.*given: 0.0001"),
         ("TextileBending-satin", 2.0, "'cell_m'.*given: 2.0"),
-        ("TextileBending-satin", 0.5, "'cell_m' is 500 mm, more than the 400 mm that 'textile' allows"),
-        ("TextileBending-satin", 0.0006, "'cell_m' is 0.6 mm, which gives 'textile' about [0-9]+ nodes, more than"),
+        (
+            "TextileBending-satin",
+            0.5,
+            "'cell_m' is 500 mm, more than the 400 mm that 'textile' allows",
+        ),
+        (
+            "TextileBending-satin",
+            0.0006,
+            "'cell_m' is 0.6 mm, which gives 'textile' about [0-9]+ nodes, more than",
+        ),
         ("FoamStretching-soft", 0.001, "gives 'foam' about [0-9]+ nodes, more than"),
         ("StickStack-soft", 0.9, "more than the [0-9.]+ mm that 'rod' allows"),
     ],
 )
-def test_cells_out_of_bounds_are_named(engine: str, name: str, cell_m: float, message: str) -> None:
+def test_cells_out_of_bounds_are_named(
+    engine: str, name: str, cell_m: float, message: str
+) -> None:
     scene = load_experiment(name).scene
     with pytest.raises(ParameterError, match=message):
         built(engine, scene, {"cell_m": cell_m})
@@ -191,5 +282,7 @@ def test_cells_out_of_bounds_are_named(engine: str, name: str, cell_m: float, me
 
 def test_voxels_out_of_bounds_are_named() -> None:
     scene = load_experiment("FoamStretching-soft").scene
-    with pytest.raises(ParameterError, match=r"gives 'foam' about [0-9]+ nodes, more than 200000"):
+    with pytest.raises(
+        ParameterError, match=r"gives 'foam' about [0-9]+ nodes, more than 200000"
+    ):
         built("newton", scene, MPM | {"cell_m": 0.002})

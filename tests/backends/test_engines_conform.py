@@ -48,23 +48,66 @@ class Engine:
 
 
 CORE = (
-    *("start-*", "order-of-names", "time", "free-fall*", "pendulum-*", "spin-*", "angular-velocity", "velocity-*"),
-    *("wrench-frame", "wrench-force", "inertia-box", "inertia-union", "contact-*", "slide", "slide-straight"),
+    *(
+        "start-*",
+        "order-of-names",
+        "time",
+        "free-fall*",
+        "pendulum-*",
+        "spin-*",
+        "angular-velocity",
+        "velocity-*",
+    ),
+    *(
+        "wrench-frame",
+        "wrench-force",
+        "inertia-box",
+        "inertia-union",
+        "contact-*",
+        "slide",
+        "slide-straight",
+    ),
     *("slide-of-pair", "hold", "rebound-0.5", "roll-ball", "restore"),
 )
 """Checks of every kind of law that a heavy engine runs by default."""
 
 LONG = (
-    *("restore-benchmark-*", "restore-impact", "restore-rest", "determinism", "driven-*", "pushed-ball"),
+    *(
+        "restore-benchmark-*",
+        "restore-impact",
+        "restore-rest",
+        "determinism",
+        "driven-*",
+        "pushed-ball",
+    ),
     *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
-    *("carry-line", "carry-turn", "reset-start", "finite", "grasp-*", "joint-backlash-cycle"),
+    *(
+        "carry-line",
+        "carry-turn",
+        "reset-start",
+        "finite",
+        "grasp-*",
+        "joint-backlash-cycle",
+    ),
 )
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
 ENGINES = (
     Engine(name="mujoco", module="mujoco", long=(*LONG, "foam-start", "foam-poisson")),
-    Engine(name="rapier", module="rapier3d", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
-    Engine(name="physx", module="sapien", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
+    Engine(
+        name="rapier",
+        module="rapier3d",
+        lacks=(*DEFORMABLE, *TURNING),
+        quick=(*CORE, "joint-*"),
+        long=LONG,
+    ),
+    Engine(
+        name="physx",
+        module="sapien",
+        lacks=(*DEFORMABLE, *TURNING),
+        quick=(*CORE, "joint-*"),
+        long=LONG,
+    ),
     Engine(
         name="pybullet",
         module="pybullet",
@@ -87,7 +130,10 @@ ENGINES = (
 )
 RUNS = [
     *(pytest.param(one, one.chosen(), id=one.name) for one in ENGINES),
-    *(pytest.param(one, [], id=f"{one.name}, all checks", marks=pytest.mark.slow) for one in ENGINES),
+    *(
+        pytest.param(one, [], id=f"{one.name}, all checks", marks=pytest.mark.slow)
+        for one in ENGINES
+    ),
 ]
 
 
@@ -96,9 +142,17 @@ def test_the_engine_obeys_the_laws(engine: Engine, only: list[str]) -> None:
     pytest.importorskip(engine.module)
     results = list(run_checks(engine.name, only=only))
     assert [one.check for one in results] == (only or [one.id for one in checks()])
-    bad = {one.check: f"{one.check}: {one.measured} {one.diagnosis}" for one in results if one.is_bad}
+    bad = {
+        one.check: f"{one.check}: {one.measured} {one.diagnosis}"
+        for one in results
+        if one.is_bad
+    }
     own = FAILS_ITSELF.get(engine.name, frozenset())
     assert [text for name, text in bad.items() if name not in own] == []
-    assert bad.keys() == own & {one.check for one in results}, "a check that failed passes: mend this table"
+    assert bad.keys() == own & {one.check for one in results}, (
+        "a check that failed passes: mend this table"
+    )
     declined = {one.check for one in results if one.status is Status.DECLINED}
-    assert declined == {one.check for one in results if one.check.startswith(engine.lacks)}
+    assert declined == {
+        one.check for one in results if one.check.startswith(engine.lacks)
+    }

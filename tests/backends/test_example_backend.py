@@ -30,7 +30,17 @@ import gauge_envs
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance import run_checks
@@ -50,34 +60,69 @@ GROUND_M = np.array([0.1, 0.2, 0.3])
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Environment variables of a process that finds the example as if it were installed, and this module."""
     target = tmp_path_factory.mktemp("installed")
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    facts = target / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    facts = (
+        target / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    )
     facts.mkdir()
-    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    (facts / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
     lines = [
         line
         for group, points in project["entry-points"].items()
-        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in points.items()))
+        for line in (
+            f"[{group}]",
+            *(f"{name} = {value}" for name, value in points.items()),
+        )
     ]
     (facts / "entry_points.txt").write_text("\n".join(lines))
     return process_environment(target, PACKAGE)
 
 
 def process_environment(*folders: Path) -> dict[str, str]:
-    places = [*map(str, folders), str(Path(__file__).parent), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
+    places = [
+        *map(str, folders),
+        str(Path(__file__).parent),
+        str(ROOT / "tests"),
+        os.environ.get("PYTHONPATH", ""),
+    ]
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
 
 
 @pytest.mark.slow
 def test_pip_installs_the_example(tmp_path: Path) -> None:
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(tmp_path)]
-    subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PACKAGE)], check=True, capture_output=True)
+    options = [
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--target",
+        str(tmp_path),
+    ]
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", *options, str(PACKAGE)],
+        check=True,
+        capture_output=True,
+    )
     code = "from gauge_envs.backends import backend; print(backend('point').versions(), backend.__module__)"
-    assert "{'point-engine': '1.0.0'}" in run_python(process_environment(tmp_path), code, cwd=tmp_path)
+    assert "{'point-engine': '1.0.0'}" in run_python(
+        process_environment(tmp_path), code, cwd=tmp_path
+    )
 
 
-def run_python(environment: dict[str, str], code: str, *, cwd: Path | None = None) -> str:
-    run = subprocess.run([sys.executable, "-c", code], env=environment, cwd=cwd, capture_output=True, text=True)
+def run_python(
+    environment: dict[str, str], code: str, *, cwd: Path | None = None
+) -> str:
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+    )
     assert run.returncode == 0, run.stderr
     return run.stdout
 
@@ -85,19 +130,31 @@ def run_python(environment: dict[str, str], code: str, *, cwd: Path | None = Non
 @pytest.fixture(scope="module")
 def measured(environment: dict[str, str]) -> dict[str, Any]:
     """What each `measure_*` function of this module returns in a process that has the example installed, by name."""
-    return json.loads(run_python(environment, f"import {Path(__file__).stem} as m; m.print_measured()"))
+    return json.loads(
+        run_python(
+            environment, f"import {Path(__file__).stem} as m; m.print_measured()"
+        )
+    )
 
 
 def print_measured() -> None:
     """Print the results of all `measure_*` functions as JSON."""
     prefix = "measure_"
-    found = {name.removeprefix(prefix): f() for name, f in globals().items() if name.startswith(prefix)}
+    found = {
+        name.removeprefix(prefix): f()
+        for name, f in globals().items()
+        if name.startswith(prefix)
+    }
     print(json.dumps(found))
 
 
-def gauge(environment: dict[str, str], arguments: Sequence[str], cwd: Path) -> subprocess.CompletedProcess[str]:
+def gauge(
+    environment: dict[str, str], arguments: Sequence[str], cwd: Path
+) -> subprocess.CompletedProcess[str]:
     command = [str(Path(sys.executable).parent / "gauge"), *arguments]
-    return subprocess.run(command, env=environment, cwd=cwd, capture_output=True, text=True)
+    return subprocess.run(
+        command, env=environment, cwd=cwd, capture_output=True, text=True
+    )
 
 
 # --- closed forms ----------------------------------------------------------------------------------------------------
@@ -137,7 +194,9 @@ def ball_on_plane(
     x, y, z = ground.to_world(np.array([0.0, 0.0, RADIUS_M])).tolist()
     return Scene(
         bodies=(
-            RigidBody(name="ground", shape=Plane(), motion=motion, pose=ground, mass_kg=0.0),
+            RigidBody(
+                name="ground", shape=Plane(), motion=motion, pose=ground, mass_kg=0.0
+            ),
             RigidBody(
                 name="ball",
                 shape=Sphere(radius_m=RADIUS_M),
@@ -146,14 +205,26 @@ def ball_on_plane(
                 mass_kg=0.1,
             ),
         ),
-        contacts=(Contact(first=("ball",), second=("ground",), friction=friction, restitution=restitution, mode=mode),),
+        contacts=(
+            Contact(
+                first=("ball",),
+                second=("ground",),
+                friction=friction,
+                restitution=restitution,
+                mode=mode,
+            ),
+        ),
         drivers=drivers,
         duration_s=1.0,
     )
 
 
 def ball_course(
-    scene: Scene, seconds: float, *, acceleration: ArrayLike | None = None, timestep_s: float = 1 / 1800
+    scene: Scene,
+    seconds: float,
+    *,
+    acceleration: ArrayLike | None = None,
+    timestep_s: float = 1 / 1800,
 ) -> NDArray[np.float64]:
     """States of the ball every 1/180 s, the start first, shape [sample_count, 13].
 
@@ -167,7 +238,9 @@ def ball_course(
             drive = np.concatenate([acceleration, np.zeros(3)])
             time_s = sample * SAMPLE_INTERVAL_S
             x, y, z = (GROUND_M + 0.5 * drive[:3] * time_s**2).tolist()
-            simulation.drive("ground", Pose(position_m=(x, y, z)), drive * time_s, drive)
+            simulation.drive(
+                "ground", Pose(position_m=(x, y, z)), drive * time_s, drive
+            )
         simulation.advance(SAMPLE_INTERVAL_S)
         states.append(simulation.body_states(["ball"])[0])
     return np.array(states)
@@ -186,7 +259,9 @@ def driven_plane(kind: Literal["translate", "rotate"], **options: Any) -> Scene:
 def measure_experiment() -> dict[str, Any]:
     values: dict[str, Any] = {}
     for parameters in ("calibrated", "effective"):
-        env = gymnasium.make("GAUGE/BouncingBall-rubber", backend="point", parameters=parameters)
+        env = gymnasium.make(
+            "GAUGE/BouncingBall-rubber", backend="point", parameters=parameters
+        )
         env.reset(seed=0)
         over = False
         while not over:
@@ -207,8 +282,12 @@ def test_bouncing_ball_follows_the_law_of_bounces(measured: dict[str, Any]) -> N
         scene = gauge_envs.load_experiment("BouncingBall-rubber", parameters).scene
         (x, y, z), contact = scene.body("ball").pose.position_m, scene.contacts[0]
         lowest = scene.body("ground").pose.position_m[2] + RADIUS_M
-        height = lowest + bouncing_height(values["times_s"], z - lowest, contact.restitution)
-        expected = np.column_stack([np.full(len(height), x), np.full(len(height), y), height])
+        height = lowest + bouncing_height(
+            values["times_s"], z - lowest, contact.restitution
+        )
+        expected = np.column_stack(
+            [np.full(len(height), x), np.full(len(height), y), height]
+        )
         assert np.asarray(values["position_m"]) == pytest.approx(expected, abs=1e-10)
         # The scores of MuJoCo, whose rebound is within 0.0025 of the coefficient.
         score = {"calibrated": 14.11, "effective": 12.77}[parameters]
@@ -218,16 +297,30 @@ def test_bouncing_ball_follows_the_law_of_bounces(measured: dict[str, Any]) -> N
 
 def measure_support() -> dict[str, Any]:
     """Experiments that differ in the material alone have the same shapes and joints."""
-    names = {variant.name.rpartition("-")[0]: variant.name for variant in reversed(gauge_envs.variants())}
+    names = {
+        variant.name.rpartition("-")[0]: variant.name
+        for variant in reversed(gauge_envs.variants())
+    }
     scenes = {name: gauge_envs.load_experiment(name).scene for name in names.values()}
-    return {name: list(backend("point").supports(scene).missing) for name, scene in scenes.items()}
+    return {
+        name: list(backend("point").supports(scene).missing)
+        for name, scene in scenes.items()
+    }
 
 
-def test_all_other_experiments_are_declined_with_reasons(measured: dict[str, Any]) -> None:
+def test_all_other_experiments_are_declined_with_reasons(
+    measured: dict[str, Any],
+) -> None:
     missing = measured["support"]
-    assert [name for name, reasons in missing.items() if not reasons] == ["BouncingBall-rubber"]
-    assert missing["SlopeSlider-2-wood"] == ["'cube' is a Box, and of moving bodies only spheres may touch others"]
-    assert missing["TextileFlinging-rayon"] == ["'textile' is a Cloth, and only rigid bodies are simulated"]
+    assert [name for name, reasons in missing.items() if not reasons] == [
+        "BouncingBall-rubber"
+    ]
+    assert missing["SlopeSlider-2-wood"] == [
+        "'cube' is a Box, and of moving bodies only spheres may touch others"
+    ]
+    assert missing["TextileFlinging-rayon"] == [
+        "'textile' is a Cloth, and only rigid bodies are simulated"
+    ]
     assert missing["NewtonsCradle-metal"] == [
         "'ball-1' (and 4 more) hangs on a Hinge, and there are no joints",
         "'ball-1' (and 4 more) may touch more than one body",
@@ -243,7 +336,15 @@ def invoked(*arguments: str) -> dict[str, Any]:
 
 def measure_run() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        return invoked("run", "BouncingBall-rubber", "--backend", "point", "--json", "--out", folder)
+        return invoked(
+            "run",
+            "BouncingBall-rubber",
+            "--backend",
+            "point",
+            "--json",
+            "--out",
+            folder,
+        )
 
 
 def test_command_line_knows_the_engine(measured: dict[str, Any]) -> None:
@@ -257,7 +358,12 @@ def test_command_line_knows_the_engine(measured: dict[str, Any]) -> None:
 
 def measure_slopes() -> dict[str, Any]:
     return {
-        name: ball_course(ball_on_plane(tilt_deg=30, friction=mu, restitution=e, drop_m=drop, mode=mode), time).tolist()
+        name: ball_course(
+            ball_on_plane(
+                tilt_deg=30, friction=mu, restitution=e, drop_m=drop, mode=mode
+            ),
+            time,
+        ).tolist()
         for name, mu, e, drop, mode, time in (
             ("rolls", 0.5, 0.9, 0.0, ContactMode.SUSTAINED, 0.5),
             ("slides", 0.1, 0.9, 0.0, ContactMode.SUSTAINED, 0.5),
@@ -268,7 +374,9 @@ def measure_slopes() -> dict[str, Any]:
     }
 
 
-def test_slopes_obey_coulomb_and_the_inertia_of_a_solid_sphere(measured: dict[str, Any]) -> None:
+def test_slopes_obey_coulomb_and_the_inertia_of_a_solid_sphere(
+    measured: dict[str, Any],
+) -> None:
     course = {name: np.asarray(states) for name, states in measured["slopes"].items()}
     sine, cosine = np.sin(np.pi / 6), np.cos(np.pi / 6)
     down, normal = np.array([cosine, 0.0, -sine]), np.array([sine, 0.0, cosine])
@@ -277,12 +385,20 @@ def test_slopes_obey_coulomb_and_the_inertia_of_a_solid_sphere(measured: dict[st
         return (course[name][:, :3] - course[name][0, :3]) @ axis
 
     half_square = 0.5 * (np.arange(91) * SAMPLE_INTERVAL_S) ** 2
-    assert along("rolls", down) == pytest.approx(5 / 7 * G * sine * half_square, abs=1e-10)
-    assert along("slides", down) == pytest.approx(G * (sine - 0.1 * cosine) * half_square, abs=1e-10)
+    assert along("rolls", down) == pytest.approx(
+        5 / 7 * G * sine * half_square, abs=1e-10
+    )
+    assert along("slides", down) == pytest.approx(
+        G * (sine - 0.1 * cosine) * half_square, abs=1e-10
+    )
     assert along("rolls", normal) == pytest.approx(0.0, abs=1e-12)
     # Down the slope a ball turns about +y. A rolling one has no slip; a sliding one speeds up with 5/2 mu g cos / r.
-    assert course["rolls"][-1, 11] * RADIUS_M == pytest.approx(course["rolls"][-1, 7:10] @ down, abs=1e-10)
-    assert course["slides"][-1, 11] * RADIUS_M == pytest.approx(2.5 * 0.1 * G * cosine * 0.5, abs=1e-10)
+    assert course["rolls"][-1, 11] * RADIUS_M == pytest.approx(
+        course["rolls"][-1, 7:10] @ down, abs=1e-10
+    )
+    assert course["slides"][-1, 11] * RADIUS_M == pytest.approx(
+        2.5 * 0.1 * G * cosine * 0.5, abs=1e-10
+    )
     turn = 2 * np.arctan2(course["slides"][-1, 5], course["slides"][-1, 3])
     missed = turn - 2.5 * 0.1 * G * cosine * half_square[-1] / RADIUS_M
     assert np.sin(0.5 * missed) == pytest.approx(0.0, abs=1e-10)
@@ -294,8 +410,12 @@ def test_slopes_obey_coulomb_and_the_inertia_of_a_solid_sphere(measured: dict[st
         ("rebounds with slip", 0.05 * 1.8 * arrival * cosine, 0.8),
     ):
         state = course[name][-1]
-        assert state[7:10] @ down == pytest.approx(arrival * sine - drag + G * sine * since, abs=1e-10), name
-        assert state[7:10] @ normal == pytest.approx(restitution * arrival * cosine - G * cosine * since, abs=1e-10)
+        assert state[7:10] @ down == pytest.approx(
+            arrival * sine - drag + G * sine * since, abs=1e-10
+        ), name
+        assert state[7:10] @ normal == pytest.approx(
+            restitution * arrival * cosine - G * cosine * since, abs=1e-10
+        )
         assert state[11] * RADIUS_M == pytest.approx(2.5 * drag, abs=1e-10), name
     # A sustained contact does not rebound, whatever the restitution; friction then acts on the landing and on the way.
     landed = arrival * (sine - 0.05 * cosine) + G * (sine - 0.05 * cosine) * since
@@ -320,13 +440,19 @@ def test_driven_planes_carry_lift_and_hit(measured: dict[str, Any]) -> None:
     course = {name: np.asarray(states) for name, states in measured["driven"].items()}
     travel = {name: states[-1, :3] - states[0, :3] for name, states in course.items()}
     # A solid sphere that rolls on an accelerated plate goes with 2/7 of its acceleration.
-    assert travel["sideways"] == pytest.approx([2 / 7 * 0.5 * 2.0 * 0.4**2, 0.0, 0.0], abs=1e-9)
+    assert travel["sideways"] == pytest.approx(
+        [2 / 7 * 0.5 * 2.0 * 0.4**2, 0.0, 0.0], abs=1e-9
+    )
     assert travel["up"] == pytest.approx([0.0, 0.0, 0.5 * 3.0 * 0.4**2], abs=1e-9)
-    assert travel["down faster than free fall"] == pytest.approx([0.0, 0.0, -0.5 * G * 0.4**2], abs=1e-9)
+    assert travel["down faster than free fall"] == pytest.approx(
+        [0.0, 0.0, -0.5 * G * 0.4**2], abs=1e-9
+    )
     # In the frame of a lift that speeds up, a ball bounces as under gravity and the lift's acceleration together.
     times_s = np.arange(73) * SAMPLE_INTERVAL_S
     above = course["lift"][:, 2] - GROUND_M[2] - RADIUS_M - 0.5 * 4.0 * times_s**2
-    assert above == pytest.approx(bouncing_height(times_s, 0.1, 0.7, gravity=G + 4.0), abs=1e-9)
+    assert above == pytest.approx(
+        bouncing_height(times_s, 0.1, 0.7, gravity=G + 4.0), abs=1e-9
+    )
 
 
 # --- contract --------------------------------------------------------------------------------------------------------
@@ -353,14 +479,18 @@ def measure_refusals() -> dict[str, Any]:
         pose=Pose(position_m=(1.0, 0.0, 0.0)),
         mass_kg=1.0,
     )
-    scene = dataclasses.replace(ball_on_plane(), bodies=(*ball_on_plane().bodies, beside))
+    scene = dataclasses.replace(
+        ball_on_plane(), bodies=(*ball_on_plane().bodies, beside)
+    )
     refused["beside"] = list(engine.supports(scene).missing)
     return refused
 
 
 def test_refusals_name_the_cause(measured: dict[str, Any]) -> None:
     refused = measured["refusals"]
-    assert "'substeps'" in refused["unknown"] and "unknown setting" in refused["unknown"]
+    assert (
+        "'substeps'" in refused["unknown"] and "unknown setting" in refused["unknown"]
+    )
     assert "'timestep_s'" in refused["impossible"]
     assert "not a whole number" in refused["odd"]
     assert refused["turned"] == [
@@ -379,7 +509,12 @@ def measure_turning_plate() -> list[float]:
         mass_kg=1.0,
     )
     simulation = backend("point").build(Scene(bodies=(plate,), duration_s=1.0))
-    simulation.drive("plate", plate.pose, np.array([0, 0, 1, 0, 0, 2.0]), np.array([0, 0, 4, 0, 0, 8.0]))
+    simulation.drive(
+        "plate",
+        plate.pose,
+        np.array([0, 0, 1, 0, 0, 2.0]),
+        np.array([0, 0, 4, 0, 0, 8.0]),
+    )
     simulation.advance(0.5)
     return simulation.body_states(["plate"])[0].tolist()
 
@@ -387,11 +522,33 @@ def measure_turning_plate() -> list[float]:
 def test_driven_body_accelerates_uniformly(measured: dict[str, Any]) -> None:
     state = measured["turning_plate"]
     half_turn = 0.5 * (2.0 * 0.5 + 0.5 * 8.0 * 0.5**2)
-    expected = [1.0, 0.0, 1.0, np.cos(half_turn), 0.0, 0.0, np.sin(half_turn), 0.0, 0.0, 3.0, 0.0, 0.0, 6.0]
+    expected = [
+        1.0,
+        0.0,
+        1.0,
+        np.cos(half_turn),
+        0.0,
+        0.0,
+        np.sin(half_turn),
+        0.0,
+        0.0,
+        3.0,
+        0.0,
+        0.0,
+        6.0,
+    ]
     assert state == pytest.approx(expected, abs=1e-12)
 
 
-QUICK = ("start-*", "rest-*", "rebound-0.5", "restore", "free-fall*", "slide", "wrench-*")
+QUICK = (
+    "start-*",
+    "rest-*",
+    "rebound-0.5",
+    "restore",
+    "free-fall*",
+    "slide",
+    "wrench-*",
+)
 
 
 def measure_conformance() -> dict[str, str]:
@@ -408,7 +565,9 @@ def test_conformance_kit_finds_nothing(measured: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["point", "marbles"])
-def test_the_whole_conformance_kit_finds_nothing(name: str, environment: dict[str, str], tmp_path: Path) -> None:
+def test_the_whole_conformance_kit_finds_nothing(
+    name: str, environment: dict[str, str], tmp_path: Path
+) -> None:
     run = gauge(environment, ["backend", "check", name, "--json"], tmp_path)
     assert run.returncode == 0, run.stdout + run.stderr
     assert statuses(run.stdout) == {"pass", "declined"}
@@ -422,9 +581,14 @@ CONTACTS = ("rebound-0.5", "rebound-of-pair", "oblique-*", "rest-sphere", "free-
 def measure_marbles() -> dict[str, Any]:
     """Results of checks, and the largest distance of worlds that start and rebound differently from each one alone."""
     engine = backend("marbles")
-    results = {one.check: one.status.value for one in run_checks("marbles", only=CONTACTS)}
+    results = {
+        one.check: one.status.value for one in run_checks("marbles", only=CONTACTS)
+    }
     scenes = [
-        ball_on_plane(tilt_deg=20, drop_m=0.05 * drop, friction=0.1 * drop, restitution=0.2 * drop) for drop in range(4)
+        ball_on_plane(
+            tilt_deg=20, drop_m=0.05 * drop, friction=0.1 * drop, restitution=0.2 * drop
+        )
+        for drop in range(4)
     ]
     worlds = engine.build_worlds(scenes)
     alone = [engine.build(scene) for scene in scenes]
@@ -437,7 +601,9 @@ def measure_marbles() -> dict[str, Any]:
     return {"results": results, "apart": apart}
 
 
-def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measured: dict[str, Any]) -> None:
+def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(
+    measured: dict[str, Any],
+) -> None:
     assert set(measured["marbles"]["results"].values()) == {"pass", "declined"}
     assert list(measured["marbles"]["results"].values()).count("pass") > 6
     assert measured["marbles"]["apart"] == 0.0
@@ -448,13 +614,24 @@ def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measure
 
 def fenced(language: str) -> list[str]:
     """Code blocks of the guide in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$",
+        GUIDE.read_text(),
+        flags=re.MULTILINE | re.DOTALL,
+    )
 
 
 def unquoted() -> list[str]:
     """Python blocks of the guide that are not quoted from the example."""
-    sources = [(PACKAGE / name).read_text(encoding="utf-8") for name in ("point_engine.py", "marbles.py")]
-    return [block for block in fenced("python") if not any(block in source for source in sources)]
+    sources = [
+        (PACKAGE / name).read_text(encoding="utf-8")
+        for name in ("point_engine.py", "marbles.py")
+    ]
+    return [
+        block
+        for block in fenced("python")
+        if not any(block in source for source in sources)
+    ]
 
 
 def measure_guide() -> str:
@@ -466,7 +643,9 @@ def measure_guide() -> str:
     return ""
 
 
-def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(measured: dict[str, Any]) -> None:
+def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(
+    measured: dict[str, Any],
+) -> None:
     count = len(unquoted())
     assert count > 3
     assert len(fenced("python")) - count > 3
@@ -487,10 +666,19 @@ def test_toml_of_the_guide_is_that_of_the_example() -> None:
 
 
 @pytest.mark.slow
-def test_gauge_commands_of_the_guide_run(environment: dict[str, str], tmp_path: Path) -> None:
-    commands = [shlex.split(line) for block in fenced("sh") for line in block.splitlines() if line.startswith("gauge ")]
+def test_gauge_commands_of_the_guide_run(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    commands = [
+        shlex.split(line)
+        for block in fenced("sh")
+        for line in block.splitlines()
+        if line.startswith("gauge ")
+    ]
     # The steps of the guide call the reader's engine `mine`.
-    steps = re.findall(r"^\d\. `(gauge [^`]*)`", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    steps = re.findall(
+        r"^\d\. `(gauge [^`]*)`", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
     commands += [shlex.split(step.replace("mine", "point")) for step in steps]
     assert {command[1] for command in commands} == {"list", "backend", "run"}
     for command in commands:

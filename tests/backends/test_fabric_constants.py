@@ -24,12 +24,25 @@ from gauge_envs.tools.usd.isaac_fabric import surface_constants
 SIX = fabrics("TextileFlinging")
 NAMES = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 # Uniform alone is inside the range of an isotropic sheet.
-ISAAC_POISSON = {"rayon": 0.30, "satin": 0.45, "nylon": 0.45, "oxford": 0.30, "leather": 0.30}
+ISAAC_POISSON = {
+    "rayon": 0.30,
+    "satin": 0.45,
+    "nylon": 0.45,
+    "oxford": 0.30,
+    "leather": 0.30,
+}
 CONSTANTS = {
     "isaac": {"youngs_modulus", "poissons_ratio", "surfaceBendStiffness"},
     "genesis": {"stretch_compliance", "bending_compliance"},
     "newton": {"tri_ke", "tri_ka", "edge_ke_times_mean_edge_length"},
-    "mujoco": {"young", "poisson", "thickness", "membrane_warp", "membrane_weft", "membrane_shear"},
+    "mujoco": {
+        "young",
+        "poisson",
+        "thickness",
+        "membrane_warp",
+        "membrane_weft",
+        "membrane_shear",
+    },
 }
 
 
@@ -70,7 +83,9 @@ def test_six_fabrics_are_those_of_the_scenes():
         assert Fabric.of(cloth) == expected
 
 
-@pytest.mark.parametrize("family", ["TextileStretching", "TextileBending", "Funnel", "RotatingBall"])
+@pytest.mark.parametrize(
+    "family", ["TextileStretching", "TextileBending", "Funnel", "RotatingBall"]
+)
 def test_other_families_repeat_the_six(family):
     assert fabrics(family).items() <= SIX.items()
 
@@ -86,13 +101,21 @@ def test_tablecloth_is_another_nylon():
 def test_constants_by_hand():
     given = fabric()
     assert surface_constants(given).constants == pytest.approx(
-        {"youngs_modulus": 1.5e6, "poissons_ratio": 0.25, "surfaceBendStiffness": 187500.0}
+        {
+            "youngs_modulus": 1.5e6,
+            "poissons_ratio": 0.25,
+            "surfaceBendStiffness": 187500.0,
+        }
     )
     assert pbd_constants(given).constants == pytest.approx(
         {"stretch_compliance": 1 / 300, "bending_compliance": 1e6 / 6}
     )
     assert vbd_constants(given).constants == pytest.approx(
-        {"tri_ke": 120.0, "tri_ka": 2 * 120 * 60 / 180, "edge_ke_times_mean_edge_length": 6e-6}
+        {
+            "tri_ke": 120.0,
+            "tri_ka": 2 * 120 * 60 / 180,
+            "edge_ke_times_mean_edge_length": 6e-6,
+        }
     )
     thickness = math.sqrt(12 * 6e-6 / 300)
     assert flex_constants(given).constants == pytest.approx(
@@ -120,13 +143,19 @@ def test_every_constant_has_a_unit(engine):
     ],
 )
 def test_edges_of_the_fallbacks(ratio, isaac, newton):
-    given = fabric(stretch_stiffness_n_per_m=ratio * 128.0, shear_stiffness_n_per_m=128.0)
+    given = fabric(
+        stretch_stiffness_n_per_m=ratio * 128.0, shear_stiffness_n_per_m=128.0
+    )
     mapped = surface_constants(given)
     assert bool(mapped.fallbacks) == (isaac is not None)
-    assert mapped.constants["poissons_ratio"] == pytest.approx(isaac[1] if isaac else ratio / 2 - 1)
+    assert mapped.constants["poissons_ratio"] == pytest.approx(
+        isaac[1] if isaac else ratio / 2 - 1
+    )
     mapped = vbd_constants(given)
     assert bool(mapped.fallbacks) == newton
-    assert mapped.constants["tri_ke"] == pytest.approx(ratio * 128.0 / 2.7 if newton else 128.0)
+    assert mapped.constants["tri_ke"] == pytest.approx(
+        ratio * 128.0 / 2.7 if newton else 128.0
+    )
 
 
 # --- what comes back ---
@@ -136,7 +165,9 @@ def test_edges_of_the_fallbacks(ratio, isaac, newton):
 @pytest.mark.parametrize("engine", CONSTANTS)
 def test_stretch_stiffness_of_the_six_comes_back(name, engine):
     mapped = fabric_constants(SIX[name])[engine]
-    assert mapped.stretch_stiffness_n_per_m == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-12)
+    assert mapped.stretch_stiffness_n_per_m == pytest.approx(
+        SIX[name].stretch_stiffness_n_per_m, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -146,7 +177,10 @@ def test_shear_stiffness_of_the_six_comes_back_or_is_stated_lost(name):
         returned = mapped.shear_stiffness_n_per_m
         if mapped.lost:
             assert engine != "mujoco"
-            assert f"{returned:.4g} N/m instead of {measured:.4g} ({returned / measured - 1:+.0%})" in mapped.lost[0]
+            assert (
+                f"{returned:.4g} N/m instead of {measured:.4g} ({returned / measured - 1:+.0%})"
+                in mapped.lost[0]
+            )
         else:
             assert returned == pytest.approx(measured, rel=1e-12)
 
@@ -161,17 +195,27 @@ def test_which_fallbacks_fire_for_the_six(name):
     else:
         assert isaac.constants["poissons_ratio"] == ISAAC_POISSON[name]
         assert isaac.replaced == ("poissons_ratio",)
-        assert newton.constants["tri_ke"] == pytest.approx(SIX[name].stretch_stiffness_n_per_m / 2.7)
+        assert newton.constants["tri_ke"] == pytest.approx(
+            SIX[name].stretch_stiffness_n_per_m / 2.7
+        )
         assert newton.replaced == ("tri_ke", "tri_ka")
         for mapped in (isaac, newton):
             assert len(mapped.fallbacks) == len(mapped.lost) == 1
-    assert pbd_constants(SIX[name]).fallbacks == flex_constants(SIX[name]).fallbacks == ()
+    assert (
+        pbd_constants(SIX[name]).fallbacks == flex_constants(SIX[name]).fallbacks == ()
+    )
 
 
 def test_size_of_the_loss_is_stated():
-    assert surface_constants(SIX["satin"]).lost == ("shear: 26.61 N/m instead of 1.008 (+2540%)",)
-    assert vbd_constants(SIX["oxford"]).lost == ("shear: 1076 N/m instead of 2905 (-63%)",)
-    assert pbd_constants(SIX["uniform"]).lost == ("shear: no such constant, 450 N/m instead of 333.2 (+35%)",)
+    assert surface_constants(SIX["satin"]).lost == (
+        "shear: 26.61 N/m instead of 1.008 (+2540%)",
+    )
+    assert vbd_constants(SIX["oxford"]).lost == (
+        "shear: 1076 N/m instead of 2905 (-63%)",
+    )
+    assert pbd_constants(SIX["uniform"]).lost == (
+        "shear: no such constant, 450 N/m instead of 333.2 (+35%)",
+    )
     # Genesis has no shear constant, even where the measured stiffness happens to be what its springs give.
     assert "(+0%)" in pbd_constants(fabric(shear_stiffness_n_per_m=150.0)).lost[0]
 
@@ -179,16 +223,24 @@ def test_size_of_the_loss_is_stated():
 @given(given=any_fabric)
 def test_any_fabric(given):
     for engine, mapped in fabric_constants(given).items():
-        assert all(math.isfinite(value) and value >= 0.0 for value in mapped.constants.values())
-        assert mapped.stretch_stiffness_n_per_m == pytest.approx(given.stretch_stiffness_n_per_m, rel=1e-9)
-        returned = mapped.shear_stiffness_n_per_m == pytest.approx(given.shear_stiffness_n_per_m, rel=1e-8)
+        assert all(
+            math.isfinite(value) and value >= 0.0 for value in mapped.constants.values()
+        )
+        assert mapped.stretch_stiffness_n_per_m == pytest.approx(
+            given.stretch_stiffness_n_per_m, rel=1e-9
+        )
+        returned = mapped.shear_stiffness_n_per_m == pytest.approx(
+            given.shear_stiffness_n_per_m, rel=1e-8
+        )
         if engine == "mujoco" or not (mapped.fallbacks or engine == "genesis"):
             assert returned
             assert mapped.lost == ()
     nu = surface_constants(given).constants["poissons_ratio"]
     assert 0.0 <= nu < 0.5
     flex = flex_constants(given).constants
-    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=given.bend_stiffness_n_m_per_rad)
+    plate = plate_bending_stiffness(
+        hinge_stiffness_n_m_per_rad=given.bend_stiffness_n_m_per_rad
+    )
     bent = flex["young"] * flex["thickness"] ** 3 / (12 * (1 - flex["poisson"] ** 2))
     assert bent == pytest.approx(plate, rel=1e-9)
 
@@ -203,7 +255,9 @@ def membrane(energy, step=1e-4):
     for i in range(3):
         for j in range(3):
             a, b = unit[i], unit[j]
-            hessian[i, j] = (energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)) / (4 * step**2)
+            hessian[i, j] = (
+                energy(a + b) - energy(a - b) - energy(b - a) + energy(-a - b)
+            ) / (4 * step**2)
     # Free transverse edges: no stress but along x.
     return 1.0 / np.linalg.inv(hessian)[0, 0], hessian[2, 2]
 
@@ -214,7 +268,11 @@ def neo_hookean(mu, lame):
     def energy(strain):
         F = np.array([[1 + strain[0], strain[2]], [0.0, 1 + strain[1]]])
         J = F[0, 0] * F[1, 1] - F[0, 1] * F[1, 0]
-        return 0.5 * mu * (np.sum(F * F) - 2) - mu * (J - 1) + 0.5 * (lame + mu) * (J - 1) ** 2
+        return (
+            0.5 * mu * (np.sum(F * F) - 2)
+            - mu * (J - 1)
+            + 0.5 * (lame + mu) * (J - 1) ** 2
+        )
 
     return energy
 
@@ -222,7 +280,9 @@ def neo_hookean(mu, lame):
 @pytest.mark.parametrize("name", NAMES)
 def test_newton_energy_has_the_stated_stiffnesses(name):
     mapped = vbd_constants(SIX[name])
-    stretch, shear = membrane(neo_hookean(mapped.constants["tri_ke"], mapped.constants["tri_ka"]))
+    stretch, shear = membrane(
+        neo_hookean(mapped.constants["tri_ke"], mapped.constants["tri_ka"])
+    )
     assert stretch == pytest.approx(mapped.stretch_stiffness_n_per_m, rel=1e-5)
     assert stretch == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-5)
     assert shear == pytest.approx(mapped.shear_stiffness_n_per_m, rel=1e-5)
@@ -249,25 +309,45 @@ def cell_hinges(direction, curvature=1e-3):
     """
 
     def normal(*corners):
-        a, b, c = (np.array([*xy, 0.5 * curvature * np.dot(direction, xy) ** 2]) for xy in corners)
+        a, b, c = (
+            np.array([*xy, 0.5 * curvature * np.dot(direction, xy) ** 2])
+            for xy in corners
+        )
         n = np.cross(b - a, c - a)
         return n / np.linalg.norm(n)
 
     lower, upper = normal((0, 0), (1, 0), (1, 1)), normal((0, 0), (1, 1), (0, 1))
     below, left = normal((0, -1), (1, 0), (0, 0)), normal((-1, 0), (0, 0), (0, 1))
-    angles = [np.linalg.norm(np.cross(a, b)) for a, b in ((lower, upper), (lower, below), (upper, left))]
-    return np.array(angles) / curvature, np.array([math.sqrt(2), 1.0, 1.0]), np.array([math.sqrt(0.5), 1.0, 1.0])
+    angles = [
+        np.linalg.norm(np.cross(a, b))
+        for a, b in ((lower, upper), (lower, below), (upper, left))
+    ]
+    return (
+        np.array(angles) / curvature,
+        np.array([math.sqrt(2), 1.0, 1.0]),
+        np.array([math.sqrt(0.5), 1.0, 1.0]),
+    )
 
 
 @pytest.mark.parametrize(
     ("direction", "expected"),
-    [((1, 0), 1.0), ((0, 1), 1.0), ((math.sqrt(0.5), math.sqrt(0.5)), 2.5), ((math.sqrt(0.5), -math.sqrt(0.5)), 0.5)],
+    [
+        ((1, 0), 1.0),
+        ((0, 1), 1.0),
+        ((math.sqrt(0.5), math.sqrt(0.5)), 2.5),
+        ((math.sqrt(0.5), -math.sqrt(0.5)), 0.5),
+    ],
 )
 def test_plate_stiffness_of_a_sheet_of_equal_hinges(direction, expected):
     angles, _, _ = cell_hinges(direction)
     assert np.sum(angles**2) == pytest.approx(expected, abs=1e-5)
     assert plate_bending_stiffness(hinge_stiffness_n_m_per_rad=2.0) == 2.0
-    assert plate_bending_stiffness(hinge_stiffness_n_m_per_rad=2.0, spacing_over_length=0.5) == 1.0
+    assert (
+        plate_bending_stiffness(
+            hinge_stiffness_n_m_per_rad=2.0, spacing_over_length=0.5
+        )
+        == 1.0
+    )
 
 
 def test_isaac_and_newton_hinges_on_a_square_grid():
@@ -276,7 +356,9 @@ def test_isaac_and_newton_hinges_on_a_square_grid():
     assert weights.tolist() == pytest.approx([6.0, 3.0, 3.0])
     assert weights.mean() == pytest.approx(4.0)
     assert np.sum(weights / weights.mean() * angles**2) == pytest.approx(0.75, abs=1e-5)
-    assert np.sum(lengths / lengths.mean() * angles**2) == pytest.approx(3 / (2 + math.sqrt(2)), abs=1e-5)
+    assert np.sum(lengths / lengths.mean() * angles**2) == pytest.approx(
+        3 / (2 + math.sqrt(2)), abs=1e-5
+    )
 
 
 def flex_energy(young, thickness, poisson):
@@ -305,19 +387,28 @@ def test_mujoco_stretches_and_bends_as_stated(name):
     area = 0.08**2
     along = np.zeros_like(rest)
     along[:, 0] = 1e-6 * rest[:, 0]
-    assert 2 * energy(along) / (1e-12 * area) == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-4)
-    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=SIX[name].bend_stiffness_n_m_per_rad)
+    assert 2 * energy(along) / (1e-12 * area) == pytest.approx(
+        SIX[name].stretch_stiffness_n_per_m, rel=1e-4
+    )
+    plate = plate_bending_stiffness(
+        hinge_stiffness_n_m_per_rad=SIX[name].bend_stiffness_n_m_per_rad
+    )
     for axis in (0, 1):
         bent = np.zeros_like(rest)
         bent[:, 2] = 0.5e-3 * rest[:, axis] ** 2
         # Of eight rows of cells, seven hinge lines are inside.
-        assert 2 * energy(bent) / (1e-6 * area) == pytest.approx(7 / 8 * plate, rel=1e-3)
+        assert 2 * energy(bent) / (1e-6 * area) == pytest.approx(
+            7 / 8 * plate, rel=1e-3
+        )
 
 
 def test_bending_length_balances_weight_and_bending():
     given = fabric()
     length = bending_length_m(given)
-    assert given.areal_density_kg_per_m2 * GRAVITY_M_PER_S2 * length**3 == pytest.approx(6e-6)
+    assert (
+        given.areal_density_kg_per_m2 * GRAVITY_M_PER_S2 * length** 3
+        == pytest.approx(6e-6)
+    )
     # Cantilever tests of clothing fabrics give about 5 to 50 mm: K_theta is plausible as a plate stiffness.
     assert all(0.005 < bending_length_m(each) < 0.05 for each in SIX.values())
 
@@ -336,7 +427,9 @@ def test_helpers_name_what_is_not_positive():
     with pytest.raises(ParameterError, match="hinge_stiffness_n_m_per_rad"):
         plate_bending_stiffness(hinge_stiffness_n_m_per_rad=0.0)
     with pytest.raises(ParameterError, match="spacing_over_length"):
-        plate_bending_stiffness(hinge_stiffness_n_m_per_rad=1e-6, spacing_over_length=0.0)
+        plate_bending_stiffness(
+            hinge_stiffness_n_m_per_rad=1e-6, spacing_over_length=0.0
+        )
 
 
 # --- gauge materials ---
@@ -349,15 +442,28 @@ def test_command_prints_json():
     values = json.loads(line)
     assert tuple(values) == NAMES
     for name, engines in values.items():
-        assert {engine: set(constants) for engine, constants in engines.items()} == CONSTANTS
+        assert {
+            engine: set(constants) for engine, constants in engines.items()
+        } == CONSTANTS
         for engine, constants in engines.items():
             assert constants == fabric_constants(SIX[name])[engine].constants
 
 
 def test_command_prints_a_table_with_fallbacks_marked():
     text = CliRunner(env={"COLUMNS": "140"}).invoke(app, ["recipe", "fabrics"]).stdout
-    rows = {line.split()[0]: line.split()[2:] for line in text.splitlines() if line.startswith("  ")}
-    assert [cell.endswith("*") for cell in rows["poissons_ratio"]] == [name != "uniform" for name in NAMES]
-    assert [cell.endswith("*") for cell in rows["tri_ke"]] == [name != "uniform" for name in NAMES]
+    rows = {
+        line.split()[0]: line.split()[2:]
+        for line in text.splitlines()
+        if line.startswith("  ")
+    }
+    assert [cell.endswith("*") for cell in rows["poissons_ratio"]] == [
+        name != "uniform" for name in NAMES
+    ]
+    assert [cell.endswith("*") for cell in rows["tri_ke"]] == [
+        name != "uniform" for name in NAMES
+    ]
     assert not any(cell.endswith("*") for cell in rows["youngs_modulus"])
-    assert "satin: poissons_ratio 0.45, as K_s/(2 K_sh) - 1 = 37.3 is 0.5 or more; shear: 26.61 N/m" in text
+    assert (
+        "satin: poissons_ratio 0.45, as K_s/(2 K_sh) - 1 = 37.3 is 0.5 or more; shear: 26.61 N/m"
+        in text
+    )

@@ -35,8 +35,18 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
     """Both centres are on the axis, so each body turns about its own."""
     pytest.importorskip(ENGINES[name])
     bodies = (
-        body("small", Box(size_m=(0.1, 0.02, 0.03)), Pose(position_m=(0.0, 0.0, 1.0)), mass_kg=0.3),
-        body("large", Box(size_m=(0.2, 0.03, 0.03)), Pose(position_m=(0.0, 0.1, 1.0)), mass_kg=0.5),
+        body(
+            "small",
+            Box(size_m=(0.1, 0.02, 0.03)),
+            Pose(position_m=(0.0, 0.0, 1.0)),
+            mass_kg=0.3,
+        ),
+        body(
+            "large",
+            Box(size_m=(0.2, 0.03, 0.03)),
+            Pose(position_m=(0.0, 0.1, 1.0)),
+            mass_kg=0.5,
+        ),
     )
     hinge = BodyHinge(
         first="large",
@@ -46,7 +56,9 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
         dynamics=JointDynamics(dry_friction_n_m=0.02),
         motor=TorqueMotor(command=STEP),
     )
-    scene = Scene(bodies=bodies, body_hinges=(hinge,), duration_s=0.1, gravity_m_per_s2=0.0)
+    scene = Scene(
+        bodies=bodies, body_hinges=(hinge,), duration_s=0.1, gravity_m_per_s2=0.0
+    )
     engine = backend(name)
     if name in ("rapier", "genesis"):
         assert "free" in scene_support(engine, scene).missing[0]
@@ -56,7 +68,9 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
     rollout = record(simulation, scene, 0.1)
     for one, sign in zip(bodies, (1.0, -1.0), strict=True):
         turned = rollout.rotation(one.name)[-1].as_rotvec()[1]
-        assert turned == pytest.approx(sign * 0.5 * 0.01 * 0.1**2 / box_inertia_kg_m2(one)[1], rel=0.02)
+        assert turned == pytest.approx(
+            sign * 0.5 * 0.01 * 0.1**2 / box_inertia_kg_m2(one)[1], rel=0.02
+        )
 
 
 def _arm(name: str = "mujoco") -> Scene:
@@ -65,16 +79,30 @@ def _arm(name: str = "mujoco") -> Scene:
     On an engine that builds it, both have play too.
     """
     upper, lower = (
-        body(name, Box(size_m=(0.02, 0.02, 0.2)), Pose(position_m=(0.0, 0.0, z)), mass_kg=0.2)
+        body(
+            name,
+            Box(size_m=(0.02, 0.02, 0.2)),
+            Pose(position_m=(0.0, 0.0, z)),
+            mass_kg=0.2,
+        )
         for name, z in (("upper", 0.9), ("lower", 0.7))
     )
-    servo = Servo(command=ramp(0.5, start_s=0.0, duration_s=0.1, ramp_s=0.0), kp_n_m_per_rad=2.0, kv_n_m_s_per_rad=0.1)
-    friction = JointDynamics(dry_friction_n_m=0.005, viscous_friction_n_m_s_per_rad=0.001)
+    servo = Servo(
+        command=ramp(0.5, start_s=0.0, duration_s=0.1, ramp_s=0.0),
+        kp_n_m_per_rad=2.0,
+        kv_n_m_s_per_rad=0.1,
+    )
+    friction = JointDynamics(
+        dry_friction_n_m=0.005, viscous_friction_n_m_s_per_rad=0.001
+    )
     first, second, bearing = "upper", "lower", JointDynamics()
     if Feature.BACKLASH in backend(name).features:
         # Both rotors turn the upper bar.
         first, second = second, first
-        friction, bearing = (replace(one, armature_kg_m2=0.002, backlash_rad=0.02) for one in (friction, bearing))
+        friction, bearing = (
+            replace(one, armature_kg_m2=0.002, backlash_rad=0.02)
+            for one in (friction, bearing)
+        )
     axis = (0.0, 1.0, 0.0)
     inner = BodyHinge(
         first=first,
@@ -84,11 +112,17 @@ def _arm(name: str = "mujoco") -> Scene:
         dynamics=friction,
         motor=TorqueMotor(command=STEP, delay_s=0.05),
     )
-    outer = Hinge(body="upper", anchor_m=(0.0, 0.0, 1.0), axis=axis, motor=servo, dynamics=bearing)
-    return Scene(bodies=(lower, upper), joints=(outer,), body_hinges=(inner,), duration_s=0.2)
+    outer = Hinge(
+        body="upper", anchor_m=(0.0, 0.0, 1.0), axis=axis, motor=servo, dynamics=bearing
+    )
+    return Scene(
+        bodies=(lower, upper), joints=(outer,), body_hinges=(inner,), duration_s=0.2
+    )
 
 
-def _played(world: Simulation | Worlds, first: int, last: int) -> list[NDArray[np.float64]]:
+def _played(
+    world: Simulation | Worlds, first: int, last: int
+) -> list[NDArray[np.float64]]:
     states = []
     for values in motor_commands(_arm(), 36)[first:last]:
         world.command(values)
@@ -116,5 +150,7 @@ def test_several_worlds_and_a_restored_one_move_as_one_does(name: str) -> None:
     worlds.reset(0)
     together = _played(worlds, 0, 36)
     for world in range(2):
-        np.testing.assert_allclose([states[world] for states in together], [*early, *late], atol=1e-5)
+        np.testing.assert_allclose(
+            [states[world] for states in together], [*early, *late], atol=1e-5
+        )
     worlds.close()

@@ -23,14 +23,17 @@ def different(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
     return {
         name: (ours[name], value)
         for name, value in theirs.items()
-        if ours[name] != (value if isinstance(value, bool | str) else pytest.approx(value, rel=1e-6))
+        if ours[name]
+        != (value if isinstance(value, bool | str) else pytest.approx(value, rel=1e-6))
     }
 
 
 def test_out_of_box_is_a_mujoco_model_that_states_nothing() -> None:
     import mujoco
 
-    plain = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>")
+    plain = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='0.1'/></worldbody></mujoco>"
+    )
     built = backend("mujoco").build(SCENE, {"preset": "out_of_box", **STEP}).model
     stated = {"gravity", "timestep"}
     names = {name for name in dir(plain.opt) if not name.startswith("_")} - stated
@@ -109,5 +112,10 @@ def test_out_of_box_differs_from_newton_in_its_contacts_alone() -> None:
     assert f"MuJoCo's default ({ours['iterations']})" in text
     assert ours["newton_material"]
     # As the page of the engine states.
-    assert inspect.signature(solvers.SolverMuJoCo.__init__).parameters["use_mujoco_contacts"].default is True
+    assert (
+        inspect.signature(solvers.SolverMuJoCo.__init__)
+        .parameters["use_mujoco_contacts"]
+        .default
+        is True
+    )
     assert ours["mujoco_contacts"] is False

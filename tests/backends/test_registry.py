@@ -48,7 +48,12 @@ def broken() -> Any:
 
 
 def missing() -> Any:
-    raise MissingExtraError("backend 'other'", "fast", ModuleNotFoundError(name="other_engine"), package="somebody")
+    raise MissingExtraError(
+        "backend 'other'",
+        "fast",
+        ModuleNotFoundError(name="other_engine"),
+        package="somebody",
+    )
 
 
 @pytest.fixture
@@ -71,7 +76,9 @@ def test_names_are_listed_without_loading_anything() -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_backend_that_cannot_be_loaded_says_which_and_why() -> None:
-    with pytest.raises(BackendError, match=r"'broken' \(somebody:Backend\): OSError: libengine\.so"):
+    with pytest.raises(
+        BackendError, match=r"'broken' \(somebody:Backend\): OSError: libengine\.so"
+    ):
         backend("broken")
     with pytest.raises(MissingExtraError, match=r"pip install 'somebody\[fast\]'"):
         backend("other")
@@ -85,7 +92,10 @@ def test_the_others_stay_usable(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "is_bundled", lambda name: True)
     rows = {row["name"]: row for row in backends_table().rows}
     assert rows["nothing"]["versions"] == {"nothing": "1.0"}
-    assert "libengine.so" in rows["broken"]["error"] and "somebody[fast]" in rows["other"]["error"]
+    assert (
+        "libengine.so" in rows["broken"]["error"]
+        and "somebody[fast]" in rows["other"]["error"]
+    )
     lacks = list_rows([find_variant("SlopeSlider-2-wood")])[0]["backends"]
     assert lacks["nothing"] == ["it does nothing"]
     assert "libengine.so" in lacks["broken"][0]
@@ -101,7 +111,13 @@ def test_somebody_elses_engine_gives_its_title_and_colour() -> None:
         assert backend_class(name).color == ""
 
 
-def test_engines_of_this_package_have_titles_and_colours_without_being_installed() -> None:
+def test_engines_of_this_package_have_titles_and_colours_without_being_installed() -> (
+    None
+):
     classes = {name: backend_class(name) for name in backend_names()}
     assert {one.title.lower() for one in classes.values()} == set(classes)
-    assert len({one.color for one in classes.values()}) == len({one.marker for one in classes.values()}) == len(classes)
+    assert (
+        len({one.color for one in classes.values()})
+        == len({one.marker for one in classes.values()})
+        == len(classes)
+    )

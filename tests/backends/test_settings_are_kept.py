@@ -17,11 +17,25 @@ from gauge_envs.scene import Contact, Motion, Plane, Pose, RigidBody, Scene, Sph
 
 def _ball(**contact: float) -> Scene:
     ball = RigidBody(
-        name="ball", shape=Sphere(radius_m=0.03), motion=Motion.DYNAMIC, pose=Pose(position_m=(0, 0, 0.03)), mass_kg=0.1
+        name="ball",
+        shape=Sphere(radius_m=0.03),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0, 0, 0.03)),
+        mass_kg=0.1,
     )
-    ground = RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0, 0, 0)), mass_kg=0.0)
+    ground = RigidBody(
+        name="ground",
+        shape=Plane(),
+        motion=Motion.FIXED,
+        pose=Pose(position_m=(0, 0, 0)),
+        mass_kg=0.0,
+    )
     touch: dict[str, Any] = {"friction": 0.5, "restitution": 0.0} | contact
-    return Scene(bodies=(ball, ground), contacts=(Contact(first=("ball",), second=("ground",), **touch),), duration_s=1)
+    return Scene(
+        bodies=(ball, ground),
+        contacts=(Contact(first=("ball",), second=("ground",), **touch),),
+        duration_s=1,
+    )
 
 
 class _Clamping:
@@ -35,7 +49,9 @@ class _Clamping:
 
 def test_a_clamped_value_names_what_was_asked_and_what_is_in_force() -> None:
     put("Engine", _Clamping(), step=0.5)
-    with pytest.raises(BackendError, match=r"'step': 2.0 was asked and 1.0 is in force"):
+    with pytest.raises(
+        BackendError, match=r"'step': 2.0 was asked and 1.0 is in force"
+    ):
         put("Engine", _Clamping(), step=2.0)
 
 
@@ -45,7 +61,11 @@ def test_an_ignored_value_is_an_error() -> None:
 
 
 def test_rounding_to_single_precision_is_none() -> None:
-    check_kept("Engine", {"a": 0.1, "b": "Newton", "c": True}, {"a": 0.10000000149011612, "b": "Newton", "c": True})
+    check_kept(
+        "Engine",
+        {"a": 0.1, "b": "Newton", "c": True},
+        {"a": 0.10000000149011612, "b": "Newton", "c": True},
+    )
     with pytest.raises(BackendError, match="'b'"):
         check_kept("Engine", {"b": "Newton"}, SimpleNamespace(b="PGS"))
 
@@ -57,7 +77,9 @@ def test_rounding_to_single_precision_is_none() -> None:
         pytest.param("newton", "newton", {"impratio": 1e-20}, marks=pytest.mark.slow),
     ],
 )
-def test_values_that_engines_clamp_are_refused(engine: str, module: str, settings: dict[str, Any]) -> None:
+def test_values_that_engines_clamp_are_refused(
+    engine: str, module: str, settings: dict[str, Any]
+) -> None:
     pytest.importorskip(module)
     with pytest.raises(BackendError, match="the engine clamps or ignores it"):
         backend(engine).build(_ball(), settings).close()
@@ -69,7 +91,9 @@ def test_a_tolerance_that_mujoco_warp_raises_is_no_setting_of_newton() -> None:
         backend("newton").build(_ball(), {"tolerance": 1e-8})
 
 
-def test_an_option_that_does_not_reach_mujoco_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_option_that_does_not_reach_mujoco_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     built = mujoco_backend.build_model
 
     def faulty(*arguments: Any) -> Any:
@@ -78,30 +102,45 @@ def test_an_option_that_does_not_reach_mujoco_is_an_error(monkeypatch: pytest.Mo
         return spec, model, parts
 
     monkeypatch.setattr(mujoco_backend, "build_model", faulty)
-    with pytest.raises(BackendError, match=r"'impratio': 10.0 was asked and 1.0 is in force"):
+    with pytest.raises(
+        BackendError, match=r"'impratio': 10.0 was asked and 1.0 is in force"
+    ):
         backend("mujoco").build(_ball())
 
 
-def test_a_parameter_that_does_not_reach_pybullet_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_parameter_that_does_not_reach_pybullet_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pytest.importorskip("pybullet")
     from gauge_envs.backends.pybullet.world import BulletWorld
 
     call = BulletWorld.call
 
     def faulty(self: Any, name: str, *arguments: Any, **named: Any) -> Any:
-        return call(self, name, *arguments, **{key: value for key, value in named.items() if key != "rollingFriction"})
+        return call(
+            self,
+            name,
+            *arguments,
+            **{key: value for key, value in named.items() if key != "rollingFriction"},
+        )
 
     monkeypatch.setattr(BulletWorld, "call", faulty)
     with pytest.raises(BackendError, match="PyBullet setting 'rollingFriction'"):
         backend("pybullet").build(_ball(rolling_m=0.001)).close()
 
 
-@pytest.mark.parametrize(("field", "words"), [("torsion_m", "torsional friction"), ("rolling_m", "rolling friction")])
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [("torsion_m", "torsional friction"), ("rolling_m", "rolling friction")],
+)
 def test_an_engine_without_it_declines_in_words(field: str, words: str) -> None:
     scene = _ball(**{field: 0.001})
     assert scene_support(backend("mujoco"), scene)
     (reason,) = scene_support(backend("rapier"), scene).missing
-    assert reason == f"'ball' and 'ground' touch with {words}, which this backend does not build"
+    assert (
+        reason
+        == f"'ball' and 'ground' touch with {words}, which this backend does not build"
+    )
 
 
 def test_torsion_needs_friction() -> None:

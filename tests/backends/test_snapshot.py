@@ -45,7 +45,9 @@ def test_a_state_of_another_origin_is_refused_with_both_origins(engine: str) -> 
     assert f"timestep_s = {steps[1]}" in text.split("this one")[1]
     assert "with scene" in refusal(here, build(scene("SlopeSlider-2-metal")).state())
     state = here.state()
-    assert f"with {engine} 0.1, this one has {engine}" in refusal(here, replace(state, engine=f"{engine} 0.1"))
+    assert f"with {engine} 0.1, this one has {engine}" in refusal(
+        here, replace(state, engine=f"{engine} 0.1")
+    )
     assert "restore got a ndarray" in refusal(here, np.zeros(10))
     build(scene()).restore(pickle.loads(pickle.dumps(state)))
 
@@ -57,7 +59,9 @@ def test_engines_do_not_take_each_others_states() -> None:
     assert "with mujoco" in refusal(second, first.state())
 
 
-def test_a_pickle_under_other_settings_in_force_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pickle_under_other_settings_in_force_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A new version of gauge-envs may have other defaults."""
     env = GaugeEnv("SlopeSlider-2-wood")
     env.reset(seed=0)
@@ -65,8 +69,14 @@ def test_a_pickle_under_other_settings_in_force_is_refused(monkeypatch: pytest.M
     pickle.loads(packed).close()
     engine = type(backend("mujoco"))
     build = engine.build
-    monkeypatch.setattr(engine, "build", lambda self, one, settings=None: build(self, one, {"impratio": 5.0}))
-    with pytest.raises(BackendError, match=r"impratio = 10\.0, here it is impratio = 5\.0") as caught:
+    monkeypatch.setattr(
+        engine,
+        "build",
+        lambda self, one, settings=None: build(self, one, {"impratio": 5.0}),
+    )
+    with pytest.raises(
+        BackendError, match=r"impratio = 10\.0, here it is impratio = 5\.0"
+    ) as caught:
         pickle.loads(packed)
     assert "SlopeSlider-2-wood" in str(caught.value)
 

@@ -28,18 +28,27 @@ SCENES = (
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
 @pytest.mark.parametrize("name", SCENES)
-def test_every_scene_has_a_training_preset_that_is_not_finer(engine: str, name: str) -> None:
+def test_every_scene_has_a_training_preset_that_is_not_finer(
+    engine: str, name: str
+) -> None:
     scene = load_experiment(name).scene
     chosen = backend(engine)
-    default, training = (chosen.resolved_settings(scene, changes) for changes in ({}, {"preset": "training"}))
+    default, training = (
+        chosen.resolved_settings(scene, changes)
+        for changes in ({}, {"preset": "training"})
+    )
     assert training["preset"] == "training"
     assert training["timestep_s"] >= default["timestep_s"]
     if default.get("cell_m") is not None:
         assert training["cell_m"] >= default["cell_m"]
     # What a user states stays.
-    stated = chosen.resolved_settings(scene, {"preset": "training", "timestep_s": 1 / 1800})
+    stated = chosen.resolved_settings(
+        scene, {"preset": "training", "timestep_s": 1 / 1800}
+    )
     assert stated["timestep_s"] == 1 / 1800
-    assert {key: value for key, value in stated.items() if key != "timestep_s"}.items() <= training.items()
+    assert {
+        key: value for key, value in stated.items() if key != "timestep_s"
+    }.items() <= training.items()
 
 
 @pytest.mark.parametrize(
@@ -53,15 +62,26 @@ def test_every_scene_has_a_training_preset_that_is_not_finer(engine: str, name: 
         ("SlopeSlider-2-wood", 12, 0.8),
     ],
 )
-def test_a_trajectory_for_training_is_near(name: str, frames: int, limit_mm: float) -> None:
+def test_a_trajectory_for_training_is_near(
+    name: str, frames: int, limit_mm: float
+) -> None:
     paths = []
     for settings in ({}, {"preset": "training"}):
         env = GaugeEnv(name, settings=settings, marker_proxy="material")
         env.reset(seed=0)
         for _ in range(frames):
-            env.step(np.zeros(env.action_space.shape or ()) if env.action_space.shape else 0)
+            env.step(
+                np.zeros(env.action_space.shape or ()) if env.action_space.shape else 0
+            )
         trajectory = env.trajectory()
-        paths.append(1e3 * (trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m))
+        paths.append(
+            1e3
+            * (
+                trajectory.bodies[..., :3]
+                if trajectory.bodies.size
+                else trajectory.markers_m
+            )
+        )
         env.close()
     apart_mm = np.linalg.norm(paths[1] - paths[0], axis=-1)
     assert 0.0 < apart_mm.max() < limit_mm

@@ -13,11 +13,31 @@ from gauge_envs.cli.app import app
 SOFT = "FoamBending-soft"
 
 METRICS = {
-    *("grade", "rmse", "rmse_normalized", "dtw", "dtw_normalized", "release_offset_s", "rmse_aligned_normalized"),
+    *(
+        "grade",
+        "rmse",
+        "rmse_normalized",
+        "dtw",
+        "dtw_normalized",
+        "release_offset_s",
+        "rmse_aligned_normalized",
+    ),
     *("mean_abs_z", "inside_1sigma", "inside_2sigma", "lsd_s", "mte", "pd_s", "el"),
 }
 KEYS = {
-    *("id", "backend", "parameters", "frames", "diverged", "wall_s", "sim_s", "settings", "versions", "seed", "score"),
+    *(
+        "id",
+        "backend",
+        "parameters",
+        "frames",
+        "diverged",
+        "wall_s",
+        "sim_s",
+        "settings",
+        "versions",
+        "seed",
+        "score",
+    ),
 }
 
 
@@ -25,7 +45,9 @@ KEYS = {
 def gauge(tmp_path, monkeypatch):
     """Runs the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
+    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
+        app, list(map(str, arguments))
+    )
 
 
 def lines(result):
@@ -53,16 +75,35 @@ def test_list_takes_patterns(gauge, pattern):
 
 
 @pytest.mark.parametrize(
-    "name", [NAME, f"GAUGE/{NAME}", "SlopeSlider-3-metal", "Pendulum-metal", SOFT, "Turntable-1-wood"]
+    "name",
+    [
+        NAME,
+        f"GAUGE/{NAME}",
+        "SlopeSlider-3-metal",
+        "Pendulum-metal",
+        SOFT,
+        "Turntable-1-wood",
+    ],
 )
 def test_show_states_constants_and_where_they_are_from(gauge, name):
     text = gauge("show", name, "--format", "wide")
     assert text.exit_code == 0
-    for heading in ("Bodies", "Contacts", "Constants", "Where the numbers are from", "Decisions", "Published"):
+    for heading in (
+        "Bodies",
+        "Contacts",
+        "Constants",
+        "Where the numbers are from",
+        "Decisions",
+        "Published",
+    ):
         assert heading in text.stdout
     (values,) = lines(gauge("show", name, "--json"))
     assert values["provenance"]["constants"] == "metadata"
-    assert all(one["source"] for table in values["constants"].values() for one in table.values())
+    assert all(
+        one["source"]
+        for table in values["constants"].values()
+        for one in table.values()
+    )
     assert values["parameter_sets"]["calibrated"]
     assert values["baselines"][0]["engines"].keys() == {"isaacsim", "genesis", "newton"}
 
@@ -70,12 +111,19 @@ def test_show_states_constants_and_where_they_are_from(gauge, name):
 def test_show_states_grade_trials_and_driver(gauge):
     assert "trials, 20 trials" in gauge("show", NAME).stdout
     assert "Driver of board (video)" in gauge("show", "SlopeSlider-3-metal").stdout
-    assert lines(gauge("show", "SlopeSlider-3-wood", "--json"))[0]["drivers"][0]["provenance"] == "nominal"
+    assert (
+        lines(gauge("show", "SlopeSlider-3-wood", "--json"))[0]["drivers"][0][
+            "provenance"
+        ]
+        == "nominal"
+    )
 
 
 def test_backend_list(gauge):
     assert "mujoco" in gauge("list", "backends").stdout
-    assert "mujoco" in [one["name"] for one in lines(gauge("list", "backends", "--json"))]
+    assert "mujoco" in [
+        one["name"] for one in lines(gauge("list", "backends", "--json"))
+    ]
 
 
 # --- run ---
@@ -84,20 +132,34 @@ def test_backend_list(gauge):
 def test_run_prints_scores_beside_the_published_ones(gauge, tmp_path):
     result = gauge("run", "SlopeSlider-2-*", "--out", "out")
     assert result.exit_code == 0
-    for text in ("SlopeSlider-2-plastic", "Isaac Sim", "Genesis", "Newton", "trials", "Over real trials"):
+    for text in (
+        "SlopeSlider-2-plastic",
+        "Isaac Sim",
+        "Genesis",
+        "Newton",
+        "trials",
+        "Over real trials",
+    ):
         assert text in result.stdout
     assert len(list((tmp_path / "out").iterdir())) == 3
     assert "3 finished; results in out" in result.stderr
 
 
 def test_run_prints_all_columns_with_wide(gauge):
-    plain, wide = gauge("run", NAME).stdout, gauge("run", NAME, "--format", "wide").stdout
-    assert "shift" in " ".join(wide.splitlines()[:2]) and "shift" not in " ".join(plain.splitlines()[:2])
+    plain, wide = (
+        gauge("run", NAME).stdout,
+        gauge("run", NAME, "--format", "wide").stdout,
+    )
+    assert "shift" in " ".join(wide.splitlines()[:2]) and "shift" not in " ".join(
+        plain.splitlines()[:2]
+    )
     assert "+0.007 s" in wide and "+0.007 s" not in plain
 
 
 def test_run_json_has_one_object_a_line_and_nothing_else_on_stdout(gauge):
-    result = gauge("run", NAME, "SlopeSlider-1-wood", "--json", "seed=3", "--set", "iterations=50")
+    result = gauge(
+        "run", NAME, "SlopeSlider-1-wood", "--json", "seed=3", "--set", "iterations=50"
+    )
     assert result.exit_code == 0
     first, second = lines(result)
     for values in (first, second):
@@ -112,7 +174,11 @@ def test_run_json_has_one_object_a_line_and_nothing_else_on_stdout(gauge):
 def test_overrides_are_parsed_and_change_the_score(gauge):
     plain, changed, moved = (
         lines(gauge("run", NAME, "--json", "--parameters", p))[0]
-        for p in ("calibrated", "cube.friction=0.2,cube.mass_kg=0.1", "cube.position_m=[0.1,0.4,0.36]")
+        for p in (
+            "calibrated",
+            "cube.friction=0.2,cube.mass_kg=0.1",
+            "cube.position_m=[0.1,0.4,0.36]",
+        )
     )
     assert changed["parameters"] == {"cube.friction": 0.2, "cube.mass_kg": 0.1}
     assert moved["parameters"] == {"cube.position_m": [0.1, 0.4, 0.36]}
@@ -133,14 +199,18 @@ def test_declined_experiments_are_reported_and_count_only_when_named(gauge):
 
 
 def test_a_parameter_set_that_some_lack(gauge):
-    result = gauge("run", "BouncingBall-*", "Turntable-1-*", "--parameters", "effective")
+    result = gauge(
+        "run", "BouncingBall-*", "Turntable-1-*", "--parameters", "effective"
+    )
     assert result.exit_code == 0
     assert "has no parameter set 'effective'" in result.stdout
     assert "1 finished, 3 declined" in result.stderr
 
 
 def test_a_failed_episode_gives_exit_code_1(gauge, monkeypatch):
-    monkeypatch.setattr("gauge_envs.envs.episode.Episode.fault_of", lambda *_: "it flew away")
+    monkeypatch.setattr(
+        "gauge_envs.envs.episode.Episode.fault_of", lambda *_: "it flew away"
+    )
     result = gauge("run", NAME)
     assert result.exit_code == 1
     assert "diverged: SlopeSlider-2-wood: it flew away" in result.stdout
@@ -179,8 +249,14 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
         (["run", "GAUGE/SlopeSlider-9-wood"], "unknown experiment"),
         (["show", "SlopeSlider"], "unknown experiment"),
         (["list", "X*"], "unknown experiment"),
-        (["run", NAME, "--backend", "mujoko"], "unknown backend 'mujoko'; did you mean mujoco"),
-        (["run", NAME, "--parameters", "nonsense"], "has no parameter set 'nonsense'; known: calibrated"),
+        (
+            ["run", NAME, "--backend", "mujoko"],
+            "unknown backend 'mujoko'; did you mean mujoco",
+        ),
+        (
+            ["run", NAME, "--parameters", "nonsense"],
+            "has no parameter set 'nonsense'; known: calibrated",
+        ),
         (["run", NAME, "--parameters", "cube.friction=-1"], "cube.friction"),
         (["run", NAME, "--parameters", "cube.friction"], "has no parameter set"),
         (["run", NAME, "--parameters", "cube.colour=1"], "has no constant 'colour'"),
@@ -214,7 +290,12 @@ def test_score_of_a_file(gauge, tmp_path):
     assert "Over real trials" in result.stdout
     (values,) = lines(gauge("score", file, "--id", NAME, "--json"))
     assert values.keys() >= KEYS
-    assert (values["backend"], values["wall_s"], values["settings"], values["seed"]) == (None, None, {}, None)
+    assert (
+        values["backend"],
+        values["wall_s"],
+        values["settings"],
+        values["seed"],
+    ) == (None, None, {}, None)
     assert "gauge-envs" in values["versions"]
     assert values["score"]["rmse_normalized"] == pytest.approx(0.41, abs=0.005)
 
@@ -223,13 +304,19 @@ def test_a_flawed_file_gets_a_message_and_exit_code_2(gauge, tmp_path):
     (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n")
     result = gauge("score", "bad.csv", "--id", NAME)
     assert result.exit_code == 2
-    assert "bad.csv: line 2: cube.y is 'nan', expected a finite number [mm]" in result.stderr
+    assert (
+        "bad.csv: line 2: cube.y is 'nan', expected a finite number [mm]"
+        in result.stderr
+    )
 
 
 def test_result_files_can_be_scored_again_and_plotted(gauge, tmp_path):
     gauge("run", NAME)
     (file,) = (tmp_path / "results").iterdir()
-    assert lines(gauge("score", file, "--json"))[0]["score"] == json.loads(file.read_text())["score"]
+    assert (
+        lines(gauge("score", file, "--json"))[0]["score"]
+        == json.loads(file.read_text())["score"]
+    )
     assert gauge("plot").stdout.strip() == f"plots/{NAME}.png"
     (tmp_path / "results" / "cut.json").write_text("{")
     partly = gauge("plot", "results", "--out", "again")

@@ -29,8 +29,14 @@ def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_check")
 @pytest.mark.parametrize("suffix", [".json", ".html"])
-def test_a_matrix_has_its_place_before_its_checks_run(suffix: str, tmp_path: Path) -> None:
-    folder, pipe, file = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}", tmp_path / "file"
+def test_a_matrix_has_its_place_before_its_checks_run(
+    suffix: str, tmp_path: Path
+) -> None:
+    folder, pipe, file = (
+        tmp_path / f"a{suffix}",
+        tmp_path / f"b{suffix}",
+        tmp_path / "file",
+    )
     folder.mkdir()
     os.mkfifo(pipe)
     file.touch()
@@ -39,7 +45,9 @@ def test_a_matrix_has_its_place_before_its_checks_run(suffix: str, tmp_path: Pat
         (pipe, "cannot be written: it is not a regular file"),
         (file / f"matrix{suffix}", "cannot be written"),
     ):
-        result = gauge("backend", "check", "mujoco:*", "--only", "free-fall", "--out", place)
+        result = gauge(
+            "backend", "check", "mujoco:*", "--only", "free-fall", "--out", place
+        )
         assert result.exit_code == 2, result.output
         assert reason in result.stderr
 
@@ -54,13 +62,25 @@ def test_a_matrix_has_its_place_before_its_checks_run(suffix: str, tmp_path: Pat
         (["--to", "mujoco:"], "two worlds have the name 'mujoco, "),
     ],
 )
-def test_worlds_of_a_transfer_are_checked_before_they_run(options: list[str], reason: str) -> None:
-    common = ["numpy:mean", "--trust", "--id", "Pendulum-Limit-metal", "--to", "mujoco", "starts=1"]
+def test_worlds_of_a_transfer_are_checked_before_they_run(
+    options: list[str], reason: str
+) -> None:
+    common = [
+        "numpy:mean",
+        "--trust",
+        "--id",
+        "Pendulum-Limit-metal",
+        "--to",
+        "mujoco",
+        "starts=1",
+    ]
     result = gauge("transfer", *common, *options)
     assert result.exit_code == 2 and reason in result.stderr, result.output
 
 
-def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_name_of_a_file_reaches_the_terminal_as_text(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
         echo(text)
     assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
@@ -68,17 +88,29 @@ def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
 def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
-    result = gauge("transfer", "envelope", "Pendulum-Limit-metal", "samples=2", "--policy", f"law:fraction={fraction}")
+    result = gauge(
+        "transfer",
+        "envelope",
+        "Pendulum-Limit-metal",
+        "samples=2",
+        "--policy",
+        f"law:fraction={fraction}",
+    )
     assert result.exit_code == 2 and isinstance(result.exception, SystemExit)
 
 
 def test_the_time_left_is_told_without_the_step_that_loads_the_engine(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seconds = iter([0.0, 60.0, 72.0])  # the start, and the ends of two steps of 12 s, of which the first also loads
+    seconds = iter(
+        [0.0, 60.0, 72.0]
+    )  # the start, and the ends of two steps of 12 s, of which the first also loads
     progress = Progress("checks", 12, line_interval_s=1.0)
     monkeypatch.setattr("gauge_envs.cli.output.time.monotonic", lambda: next(seconds))
     progress._start_s = progress._line_s = next(seconds)
     progress.advance("first")
     progress.advance("second")
-    assert capsys.readouterr().err.splitlines() == ["1/12 first", "2/12 second, about 2.0 min left"]
+    assert capsys.readouterr().err.splitlines() == [
+        "1/12 first",
+        "2/12 second, about 2.0 min left",
+    ]

@@ -71,7 +71,9 @@ Outcomes = dict[str, subprocess.CompletedProcess[str]]
 
 def environment() -> dict[str, str]:
     """Environment of a process that imports this package, and whose output is buffered."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    kept = {
+        name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"
+    }
     return {**kept, "PYTHONPATH": str(ROOT)}
 
 
@@ -94,24 +96,34 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
         "full: run": Case(["run", NAME, "--json"], streams=full),
         "pipe": Case(["list", "--json"], streams={"stdout": "broken pipe"}),
         **{
-            f"closed: {names}": Case(["list", NAME, "--json"], streams=dict.fromkeys(names.split(), "closed"))
+            f"closed: {names}": Case(
+                ["list", NAME, "--json"], streams=dict.fromkeys(names.split(), "closed")
+            )
             for names in CLOSED
         },
         **{
-            f"Ctrl-C: {name}": Case(["list"], before=LISTED.format(textwrap.indent(body, " ")))
+            f"Ctrl-C: {name}": Case(
+                ["list"], before=LISTED.format(textwrap.indent(body, " "))
+            )
             for name, body in DROPPED.items()
         },
-        "hostile: run": Case(["run", "SlopeSlider-2-plastic", *engines, "--json"], before=hostile),
+        "hostile: run": Case(
+            ["run", "SlopeSlider-2-plastic", *engines, "--json"], before=hostile
+        ),
         "hostile: list": Case(["list", NAME, "--json"], before=hostile),
     }
     return run_forks(cases, folder, environment())
 
 
 @pytest.mark.parametrize("command", ["run", "list"])
-def test_what_engines_print_never_reaches_json(outcomes: Outcomes, command: str) -> None:
+def test_what_engines_print_never_reaches_json(
+    outcomes: Outcomes, command: str
+) -> None:
     done = outcomes[f"hostile: {command}"]
     ids = {json.loads(line)["id"] for line in done.stdout.splitlines()}
-    assert ids == {"GAUGE/SlopeSlider-2-plastic" if command == "run" else f"GAUGE/{NAME}"}
+    assert ids == {
+        "GAUGE/SlopeSlider-2-plastic" if command == "run" else f"GAUGE/{NAME}"
+    }
     assert "a line of the engine" in done.stderr
     assert "a line of C code" in done.stderr
 
@@ -130,14 +142,20 @@ def test_progress_has_a_line_for_each_episode_without_a_terminal(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
-    lines = [line for line in result.stderr.splitlines() if line.startswith(("1/3 ", "2/3 ", "3/3 "))]
+    lines = [
+        line
+        for line in result.stderr.splitlines()
+        if line.startswith(("1/3 ", "2/3 ", "3/3 "))
+    ]
     assert lines[0] == "1/3 SlopeSlider-2-wood on mujoco: finished"
     assert len(lines) == 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", ["fabrics", "list", "run"])
-def test_a_full_device_is_an_error_without_a_traceback(outcomes: Outcomes, command: str) -> None:
+def test_a_full_device_is_an_error_without_a_traceback(
+    outcomes: Outcomes, command: str
+) -> None:
     done = outcomes[f"full: {command}"]
     assert done.returncode == 2
     assert "error: the output cannot be written: No space left on device" in done.stderr
@@ -149,14 +167,18 @@ def test_a_closed_pipe_ends_the_command_quietly(outcomes: Outcomes) -> None:
     assert outcomes["pipe"].returncode == 1
 
 
-def test_a_full_disk_shows_what_is_done_and_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write, count = batch.write_result, 0
 
     def full_after_one(*arguments: object) -> None:
         nonlocal count
         count += 1
         if count > 1:
-            raise ResultFileError(f"{arguments[1]}: cannot be written: {os.strerror(errno.ENOSPC)}")
+            raise ResultFileError(
+                f"{arguments[1]}: cannot be written: {os.strerror(errno.ENOSPC)}"
+            )
         write(*arguments)
 
     monkeypatch.chdir(tmp_path)
@@ -164,11 +186,15 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(tmp_path: Path, monkeyp
     result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
     assert result.exit_code == 2
     assert "No space left on device" in result.stderr
-    assert "1 finished; results in results; --resume continues" in " ".join(result.stderr.split())
+    assert "1 finished; results in results; --resume continues" in " ".join(
+        result.stderr.split()
+    )
     assert "SlopeSlider-2-wood" in result.stderr
 
 
-def test_an_engine_that_exits_ends_no_command_without_a_word(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_exits_ends_no_command_without_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def exits(*_: object, **__: object) -> None:
         raise SystemExit(0)
 
@@ -253,7 +279,9 @@ def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
     )
     assert done.returncode == 0 and NAME in done.stdout
     moments = json.loads(done.stderr)
-    assert [stderr for _, stderr in moments if re.search(FRAME_OF_THE_COMMAND, stderr)] == []
+    assert [
+        stderr for _, stderr in moments if re.search(FRAME_OF_THE_COMMAND, stderr)
+    ] == []
     ended = [stderr for code, stderr in moments if code == 130]
     assert len(ended) >= 20
     assert set(ended) == {"interrupted\n"}

@@ -14,7 +14,12 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app, load_command
-from gauge_envs.cli.arguments import parsed_jitter, parsed_limits, parsed_use, split_details
+from gauge_envs.cli.arguments import (
+    parsed_jitter,
+    parsed_limits,
+    parsed_use,
+    split_details,
+)
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.registry import command_lines, instruments_by
@@ -34,8 +39,14 @@ def gauge(*arguments: str) -> Any:
 
 def options(command: Any) -> list[str]:
     """The options of a command; with `--format` goes `--json`, which is short for one of its values."""
-    found = [max(one.opts, key=len) for one in command.params if one.param_type_name == "option"]
-    return [option for option in found if option != "--help"] + (["--json"] if "--format" in found else [])
+    found = [
+        max(one.opts, key=len)
+        for one in command.params
+        if one.param_type_name == "option"
+    ]
+    return [option for option in found if option != "--help"] + (
+        ["--json"] if "--format" in found else []
+    )
 
 
 # --- its size ---
@@ -43,14 +54,25 @@ def options(command: Any) -> list[str]:
 
 def test_a_person_can_hold_it() -> None:
     assert len(ROOT_COMMAND.list_commands(None)) <= MOST_ENTRIES
-    counted = {name: options(load_command(name)) for name in NAMES} | {"": options(ROOT_COMMAND)}
+    counted = {name: options(load_command(name)) for name in NAMES} | {
+        "": options(ROOT_COMMAND)
+    }
     assert sum(map(len, counted.values())) <= MOST_OPTIONS, counted
 
 
 def test_every_result_is_printed_in_all_formats() -> None:
     silent = {name for name in NAMES if "--format" not in options(load_command(name))}
-    writers = {"plot", "report", "sanity probe", "data download", "data scenes", "data isaac-sim"}
-    assert silent == writers | {name for name in NAMES if name.startswith("video") and name != "video score"}
+    writers = {
+        "plot",
+        "report",
+        "sanity probe",
+        "data download",
+        "data scenes",
+        "data isaac-sim",
+    }
+    assert silent == writers | {
+        name for name in NAMES if name.startswith("video") and name != "video score"
+    }
 
 
 def test_json_is_short_for_a_format() -> None:
@@ -59,7 +81,10 @@ def test_json_is_short_for_a_format() -> None:
         == gauge("list", "SlopeSlider-2-wood", "--format", "json").stdout
     )
     both = gauge("list", "--json", "--format", "wide")
-    assert both.exit_code == 2 and "--json is --format json: give one of them" in both.stderr
+    assert (
+        both.exit_code == 2
+        and "--json is --format json: give one of them" in both.stderr
+    )
 
 
 # --- its help ---
@@ -72,9 +97,14 @@ def test_the_line_in_the_table_is_that_of_the_function(name: str) -> None:
     assert text.partition("\n\n")[0].replace("\n", " ") == command_lines()[name]
 
 
-@pytest.mark.parametrize(("kinds", "verb"), [("listings", "list"), ("pictures", "draw")])
+@pytest.mark.parametrize(
+    ("kinds", "verb"), [("listings", "list"), ("pictures", "draw")]
+)
 def test_every_kind_has_its_function(kinds: str, verb: str) -> None:
-    assert all(callable(instrument.function(f"{verb} {kind}")) for kind, instrument in instruments_by(kinds).items())
+    assert all(
+        callable(instrument.function(f"{verb} {kind}"))
+        for kind, instrument in instruments_by(kinds).items()
+    )
 
 
 def test_the_help_names_all_commands() -> None:
@@ -88,7 +118,12 @@ def test_the_help_names_all_commands() -> None:
 def test_help_loses_no_text() -> None:
     """The help is Rich markup, in which `[mm]` is a tag and is not shown."""
     texts = {
-        text for name in NAMES for text in (load_command(name).help, *(one.help for one in load_command(name).params))
+        text
+        for name in NAMES
+        for text in (
+            load_command(name).help,
+            *(one.help for one in load_command(name).params),
+        )
     }
     shown = {text: Text.from_markup(text).plain for text in texts if text}
     assert len(shown) > 90
@@ -118,14 +153,22 @@ sys.setprofile(counted)
 
 def calls(code: str) -> int:
     """Return how many calls and returns a new process that runs code has."""
-    done = subprocess.run([sys.executable, "-c", COUNTED + code], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", COUNTED + code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     return int(done.stderr.splitlines()[-1])
 
 
 def test_the_help_and_a_typo_are_quick() -> None:
     least = calls("import typer")
     for word in ("--help", "lits"):
-        command = f"sys.argv = ['gauge', {word!r}]; from gauge_command import main; main()"
+        command = (
+            f"sys.argv = ['gauge', {word!r}]; from gauge_command import main; main()"
+        )
         assert calls(command) < MOST_HELP_COST * least
 
 
@@ -136,7 +179,13 @@ def test_the_help_loads_no_tool() -> None:
         "atexit.register(lambda: print([one for one in sys.modules if one.startswith(heavy)], file=sys.stderr))\n"
         "main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stderr == "[]\n"
 
 
@@ -177,33 +226,87 @@ def test_an_option_that_is_a_detail_now_is_answered(old: str, new: str) -> None:
     ("arguments", "message"),
     [
         (["lits"], "unknown command 'lits'; did you mean list"),
-        (["backend", "chek"], "unknown command 'backend chek'; did you mean backend check"),
+        (
+            ["backend", "chek"],
+            "unknown command 'backend chek'; did you mean backend check",
+        ),
         (["list", "phenomna"], "unknown experiment 'phenomna'"),
-        (["list", "phenomena", "slde-wood"], "unknown phenomenon 'slde-wood'; did you mean slide-wood"),
-        (["list", "backends", "mujoko"], "unknown backend 'mujoko'; did you mean mujoco"),
+        (
+            ["list", "phenomena", "slde-wood"],
+            "unknown phenomenon 'slde-wood'; did you mean slide-wood",
+        ),
+        (
+            ["list", "backends", "mujoko"],
+            "unknown backend 'mujoko'; did you mean mujoco",
+        ),
         (["list", "materials", "satn"], "unknown material 'satn'; did you mean satin"),
-        (["run", "SlopeSlider-2-wood", "sed=3"], "unknown detail 'sed'; did you mean seed"),
-        (["run", "SlopeSlider-2-wood", "timestep_s=1"], "other values have options: --help"),
+        (
+            ["run", "SlopeSlider-2-wood", "sed=3"],
+            "unknown detail 'sed'; did you mean seed",
+        ),
+        (
+            ["run", "SlopeSlider-2-wood", "timestep_s=1"],
+            "other values have options: --help",
+        ),
         (["run", "SlopeSlider-2-wood", "seed=x"], "seed: "),
         (["run", "SlopeSlider-2-wood", "repeats=0"], "repeats: "),
-        (["run", "SlopeSlider-2-wood", "jitter=1"], "jitter '1': expected numbers with units, as 1mm,0.5deg"),
-        (["run", "SlopeSlider-2-wood", "--use", "import"], "unknown word of --use 'import'; did you mean imported"),
-        (["run", "SlopeSlider-2-wood", "--limits", "60"], "--limits '60': expected numbers with units, as 3600s,4GB"),
-        (["run", "SlopeSlider-2-wood", "--set", "iteration=3"], "unknown setting; did you mean iterations"),
-        (["run", "SlopeSlider-2-wood", "--set", "preset=dampped"], "unknown MuJoCo preset 'dampped'"),
+        (
+            ["run", "SlopeSlider-2-wood", "jitter=1"],
+            "jitter '1': expected numbers with units, as 1mm,0.5deg",
+        ),
+        (
+            ["run", "SlopeSlider-2-wood", "--use", "import"],
+            "unknown word of --use 'import'; did you mean imported",
+        ),
+        (
+            ["run", "SlopeSlider-2-wood", "--limits", "60"],
+            "--limits '60': expected numbers with units, as 3600s,4GB",
+        ),
+        (
+            ["run", "SlopeSlider-2-wood", "--set", "iteration=3"],
+            "unknown setting; did you mean iterations",
+        ),
+        (
+            ["run", "SlopeSlider-2-wood", "--set", "preset=dampped"],
+            "unknown MuJoCo preset 'dampped'",
+        ),
         (
             ["run", "SlopeSlider-2-wood", "--parameters", "cube.frction=1"],
             "no constant 'frction'; did you mean friction",
         ),
-        (["run", "SlopeSlider-2-wood", "--parameters", "cbe.friction=1"], "names no body of the scene"),
-        (["plot", "--kind", "costs"], "unknown kind of picture 'costs'; did you mean cost"),
-        (["plot", "--id", "SlopeSlider-2-wood"], "--id and --use go with --kind diagnose"),
+        (
+            ["run", "SlopeSlider-2-wood", "--parameters", "cbe.friction=1"],
+            "names no body of the scene",
+        ),
+        (
+            ["plot", "--kind", "costs"],
+            "unknown kind of picture 'costs'; did you mean cost",
+        ),
+        (
+            ["plot", "--id", "SlopeSlider-2-wood"],
+            "--id and --use go with --kind diagnose",
+        ),
         (["sanity"], "no target is given: name one"),
-        (["sanity", "HalfCheetah-v5", "--limits", "4GB"], "expected a time alone, as 60s"),
-        (["sanity", "HalfCheetah-v5", "--out", "page.pdf"], "expected a suffix of .html, .md, .json"),
-        (["sanity", "HalfCheetah-v5", "--out", "a.md", "--out", "b.md"], "a.md has the same suffix"),
-        (["recipe", "friktion=0.3"], "unknown detail 'friktion'; did you mean friction"),
-        (["recipe", "satin", "wood-on-wood"], "expected one pair of materials or one fabric"),
+        (
+            ["sanity", "HalfCheetah-v5", "--limits", "4GB"],
+            "expected a time alone, as 60s",
+        ),
+        (
+            ["sanity", "HalfCheetah-v5", "--out", "page.pdf"],
+            "expected a suffix of .html, .md, .json",
+        ),
+        (
+            ["sanity", "HalfCheetah-v5", "--out", "a.md", "--out", "b.md"],
+            "a.md has the same suffix",
+        ),
+        (
+            ["recipe", "friktion=0.3"],
+            "unknown detail 'friktion'; did you mean friction",
+        ),
+        (
+            ["recipe", "satin", "wood-on-wood"],
+            "expected one pair of materials or one fabric",
+        ),
         (["transfer", "envelope"], "ID [NAME=VALUE]"),
         (["diagnose", "measured_only=maybe"], "measured_only: "),
     ],
@@ -237,7 +340,10 @@ def test_a_jitter_has_the_names_of_the_api() -> None:
 
 
 def test_data_of_a_command_are_those_that_it_can_use() -> None:
-    assert parsed_use("", "reference", "use_withheld") == {"reference": DataSource.BUNDLED, "use_withheld": False}
+    assert parsed_use("", "reference", "use_withheld") == {
+        "reference": DataSource.BUNDLED,
+        "use_withheld": False,
+    }
     assert parsed_use("imported,withheld", "reference", "use_withheld") == {
         "reference": DataSource.IMPORTED,
         "use_withheld": True,

@@ -40,7 +40,12 @@ def visible(text: str) -> str:
     """Text of a page without code blocks and generated parts, which other tests compare with what makes them."""
     text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "", text)
-    return re.sub(r"<!-- (.+?), written by .+? -->.*?<!-- end of \1 -->", "", text, flags=re.DOTALL)
+    return re.sub(
+        r"<!-- (.+?), written by .+? -->.*?<!-- end of \1 -->",
+        "",
+        text,
+        flags=re.DOTALL,
+    )
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
@@ -64,10 +69,16 @@ def blocks(text: str) -> Iterator[tuple[str, str]]:
 
 def shown(text: str) -> str:
     """What a page shows as written by a script, or as the output of its code and commands."""
-    parts = re.findall(r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL)
+    parts = re.findall(
+        r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL
+    )
     outputs = re.findall(r"^```text\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
     return "\n".join(
-        [*(part for _, part in parts), *outputs, *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE)]
+        [
+            *(part for _, part in parts),
+            *outputs,
+            *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE),
+        ]
     )
 
 
@@ -75,21 +86,29 @@ def shown(text: str) -> str:
 def numbers_of_study(name: str) -> tuple[float, ...]:
     """Every number in the note and in the tables of a study, without its sign."""
     folder = ROOT / "studies" / name
-    text = "\n".join(file.read_text(encoding="utf-8") for file in (folder / "README.md", *sorted(folder.glob("*.csv"))))
+    text = "\n".join(
+        file.read_text(encoding="utf-8")
+        for file in (folder / "README.md", *sorted(folder.glob("*.csv")))
+    )
     return values(text)
 
 
 def values(text: str) -> tuple[float, ...]:
     """Numbers of a text, without their signs."""
     plain = re.sub(r"(?<=\d)[, ](?=\d{3}\b)", "", text)
-    return tuple(float(found) for found in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", plain))
+    return tuple(
+        float(found) for found in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", plain)
+    )
 
 
 def is_among(number: str, known: Iterable[float]) -> bool:
     """Whether a known number, rounded as this one is, equals it."""
     (value,) = values(number)
     places = len(number.partition(".")[2]) if "e" not in number else None
-    return any(one == value if places is None else abs(round(one, places) - value) < 1e-9 for one in known)
+    return any(
+        one == value if places is None else abs(round(one, places) - value) < 1e-9
+        for one in known
+    )
 
 
 def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
@@ -112,10 +131,17 @@ def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
         studies = STUDY.findall(block) or STUDY.findall(introduction)
         left = re.sub(r"\]\([^)]*\)", "]", left)
         stated = [match[0] for match in STATED.finditer(left)]
-        known = [*own, *(number for study in studies for number in numbers_of_study(study))]
+        known = [
+            *own,
+            *(number for study in studies for number in numbers_of_study(study)),
+        ]
         known += [100.0 * number for number in known if number < 1.0]  # 0.45 as 45 %
         bare = [
-            one for one in stated if not all(is_among(number, known) for number in re.findall(r"\d[\d.,]*\d|\d", one))
+            one
+            for one in stated
+            if not all(
+                is_among(number, known) for number in re.findall(r"\d[\d.,]*\d|\d", one)
+            )
         ]
         if bare:
             found.append(f"{', '.join(bare)}   in: {block[:200]}")

@@ -29,7 +29,9 @@ DEGREE = math.pi / 180.0
 def of(name: str) -> Any:
     """A value of the package by its module and name, as `files.MOST_TOML_BYTES`."""
     module, _, constant = name.rpartition(".")
-    return getattr(import_module(f"gauge_envs.{module}" if module else "gauge_envs"), constant)
+    return getattr(
+        import_module(f"gauge_envs.{module}" if module else "gauge_envs"), constant
+    )
 
 
 def mb(name: str) -> str:
@@ -64,8 +66,13 @@ def presets(engine: str) -> Mapping[str, Any]:
 @cache
 def columns() -> Mapping[tuple[str, str], Mapping[str, Any]]:
     """Results of the conformance checks, by engine and configuration."""
-    matrix = json.loads((ROOT / "scoring" / "conformance.json").read_text(encoding="utf-8"))
-    return {(column["backend"], column["name"]): column["findings"] for column in matrix["columns"]}
+    matrix = json.loads(
+        (ROOT / "scoring" / "conformance.json").read_text(encoding="utf-8")
+    )
+    return {
+        (column["backend"], column["name"]): column["findings"]
+        for column in matrix["columns"]
+    }
 
 
 def count(engine: str, *statuses: str, configuration: str = "default") -> int:
@@ -112,13 +119,17 @@ def limit(task: str) -> str:
 
 
 def limits(task: str) -> str:
-    return ", ".join(limit(f"{task}-Limit-{material}") for material in ("wood", "plastic", "metal"))
+    return ", ".join(
+        limit(f"{task}-Limit-{material}") for material in ("wood", "plastic", "metal")
+    )
 
 
 @cache
 def configurations() -> Mapping[str, Mapping[str, Any]]:
     """Values of the popular configurations, by each of their targets."""
-    rows = json.loads((ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8"))["rows"]
+    rows = json.loads(
+        (ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8")
+    )["rows"]
     return {target: row["values"] for row in rows for target in row["targets"]}
 
 
@@ -135,12 +146,17 @@ def met(target: str, check: str) -> float:
     """Effective friction of a cube in a popular configuration over its stated one [%]."""
     gravity, slope = of("scene.GRAVITY_M_PER_S2"), 30.0 * DEGREE
     coulomb = gravity * math.sin(slope) - real_value("slide-wood")
-    return 100.0 * (gravity * math.sin(slope) - configurations()[target][check]) / coulomb
+    return (
+        100.0 * (gravity * math.sin(slope) - configurations()[target][check]) / coulomb
+    )
 
 
 def jitter(phrase: str) -> str:
     found = of("Jitter")()
-    return phrase.format(position=f"{1e3 * found.position_m:g} mm", angle=f"{found.angle_rad / DEGREE:g} degrees")
+    return phrase.format(
+        position=f"{1e3 * found.position_m:g} mm",
+        angle=f"{found.angle_rad / DEGREE:g} degrees",
+    )
 
 
 EVERYWHERE = (
@@ -164,7 +180,12 @@ def engines() -> dict[str, list[str]]:
     cell_m = get_args(get_args(of("backends.shared.cells.CellSize"))[0])[1].metadata
     cells = f"{1e3 * of('backends.mujoco.settings.CLOTH_CELL_M'):g} mm"
     mujoco, newton, genesis = presets("mujoco"), presets("newton"), presets("genesis")
-    physx, pybullet, rapier, drake = presets("physx"), presets("pybullet"), presets("rapier"), presets("drake")
+    physx, pybullet, rapier, drake = (
+        presets("physx"),
+        presets("pybullet"),
+        presets("rapier"),
+        presets("drake"),
+    )
     return {
         "docs/engines/index.md": [
             f"triangles of {cells}; {1e3 * mujoco['drape'].cell_m:.0f} mm in preset",
@@ -175,7 +196,9 @@ def engines() -> dict[str, list[str]]:
             f"segments of {1e3 * of('backends.newton.settings.ROPE_CELL_M'):g} mm |",
             f"between {1e3 * cell_m[0].ge:g} mm and {cell_m[1].le:g} m",
             f"{of('backends.mujoco.settings.NODE_LIMIT'):,} nodes on MuJoCo or "
-            f"{of('backends.newton.settings.NODE_LIMIT'):,} on Newton".replace(",", " "),
+            f"{of('backends.newton.settings.NODE_LIMIT'):,} on Newton".replace(
+                ",", " "
+            ),
             f"elements of {3**3} nodes",
         ],
         "docs/engines/mujoco.md": [
@@ -238,7 +261,9 @@ def engines() -> dict[str, list[str]]:
         ],
         "docs/engines/pybullet.md": [
             f"reaches {of('backends.pybullet.world.PLANE_REACH_M'):g} m to each side",
-            f"bodies of {of('backends.pybullet.world.DRIVEN_MASS_KG'):.0e} kg".replace("e+06", "e6"),
+            f"bodies of {of('backends.pybullet.world.DRIVEN_MASS_KG'):.0e} kg".replace(
+                "e+06", "e6"
+            ),
             f"| {step(pybullet['contact'])}: cylinders",
             f"| {step(pybullet['rope'])}: with longer steps",
             f"cells of {1e3 * of('backends.pybullet.settings.SOFT_CELL_M'):.1f} mm; the step is at most "
@@ -290,17 +315,27 @@ def control() -> list[str]:
     slope = of("tools.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
     uncertain = of("references.sensitivities.input_uncertainties")().friction
-    slip, rest = of("tools.control.friction.SLIP_SPEED_M_PER_S"), of("tools.control.least_time.REST_M_PER_S")
+    slip, rest = (
+        of("tools.control.friction.SLIP_SPEED_M_PER_S"),
+        of("tools.control.least_time.REST_M_PER_S"),
+    )
     tolerance_m = of("tools.control.least_time.TOLERANCE_M")
     tolerance_rad = of("tools.control.least_time.TOLERANCE_RAD")
     push = family["Push"]
     braking = (
-        of("tools.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
+        of("tools.control.limit.pair_friction")(
+            load_experiment("SlopeSlider-3-wood").scene, "cube", "board"
+        )
+        * 9.80665
     )
     fling = family["Fling"]("satin")
     (cloth,) = fling.experiment.scene.deformables
     # A hanging strip of length L sinks by rho g L^2 / (3 K) on average, and gravity stretches it with half of its work.
-    stretch = 9.80665 * cloth.size_m[0] * (cloth.areal_density_kg_per_m2 / cloth.stretch_stiffness_n_per_m / 3) ** 0.5
+    stretch = (
+        9.80665
+        * cloth.size_m[0]
+        * (cloth.areal_density_kg_per_m2 / cloth.stretch_stiffness_n_per_m / 3) ** 0.5
+    )
     assert "`ratio` is at most 1.03; without an impact it is 0.88" in push.__doc__
     return [
         f"up to {family['Turntable'].ACCELERATION_RAD_PER_S2:g} rad/s^2",
@@ -333,7 +368,8 @@ def control() -> list[str]:
 def readers() -> dict[str, list[str]]:
     """Limits of what is read, and tolerances of imports and submissions."""
     start, baseline, motion = (
-        of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
+        of(f"tools.leaderboard.trajectory.{name}")
+        for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
     )
     (download_size,) = re.findall(r"\d+ GB", command_lines()["data download"])
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
@@ -354,12 +390,16 @@ def readers() -> dict[str, list[str]]:
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
-            jitter("The jitter of {position} is that of real starts where it was measured; the {angle} are"),
+            jitter(
+                "The jitter of {position} is that of real starts where it was measured; the {angle} are"
+            ),
         ],
         "docs/leaderboard.md": [
             f"{mb('runs.result_file.MAX_RESULT_BYTES')} for a result and "
             f"{mb('tools.leaderboard.submission.MAX_TOTAL_BYTES')} for a submission",
-            f"within {start['mm']:g} mm, {start['mm^2']:g} mm^2 or {start['rad']:.0e} rad".replace("e-06", "e-6"),
+            f"within {start['mm']:g} mm, {start['mm^2']:g} mm^2 or {start['rad']:.0e} rad".replace(
+                "e-06", "e-6"
+            ),
             f"{100 * baseline:g} % of the distance of real trials from their mean or {100 * motion:g} % of the motion",
             f"at most {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the distance",
             f"published, {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the motion",
@@ -375,7 +415,9 @@ def readers() -> dict[str, list[str]]:
         ],
         "docs/adding_a_stack.md": [
             f"{mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, {of('tools.sanity.stacks.documents.MOST_DEPTH')} "
-            f"levels, {of('tools.sanity.stacks.documents.MOST_NODES'):,} values".replace("50,000", "50 000"),
+            f"levels, {of('tools.sanity.stacks.documents.MOST_NODES'):,} values".replace(
+                "50,000", "50 000"
+            ),
             f"| a probe file | `probe.py` in `stacks/` | {mb('tools.sanity.stacks.probe.MOST_PROBE_BYTES')}",
         ],
         "docs/sanity_stacks.md": [
@@ -397,7 +439,9 @@ def readers() -> dict[str, list[str]]:
 
 def stated_friction(target: str) -> float:
     """Friction that a target states for its feet on the ground."""
-    rows = json.loads((ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8"))["rows"]
+    rows = json.loads(
+        (ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8")
+    )["rows"]
     return next(float(row["friction"]) for row in rows if target in row["targets"])
 
 
@@ -405,9 +449,18 @@ def sanity() -> dict[str, list[str]]:
     """Rules of the sanity check, and what it found in popular configurations."""
     visible, found = of("tools.sanity.model.VISIBLE_WITHIN"), configurations()
     popular = "docs/sanity_popular.md"
-    one_iteration = ("Go1JoystickFlatTerrain", "SpotFlatTerrainJoystick", "H1InplaceGaitTracking", "Op3Joystick")
+    one_iteration = (
+        "Go1JoystickFlatTerrain",
+        "SpotFlatTerrainJoystick",
+        "H1InplaceGaitTracking",
+        "Op3Joystick",
+    )
     slides = [f"{found[target]['foot-slide']:.2f}" for target in one_iteration]
-    turned = [met(target, "slide-turned") for target, values in found.items() if "slide-turned" in values]
+    turned = [
+        met(target, "slide-turned")
+        for target, values in found.items()
+        if "slide-turned" in values
+    ]
     pyramids = [share for share in turned if 60.0 < share < 80.0]
     return {
         "docs/adding_a_phenomenon.md": [f"*visible* up to {visible:g}, else *wrong*"],
@@ -458,18 +511,30 @@ def good_step_s() -> float:
 
 
 def withheld_count() -> int:
-    bands = (reference_band(load_experiment(variant.name), use_withheld=True) for variant in variants())
+    bands = (
+        reference_band(load_experiment(variant.name), use_withheld=True)
+        for variant in variants()
+    )
     return sum(band is not None and band.withheld is not None for band in bands)
 
 
 def scores() -> dict[str, list[str]]:
     """What simulations of MuJoCo score, and laws of the normal distribution."""
     cube, ball = score("SlopeSlider-2-wood"), score("BouncingBall-rubber")
-    restitution, recorded = (score("BouncingBall-rubber", parameters) for parameters in ("effective", "recorded"))
+    restitution, recorded = (
+        score("BouncingBall-rubber", parameters)
+        for parameters in ("effective", "recorded")
+    )
     aligned = [found.rmse_aligned for found in (ball, restitution, recorded)]
-    release, real = ball.rmse - ball.rmse_aligned, ball.rmse_aligned / ball.rmse_aligned_normalized
+    release, real = (
+        ball.rmse - ball.rmse_aligned,
+        ball.rmse_aligned / ball.rmse_aligned_normalized,
+    )
     later = of("envs.episode.LATER_FRAMES")
-    shares = [100 * score(f"SlopeSlider-2-{material}").extrapolated_share for material in ("wood", "plastic", "metal")]
+    shares = [
+        100 * score(f"SlopeSlider-2-{material}").extrapolated_share
+        for material in ("wood", "plastic", "metal")
+    ]
     friction, summary = cube.implied[0], configurations()
     return {
         "README.md": [
@@ -529,12 +594,16 @@ def scores() -> dict[str, list[str]]:
 
 def recipes() -> list[str]:
     """Ranges and tolerances of `gauge recipe`."""
-    mass, step_s, friction = (of(f"tools.recipes.aim.{name}_RANGE{unit}") for name, unit in RANGES)
+    mass, step_s, friction = (
+        of(f"tools.recipes.aim.{name}_RANGE{unit}") for name, unit in RANGES
+    )
     probes = "tools.recipes.probes"
     return [
         f"holds contact, {friction[0]:g} to {friction[1]:g}; without it the contact has "
         f"{of('tools.recipes.aim.FREE_FRICTION'):g}",
-        f"{mass[0]:g} to {mass[1]:g} kg; step of the engine, {step_s[0]:.0e} to {step_s[1]:g} s".replace("e-05", "e-5"),
+        f"{mass[0]:g} to {mass[1]:g} kg; step of the engine, {step_s[0]:.0e} to {step_s[1]:g} s".replace(
+            "e-05", "e-5"
+        ),
         f"{of(f'{probes}.SLIDE_BEYOND_DEG'):g} degrees steeper",
         f"turned by {of(f'{probes}.TURN_DEG'):g} degrees",
         f"by up to {max(of(f'{probes}.HOP_TURNS_DEG')):g} degrees, from a start tipped by "
@@ -553,9 +622,16 @@ RANGES = (("MASS", "_KG"), ("TIMESTEP", "_S"), ("FRICTION", ""))
 def others() -> dict[str, list[str]]:
     """Pages with few numbers."""
     crate = toml("examples/usd_experiment/crate.toml")
-    table = (ROOT / "scoring" / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
+    table = (
+        (ROOT / "scoring" / "published" / "world_model_results.csv")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
     real = {tuple(line.split(",")[:2]): line.split(",")[3] for line in table}
-    slopes = ", ".join(real[f"SlopeSlider-2-{material}", "a"] for material in ("wood", "plastic", "metal"))
+    slopes = ", ".join(
+        real[f"SlopeSlider-2-{material}", "a"]
+        for material in ("wood", "plastic", "metal")
+    )
     width, height = of("tools.video.tasks.REFERENCE_SIZE_PX")
     return {
         "docs/assets.md": [
@@ -568,7 +644,9 @@ def others() -> dict[str, list[str]]:
             f"at {100 * of('tools.compare.grades.ERROR_RATE'):.0f} % the two are *distinguishable*",
             f"A difference of at most {of('tools.compare.significance.NEGLIGIBLE')}, which tables do not show",
         ],
-        "docs/report_site.md": [f"after {of('tools.site.experiment_page.MAX_SECONDS'):g} s"],
+        "docs/report_site.md": [
+            f"after {of('tools.site.experiment_page.MAX_SECONDS'):g} s"
+        ],
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
@@ -603,17 +681,35 @@ def stated() -> dict[str, list[str]]:
 
 VIDEO = "tests/tools/video/test_video"
 TESTED = {
-    "docs/adding_a_phenomenon.md": [("*wrong*, 85.9 mm", "tests/docs/test_adding_guides.py")],
-    "docs/control.md": [("it is 1 within 0.006", "tests/tools/control/test_control.py")],
-    "docs/recipes.md": [("3.4 times as much", "tests/tools/recipes/test_recipe_requests.py")],
+    "docs/adding_a_phenomenon.md": [
+        ("*wrong*, 85.9 mm", "tests/docs/test_adding_guides.py")
+    ],
+    "docs/control.md": [
+        ("it is 1 within 0.006", "tests/tools/control/test_control.py")
+    ],
+    "docs/recipes.md": [
+        ("3.4 times as much", "tests/tools/recipes/test_recipe_requests.py")
+    ],
     "docs/engines/physx.md": [
         ("1.8 times the torque", "tests/backends/physx/test_physx_laws.py"),
-        ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
+        (
+            "with 95 % of the law's acceleration",
+            "tests/backends/physx/test_physx_laws.py",
+        ),
     ],
     "docs/world_models.md": [
-        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_phone_films.py"),
-        ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
-        ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
+        (
+            "0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder",
+            f"{VIDEO}_phone_films.py",
+        ),
+        (
+            "| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |",
+            f"{VIDEO}_score.py",
+        ),
+        (
+            "| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |",
+            f"{VIDEO}_render.py",
+        ),
     ],
 }
 """Phrases of each page with the file of the test that measures their numbers: it holds them, or reads the page."""

@@ -35,13 +35,20 @@ RUNNER = CliRunner()
 
 def blocks(page: str, language: str) -> list[str]:
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
+    )
 
 
 @pytest.fixture
-def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Parts:
+def parts(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Parts:
     """Import the file of a guide under the name that it would have in the package."""
-    named = {"".join(re.findall(r"\A# (\S+\.py)\n", block)): block for block in blocks(request.param, "python")}
+    named = {
+        "".join(re.findall(r"\A# (\S+\.py)\n", block)): block
+        for block in blocks(request.param, "python")
+    }
     (path,) = (name for name in named if name.startswith("gauge_envs/"))
     name = path.removesuffix(".py").replace("/", ".")
     assert not (ROOT / path).exists()
@@ -64,7 +71,12 @@ def guide(page: str) -> pytest.MarkDecorator:
 
 def outputs(page: str, start: str) -> list[str]:
     """Run the commands of a guide that have a start, and return what they print."""
-    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line.startswith(start)]
+    lines = [
+        line
+        for block in blocks(page, "sh")
+        for line in block.splitlines()
+        if line.startswith(start)
+    ]
     assert lines
     results = [RUNNER.invoke(app, shlex.split(line)[1:]) for line in lines]
     # A sanity check that finds flags ends with 1.
@@ -80,9 +92,16 @@ def value_of(code: str, names: dict[str, Any]) -> Any:
     return eval(compile(ast.Expression(statement.value), "guide", "eval"), names)
 
 
-@pytest.mark.parametrize("page", ["adding_a_check.md", "adding_a_phenomenon.md", "adding_a_stack.md"])
+@pytest.mark.parametrize(
+    "page", ["adding_a_check.md", "adding_a_phenomenon.md", "adding_a_stack.md"]
+)
 def test_the_tests_that_a_guide_runs_exist(page: str) -> None:
-    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line.startswith("python ")]
+    lines = [
+        line
+        for block in blocks(page, "sh")
+        for line in block.splitlines()
+        if line.startswith("python ")
+    ]
     files = [word for line in lines for word in line.split() if word.endswith(".py")]
     assert files
     assert [file for file in files if not (ROOT / file).is_file()] == []
@@ -107,11 +126,27 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(
     )
     assert "fast-flight" in listed[0]
     assert "pass" in ran[0]
-    name, fault = value_of(others["tests/mutations/rigid_scenes.py"], vars(rigid_scenes))
+    name, fault = value_of(
+        others["tests/mutations/rigid_scenes.py"], vars(rigid_scenes)
+    )
     assert name not in mutations.FAULTS
     mutant = mutations.Mutant(backend("mujoco"), fault)
-    results = list(run_checks(mutant, only=["free-*", "start-*", "spin-*", "slide*", "collision-*", "fast-flight"]))
-    assert [one.check for one in results if one.status is not Status.PASS] == [fault.caught_by]
+    results = list(
+        run_checks(
+            mutant,
+            only=[
+                "free-*",
+                "start-*",
+                "spin-*",
+                "slide*",
+                "collision-*",
+                "fast-flight",
+            ],
+        )
+    )
+    assert [one.check for one in results if one.status is not Status.PASS] == [
+        fault.caught_by
+    ]
     assert fault.says in results[-1].diagnosis
 
 
@@ -132,25 +167,35 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
     default, documented = outputs("adding_a_phenomenon.md", "gauge sanity mujoco")
     assert default.startswith("mujoco: No flags: 1 row measured")
     (drift_mm,) = re.findall(r"says \*wrong\*, ([\d.]+) mm", text)
-    assert re.search(rf"^{name} .* {re.escape(drift_mm)} +wrong", documented, flags=re.MULTILINE)
+    assert re.search(
+        rf"^{name} .* {re.escape(drift_mm)} +wrong", documented, flags=re.MULTILINE
+    )
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
     planted = importlib.import_module("planted")
-    ((fault, changed),) = value_of(others["tests/tools/sanity/planted.py"], vars(planted)).items()
+    ((fault, changed),) = value_of(
+        others["tests/tools/sanity/planted.py"], vars(planted)
+    ).items()
     assert fault in planted.PLANTED
     for one, verdict in ((None, Verdict.INSIDE), (changed, Verdict.WRONG)):
-        (row,) = check(mujoco.MjModel.from_xml_string(planted.model_xml(one)), only=[name]).rows
+        (row,) = check(
+            mujoco.MjModel.from_xml_string(planted.model_xml(one)), only=[name]
+        ).rows
         assert row.verdict is verdict
     assert row.cause is not None
     assert set(row.cause.settings) & set(changed.culprits)
 
 
 @guide("adding_a_phenomenon.md")
-def test_the_phenomenon_reads_a_known_motion(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_phenomenon_reads_a_known_motion(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
     moved: Callable[..., Any] = importlib.import_module("sanity_cases").moved
     drift = parts[0].drift()
     times = [0.0, 0.25, 0.5]
-    across = drift.scenario.scene.body("board").pose.rotation.apply([[0.0, 1e-3 * way, 0.0] for way in (0, 2, 7)])
+    across = drift.scenario.scene.body("board").pose.rotation.apply(
+        [[0.0, 1e-3 * way, 0.0] for way in (0, 2, 7)]
+    )
     assert drift.value(moved(drift.scenario, times, cube=across)) == pytest.approx(7.0)
     assert phenomenon("slide-wood").scenario.name != drift.scenario.name
 
@@ -187,12 +232,19 @@ def test_reading_what_the_stack_writes_gives_the_settings_back(
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
     dialects = importlib.import_module("test_sanity_dialects")
     names = dict(vars(dialects))
-    exec(compile(tiny[1]["tests/tools/sanity/test_sanity_dialects.py"], "guide", "exec"), names)
+    exec(
+        compile(tiny[1]["tests/tools/sanity/test_sanity_dialects.py"], "guide", "exec"),
+        names,
+    )
     written = stacks.dialect("tiny")
     for setting in written.settings:
         for value in dialects.MUJOCO[setting.name]:
-            read = names["of_tiny"](written.paste_text({setting.name: value}), tmp_path)[setting.name]
-            assert read == (value if isinstance(value, str) else pytest.approx(value, rel=1e-6))
+            read = names["of_tiny"](
+                written.paste_text({setting.name: value}), tmp_path
+            )[setting.name]
+            assert read == (
+                value if isinstance(value, str) else pytest.approx(value, rel=1e-6)
+            )
 
 
 @guide("adding_a_stack.md")
@@ -200,13 +252,21 @@ def test_reading_what_the_stack_writes_gives_the_settings_back(
     ("content", "says"),
     [
         ("physics: {rate_hz: 0}", r"physics\.rate_hz is 0: give a positive number"),
-        ("physics: {friction_cone: round}", r"physics\.friction_cone is 'round': choose one of elliptic"),
-        ("physics: {solver_steps: 1.5}", r"physics\.solver_steps is 1\.5, and a whole number is expected"),
+        (
+            "physics: {friction_cone: round}",
+            r"physics\.friction_cone is 'round': choose one of elliptic",
+        ),
+        (
+            "physics: {solver_steps: 1.5}",
+            r"physics\.solver_steps is 1\.5, and a whole number is expected",
+        ),
         ("physics: !!python/object/apply:os.getcwd []", r"os\.getcwd would run code"),
         ("physics: 4", "physics is 4, and a table is expected"),
     ],
 )
-def test_the_stack_refuses_what_it_cannot_read(tiny: Parts, content: str, says: str) -> None:
+def test_the_stack_refuses_what_it_cannot_read(
+    tiny: Parts, content: str, says: str
+) -> None:
     Path("run.tiny").write_text(content, encoding="utf-8")
     with pytest.raises(TargetError, match=says):
         configuration(Path("run.tiny"))

@@ -23,9 +23,18 @@ from gauge_envs.registry import command_lines, instruments_by
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-PAGES = [README, ROOT / "scoring" / "README.md", ROOT / "assets" / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [
+    README,
+    ROOT / "scoring" / "README.md",
+    ROOT / "assets" / "README.md",
+    *sorted(DOCS.rglob("*.md")),
+]
 # What a build of the site leaves.
-PAGES = [page for page in PAGES if "_build" not in page.parts and DOCS / "studies" not in page.parents]
+PAGES = [
+    page
+    for page in PAGES
+    if "_build" not in page.parts and DOCS / "studies" not in page.parents
+]
 STUDIES = sorted((ROOT / "studies").rglob("README.md"))
 PAGES += STUDIES
 
@@ -53,12 +62,21 @@ def name_of(page: Path) -> str:
 
 def fenced(page: Path, language: str) -> list[str]:
     """Code blocks of a page in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )
 
 
 def prose(page: Path) -> str:
     """Text of a page without its code blocks and code spans."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^```.*?^```$",
+        "",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )
     return re.sub(r"`[^`\n]*`", "", text)
 
 
@@ -72,11 +90,17 @@ def test_the_readme_is_short() -> None:
 # --- studies ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of)
+@pytest.mark.parametrize(
+    "note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of
+)
 def test_a_note_of_a_study_is_short_and_in_the_list(note: Path) -> None:
     text = note.read_text(encoding="utf-8")
     assert len(text.split()) <= NOTE_WORDS
-    assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == ["Question", "Method", "Result"]
+    assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == [
+        "Question",
+        "Method",
+        "Result",
+    ]
     assert "## What it does not show" in text
     listed = (ROOT / "studies" / "README.md").read_text(encoding="utf-8")
     assert f"]({note.parent.name}/README.md)" in listed
@@ -85,22 +109,37 @@ def test_a_note_of_a_study_is_short_and_in_the_list(note: Path) -> None:
 
 
 def test_every_study_has_a_note() -> None:
-    folders = [folder for folder in (ROOT / "studies").iterdir() if folder.is_dir() and folder.name != "__pycache__"]
+    folders = [
+        folder
+        for folder in (ROOT / "studies").iterdir()
+        if folder.is_dir() and folder.name != "__pycache__"
+    ]
     assert len(folders) > 15
-    assert [folder.name for folder in folders if not (folder / "README.md").is_file()] == []
+    assert [
+        folder.name for folder in folders if not (folder / "README.md").is_file()
+    ] == []
 
 
-SCRIPTS = [file for folder in ("benchmarks", "scripts", "studies") for file in sorted((ROOT / folder).rglob("*.py"))]
+SCRIPTS = [
+    file
+    for folder in ("benchmarks", "scripts", "studies")
+    for file in sorted((ROOT / folder).rglob("*.py"))
+]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
 def test_scripts_import_names_that_exist(script: Path) -> None:
     """Scripts that take minutes are not run by tests, so that a renamed function would break them unseen."""
     for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "gauge_envs":
+        if (
+            isinstance(node, ast.ImportFrom)
+            and (node.module or "").partition(".")[0] == "gauge_envs"
+        ):
             imported = importlib.import_module(node.module or "")
             absent = [one.name for one in node.names if not hasattr(imported, one.name)]
-            assert [one for one in absent if find_spec(f"{node.module}.{one}") is None] == []
+            assert [
+                one for one in absent if find_spec(f"{node.module}.{one}") is None
+            ] == []
 
 
 # --- links -----------------------------------------------------------------------------------------------------------
@@ -108,9 +147,16 @@ def test_scripts_import_names_that_exist(script: Path) -> None:
 
 def anchors(page: Path) -> set[str]:
     """Anchors of the headings of a page, as GitHub and MyST make them."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(
+        r"^```.*?^```$",
+        "",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )
     titles = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+    return {
+        re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles
+    }
 
 
 def links(page: Path) -> list[str]:
@@ -132,21 +178,46 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 def test_every_page_is_in_the_table_of_contents() -> None:
     listed = {"index"}
-    for page in (DOCS / "index.md", DOCS / "api.md", DOCS / "environments" / "index.md"):
-        for tree in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
-            names = [line for line in tree.splitlines() if line and not line.startswith((":", "studies/"))]
+    for page in (
+        DOCS / "index.md",
+        DOCS / "api.md",
+        DOCS / "environments" / "index.md",
+    ):
+        for tree in re.findall(
+            r"^```\{toctree\}\n(.*?)^```$",
+            page.read_text(),
+            flags=re.MULTILINE | re.DOTALL,
+        ):
+            names = [
+                line
+                for line in tree.splitlines()
+                if line and not line.startswith((":", "studies/"))
+            ]
             listed |= {str((page.parent / name).relative_to(DOCS)) for name in names}
-    assert {str(page.relative_to(DOCS).with_suffix("")) for page in PAGES if DOCS in page.parents} == listed
+    assert {
+        str(page.relative_to(DOCS).with_suffix(""))
+        for page in PAGES
+        if DOCS in page.parents
+    } == listed
 
 
 # --- code ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    "page", [p for p in PAGES if fenced(p, "python") and p.name not in RUN_ELSEWHERE | COMPILED_ONLY], ids=name_of
+    "page",
+    [
+        p
+        for p in PAGES
+        if fenced(p, "python") and p.name not in RUN_ELSEWHERE | COMPILED_ONLY
+    ],
+    ids=name_of,
 )
 def test_python_blocks_run_and_print_what_they_state(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for block in fenced(page, "toml"):
@@ -163,13 +234,19 @@ def test_python_blocks_run_and_print_what_they_state(
     assert capsys.readouterr().out.splitlines() == stated
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if p.name in COMPILED_ONLY], ids=name_of)
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p.name in COMPILED_ONLY], ids=name_of
+)
 def test_other_python_blocks_compile_and_import(page: Path) -> None:
     for block in fenced(page, "python"):
         compile(block, page.name, "exec")
-        for module, names in re.findall(r"^from (gauge_envs[\w.]*) import ([\w, ]+)$", block, flags=re.MULTILINE):
+        for module, names in re.findall(
+            r"^from (gauge_envs[\w.]*) import ([\w, ]+)$", block, flags=re.MULTILINE
+        ):
             imported = importlib.import_module(module)
-            assert [name for name in names.split(", ") if not hasattr(imported, name)] == []
+            assert [
+                name for name in names.split(", ") if not hasattr(imported, name)
+            ] == []
 
 
 def test_the_tutorial_quotes_its_task_file() -> None:
@@ -185,19 +262,33 @@ def test_the_tutorial_quotes_its_task_file() -> None:
 
 def commands(page: Path) -> list[list[str]]:
     """Commands `gauge ...` in the shell blocks of a page, without comments."""
-    lines = [line for block in fenced(page, "sh") for line in block.splitlines() if line.startswith("gauge ")]
+    lines = [
+        line
+        for block in fenced(page, "sh")
+        for line in block.splitlines()
+        if line.startswith("gauge ")
+    ]
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
 def mentioned(page: Path) -> list[list[str]]:
     """Commands with arguments in the text and the tables of a page."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    return [shlex.split(found)[1:] for found in re.findall(r"`(gauge [a-z][^`\n]*)`", text)]
+    text = re.sub(
+        r"^```.*?^```$",
+        "",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )
+    return [
+        shlex.split(found)[1:] for found in re.findall(r"`(gauge [a-z][^`\n]*)`", text)
+    ]
 
 
 def command_of(words: list[str]) -> tuple[Any, list[str]]:
     """The command of words, and its arguments."""
-    name = next(name for name in (" ".join(words[:2]), words[0]) if name in command_lines())
+    name = next(
+        name for name in (" ".join(words[:2]), words[0]) if name in command_lines()
+    )
     return load_command(name), words[len(name.split()) :]
 
 
@@ -218,9 +309,15 @@ def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
     unknown = []
     for words in mentioned(page):
         command, arguments = command_of(words)
-        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help", "--json"}
+        known = {
+            option
+            for one in command.params
+            for option in (*one.opts, *one.secondary_opts)
+        } | {"--help", "--json"}
         unknown += [
-            (*words, word) for word in arguments if word.startswith("--") and word.partition("=")[0] not in known
+            (*words, word)
+            for word in arguments
+            if word.startswith("--") and word.partition("=")[0] not in known
         ]
     assert unknown == []
 
@@ -228,7 +325,9 @@ def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
 def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
     page = DOCS / "commands.md"
     rows = re.findall(
-        r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$", page.read_text(encoding="utf-8"), flags=re.MULTILINE
+        r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
     )
     assert [name for name, _ in rows] == list(instruments_by("commands"))
     for name, example in rows:
@@ -237,7 +336,10 @@ def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
 
 
 def test_the_page_of_commands_is_short() -> None:
-    assert len((DOCS / "commands.md").read_text(encoding="utf-8").split()) <= COMMANDS_WORDS
+    assert (
+        len((DOCS / "commands.md").read_text(encoding="utf-8").split())
+        <= COMMANDS_WORDS
+    )
 
 
 # --- public names ----------------------------------------------------------------------------------------------------
@@ -248,7 +350,9 @@ def documented_modules() -> dict[str, set[str]]:
     modules = {}
     for page in sorted((DOCS / "api").glob("*.md")):
         for name, body in re.findall(
-            r"^\.\. automodule:: (\S+)\n((?:   :.*\n)*)", page.read_text(), flags=re.MULTILINE
+            r"^\.\. automodule:: (\S+)\n((?:   :.*\n)*)",
+            page.read_text(),
+            flags=re.MULTILINE,
         ):
             left_out = re.search(r":exclude-members: (.*)", body)
             modules[name] = set(left_out[1].split(", ")) if left_out else set()
@@ -280,26 +384,43 @@ def is_described(value: Any) -> bool:
 def test_every_public_class_and_function_has_a_docstring() -> None:
     names = list(documented_names())
     assert len(names) > 80
-    bare = [f"{module}.{name}" for module, name, value in names if is_described(value) and not value.__doc__]
+    bare = [
+        f"{module}.{name}"
+        for module, name, value in names
+        if is_described(value) and not value.__doc__
+    ]
     assert bare == []
 
 
 def test_no_public_name_is_on_the_pages_twice() -> None:
-    objects = [(id(value), name) for _, name, value in documented_names() if inspect.isclass(value)]
+    objects = [
+        (id(value), name)
+        for _, name, value in documented_names()
+        if inspect.isclass(value)
+    ]
     assert [name for (_, name), count in Counter(objects).items() if count > 1] == []
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"])
+@pytest.mark.parametrize(
+    "engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"]
+)
 def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
     settings = importlib.import_module(f"gauge_envs.backends.{engine}.settings")
-    presets = {*settings.PRESETS, *(["training"] if hasattr(settings, "TRAINING_CHANGES") else [])}
+    presets = {
+        *settings.PRESETS,
+        *(["training"] if hasattr(settings, "TRAINING_CHANGES") else []),
+    }
     page = (DOCS / "engines" / f"{engine}.md").read_text(encoding="utf-8")
     table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == presets
 
 
 def test_the_glossary_defines_each_term_once() -> None:
-    rows = re.findall(r"^\| (.+?) \| .+ \|$", (DOCS / "glossary.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    rows = re.findall(
+        r"^\| (.+?) \| .+ \|$",
+        (DOCS / "glossary.md").read_text(encoding="utf-8"),
+        flags=re.MULTILINE,
+    )
     terms = [term for term in rows if term not in ("term", "---")]
     assert len(terms) > 80
     assert [term for term, count in Counter(terms).items() if count > 1] == []
@@ -313,7 +434,18 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     for package in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(package, reason="extra 'docs' is not installed")
     run = subprocess.run(
-        [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(tmp_path)],
+        [
+            sys.executable,
+            "-m",
+            "sphinx",
+            "-q",
+            "-W",
+            "--keep-going",
+            "-b",
+            "html",
+            str(DOCS),
+            str(tmp_path),
+        ],
         capture_output=True,
         text=True,
     )

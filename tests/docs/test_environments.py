@@ -49,7 +49,11 @@ def shown(*arguments: str) -> str:
 
 def test_every_registered_experiment_has_a_page_that_names_it() -> None:
     controls = {task.id for task in control_tasks()}
-    ids = {name for name in gymnasium.registry if name.startswith("GAUGE/")} - controls - {"GAUGE/Asset"}
+    ids = (
+        {name for name in gymnasium.registry if name.startswith("GAUGE/")}
+        - controls
+        - {"GAUGE/Asset"}
+    )
     assert ids == {variant.id for variant in VARIANTS}
     absent = []
     for variant in VARIANTS:
@@ -62,7 +66,12 @@ def test_every_registered_experiment_has_a_page_that_names_it() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        *(pytest.param(one.name, marks=[] if one.name in ONE_EACH else [pytest.mark.slow]) for one in VARIANTS),
+        *(
+            pytest.param(
+                one.name, marks=[] if one.name in ONE_EACH else [pytest.mark.slow]
+            )
+            for one in VARIANTS
+        ),
         *(task.name for task in control_tasks()),
     ],
 )
@@ -78,9 +87,19 @@ def test_a_page_has_what_gymnasium_pages_have() -> None:
     for variant in VARIANTS:
         page = (PAGES / f"{variant.family}.md").read_text(encoding="utf-8")
         titles = re.findall(r"^## (.+)$", page, flags=re.MULTILINE)
-        needed = ["Ids", "Action space", "Observation space", "Reward", "Reference", "Published scores", "Engines"]
+        needed = [
+            "Ids",
+            "Action space",
+            "Observation space",
+            "Reward",
+            "Reference",
+            "Published scores",
+            "Engines",
+        ]
         assert titles[: len(needed)] == needed
-        assert {"Known limits", "Constants", "Where the numbers are from"} <= set(titles)
+        assert {"Known limits", "Constants", "Where the numbers are from"} <= set(
+            titles
+        )
 
 
 # --- what an environment does ----------------------------------------------------------------------------------------
@@ -93,7 +112,10 @@ def part(observation: dict[str, np.ndarray], name: str) -> np.ndarray:
     return observation[key][:, first:last] if columns else observation[key]
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "ElbowToss-blocks"])
+@pytest.mark.parametrize(
+    "name",
+    ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "ElbowToss-blocks"],
+)
 def test_rows_of_spaces_describe_observations(name: str) -> None:
     env = GaugeEnv(name)
     observation, _ = env.reset(seed=0)
@@ -101,8 +123,13 @@ def test_rows_of_spaces_describe_observations(name: str) -> None:
     for row in rows:
         values = part(observation, row["name"])
         assert list(values.shape) == row["shape"]
-        assert np.isnan(row["low"]) or ((row["low"] <= values).all() and (values <= row["high"]).all())
-    named = {key: sum(row["shape"][-1] for row in rows if row["entry"] == key) for key in observation}
+        assert np.isnan(row["low"]) or (
+            (row["low"] <= values).all() and (values <= row["high"]).all()
+        )
+    named = {
+        key: sum(row["shape"][-1] for row in rows if row["entry"] == key)
+        for key in observation
+    }
     assert named == {key: values.shape[-1] for key, values in observation.items()}
     env.close()
 
@@ -124,11 +151,15 @@ def test_an_action_moves_as_its_row_says(name: str) -> None:
     if found[2] == "m/s":
         moved = float(np.linalg.norm(ends[1][:3] - ends[0][:3]))
     else:
-        moved = np.rad2deg(2.0 * np.arccos(min(abs(float(ends[0][3:7] @ ends[1][3:7])), 1.0)))
+        moved = np.rad2deg(
+            2.0 * np.arccos(min(abs(float(ends[0][3:7] @ ends[1][3:7])), 1.0))
+        )
     assert moved == pytest.approx(float(found[1]) / 30.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeContact-wood", "WallBreaking-wood"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "SlopeContact-wood", "WallBreaking-wood"]
+)
 def test_rewards_are_where_their_sentence_says(name: str) -> None:
     env = GaugeEnv(name)
     text = reward_text(env.band)
@@ -151,19 +182,26 @@ def test_rewards_are_where_their_sentence_says(name: str) -> None:
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
-def test_engines_answer_without_being_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_engines_answer_without_being_installed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     before = as_markdown(family_document("SlopeContact", picture="a.webp", caption=""))
 
     def missing(name: str) -> None:
         raise MissingExtraError(f"backend {name!r}", name, ImportError(name))
 
     monkeypatch.setattr(listing, "backend", missing)
-    assert as_markdown(family_document("SlopeContact", picture="a.webp", caption="")) == before
+    assert (
+        as_markdown(family_document("SlopeContact", picture="a.webp", caption=""))
+        == before
+    )
     row = listing.engine_rows(load_experiment("SlopeContact-wood"))[0]
     assert row["missing"] == [] and "not installed" in row["fault"]
 
 
-@pytest.mark.parametrize("name", ["TextileBending-satin", "RopeWinding-rubber", "SlopeSlider-1-wood"])
+@pytest.mark.parametrize(
+    "name", ["TextileBending-satin", "RopeWinding-rubber", "SlopeSlider-1-wood"]
+)
 def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) -> None:
     scene = load_experiment(name).scene
     for engine in filter(is_bundled, backend_names()):
@@ -180,12 +218,17 @@ def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) 
 def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
     bare = []
     for limit in all_limits():
-        assert [pattern for pattern in limit.variants if not matching_variants(pattern)] == []
+        assert [
+            pattern for pattern in limit.variants if not matching_variants(pattern)
+        ] == []
         if limit.study is None:
             continue
         assert (ROOT / "studies" / limit.study / "README.md").is_file()
         page = tmp_path / "limit.md"
-        page.write_text(f"{limit.text} [study](../studies/{limit.study}/README.md)\n", encoding="utf-8")
+        page.write_text(
+            f"{limit.text} [study](../studies/{limit.study}/README.md)\n",
+            encoding="utf-8",
+        )
         bare += sourceless(page, [])
     assert bare == []
 
@@ -193,12 +236,18 @@ def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
 def test_limits_without_a_study_quote_the_task_files() -> None:
     ratio = task_spec("StickStack").constants["rod"]["soft"]["poisson_ratio"]
     modulus = task_spec("RopeWinding").constants["rope"]["rubber"]["young_modulus_pa"]
-    assert f"Poisson ratio of {ratio.calibrated:g} is not admissible; {ratio.used:g} is used" in texts(
-        "StickStack-soft"
+    assert (
+        f"Poisson ratio of {ratio.calibrated:g} is not admissible; {ratio.used:g} is used"
+        in texts("StickStack-soft")
     )
     assert f"modulus, {modulus:g} Pa, cannot" in texts("RopeWinding-rubber")
     quoted = (f"{ratio.calibrated:g}", f"{ratio.used:g}", f"{modulus:g}")
-    numbers = {n for one in all_limits() if not one.study for n in re.findall(r"\d[\d.]*\d", one.text)}
+    numbers = {
+        n
+        for one in all_limits()
+        if not one.study
+        for n in re.findall(r"\d[\d.]*\d", one.text)
+    }
     assert numbers == set(quoted)
 
 
@@ -212,7 +261,11 @@ def test_costs_are_of_engines_that_run_the_family() -> None:
         for engine, cost in episode_costs(family).items():
             members = [variant for variant in VARIANTS if variant.family == family]
             running = [
-                one for one in members if not uninstalled_backend(engine).supports(load_experiment(one).scene).missing
+                one
+                for one in members
+                if not uninstalled_backend(engine)
+                .supports(load_experiment(one).scene)
+                .missing
             ]
             assert cost.least <= cost.most and cost.ids <= len(members)
             assert running, f"{engine} does not run {family}"
@@ -231,10 +284,14 @@ def test_what_is_missing_or_stale_is_named(
         shutil.copytree(getattr(build_environments, name), tmp_path / name)
         monkeypatch.setattr(build_environments, name, tmp_path / name)
     (tmp_path / "PICTURES" / "Funnel.webp").unlink()
-    (tmp_path / "PICTURES" / "StickStack.webp").write_bytes(bytes(build_environments.MOST_PICTURE_BYTES + 1))
+    (tmp_path / "PICTURES" / "StickStack.webp").write_bytes(
+        bytes(build_environments.MOST_PICTURE_BYTES + 1)
+    )
     (tmp_path / "PAGES" / "Stray.md").touch()
     page = tmp_path / "PAGES" / "Pendulum.md"
-    page.write_text(page.read_text(encoding="utf-8").replace("3000", "300"), encoding="utf-8")
+    page.write_text(
+        page.read_text(encoding="utf-8").replace("3000", "300"), encoding="utf-8"
+    )
     capsys.readouterr()
     assert build_environments.main(["--check"]) == 1
     assert capsys.readouterr().err.splitlines() == [

@@ -23,7 +23,10 @@ def named(entry: Mapping[str, Any]) -> set[Path]:
 
 @pytest.mark.parametrize(
     "entry",
-    [pytest.param(one, marks=[pytest.mark.slow] if one["files"][0] == SLOW else []) for one in ENTRIES],
+    [
+        pytest.param(one, marks=[pytest.mark.slow] if one["files"][0] == SLOW else [])
+        for one in ENTRIES
+    ],
     ids=lambda entry: f"{entry['script']}-{entry['files'][0]}",
 )
 def test_generated_files_are_current(entry: Mapping[str, Any]) -> None:
@@ -32,16 +35,29 @@ def test_generated_files_are_current(entry: Mapping[str, Any]) -> None:
 
 
 def test_a_changed_input_and_a_missing_file_are_named() -> None:
-    entry = {"script": "a.py", "files": ["docs/none.png"], "inputs": ["README.md"], "sha256": "0"}
+    entry = {
+        "script": "a.py",
+        "files": ["docs/none.png"],
+        "inputs": ["README.md"],
+        "sha256": "0",
+    }
     missing, changed = check_generated.faults(entry)
     assert missing == "docs/none.png: no such file"
-    assert changed.startswith("docs/none.png: README.md changed. Run a.py, then set sha256 to ")
+    assert changed.startswith(
+        "docs/none.png: README.md changed. Run a.py, then set sha256 to "
+    )
 
 
 def test_every_script_that_builds_is_in_the_table() -> None:
-    scripts = {str(file.relative_to(ROOT)) for file in (ROOT / "scripts").glob("build_*.py")}
+    scripts = {
+        str(file.relative_to(ROOT)) for file in (ROOT / "scripts").glob("build_*.py")
+    }
     assert scripts <= {entry["script"] for entry in ENTRIES}
-    assert all((ROOT / entry["script"]).is_file() for entry in ENTRIES if entry["script"].endswith(".py"))
+    assert all(
+        (ROOT / entry["script"]).is_file()
+        for entry in ENTRIES
+        if entry["script"].endswith(".py")
+    )
 
 
 def test_files_that_name_their_script_are_in_its_row() -> None:
@@ -52,8 +68,14 @@ def test_files_that_name_their_script_are_in_its_row() -> None:
     copies = ROOT / "docs" / "studies"  # Of a build of the docs.
     for folder in ("docs", "scoring", "studies"):
         for file in (ROOT / folder).rglob("*"):
-            if file.suffix in (".md", ".toml", ".csv") and "_build" not in file.parts and file.parent != copies:
-                for script in re.findall(r"ritten by (scripts/\w+\.py)", file.read_text(encoding="utf-8")):
+            if (
+                file.suffix in (".md", ".toml", ".csv")
+                and "_build" not in file.parts
+                and file.parent != copies
+            ):
+                for script in re.findall(
+                    r"ritten by (scripts/\w+\.py)", file.read_text(encoding="utf-8")
+                ):
                     marked += 1
                     assert file in by_script[script], f"{file} names {script}"
     assert marked > 40
@@ -68,7 +90,8 @@ def test_a_part_of_a_page_is_replaced_and_its_marks_are_needed_once() -> None:
 
 
 PRINTED = (
-    "frame,mean\n12,501.235,-0.0274632,0.5,8.1e-05,0.030000000000000013\nsha256 = 1e5f, version 3.11.0, 17.5 mm.\n"
+    "frame,mean\n12,501.235,-0.0274632,0.5,8.1e-05,0.030000000000000013\n"
+    "sha256 = 1e5f, version 3.11.0, 17.5 mm.\n"
 )
 
 
@@ -83,7 +106,9 @@ PRINTED = (
         ("0.030000000000000013", "0.03000000000000032"),
     ],
 )
-def test_the_last_printed_place_of_a_number_is_that_of_another_processor(stored: str, generated: str) -> None:
+def test_the_last_printed_place_of_a_number_is_that_of_another_processor(
+    stored: str, generated: str
+) -> None:
     assert same_text(PRINTED, PRINTED.replace(stored, generated))
     assert same_text(PRINTED.replace(stored, generated), PRINTED)
 
@@ -126,10 +151,16 @@ def test_every_other_difference_of_a_generated_file_is_found(
 
 
 def test_arrays_differ_by_a_count_and_fits_in_their_last_digits() -> None:
-    stored = {"first": np.arange(3), "angle": np.array([5, -7], np.int16), "start": np.array([0.25, 1.5], np.float32)}
+    stored = {
+        "first": np.arange(3),
+        "angle": np.array([5, -7], np.int16),
+        "start": np.array([0.25, 1.5], np.float32),
+    }
     one = np.array([1, 0], np.int16)
     assert same_arrays(stored, {**stored, "angle": stored["angle"] + one})
-    assert same_arrays(stored, {**stored, "start": np.nextafter(stored["start"], np.float32(9.0))})
+    assert same_arrays(
+        stored, {**stored, "start": np.nextafter(stored["start"], np.float32(9.0))}
+    )
     changed = {
         "first": np.array([0, 1, 3]),
         "angle": stored["angle"] + 2 * one,
@@ -139,4 +170,6 @@ def test_arrays_differ_by_a_count_and_fits_in_their_last_digits() -> None:
     for name, array in changed.items():
         assert not same_arrays(stored, {**stored, name: array}), name
     assert not same_arrays(stored, {**stored, "angle": stored["angle"][:1]})
-    assert not same_arrays(stored, {**stored, "angle": stored["angle"].astype(np.int32)})
+    assert not same_arrays(
+        stored, {**stored, "angle": stored["angle"].astype(np.int32)}
+    )

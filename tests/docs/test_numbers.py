@@ -25,7 +25,8 @@ PAGES = [
     *(
         page
         for page in sorted(DOCS.rglob("*.md"))
-        if not {"api", "environments", "studies", "_build"} & set(page.relative_to(DOCS).parts)
+        if not {"api", "environments", "studies", "_build"}
+        & set(page.relative_to(DOCS).parts)
     ),
 ]
 
@@ -44,7 +45,9 @@ def name_of(page: Path) -> str:
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_number_of_a_page_has_a_source(page: Path) -> None:
     tested = [phrase for phrase, _ in stated.TESTED.get(name_of(page), ())]
-    bare = sourceless(page, [*stated.stated().get(name_of(page), ()), *tested, *stated.EVERYWHERE])
+    bare = sourceless(
+        page, [*stated.stated().get(name_of(page), ()), *tested, *stated.EVERYWHERE]
+    )
     assert not bare, "\n".join([WHAT_TO_DO, *bare])
 
 
@@ -53,11 +56,18 @@ def test_pages_state_what_code_and_data_give() -> None:
     for page, phrases in stated.stated().items():
         text = one_line((ROOT / page).read_text(encoding="utf-8"))
         absent += [f"{page}: {phrase}" for phrase in phrases if phrase not in text]
-    assert not absent, "\n".join(["These pages must say this, or tests/docs/stated.py must not:", *absent])
+    assert not absent, "\n".join(
+        ["These pages must say this, or tests/docs/stated.py must not:", *absent]
+    )
 
 
-@pytest.mark.parametrize(("page", "phrase", "file"), [(page, *one) for page, of in stated.TESTED.items() for one in of])
-def test_a_test_has_the_numbers_that_a_page_takes_from_it(page: str, phrase: str, file: str) -> None:
+@pytest.mark.parametrize(
+    ("page", "phrase", "file"),
+    [(page, *one) for page, of in stated.TESTED.items() for one in of],
+)
+def test_a_test_has_the_numbers_that_a_page_takes_from_it(
+    page: str, phrase: str, file: str
+) -> None:
     assert phrase in one_line((ROOT / page).read_text(encoding="utf-8"))
     source = (ROOT / file).read_text(encoding="utf-8")
     known = (*values(source), *(100.0 * number for number in values(source)))
@@ -98,7 +108,13 @@ def test_a_planted_number_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
     found = [one.partition("   in: ")[0] for one in sourceless(page, ["at 1/540 s"])]
-    assert found == ["3.94 m/s^2, 0.19, 16 384 episodes", "12 to 14 %", "7 mm", "0.1234", "2.5 s"]
+    assert found == [
+        "3.94 m/s^2, 0.19, 16 384 episodes",
+        "12 to 14 %",
+        "7 mm",
+        "0.1234",
+        "2.5 s",
+    ]
 
 
 def test_a_number_is_known_if_it_is_rounded() -> None:

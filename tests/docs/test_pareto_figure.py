@@ -19,7 +19,9 @@ from pareto_words import draw_pareto
 from gauge_envs.pages.figures import save_png
 
 
-def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) -> Family:
+def family(
+    backend: str, *, preset: str = "default", floor: float | None = 0.3
+) -> Family:
     points = [
         Point(
             effort={"timestep_s": step_s},
@@ -53,16 +55,33 @@ def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) 
 
 def made(*families: Family, unit: str = "scatter") -> Tradeoff:
     slide = Phenomenon(
-        name="Slide $x$", ids=("GAUGE/Slide-wood",), metric="rmse", unit=unit, scatter={}, families=families
+        name="Slide $x$",
+        ids=("GAUGE/Slide-wood",),
+        metric="rmse",
+        unit=unit,
+        scatter={},
+        families=families,
     )
-    return Tradeoff(cost="cpu", reference="mujoco", phenomena=(slide,), versions={}, notes=())
+    return Tradeoff(
+        cost="cpu", reference="mujoco", phenomena=(slide,), versions={}, notes=()
+    )
 
 
 def test_the_legend_names_every_family_and_limit() -> None:
-    figure = draw_pareto(made(family("mujoco"), family("mujoco", preset="out_of_box"), family("my_engine")))
+    figure = draw_pareto(
+        made(
+            family("mujoco"), family("mujoco", preset="out_of_box"), family("my_engine")
+        )
+    )
     (legend,) = figure.legends
     names = [text.get_text() for text in legend.get_texts()]
-    assert names == ["mujoco", "mujoco out_of_box", "my_engine", "scatter of real trials", "parametric floor"]
+    assert names == [
+        "mujoco",
+        "mujoco out_of_box",
+        "my_engine",
+        "scatter of real trials",
+        "parametric floor",
+    ]
 
 
 def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
@@ -73,7 +92,12 @@ def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
 
 def test_a_picture_is_written(tmp_path: Path) -> None:
     assert (
-        save_png(draw_pareto(made(family("mujoco", floor=None), unit="mm")), tmp_path / "pareto.png").stat().st_size
+        save_png(
+            draw_pareto(made(family("mujoco", floor=None), unit="mm")),
+            tmp_path / "pareto.png",
+        )
+        .stat()
+        .st_size
         > 10_000
     )
 
@@ -92,7 +116,10 @@ def changed(found: Tradeoff, name: str, backend: str, **values: Any) -> Tradeoff
         for one in phenomenon.families:
             if (phenomenon.name, one.name) == (name, backend):
                 coarsest = max(point.step_s or 0.0 for point in one.points)
-                points = [replace(p, **values) if p.step_s == coarsest else p for p in one.points]
+                points = [
+                    replace(p, **values) if p.step_s == coarsest else p
+                    for p in one.points
+                ]
                 families.append(replace(one, points=tuple(points)))
             else:
                 families.append(one)
@@ -117,5 +144,10 @@ def test_a_lesson_that_the_data_contradict_is_an_error(
 
 
 def test_costs_state_their_repeats_and_spread(measured: Tradeoff) -> None:
-    points = [p for phenomenon in measured.phenomena for family in phenomenon.families for p in family.points]
+    points = [
+        p
+        for phenomenon in measured.phenomena
+        for family in phenomenon.families
+        for p in family.points
+    ]
     assert all(p.cost_most >= p.cost > 0.0 for p in points)

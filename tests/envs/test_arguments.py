@@ -40,12 +40,17 @@ CONTROL_ID = "GAUGE/Turntable-Limit-wood"
     ],
 )
 @pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
-def test_arguments_of_a_wrong_type(make: Callable[..., Any], arguments: dict[str, Any], message: str) -> None:
+def test_arguments_of_a_wrong_type(
+    make: Callable[..., Any], arguments: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         make(ID, **arguments)
 
 
-@pytest.mark.parametrize("arguments", [{"width": 0}, {"backend": None}, {"settings": {"impratio": float("inf")}}])
+@pytest.mark.parametrize(
+    "arguments",
+    [{"width": 0}, {"backend": None}, {"settings": {"impratio": float("inf")}}],
+)
 def test_wrong_arguments_of_a_control_task(arguments: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         gymnasium.make(CONTROL_ID, **arguments)
@@ -58,13 +63,18 @@ def test_a_variant_is_a_name(variant: Any) -> None:
 
 
 def test_a_window_is_no_render_mode() -> None:
-    with pytest.raises(ParameterError, match="render_mode 'human': choose None or 'rgb_array'"):
+    with pytest.raises(
+        ParameterError, match="render_mode 'human': choose None or 'rgb_array'"
+    ):
         GaugeEnv(NAME, render_mode="human")
 
 
 @pytest.mark.parametrize("count", ["x", 0, -1, 2.5, None, True, 10**9])
 def test_an_impossible_number_of_worlds(count: Any) -> None:
-    with pytest.raises(ParameterError, match=r"num_envs is .*, expected a whole number from 1 to 100000"):
+    with pytest.raises(
+        ParameterError,
+        match=r"num_envs is .*, expected a whole number from 1 to 100000",
+    ):
         gymnasium.make_vec(ID, num_envs=count)
 
 
@@ -75,7 +85,15 @@ def test_impossible_seeds_of_worlds(seed: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [{"seed": "x"}, {"seed": -1}, {"repeats": 1.5}, {"repeats": 0}, {"jitter": 1}, {"backend": None}]
+    "values",
+    [
+        {"seed": "x"},
+        {"seed": -1},
+        {"repeats": 1.5},
+        {"repeats": 0},
+        {"jitter": 1},
+        {"backend": None},
+    ],
 )
 def test_impossible_requests(values: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=next(iter(values))):
@@ -93,7 +111,9 @@ def test_a_closed_environment_is_an_error(name: str, call: str) -> None:
     env.close()
     env.close()
     arguments = [env.action_space.sample()] if call == "step" else []
-    with pytest.raises(EpisodeError, match=f"{call} after close; make the environment again"):
+    with pytest.raises(
+        EpisodeError, match=f"{call} after close; make the environment again"
+    ):
         getattr(env, call)(*arguments)
 
 
@@ -145,7 +165,12 @@ def rollout(name: str) -> list[Any]:
 
 
 def test_eight_threads_with_an_environment_each_give_the_bits_of_one() -> None:
-    names = ["SlopeSlider-2-wood", "SlopeSlider-3-metal", "BouncingBall-rubber", "Turntable-2-wood"]
+    names = [
+        "SlopeSlider-2-wood",
+        "SlopeSlider-3-metal",
+        "BouncingBall-rubber",
+        "Turntable-2-wood",
+    ]
     alone = [rollout(name) for name in names]
     with ThreadPoolExecutor(8) as pool:
         assert list(pool.map(rollout, names * 2)) == alone * 2

@@ -70,7 +70,11 @@ class Together(Worlds):
 def together(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """MuJoCo with worlds that advance together."""
 
-    def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    def build_worlds(
+        self: BackendMuJoCo,
+        scenes: Sequence[Scene],
+        settings: Mapping[str, Any] | None = None,
+    ) -> Worlds:
         return Together([self.build(scene, settings) for scene in scenes])
 
     monkeypatch.setattr(BackendMuJoCo, "build_worlds", build_worlds)
@@ -85,12 +89,18 @@ def assert_same_steps(many: VectorEnv, loop: VectorEnv, count: int) -> None:
     for _ in range(count):
         ours, theirs = many.step(zeros(many)), loop.step(zeros(loop))
         assert all(np.array_equal(ours[0][key], theirs[0][key]) for key in theirs[0])
-        assert all(np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True))
-        assert json.dumps(ours[4], default=str, sort_keys=True) == json.dumps(theirs[4], default=str, sort_keys=True)
+        assert all(
+            np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True)
+        )
+        assert json.dumps(ours[4], default=str, sort_keys=True) == json.dumps(
+            theirs[4], default=str, sort_keys=True
+        )
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together: None) -> None:
+def test_worlds_at_once_are_single_environments_bit_for_bit(
+    name: str, together: None
+) -> None:
     options = {"jitter": True}
     many = gymnasium.make_vec(f"GAUGE/{name}", num_envs=3)
     assert isinstance(many.unwrapped._lockstep, EpisodesAtOnce)
@@ -104,9 +114,18 @@ def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together:
 
 
 @pytest.mark.parametrize(
-    "name", ["Turntable-1-wood", "SlopeSlider-3-metal", "CubePush-light", "FoamShearing-soft", "TextileBending-satin"]
+    "name",
+    [
+        "Turntable-1-wood",
+        "SlopeSlider-3-metal",
+        "CubePush-light",
+        "FoamShearing-soft",
+        "TextileBending-satin",
+    ],
 )
-def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str, together: None) -> None:
+def test_driven_and_deformable_worlds_at_once_are_single_environments(
+    name: str, together: None
+) -> None:
     """Also with actions, which differ between the worlds."""
     count = 2 if name.startswith("Textile") else 3
     many = gymnasium.make_vec(f"GAUGE/{name}", num_envs=count)
@@ -121,14 +140,23 @@ def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str,
         ours, theirs = many.step(actions), loop.step(actions)
         assert ours[0].keys() == theirs[0].keys()
         assert all(np.array_equal(ours[0][key], theirs[0][key]) for key in theirs[0])
-        assert all(np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True))
+        assert all(
+            np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True)
+        )
     for episode, env in zip(many.unwrapped.episodes, loop.envs, strict=True):
         mine, its = episode.trajectory(), env.unwrapped.trajectory()
-        assert all(np.array_equal(getattr(mine, key), getattr(its, key)) for key in vars(mine))
+        assert all(
+            np.array_equal(getattr(mine, key), getattr(its, key)) for key in vars(mine)
+        )
 
 
-@pytest.mark.parametrize("name", ["GAUGE/SlopeSlider-3-metal", "GAUGE/FoamShearing-soft", "GAUGE/Push-Limit-wood"])
-def test_worlds_in_threads_have_the_bits_of_one_thread(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["GAUGE/SlopeSlider-3-metal", "GAUGE/FoamShearing-soft", "GAUGE/Push-Limit-wood"],
+)
+def test_worlds_in_threads_have_the_bits_of_one_thread(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """And the threads are used."""
     steps, used = {}, set()
     advance = SimulationMuJoCo._step
@@ -143,20 +171,35 @@ def test_worlds_in_threads_have_the_bits_of_one_thread(name: str, monkeypatch: p
         used.clear()
         envs = gymnasium.make_vec(name, num_envs=3)
         envs.reset(seed=1)
-        actions = np.random.default_rng(0).uniform(-1.0, 1.0, (3, *envs.action_space.shape))
-        steps[count] = [envs.step(one.astype(envs.action_space.dtype))[:2] for one in actions]
+        actions = np.random.default_rng(0).uniform(
+            -1.0, 1.0, (3, *envs.action_space.shape)
+        )
+        steps[count] = [
+            envs.step(one.astype(envs.action_space.dtype))[:2] for one in actions
+        ]
         assert (len(used) > 1) == (count > 1)
         envs.close()
     for (alone, reward), (shared, rewards) in zip(steps[1], steps[3], strict=True):
-        same = alone == shared if not isinstance(alone, dict) else {key: alone[key] == shared[key] for key in alone}
-        assert all(np.all(one) for one in (same.values() if isinstance(same, dict) else [same]))
+        same = (
+            alone == shared
+            if not isinstance(alone, dict)
+            else {key: alone[key] == shared[key] for key in alone}
+        )
+        assert all(
+            np.all(one) for one in (same.values() if isinstance(same, dict) else [same])
+        )
         assert np.array_equal(reward, rewards)
 
 
 def test_a_wrong_action_of_a_driven_world_at_once_is_named(together: None) -> None:
     many = gymnasium.make_vec("GAUGE/Turntable-1-wood", num_envs=2)
     many.reset(seed=0)
-    for wrong in (np.full((2, 1), 1.5), np.full((2, 1), np.nan), np.zeros((2, 2)), [[0.0], ["x"]]):
+    for wrong in (
+        np.full((2, 1), 1.5),
+        np.full((2, 1), np.nan),
+        np.zeros((2, 2)),
+        [[0.0], ["x"]],
+    ):
         with pytest.raises(ActionError):
             many.step(wrong)
 
@@ -172,7 +215,9 @@ def test_a_world_that_diverges_at_once_ends_alone(together: None) -> None:
     last, _, terminations, truncations, infos = many.step(zeros(many))
     assert terminations.tolist() == [False, True, False]
     assert not truncations.any()
-    assert infos["_diverged"].tolist() == infos["_score"].tolist() == [False, True, False]
+    assert (
+        infos["_diverged"].tolist() == infos["_score"].tolist() == [False, True, False]
+    )
     assert infos["diverged"][1] == loop.step(zeros(loop))[4]["diverged"][1]
     over = False
     while not over:
@@ -188,14 +233,18 @@ def test_a_world_that_diverges_at_once_ends_alone(together: None) -> None:
 @pytest.mark.slow
 def test_newton_reads_all_worlds_with_the_values_of_each() -> None:
     pytest.importorskip("newton")
-    envs = gymnasium.make_vec("GAUGE/NonsmoothContact-1-wood", num_envs=3, backend="newton").unwrapped
+    envs = gymnasium.make_vec(
+        "GAUGE/NonsmoothContact-1-wood", num_envs=3, backend="newton"
+    ).unwrapped
     assert isinstance(envs._lockstep, EpisodesAtOnce)
     envs.reset(seed=0, options={"jitter": True})
     for _ in range(5):
         envs.step(zeros(envs))
     names = [body.name for body in envs.experiment.scene.dynamic_bodies]
     states = envs.worlds.body_states(names)
-    assert np.array_equal(states, np.stack([world.body_states(names) for world in envs.worlds.worlds]))
+    assert np.array_equal(
+        states, np.stack([world.body_states(names) for world in envs.worlds.worlds])
+    )
     assert np.array_equal(envs.worlds.body_positions(names), states[:, :, :3])
     # A fixed body is in no array of the engine.
     every = [body.name for body in envs.experiment.scene.bodies]
@@ -224,9 +273,16 @@ def test_scores_as_arrays_are_those_of_each_world(together: None) -> None:
         *_, infos = envs.step(zeros(envs))
     assert "score" not in infos
     scores = envs.unwrapped.scores()
-    for key in ("rmse", "rmse_normalized", "rmse_aligned_normalized", "release_offset_s"):
+    for key in (
+        "rmse",
+        "rmse_normalized",
+        "rmse_aligned_normalized",
+        "release_offset_s",
+    ):
         assert infos[f"_{key}"].all()
-        assert infos[key] == pytest.approx([getattr(score, key) for score in scores], rel=1e-6, abs=2e-6)
+        assert infos[key] == pytest.approx(
+            [getattr(score, key) for score in scores], rel=1e-6, abs=2e-6
+        )
 
 
 def test_separate_simulations_give_the_same_arrays() -> None:
@@ -234,11 +290,15 @@ def test_separate_simulations_give_the_same_arrays() -> None:
     envs.reset(seed=1)
     for _ in range(18):
         *_, infos = envs.step(zeros(envs))
-    assert infos["rmse"] == pytest.approx([score.rmse for score in envs.unwrapped.scores()], rel=1e-9)
+    assert infos["rmse"] == pytest.approx(
+        [score.rmse for score in envs.unwrapped.scores()], rel=1e-9
+    )
 
 
 def test_worlds_that_diverged_have_no_scores(together: None) -> None:
-    envs = gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=2, score_arrays=True)
+    envs = gymnasium.make_vec(
+        "GAUGE/BouncingBall-rubber", num_envs=2, score_arrays=True
+    )
     envs.reset(seed=0)
     envs.unwrapped.worlds.worlds[0].simulation.data.qvel[0] = 900.0
     over = False
@@ -251,7 +311,9 @@ def test_worlds_that_diverged_have_no_scores(together: None) -> None:
 
 def test_arrays_need_a_native_environment_and_a_reference(together: None) -> None:
     with pytest.raises(ParameterError, match="expected a GaugeVectorEnv"):
-        ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv("SlopeSlider-2-wood")]), arrays=True)
+        ScoreEpisodes(
+            SyncVectorEnv([lambda: GaugeEnv("SlopeSlider-2-wood")]), arrays=True
+        )
     envs = gymnasium.make_vec("GAUGE/RopeWinding-rubber", num_envs=1)
     with pytest.raises(EpisodeError, match="no reference"):
         envs.unwrapped.score_arrays()

@@ -21,7 +21,11 @@ from gauge_envs.runs.request import RunRequest
 
 ID = "GAUGE/CubeToss-acrylic"
 NAME = "CubeToss-acrylic"
-ENGINES = tuple(name for name in backend_names() if name in ("mujoco", "rapier", "pybullet", "physx"))
+ENGINES = tuple(
+    name
+    for name in backend_names()
+    if name in ("mujoco", "rapier", "pybullet", "physx")
+)
 
 
 def test_a_trial_starts_as_measured() -> None:
@@ -32,11 +36,19 @@ def test_a_trial_starts_as_measured() -> None:
         observation, info = env.reset(options={"trial": trial})
         shot = shots.shot(trial)
         assert info["trial"] == trial
-        np.testing.assert_allclose(observation["bodies"][0, :3], shot.positions_m[0], atol=1e-9)
-        np.testing.assert_allclose(observation["bodies"][0, 7:10], shot.velocity_m_per_s, atol=1e-9)
-        np.testing.assert_allclose(observation["bodies"][0, 10:], shot.angular_velocity_rad_per_s, atol=1e-9)
+        np.testing.assert_allclose(
+            observation["bodies"][0, :3], shot.positions_m[0], atol=1e-9
+        )
+        np.testing.assert_allclose(
+            observation["bodies"][0, 7:10], shot.velocity_m_per_s, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            observation["bodies"][0, 10:], shot.angular_velocity_rad_per_s, atol=1e-9
+        )
         turned = Rotation.from_quat(observation["bodies"][0, 3:7], scalar_first=True)
-        assert (turned * Rotation.from_quat(shot.quaternions[0], scalar_first=True).inv()).magnitude() < 1e-7
+        assert (
+            turned * Rotation.from_quat(shot.quaternions[0], scalar_first=True).inv()
+        ).magnitude() < 1e-7
     env.close()
 
 
@@ -59,7 +71,11 @@ def test_the_score_is_against_the_own_trial() -> None:
     while not truncated:
         *_, truncated, info = env.step(0)
     score = info["score"]
-    assert (score.grade, score.primary, score.release_offset_s) == ("trials", "rmse", None)
+    assert (score.grade, score.primary, score.release_offset_s) == (
+        "trials",
+        "rmse",
+        None,
+    )
     shots = single_shots(NAME)
     assert shots is not None
     recorded = 1e3 * shots.shot(5).poses_at(np.arange(31) / 30.0)[0]
@@ -71,7 +87,10 @@ def test_the_score_is_against_the_own_trial() -> None:
 
 
 def test_overridden_starts_have_no_reference() -> None:
-    assert reference_band(load_experiment(NAME, {"cube.position_m": (0.0, 0.0, 0.5)})) is None
+    assert (
+        reference_band(load_experiment(NAME, {"cube.position_m": (0.0, 0.0, 0.5)}))
+        is None
+    )
     assert reference_band(load_experiment(NAME, {"cube.friction": 0.3})) is not None
     with pytest.raises(ParameterError, match="no single-shot trials"):
         with_trial(load_experiment("BouncingBall-rubber"), 0)
@@ -86,7 +105,9 @@ def test_worlds_and_repeats_toss_one_trial_each() -> None:
     truncated = np.zeros(2, dtype=bool)
     while not truncated.any():
         *_, truncated, infos = worlds.step(np.zeros(2, dtype=np.int64))
-    assert [score.rmse for score in infos["score"]] == [result.score.rmse for result in results]
+    assert [score.rmse for score in infos["score"]] == [
+        result.score.rmse for result in results
+    ]
     worlds.close()
 
 
@@ -94,7 +115,11 @@ def test_stored_repeats_are_found_again(tmp_path) -> None:
     request = RunRequest(NAME, seed=1, repeats=2)
     first = list(run_many([request], isolate=False, out=tmp_path))
     notes: list[str] = []
-    again = list(run_many([request], isolate=False, out=tmp_path, resume=True, notify=notes.append))
+    again = list(
+        run_many(
+            [request], isolate=False, out=tmp_path, resume=True, notify=notes.append
+        )
+    )
     assert [result.jitter for result in again] == [{"trial": 1}, {"trial": 2}]
     assert [result.created for result in again] == [result.created for result in first]
     assert not notes
@@ -102,10 +127,18 @@ def test_stored_repeats_are_found_again(tmp_path) -> None:
 
 @pytest.mark.parametrize("engine", [*ENGINES, "drake"])
 @pytest.mark.parametrize("inertia", [8.1e-4, 1.6e-3])
-def test_an_impact_depends_on_the_stated_moment_of_inertia(engine: str, inertia: float) -> None:
+def test_an_impact_depends_on_the_stated_moment_of_inertia(
+    engine: str, inertia: float
+) -> None:
     """A drop on one corner without friction: an impulse J at the arm r changes the spin by r x J / I."""
-    start = {"cube.position_m": (0.0, 0.0, 0.3), "cube.euler_deg": (35.0, 25.0, 0.0), "cube.friction": 0.0}
-    experiment = load_experiment(NAME, {"cube.inertia_kg_m2": inertia, "cube.restitution": 0.5, **start})
+    start = {
+        "cube.position_m": (0.0, 0.0, 0.3),
+        "cube.euler_deg": (35.0, 25.0, 0.0),
+        "cube.friction": 0.0,
+    }
+    experiment = load_experiment(
+        NAME, {"cube.inertia_kg_m2": inertia, "cube.restitution": 0.5, **start}
+    )
     try:
         world = backend_for(engine, None).build(experiment.scene)
     except MissingExtraError:

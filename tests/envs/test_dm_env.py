@@ -71,7 +71,10 @@ def test_an_episode_is_that_of_gymnasium(name: str) -> None:
             observation, reward, _, truncated, info = other.step(zero)
             assert (step.reward, step.discount, step.last()) == (reward, 1.0, truncated)
         assert step.observation.keys() == observation.keys()
-        assert all(np.array_equal(step.observation[key], observation[key]) for key in observation)
+        assert all(
+            np.array_equal(step.observation[key], observation[key])
+            for key in observation
+        )
     assert env.score == info["score"]
     assert env.info["frame"] == info["frame"]
 
@@ -79,7 +82,9 @@ def test_an_episode_is_that_of_gymnasium(name: str) -> None:
 def test_specs_have_names_shapes_types_and_bounds() -> None:
     env = load(DRIVEN)
     observation = env.observation_spec()
-    assert {name: (spec.name, spec.shape, spec.dtype) for name, spec in observation.items()} == {
+    assert {
+        name: (spec.name, spec.shape, spec.dtype) for name, spec in observation.items()
+    } == {
         "observable": ("observable", (3,), np.float64),
         "bodies": ("bodies", (1, 13), np.float64),
         "driver": ("driver", (1, 13), np.float64),
@@ -97,7 +102,9 @@ def test_specs_have_names_shapes_types_and_bounds() -> None:
     assert choice.num_values == 1
 
 
-def test_a_divergence_ends_with_a_discount_of_zero_and_the_next_step_starts_over() -> None:
+def test_a_divergence_ends_with_a_discount_of_zero_and_the_next_step_starts_over() -> (
+    None
+):
     gym_env = gymnasium.make("GAUGE/BouncingBall-rubber", disable_env_checker=True)
     env = DmEnvironment(gym_env)
     assert env.step(0).first()
@@ -123,7 +130,10 @@ def test_the_score_is_that_of_the_last_episode_that_ended() -> None:
 
 def test_each_episode_starts_elsewhere_where_starts_scatter() -> None:
     envs = [load(RIGID, seed=seed, options={"jitter": True}) for seed in (3, 3, 4)]
-    starts = [[env.reset().observation["observable"].tolist() for _ in range(2)] for env in envs]
+    starts = [
+        [env.reset().observation["observable"].tolist() for _ in range(2)]
+        for env in envs
+    ]
     assert starts[0] == starts[1]
     assert starts[0][0] != starts[0][1]
     assert starts[2][0] == starts[0][1]
@@ -175,7 +185,16 @@ def test_without_dm_env_the_extra_is_named() -> None:
 
 
 def test_importing_the_package_imports_no_ecosystem() -> None:
-    heavy = ("dm_env", "torch", "stable_baselines3", "moviepy", "gauge_envs.envs.vector", "gauge_envs.envs.dm_env")
+    heavy = (
+        "dm_env",
+        "torch",
+        "stable_baselines3",
+        "moviepy",
+        "gauge_envs.envs.vector",
+        "gauge_envs.envs.dm_env",
+    )
     code = f"import sys, gauge_envs; print([name for name in {heavy} if name in sys.modules])"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert run.stdout.strip() == "[]"

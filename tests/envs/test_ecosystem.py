@@ -25,7 +25,15 @@ from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 from places import ROOT
 
-from gauge_envs import GaugeEnv, Jitter, Score, ScoreEpisode, find_variant, load_experiment, reference_band
+from gauge_envs import (
+    GaugeEnv,
+    Jitter,
+    Score,
+    ScoreEpisode,
+    find_variant,
+    load_experiment,
+    reference_band,
+)
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.observables.observer import MarkerProxy
@@ -56,7 +64,9 @@ def run_to_end(env: gymnasium.Env) -> tuple[float, dict[str, Any]]:
 
 def same_steps(ours: list[tuple], theirs: list[tuple]) -> bool:
     return all(
-        a[1:] == b[1:] and a[0].keys() == b[0].keys() and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
+        a[1:] == b[1:]
+        and a[0].keys() == b[0].keys()
+        and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
         for a, b in zip(ours, theirs, strict=True)
     )
 
@@ -64,9 +74,13 @@ def same_steps(ours: list[tuple], theirs: list[tuple]) -> bool:
 # --- copies ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, copy.copy, lambda env: pickle.loads(pickle.dumps(env))]
+)
 @pytest.mark.parametrize("name", [*ALL_KINDS, "FoamBending-soft"])
-def test_a_copy_goes_on_bit_for_bit(name: str, copied: Callable[[gymnasium.Env], gymnasium.Env]) -> None:
+def test_a_copy_goes_on_bit_for_bit(
+    name: str, copied: Callable[[gymnasium.Env], gymnasium.Env]
+) -> None:
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     env.reset(seed=4, options={} if name.endswith("-soft") else {"jitter": True})
     step_on(env, 3)
@@ -74,7 +88,11 @@ def test_a_copy_goes_on_bit_for_bit(name: str, copied: Callable[[gymnasium.Env],
     ours = step_on(env, 3, seed=1)
     assert same_steps(ours, step_on(other, 3, seed=1))
     assert np.array_equal(env.trajectory().samples, other.trajectory().samples)
-    assert (other.seed_used, other.jitter, other.versions) == (env.seed_used, env.jitter, env.versions)
+    assert (other.seed_used, other.jitter, other.versions) == (
+        env.seed_used,
+        env.jitter,
+        env.versions,
+    )
 
 
 def test_a_copy_has_a_life_of_its_own() -> None:
@@ -92,12 +110,18 @@ def test_a_copy_has_a_life_of_its_own() -> None:
 
 def test_a_pickle_within_wrappers_keeps_backend_settings_and_parameters() -> None:
     env = wrappers.RecordEpisodeStatistics(
-        gymnasium.make(f"GAUGE/{RIGID}", settings={"impratio": 1.0}, parameters={"cube.friction": 0.2})
+        gymnasium.make(
+            f"GAUGE/{RIGID}",
+            settings={"impratio": 1.0},
+            parameters={"cube.friction": 0.2},
+        )
     )
     env.reset(seed=0)
     step_on(env, 5)
     other = pickle.loads(pickle.dumps(env))
-    assert [type(layer).__name__ for layer in layers(other)] == [type(layer).__name__ for layer in layers(env)]
+    assert [type(layer).__name__ for layer in layers(other)] == [
+        type(layer).__name__ for layer in layers(env)
+    ]
     assert other.unwrapped.simulation.settings == env.unwrapped.simulation.settings
     assert other.unwrapped.experiment == env.unwrapped.experiment
     assert other.spec.kwargs == env.spec.kwargs
@@ -128,7 +152,9 @@ def test_a_pickle_goes_on_in_another_process(name: str, tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
     for _ in range(5):
         env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))
-    assert np.array_equal(np.load(tmp_path / "samples.npy"), env.unwrapped.trajectory().samples)
+    assert np.array_equal(
+        np.load(tmp_path / "samples.npy"), env.unwrapped.trajectory().samples
+    )
 
 
 def test_random_numbers_go_on_too() -> None:
@@ -164,7 +190,9 @@ def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [RIGID, DRIVEN, SOFT, "TextileFlinging-satin", "FoamStretching-soft"])
+@pytest.mark.parametrize(
+    "name", [RIGID, DRIVEN, SOFT, "TextileFlinging-satin", "FoamStretching-soft"]
+)
 def test_newton_environments_pickle(name: str) -> None:
     pytest.importorskip("newton")
     env = gymnasium.make(f"GAUGE/{name}", backend="newton")
@@ -178,12 +206,22 @@ def test_what_the_package_returns_pickles() -> None:
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)
     experiment = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
-    for value in (info["score"], experiment, experiment.scene, find_variant(RIGID), Jitter()):
+    for value in (
+        info["score"],
+        experiment,
+        experiment.scene,
+        find_variant(RIGID),
+        Jitter(),
+    ):
         assert pickle.loads(pickle.dumps(value)) == value
     band = reference_band(experiment)
-    assert np.array_equal(pickle.loads(pickle.dumps(band)).mean, band.mean, equal_nan=True)
+    assert np.array_equal(
+        pickle.loads(pickle.dumps(band)).mean, band.mean, equal_nan=True
+    )
     trajectory = env.unwrapped.trajectory()
-    assert np.array_equal(pickle.loads(pickle.dumps(trajectory)).samples, trajectory.samples)
+    assert np.array_equal(
+        pickle.loads(pickle.dumps(trajectory)).samples, trajectory.samples
+    )
 
 
 # --- specs -----------------------------------------------------------------------------------------------------------
@@ -211,7 +249,9 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
         assert theirs.band.withheld == ours.band.withheld is not None
         assert theirs.spec.kwargs == ours.spec.kwargs
         assert (theirs.render_mode, theirs.spec.kwargs["width"]) == ("rgb_array", 80)
-        assert [type(layer) for layer in layers(again)] == [type(layer) for layer in layers(env)]
+        assert [type(layer) for layer in layers(again)] == [
+            type(layer) for layer in layers(env)
+        ]
 
 
 def test_what_was_not_made_by_make_has_no_spec() -> None:
@@ -231,7 +271,9 @@ def test_an_array_among_the_parameters_becomes_numbers() -> None:
 def test_what_no_spec_can_hold_is_named() -> None:
     with pytest.raises(ParameterError, match=r"settings\['impratio'\].*1j"):
         gymnasium.make(f"GAUGE/{RIGID}").unwrapped.spec = EnvSpec(
-            id=f"GAUGE/{RIGID}", entry_point="x:y", kwargs={"settings": {"impratio": 1j}}
+            id=f"GAUGE/{RIGID}",
+            entry_point="x:y",
+            kwargs={"settings": {"impratio": 1j}},
         )
 
 
@@ -246,16 +288,24 @@ def test_gymnasiums_checker_passes_with_pictures(name: str, wrapped: bool) -> No
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Spins have no physical bound, and the checker prefers to be given what make has not wrapped.
-        warnings.filterwarnings("ignore", message=".*(infinity|different from the unwrapped version).*")
+        warnings.filterwarnings(
+            "ignore", message=".*(infinity|different from the unwrapped version).*"
+        )
         check_env(env if wrapped else env.unwrapped)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_KINDS)
-def test_stable_baselines_checker_is_content_with_what_the_guide_makes(name: str) -> None:
-    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra 'rl' is not installed")
+def test_stable_baselines_checker_is_content_with_what_the_guide_makes(
+    name: str,
+) -> None:
+    checker = pytest.importorskip(
+        "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
+    )
     scope: dict[str, Any] = {"gym": gymnasium, "np": np}
-    exec(next(block for block in fenced("python") if "def for_learning" in block), scope)
+    exec(
+        next(block for block in fenced("python") if "def for_learning" in block), scope
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         checker.check_env(scope["for_learning"](f"GAUGE/{name}"))
@@ -271,14 +321,22 @@ def flat(env: gymnasium.Env) -> gymnasium.Env:
 def flat_halved(env: gymnasium.Env) -> gymnasium.Env:
     space = gymnasium.spaces.flatten_space(env.observation_space)
     halved = gymnasium.spaces.Box(0.5 * space.low, 0.5 * space.high, dtype=space.dtype)
-    return wrappers.TransformObservation(flat(env), lambda observation: 0.5 * observation, halved)
+    return wrappers.TransformObservation(
+        flat(env), lambda observation: 0.5 * observation, halved
+    )
 
 
 def flat_normalized(env: gymnasium.Env) -> gymnasium.Env:
     return wrappers.NormalizeObservation(flat(env))
 
 
-LAYERS = (wrappers.RecordEpisodeStatistics, flat, flat_halved, flat_normalized, wrappers.Autoreset)
+LAYERS = (
+    wrappers.RecordEpisodeStatistics,
+    flat,
+    flat_halved,
+    flat_normalized,
+    wrappers.Autoreset,
+)
 
 
 @cache
@@ -288,9 +346,14 @@ def plain_score(name: str) -> Score:
 
 @pytest.mark.parametrize(
     ("name", "layer"),
-    [*((name, one) for name in (RIGID, DRIVEN) for one in LAYERS), pytest.param(SOFT, flat, marks=pytest.mark.slow)],
+    [
+        *((name, one) for name in (RIGID, DRIVEN) for one in LAYERS),
+        pytest.param(SOFT, flat, marks=pytest.mark.slow),
+    ],
 )
-def test_wrappers_go_before_and_after_the_score(name: str, layer: Callable[[gymnasium.Env], gymnasium.Env]) -> None:
+def test_wrappers_go_before_and_after_the_score(
+    name: str, layer: Callable[[gymnasium.Env], gymnasium.Env]
+) -> None:
     after = layer(gymnasium.make(f"GAUGE/{name}"))
     before = ScoreEpisode(layer(GaugeEnv(name)))
     infos = []
@@ -302,7 +365,9 @@ def test_wrappers_go_before_and_after_the_score(name: str, layer: Callable[[gymn
 
 
 def test_episode_statistics_are_those_of_the_episode() -> None:
-    total, info = run_to_end(wrappers.RecordEpisodeStatistics(gymnasium.make(f"GAUGE/{RIGID}")))
+    total, info = run_to_end(
+        wrappers.RecordEpisodeStatistics(gymnasium.make(f"GAUGE/{RIGID}"))
+    )
     assert info["episode"]["l"] == 18
     assert info["episode"]["r"] == pytest.approx(total, abs=1e-5)
 
@@ -311,7 +376,9 @@ def test_a_flat_observation_is_all_entries_by_name() -> None:
     env = gymnasium.make(f"GAUGE/{DRIVEN}")
     dictionary, _ = env.reset(seed=0)
     vector, _ = flat(env).reset(seed=0)
-    assert np.array_equal(vector, np.concatenate([dictionary[key].ravel() for key in sorted(dictionary)]))
+    assert np.array_equal(
+        vector, np.concatenate([dictionary[key].ravel() for key in sorted(dictionary)])
+    )
 
 
 def test_an_episode_that_is_cut_short_has_no_score() -> None:
@@ -324,7 +391,9 @@ def test_an_episode_that_is_cut_short_has_no_score() -> None:
 
 @needs_opengl
 def test_a_list_of_pictures_can_be_asked_for() -> None:
-    env = gymnasium.make(f"GAUGE/{RIGID}", render_mode="rgb_array_list", width=80, height=60)
+    env = gymnasium.make(
+        f"GAUGE/{RIGID}", render_mode="rgb_array_list", width=80, height=60
+    )
     run_to_end(env)
     assert len(env.render()) == 19
 
@@ -334,7 +403,9 @@ def test_a_video_shows_the_fall(tmp_path: Path) -> None:
     pytest.importorskip("moviepy", reason="extra 'video' is not installed")
     import imageio_ffmpeg  # comes with moviepy
 
-    env = gymnasium.make("GAUGE/BouncingBall-rubber", render_mode="rgb_array", width=160, height=120)
+    env = gymnasium.make(
+        "GAUGE/BouncingBall-rubber", render_mode="rgb_array", width=160, height=120
+    )
     env = wrappers.RecordVideo(env, str(tmp_path / "video"), disable_logger=True)
     info = run_to_end(env)[1]
     env.close()
@@ -343,7 +414,10 @@ def test_a_video_shows_the_fall(tmp_path: Path) -> None:
     video = imageio_ffmpeg.read_frames(file)
     described = next(video)
     assert (described["fps"], described["size"]) == (30, (160, 120))
-    frames = [np.frombuffer(frame, np.uint8).reshape(120, 160, 3).astype(int) for frame in video]
+    frames = [
+        np.frombuffer(frame, np.uint8).reshape(120, 160, 3).astype(int)
+        for frame in video
+    ]
     assert len(frames) == env.unwrapped.experiment.frame_count
     rows = [ball_row(frame) for frame in (frames[0], frames[-1])]
     # In 120 rows the ball falls by 70, and has risen by 10 of them again in the last picture.
@@ -363,7 +437,11 @@ def ball_row(picture: np.ndarray) -> float:
 
 def fenced(language: str) -> list[str]:
     """Code blocks of the guide in a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$",
+        GUIDE.read_text(),
+        flags=re.MULTILINE | re.DOTALL,
+    )
 
 
 @pytest.mark.slow
@@ -373,7 +451,9 @@ def test_blocks_of_the_guide_run(tmp_path: Path) -> None:
     if not find_library("EGL") and not find_library("OSMesa"):
         blocks = [block for block in blocks if "RecordVideo" not in block]
     code = "\n".join(blocks)
-    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
     assert run.returncode == 0, run.stderr
     stated = re.findall(r"print\(.*\)  # (.*)", code)
     assert run.stdout.splitlines() == stated

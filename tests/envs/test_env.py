@@ -34,7 +34,11 @@ from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.tasks import control_tasks
 
-SHORT = tuple(name for name in RIGID if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking"))
+SHORT = tuple(
+    name
+    for name in RIGID
+    if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking")
+)
 
 
 def one_of_a_kind(names: Iterable[str]) -> list[ParameterSet]:
@@ -52,7 +56,11 @@ def test_75_ids_in_22_families_are_registered() -> None:
     # What an experiment file states runs as GAUGE/Asset; control tasks and experiments beyond the benchmark are extra.
     beyond = {variant.id for variant in gauge_envs.beyond_variants()}
     extra = {"GAUGE/Asset", *(task.id for task in control_tasks()), *beyond}
-    ids = [key for key in gymnasium.registry if key.startswith("GAUGE/") and key not in extra]
+    ids = [
+        key
+        for key in gymnasium.registry
+        if key.startswith("GAUGE/") and key not in extra
+    ]
     assert len(ids) == 75
     assert len({variant.family for variant in gauge_envs.variants()}) == 22
     assert {variant.id for variant in gauge_envs.variants()} == set(ids)
@@ -71,17 +79,27 @@ def test_gymnasiums_checker_passes(name: str) -> None:
         check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(v.name for v in gauge_envs.variants() if v.name not in RIGID))
+@pytest.mark.parametrize(
+    "name", one_of_a_kind(v.name for v in gauge_envs.variants() if v.name not in RIGID)
+)
 def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, _ = env.reset(seed=0)
-    action = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    action = (
+        0
+        if isinstance(env.action_space, gymnasium.spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     assert observation in env.observation_space
     if "markers" in observation:
         # Markers stand for nodes that lie nearer than 1 cm, and each for another.
-        distance = np.linalg.norm(observation["markers"] - env.experiment.scene.markers.positions_m, axis=1)
+        distance = np.linalg.norm(
+            observation["markers"] - env.experiment.scene.markers.positions_m, axis=1
+        )
         assert distance.max() < 0.01
-        assert len(np.unique(observation["markers"], axis=0)) == len(observation["markers"])
+        assert len(np.unique(observation["markers"], axis=0)) == len(
+            observation["markers"]
+        )
     observation, reward, terminated, _, info = env.step(action)
     assert observation in env.observation_space
     assert np.isfinite(observation["observable"]).all()
@@ -98,16 +116,29 @@ def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
 @pytest.mark.parametrize("proxy", ["node", "material"])
 def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
     # The law needs no fine mesh.
-    env, trajectory, _ = rollout("FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05})
+    env, trajectory, _ = rollout(
+        "FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05}
+    )
     moved = trajectory.markers_m[-1] - trajectory.markers_m[0]
-    height = trajectory.markers_m[0, :, 2] - env.experiment.scene.body("base-1").pose.position_m[2]
+    height = (
+        trajectory.markers_m[0, :, 2]
+        - env.experiment.scene.body("base-1").pose.position_m[2]
+    )
     # Between the grips, 12.85 mm inside the foam's ends, the stretch of 9.23 mm is nearly even.
     share = (height - 0.012 - 0.01285) / (0.2 - 2 * 0.01285)
     driven = env.experiment.scene.drivers[0].motions[0].value(1e3)
     assert moved[:, 2] == pytest.approx(driven * share, abs=3e-4)
 
 
-@pytest.mark.parametrize("name", ["StickStack-soft", "CantileverBeam-soft", "FoamBending-soft", "TextileBending-satin"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "StickStack-soft",
+        "CantileverBeam-soft",
+        "FoamBending-soft",
+        "TextileBending-satin",
+    ],
+)
 def test_material_points_start_at_the_markers(name: str) -> None:
     env = gymnasium.make(f"GAUGE/{name}", marker_proxy="material")
     observation, _ = env.reset(seed=0)
@@ -115,7 +146,9 @@ def test_material_points_start_at_the_markers(name: str) -> None:
     assert observation["markers"] == pytest.approx(np.asarray(markers), abs=1e-6)
     over = False
     for _ in range(3):
-        observation, *_, over, _ = env.step(np.zeros(env.action_space.shape) if env.action_space.shape else 0)
+        observation, *_, over, _ = env.step(
+            np.zeros(env.action_space.shape) if env.action_space.shape else 0
+        )
     assert not over
     assert np.isfinite(observation["markers"]).all()
 
@@ -126,12 +159,17 @@ def test_unknown_marker_proxy() -> None:
 
 
 def test_too_fine_a_cloth_for_its_contact_thickness() -> None:
-    with pytest.raises(ParameterError, match=r"a thickness of 4 mm, but its cells of 3\.33 mm must be larger"):
+    with pytest.raises(
+        ParameterError,
+        match=r"a thickness of 4 mm, but its cells of 3\.33 mm must be larger",
+    ):
         gymnasium.make("GAUGE/Funnel-satin", settings={"cell_m": 1 / 300})
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(SHORT))
-def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(name: str, rollout) -> None:
+def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(
+    name: str, rollout
+) -> None:
     # Neither depends on the step.
     settings = {"timestep_s": 1 / 900}
     env, trajectory, info = rollout(name, settings=settings)
@@ -147,7 +185,12 @@ def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(name: str, 
 
 
 @pytest.mark.parametrize(
-    "name", ["NewtonsCradle-metal", pytest.param("WallBreaking-wood", marks=pytest.mark.slow), "Pendulum-metal"]
+    "name",
+    [
+        "NewtonsCradle-metal",
+        pytest.param("WallBreaking-wood", marks=pytest.mark.slow),
+        "Pendulum-metal",
+    ],
 )
 def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
     env = gymnasium.make(f"GAUGE/{name}")
@@ -179,7 +222,9 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
     env.reset(seed=0)
     rewards = [env.step(0)[1] for _ in range(18)]
     band = env.unwrapped.band
-    z = (band.project(env.unwrapped.trajectory().frames) - band.mean)[:, 0] / band.sigma[:, 0]
+    z = (band.project(env.unwrapped.trajectory().frames) - band.mean)[
+        :, 0
+    ] / band.sigma[:, 0]
     expected = np.where(band.measured, -np.abs(z), 0.0)[1:]
     assert rewards == pytest.approx(expected)
     assert min(rewards) < -0.1
@@ -193,22 +238,37 @@ def test_reward_is_zero_without_a_reference() -> None:
 
 
 @pytest.mark.parametrize("name", ["CantileverBeam-hard", "WallBreaking-wood"])
-def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_nothing_scored(name: str) -> None:
+def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_nothing_scored(
+    name: str,
+) -> None:
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, info = env.reset(seed=0)
     assert (env.band, info["reference"]) == (None, "end")
     projection, mean, weight = reward_terms(env.episode.reward_band)
     assert np.flatnonzero(weight).tolist() == [env.experiment.frame_count - 1]
-    points_m = observation["markers"] if "markers" in observation else observation["bodies"][:, :3]
-    assert projection @ (1e3 * points_m.ravel()) == pytest.approx(1e3 * points_m[:, 2].mean())
+    points_m = (
+        observation["markers"]
+        if "markers" in observation
+        else observation["bodies"][:, :3]
+    )
+    assert projection @ (1e3 * points_m.ravel()) == pytest.approx(
+        1e3 * points_m[:, 2].mean()
+    )
     if "bodies" in observation:
-        assert projection @ observation["observable"] == pytest.approx(1e3 * points_m[:, 2].mean())
+        assert projection @ observation["observable"] == pytest.approx(
+            1e3 * points_m[:, 2].mean()
+        )
     found = unsolved_scenes()[name].statistics["mean height [mm]"].values()
     heights = [height for height, _, _ in found]
-    squares = [statistics.variance(heights), statistics.mean(std**2 for _, std, _ in found)]
+    squares = [
+        statistics.variance(heights),
+        statistics.mean(std**2 for _, std, _ in found),
+    ]
     assert mean[-1, 0] == pytest.approx(statistics.mean(heights))
     assert 1.0 / weight[-1, 0] == pytest.approx((sum(squares) / len(heights)) ** 0.5)
-    assert reward_band(replace(env.experiment, overrides={"constant": 1.0}), None) is None
+    assert (
+        reward_band(replace(env.experiment, overrides={"constant": 1.0}), None) is None
+    )
 
 
 def test_observation_is_si_and_consistent_with_the_motion() -> None:
@@ -217,9 +277,15 @@ def test_observation_is_si_and_consistent_with_the_motion() -> None:
     observation = [env.step(0)[0] for _ in range(5)][-1]
     fall_s = 5 / 30
     assert observation["time"] == pytest.approx([fall_s])
-    assert observation["bodies"][0, 9] == pytest.approx(-GRAVITY_M_PER_S2 * fall_s, rel=1e-6)
-    assert observation["observable"][2] == pytest.approx(1e3 * observation["bodies"][0, 2])
-    assert 0.451023 - observation["bodies"][0, 2] == pytest.approx(0.5 * GRAVITY_M_PER_S2 * fall_s**2, rel=1e-3)
+    assert observation["bodies"][0, 9] == pytest.approx(
+        -GRAVITY_M_PER_S2 * fall_s, rel=1e-6
+    )
+    assert observation["observable"][2] == pytest.approx(
+        1e3 * observation["bodies"][0, 2]
+    )
+    assert 0.451023 - observation["bodies"][0, 2] == pytest.approx(
+        0.5 * GRAVITY_M_PER_S2 * fall_s**2, rel=1e-3
+    )
 
 
 def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
@@ -233,7 +299,9 @@ def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
         angles.append(2 * np.arctan2(z, w))
     motion = env.unwrapped.experiment.scene.drivers[0].motions[0]
     assert angles[0] == pytest.approx(motion.value(10 / 30), abs=1e-6)
-    assert angles[1] - angles[0] == pytest.approx(motion.residual_rate * 10 / 30, abs=1e-6)
+    assert angles[1] - angles[0] == pytest.approx(
+        motion.residual_rate * 10 / 30, abs=1e-6
+    )
 
 
 def test_reset_forgets_earlier_actions() -> None:
@@ -285,7 +353,10 @@ def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
 
 def test_slower_body_is_scored_as_slower(rollout) -> None:
     signed = [
-        rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2]["score"].signed_error[0] for mu in (0.2, 0.4)
+        rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2][
+            "score"
+        ].signed_error[0]
+        for mu in (0.2, 0.4)
     ]
     assert signed[0] > 0.0 > signed[1]
 
@@ -358,7 +429,9 @@ def test_impossible_overrides_are_named(overrides: dict, message: str) -> None:
         gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters=overrides)
 
 
-@pytest.mark.parametrize("action", [1, -1, "0", None, 0.5, np.array([0.0, 0.0]), np.nan])
+@pytest.mark.parametrize(
+    "action", [1, -1, "0", None, 0.5, np.array([0.0, 0.0]), np.nan]
+)
 def test_wrong_action_where_nothing_is_driven(action: object) -> None:
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood").unwrapped
     env.reset(seed=0)
@@ -367,7 +440,16 @@ def test_wrong_action_where_nothing_is_driven(action: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "action", [np.array([np.nan]), np.array([1.5]), np.zeros(2), 0.0, "left", None, np.array([np.inf])]
+    "action",
+    [
+        np.array([np.nan]),
+        np.array([1.5]),
+        np.zeros(2),
+        0.0,
+        "left",
+        None,
+        np.array([np.inf]),
+    ],
 )
 def test_wrong_action_where_a_body_is_driven(action: object) -> None:
     env = gymnasium.make("GAUGE/Turntable-1-wood").unwrapped
@@ -401,14 +483,23 @@ def test_unknown_reset_option_and_render_mode() -> None:
 
 
 @pytest.mark.usefixtures("rigid_only")
-@pytest.mark.parametrize("name", ["Funnel-satin", "FoamTwisting-soft", "RopeWinding-rubber"])
+@pytest.mark.parametrize(
+    "name", ["Funnel-satin", "FoamTwisting-soft", "RopeWinding-rubber"]
+)
 def test_an_unsupported_id_says_so_at_make(name: str) -> None:
-    with pytest.raises(UnsupportedSceneError, match=r"deformable body.*no other backend of this package can"):
+    with pytest.raises(
+        UnsupportedSceneError,
+        match=r"deformable body.*no other backend of this package can",
+    ):
         gymnasium.make(f"GAUGE/{name}")
 
 
 def test_spec_rebuilds_the_run() -> None:
-    env = gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters={"cube.friction": 0.2}, settings={"impratio": 1.0})
+    env = gymnasium.make(
+        "GAUGE/SlopeSlider-2-wood",
+        parameters={"cube.friction": 0.2},
+        settings={"impratio": 1.0},
+    )
     again = gymnasium.make(env.spec)
     assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
     assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings

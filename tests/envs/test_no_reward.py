@@ -33,7 +33,9 @@ def warnings_of(make) -> list[warnings.WarningMessage]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         make()
-    return [warning for warning in caught if issubclass(warning.category, NoRewardWarning)]
+    return [
+        warning for warning in caught if issubclass(warning.category, NoRewardWarning)
+    ]
 
 
 def test_make_warns_once_for_each_id_at_the_line_of_the_caller() -> None:
@@ -56,14 +58,20 @@ def test_make_vec_and_dm_env_warn_too() -> None:
 def test_the_warning_offers_a_withheld_band() -> None:
     # A foam of another stiffness is not the one that was solved.
     other = {"foam.young_modulus_pa": 1e5}
-    (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/FoamShearing-soft", parameters=other))
+    (warning,) = warnings_of(
+        lambda: gymnasium.make("GAUGE/FoamShearing-soft", parameters=other)
+    )
     assert "pass use_withheld=True" in str(warning.message)
     assert "'gauge show FoamShearing-soft' says why" in str(warning.message)
-    (ends,) = warnings_of(lambda: gymnasium.make("GAUGE/Pendulum-metal", use_withheld=True))
+    (ends,) = warnings_of(
+        lambda: gymnasium.make("GAUGE/Pendulum-metal", use_withheld=True)
+    )
     assert "its reference of grade recording ends at" in str(ends.message)
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-1-wood", "Turntable-Limit-wood"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "Turntable-1-wood", "Turntable-Limit-wood"]
+)
 def test_ids_with_a_reward_and_control_tasks_are_silent(name: str) -> None:
     assert warnings_of(lambda: gymnasium.make(f"GAUGE/{name}")) == []
 
@@ -96,9 +104,15 @@ def test_an_experiment_file_is_asked_for_a_band(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples" / "usd_experiment", copy)
     text = (copy / "crate.toml").read_text(encoding="utf-8")
     head, _, rest = text.partition("[band]")
-    kept = "\n".join(line for line in rest.partition("[provenance]")[2].splitlines() if not line.startswith("band ="))
+    kept = "\n".join(
+        line
+        for line in rest.partition("[provenance]")[2].splitlines()
+        if not line.startswith("band =")
+    )
     (copy / "crate.toml").write_text(f"{head}[provenance]{kept}\n", encoding="utf-8")
-    (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/Asset", asset=copy / "crate.toml"))
+    (warning,) = warnings_of(
+        lambda: gymnasium.make("GAUGE/Asset", asset=copy / "crate.toml")
+    )
     assert str(warning.message) == (
         "GAUGE/Asset-crate has no reference in use, so every reward is 0. Add a table 'band' to crate.toml."
     )
@@ -112,6 +126,14 @@ def test_an_id_without_reward_passes_the_checks_of_gymnasium() -> None:
 
 def test_the_list_of_scored_ids_is_the_list_of_silent_ones() -> None:
     listed = CliRunner().invoke(app, ["list", "--scored"]).stdout
-    scored = {word.removeprefix("GAUGE/") for word in listed.split() if word.startswith("GAUGE/")}
-    assert scored == {variant.name for variant in variants() if reference_band(load_experiment(variant)) is not None}
+    scored = {
+        word.removeprefix("GAUGE/")
+        for word in listed.split()
+        if word.startswith("GAUGE/")
+    }
+    assert scored == {
+        variant.name
+        for variant in variants()
+        if reference_band(load_experiment(variant)) is not None
+    }
     assert len(scored) > 20

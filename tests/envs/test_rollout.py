@@ -32,7 +32,9 @@ class Recorded(Together):
     on_device = False
     plant: Plant | None = None
 
-    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+    def record(
+        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
+    ) -> Recording:
         count = (frame_count - 1) * samples + 1
         states = np.empty((count, len(self.worlds), len(names), 13))
         states[0] = self.body_states(names)
@@ -45,14 +47,20 @@ class Recorded(Together):
         if self.on_device:
             positions, frames = device_array(positions), device_array(frames)
         kernels = WarpKernels() if self.on_device else None
-        return Recording(device="cpu", positions_m=positions, states=frames, kernels=kernels)
+        return Recording(
+            device="cpu", positions_m=positions, states=frames, kernels=kernels
+        )
 
 
 @pytest.fixture(params=["numpy", "kernels"])
-def together(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[None]:
+def together(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> Iterator[None]:
     monkeypatch.setattr(Recorded, "on_device", request.param == "kernels")
 
-    def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None) -> Worlds:
+    def build_worlds(
+        self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None
+    ) -> Worlds:
         return Recorded([self.build(scene, settings) for scene in scenes])
 
     monkeypatch.setattr(BackendMuJoCo, "build_worlds", build_worlds)
@@ -61,12 +69,16 @@ def together(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) ->
 
 
 def made(name: str, count: int = 4, **arguments: Any) -> GaugeVectorEnv:
-    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=count, score_arrays=True, **arguments).unwrapped
+    envs = gymnasium.make_vec(
+        f"GAUGE/{name}", num_envs=count, score_arrays=True, **arguments
+    ).unwrapped
     assert isinstance(envs, GaugeVectorEnv)
     return envs
 
 
-def stepped(envs: GaugeVectorEnv, disturb: Callable[[int], None] = lambda _: None) -> dict[str, np.ndarray]:
+def stepped(
+    envs: GaugeVectorEnv, disturb: Callable[[int], None] = lambda _: None
+) -> dict[str, np.ndarray]:
     over, frame = False, 0
     while not over:
         disturb(frame)
@@ -78,7 +90,9 @@ def stepped(envs: GaugeVectorEnv, disturb: Callable[[int], None] = lambda _: Non
 def assert_scores(one: Any, other: Any) -> None:
     assert one.keys() == other.keys()
     for key, values in one.items():
-        np.testing.assert_allclose(values, other[key], rtol=1e-9, atol=1e-9, err_msg=key)
+        np.testing.assert_allclose(
+            values, other[key], rtol=1e-9, atol=1e-9, err_msg=key
+        )
 
 
 def assert_same_records(one: GaugeVectorEnv, other: GaugeVectorEnv) -> None:
@@ -89,10 +103,15 @@ def assert_same_records(one: GaugeVectorEnv, other: GaugeVectorEnv) -> None:
         assert (first.frame, first.fault) == (second.frame, second.fault)
     for key, values in one.score_arrays().items():
         assert np.array_equal(values, other.score_arrays()[key], equal_nan=True), key
-    assert all(np.array_equal(a, b) for a, b in zip(one._lockstep.flags(), other._lockstep.flags(), strict=True))
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(one._lockstep.flags(), other._lockstep.flags(), strict=True)
+    )
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "NonsmoothContact-1-wood"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "NonsmoothContact-1-wood"]
+)
 def test_a_rollout_is_stepping(name: str, together: None) -> None:
     rolled, loop = made(name), made(name)
     for envs in (rolled, loop):
@@ -121,7 +140,9 @@ def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together: None) 
 
     # World 1 is kicked before its first frame, and world 2 before its fifth.
     kicks = {0: 1, 4: 2}
-    scores = stepped(loop, lambda frame: kick(loop, kicks[frame]) if frame in kicks else None)
+    scores = stepped(
+        loop, lambda frame: kick(loop, kicks[frame]) if frame in kicks else None
+    )
     advance, calls = rolled.worlds.advance, []
 
     def kicked(seconds: float) -> None:
@@ -140,21 +161,30 @@ def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together: None) 
 
 
 @pytest.mark.parametrize("fault", ["position", "speed", "sample"])
-def test_a_world_that_diverges_after_its_last_frame_is_aligned_less(fault: str, together: None) -> None:
+def test_a_world_that_diverges_after_its_last_frame_is_aligned_less(
+    fault: str, together: None
+) -> None:
     last = load_experiment("SlopeSlider-2-wood").frame_count - 1
 
     def plant(positions: np.ndarray, states: np.ndarray) -> None:
         if fault == "sample":
             positions[(last + 2) * 6 + 3, 1] = np.nan
         else:
-            states[last + 3, 1, 0, 0 if fault == "position" else 8] = np.nan if fault == "position" else 1e6
+            states[last + 3, 1, 0, 0 if fault == "position" else 8] = (
+                np.nan if fault == "position" else 1e6
+            )
 
     Recorded.plant = staticmethod(plant)
     envs = made("SlopeSlider-2-wood")
     envs.reset(seed=0)
     result = envs.rollout(keep=True)
     assert not result.diverged
-    assert [len(episode.trajectory().later_times_s) for episode in envs.episodes] == [60, 12, 60, 60]
+    assert [len(episode.trajectory().later_times_s) for episode in envs.episodes] == [
+        60,
+        12,
+        60,
+        60,
+    ]
     assert_scores(result.scores, envs.score_arrays())
 
 
@@ -162,7 +192,11 @@ def test_a_planted_fault_in_one_world_changes_its_score_alone(together: None) ->
     envs = made("SlopeSlider-2-wood")
     envs.reset(seed=0, options={"jitter": True})
     right = envs.rollout().scores
-    Recorded.plant = staticmethod(lambda positions, _: positions.__setitem__((slice(1, None), 2), positions[:-1, 2]))
+    Recorded.plant = staticmethod(
+        lambda positions, _: positions.__setitem__(
+            (slice(1, None), 2), positions[:-1, 2]
+        )
+    )
     envs.reset(seed=0, options={"jitter": True})
     wrong = envs.rollout().scores
     for key in ("rmse", "release_offset_s"):
@@ -175,7 +209,13 @@ def test_without_a_record_on_the_host_a_reset_must_follow(together: None) -> Non
         envs.rollout()
     envs.reset(seed=0)
     envs.rollout()
-    for call in (lambda: envs.step(zeros(envs)), envs.rollout, envs.score_arrays, envs.scores, envs.deformations):
+    for call in (
+        lambda: envs.step(zeros(envs)),
+        envs.rollout,
+        envs.score_arrays,
+        envs.scores,
+        envs.deformations,
+    ):
         with pytest.raises(EpisodeError, match="call reset before"):
             call()
     envs.reset(seed=0)
@@ -198,13 +238,18 @@ def test_an_engine_that_records_nothing_is_stepped_and_says_so() -> None:
     envs.reset(seed=0)
     result = envs.rollout()
     assert result.device is None
-    assert all(np.array_equal(result.scores[key], values) for key, values in envs.score_arrays().items())
+    assert all(
+        np.array_equal(result.scores[key], values)
+        for key, values in envs.score_arrays().items()
+    )
     with pytest.raises(BackendError, match="records nothing"):
         Together([]).record(["cube"], frame_count=2, samples=6, interval_s=1 / 180)
 
 
 def test_a_driven_experiment_is_stepped_with_its_actions() -> None:
-    actions = np.full((load_experiment("SlopeSlider-3-wood").frame_count - 1, 1, 1), 0.5)
+    actions = np.full(
+        (load_experiment("SlopeSlider-3-wood").frame_count - 1, 1, 1), 0.5
+    )
     rolled, loop = made("SlopeSlider-3-wood", 1), made("SlopeSlider-3-wood", 1)
     for envs in (rolled, loop):
         envs.reset(seed=0)
@@ -216,7 +261,10 @@ def test_a_driven_experiment_is_stepped_with_its_actions() -> None:
     for one in actions:
         loop.step(one)
     assert result.device is None
-    assert all(np.array_equal(result.scores[key], values) for key, values in loop.score_arrays().items())
+    assert all(
+        np.array_equal(result.scores[key], values)
+        for key, values in loop.score_arrays().items()
+    )
 
 
 def test_each_world_is_judged_by_its_own_masses() -> None:
@@ -224,12 +272,18 @@ def test_each_world_is_judged_by_its_own_masses() -> None:
     heavy = replace(
         scene,
         bodies=tuple(
-            replace(one, mass_kg=1e3 * one.mass_kg) if one in scene.dynamic_bodies else one for one in scene.bodies
+            replace(one, mass_kg=1e3 * one.mass_kg)
+            if one in scene.dynamic_bodies
+            else one
+            for one in scene.bodies
         ),
     )
     states = np.zeros((2, 1, 13))
     states[:, 0, 3] = 1.0
-    own, of_the_first = RigidBoundsOfWorlds([scene, heavy]), RigidBoundsOfWorlds([scene, scene])
+    own, of_the_first = (
+        RigidBoundsOfWorlds([scene, heavy]),
+        RigidBoundsOfWorlds([scene, scene]),
+    )
     of_the_first.energies_j = own.energies_j
     # Twice the energy that the heavy ball may have.
     states[1, 0, 7] = 2.0 * np.sqrt(own.energies_j[1] / heavy.dynamic_bodies[0].mass_kg)
@@ -238,7 +292,9 @@ def test_each_world_is_judged_by_its_own_masses() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "NonsmoothContact-3-wood", "BouncingBall-rubber"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "NonsmoothContact-3-wood", "BouncingBall-rubber"]
+)
 def test_newton_records_what_it_steps(name: str) -> None:
     pytest.importorskip("newton")
     rolled, loop = made(name, 3, backend="newton"), made(name, 3, backend="newton")

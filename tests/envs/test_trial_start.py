@@ -39,7 +39,10 @@ def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
             positions = positions_mm(number, times_s)
             # An import leaves out equal trials; their starts stay the same.
             positions[5:] += 0.01 * number
-            assets = {body: body_asset(positions, rotations(number, times_s)) for body in experiment.recorded}
+            assets = {
+                body: body_asset(positions, rotations(number, times_s))
+                for body in experiment.recorded
+            }
             write_trial(tmp_path, name, number + 1, trial_content(assets))
         (one,) = import_trials(find_trials(tmp_path, only=(name,)))
         assert one.used == 3
@@ -55,25 +58,40 @@ def start_of(name: str) -> np.ndarray:
 def thrown(number: int, times_s: np.ndarray) -> np.ndarray:
     """A ball that is thrown with (0.1 number, 0, 0.4) m/s, from a place that depends on the number."""
     start = np.add(start_of(BALL), (0.0, 2e-3 * number, 1e-3))
-    path = start + times_s * [0.1 * number, 0.0, 0.4] - 0.5 * 9.80665 * times_s**2 * [0.0, 0.0, 1.0]
+    path = (
+        start
+        + times_s * [0.1 * number, 0.0, 0.4]
+        - 0.5 * 9.80665 * times_s**2 * [0.0, 0.0, 1.0]
+    )
     return 1e3 * np.maximum(path, [-10.0, -10.0, 0.05])
 
 
 @pytest.mark.parametrize("trial", [0, 2])
-def test_a_ball_starts_and_flies_as_its_trial(trial: int, imported: Callable[..., None]) -> None:
+def test_a_ball_starts_and_flies_as_its_trial(
+    trial: int, imported: Callable[..., None]
+) -> None:
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     observation, _ = env.reset(seed=0, options={"trial": trial})
-    expected = [*np.add(start_of(BALL), (0.0, 2e-3 * trial, 1e-3)), 0.1 * trial, 0.0, 0.4]
+    expected = [
+        *np.add(start_of(BALL), (0.0, 2e-3 * trial, 1e-3)),
+        0.1 * trial,
+        0.0,
+        0.4,
+    ]
     # A constant acceleration does not bias the velocity.
-    assert observation["bodies"][0, [0, 1, 2, 7, 8, 9]] == pytest.approx(expected, abs=1e-9)
+    assert observation["bodies"][0, [0, 1, 2, 7, 8, 9]] == pytest.approx(
+        expected, abs=1e-9
+    )
     for _ in range(4):
         observation, *_ = env.step(0)
     recorded = 1e-3 * thrown(trial, np.array([[4 / 30]]))[0]
     assert observation["bodies"][0, :3] == pytest.approx(recorded, abs=1e-4)
 
 
-def test_a_reset_without_the_option_returns_to_the_calibrated_start(imported: Callable[..., None]) -> None:
+def test_a_reset_without_the_option_returns_to_the_calibrated_start(
+    imported: Callable[..., None],
+) -> None:
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     first, _ = env.reset(seed=0)
@@ -102,12 +120,19 @@ def test_worlds_start_from_the_trial(imported: Callable[..., None]) -> None:
 
 def test_a_cube_moves_and_slides_on_its_face(imported: Callable[..., None]) -> None:
     off_m, speed = np.array([1e-3, 2e-3, 3e-3]), np.array([0.2, 0.1, 0.3])
-    imported(SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + off_m + times_s * speed))
+    imported(
+        SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + off_m + times_s * speed)
+    )
     before = load_experiment(SLIDE)
-    cube, normal = trial_scene(before, 0).body("cube"), face_normal(before.scene.body("cube").pose)
+    cube, normal = (
+        trial_scene(before, 0).body("cube"),
+        face_normal(before.scene.body("cube").pose),
+    )
     moved = np.subtract(cube.pose.position_m, start_of(SLIDE))
     assert moved == pytest.approx(off_m - (off_m @ normal) * normal, abs=1e-9)
-    assert cube.linear_velocity_m_per_s == pytest.approx(speed - (speed @ normal) * normal, abs=1e-9)
+    assert cube.linear_velocity_m_per_s == pytest.approx(
+        speed - (speed @ normal) * normal, abs=1e-9
+    )
     assert cube.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
     assert cube.pose.quaternion == before.scene.body("cube").pose.quaternion
 
@@ -128,27 +153,38 @@ def spinning(name: str, spin: np.ndarray) -> Callable[[int, np.ndarray], Rotatio
 
     def rotations(number: int, times_s: np.ndarray) -> Rotation:
         start = Rotation.from_rotvec(np.radians(YAWS_DEG[number]) * normal)
-        start = Rotation.from_rotvec(np.radians(TILT_DEG * (number - 1)) * across) * start
+        start = (
+            Rotation.from_rotvec(np.radians(TILT_DEG * (number - 1)) * across) * start
+        )
         return Rotation.from_rotvec(times_s * spin) * start * pose.rotation * FRAME
 
     return rotations
 
 
-def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(imported: Callable[..., None]) -> None:
+def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(
+    imported: Callable[..., None],
+) -> None:
     before = load_experiment(SLIDE).scene.body("cube")
     normal = face_normal(before.pose)
-    resting = lambda _, times_s: 1e3 * np.broadcast_to(start_of(SLIDE), (len(times_s), 3)).copy()  # noqa: E731
+
+    def resting(_, times_s):
+        return 1e3 * np.broadcast_to(start_of(SLIDE), (len(times_s), 3)).copy()
+
     imported(SLIDE, resting, spinning(SLIDE, np.array([0.4, -0.3, 2.0])))
     for number, yaw in enumerate(YAWS_DEG):
         cube = trial_scene(load_experiment(SLIDE), number).body("cube")
-        rotation = (cube.pose.rotation * before.pose.rotation.inv()).as_rotvec(degrees=True)
+        rotation = (cube.pose.rotation * before.pose.rotation.inv()).as_rotvec(
+            degrees=True
+        )
         # The mean of three rotations by a few degrees is not exactly the mean of their angles.
         assert rotation == pytest.approx(yaw * normal, abs=0.01)
         spin = np.array([0.4, -0.3, 2.0]) @ normal * normal
         assert cube.angular_velocity_rad_per_s == pytest.approx(spin, abs=1e-9)
 
 
-def test_a_ball_starts_with_the_spin_of_its_trial(imported: Callable[..., None]) -> None:
+def test_a_ball_starts_with_the_spin_of_its_trial(
+    imported: Callable[..., None],
+) -> None:
     spin = np.array([3.0, -5.0, 7.0])
     imported(BALL, thrown, spinning(BALL, spin))
     env = gymnasium.make(f"GAUGE/{BALL}")
@@ -160,7 +196,8 @@ def test_trials_without_orientations_keep_that_of_the_scene(
     tmp_path: Path, imported: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "test_trial_start.body_asset", lambda positions, _: dict(zip("xyz", positions.T.tolist(), strict=True))
+        "test_trial_start.body_asset",
+        lambda positions, _: dict(zip("xyz", positions.T.tolist(), strict=True)),
     )
     imported(SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + 0.1 * times_s))
     before = load_experiment(SLIDE)
@@ -172,11 +209,16 @@ def test_trials_without_orientations_keep_that_of_the_scene(
 def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> None:
     before = load_experiment(SWING).scene
     hinge, ball = before.joints[0], before.body("ball")
-    arm, axis = np.subtract(ball.pose.position_m, hinge.anchor_m), np.asarray(hinge.axis)
+    arm, axis = (
+        np.subtract(ball.pose.position_m, hinge.anchor_m),
+        np.asarray(hinge.axis),
+    )
 
     def swinging(_: int, times_s: np.ndarray) -> np.ndarray:
         angles = 0.01 + 0.3 * times_s
-        return 1e3 * (hinge.anchor_m + np.cos(angles) * arm + np.sin(angles) * np.cross(axis, arm))
+        return 1e3 * (
+            hinge.anchor_m + np.cos(angles) * arm + np.sin(angles) * np.cross(axis, arm)
+        )
 
     imported(SWING, swinging)
     found = trial_scene(load_experiment(SWING), 1).body("ball")
@@ -197,15 +239,21 @@ def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> No
         ({"start": 1}, "only the options 'jitter' and 'trial', got 'start'"),
     ],
 )
-def test_what_is_no_trial_is_refused(options: dict[str, Any], message: str, imported: Callable[..., None]) -> None:
+def test_what_is_no_trial_is_refused(
+    options: dict[str, Any], message: str, imported: Callable[..., None]
+) -> None:
     imported(BALL, thrown)
     with pytest.raises(ParameterError, match=message):
         gymnasium.make(f"GAUGE/{BALL}").reset(options=options)
 
 
-def test_without_an_import_the_error_names_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_import_the_error_names_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
-    with pytest.raises(ParameterError, match=r"none were imported\. Run `gauge data import DIR` first"):
+    with pytest.raises(
+        ParameterError, match=r"none were imported\. Run `gauge data import DIR` first"
+    ):
         gymnasium.make(f"GAUGE/{BALL}").reset(options={"trial": 0})
 
 
@@ -220,7 +268,9 @@ def test_markers_and_gaps_are_refused(
     imported(BALL, gap)
     experiment = load_experiment(BALL)
     assert trial_scene(experiment, 0) != experiment.scene
-    with pytest.raises(ParameterError, match="trial 1 was not measured in all of its first 3 frames"):
+    with pytest.raises(
+        ParameterError, match="trial 1 was not measured in all of its first 3 frames"
+    ):
         trial_scene(experiment, 1)
     with pytest.raises(ParameterError, match="observes line_curvature"):
         trial_scene(load_experiment("TextileBending-rayon"), 0)

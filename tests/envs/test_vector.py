@@ -18,7 +18,12 @@ from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, Score
 from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
-from gauge_envs.errors import ActionError, EpisodeError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import (
+    ActionError,
+    EpisodeError,
+    ParameterError,
+    UnsupportedSceneError,
+)
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)
@@ -40,7 +45,9 @@ def zeros(envs: VectorEnv) -> Any:
     return np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
 
 
-def run_to_end(envs: VectorEnv, actions: Callable[[], Any] | None = None) -> list[tuple]:
+def run_to_end(
+    envs: VectorEnv, actions: Callable[[], Any] | None = None
+) -> list[tuple]:
     """Steps until every world's episode is over."""
     steps, over = [], np.zeros(envs.num_envs, dtype=bool)
     while not over.all():
@@ -67,7 +74,12 @@ def test_make_vec_makes_the_native_one_by_default() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "steps"), [*((name, 9) for name in ALL_KINDS), ("Pendulum-metal", 9), ("FoamStretching-soft", 2)]
+    ("name", "steps"),
+    [
+        *((name, 9) for name in ALL_KINDS),
+        ("Pendulum-metal", 9),
+        ("FoamStretching-soft", 2),
+    ],
 )
 def test_worlds_are_single_environments_bit_for_bit(name: str, steps: int) -> None:
     envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2, settings=COARSE)
@@ -82,7 +94,10 @@ def test_worlds_are_single_environments_bit_for_bit(name: str, steps: int) -> No
         singles += [env.step(action[number]) for action in actions]
         for batch, single in zip(batches, singles, strict=True):
             assert batch[0].keys() == single[0].keys()
-            assert all(np.array_equal(batch[0][key][number], single[0][key]) for key in single[0])
+            assert all(
+                np.array_equal(batch[0][key][number], single[0][key])
+                for key in single[0]
+            )
             assert [part[number] for part in batch[1:-1]] == list(single[1:-1])
             assert {key: batch[-1][key][number] for key in single[-1]} == single[-1]
         world = envs.unwrapped.episodes[number].trajectory()
@@ -103,7 +118,10 @@ def test_worlds_of_one_newton_model_are_single_environments(name: str) -> None:
     for _ in range(6):
         batch, single = envs.step(action), env.step(action[0])
         for number in range(2):
-            assert all(np.array_equal(batch[0][key][number], single[0][key]) for key in single[0])
+            assert all(
+                np.array_equal(batch[0][key][number], single[0][key])
+                for key in single[0]
+            )
             assert batch[1][number] == single[1]
 
 
@@ -151,15 +169,22 @@ def test_the_step_after_the_end_starts_the_next_episode() -> None:
 def test_native_sync_and_async_agree_over_two_episodes() -> None:
     episodes = []
     for mode in ("vector_entry_point", "sync", "async"):
-        envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=2, vectorization_mode=mode, settings=COARSE)
+        envs = gymnasium.make_vec(
+            f"GAUGE/{RIGID}", num_envs=2, vectorization_mode=mode, settings=COARSE
+        )
         envs.reset(seed=0)
         steps = [envs.step(zeros(envs)) for _ in range(2 * 19)]
         envs.close()
         episodes.append(steps)
     for steps in zip(*episodes, strict=True):
         for other in steps[1:]:
-            assert all(np.array_equal(steps[0][0][key], other[0][key]) for key in other[0])
-            assert all(np.array_equal(a, b) for a, b in zip(steps[0][1:4], other[1:4], strict=True))
+            assert all(
+                np.array_equal(steps[0][0][key], other[0][key]) for key in other[0]
+            )
+            assert all(
+                np.array_equal(a, b)
+                for a, b in zip(steps[0][1:4], other[1:4], strict=True)
+            )
             assert json.dumps(steps[0][4], default=str, sort_keys=True) == json.dumps(
                 other[4], default=str, sort_keys=True
             )
@@ -175,7 +200,9 @@ def test_a_world_that_diverges_ends_alone_and_waits_for_the_others() -> None:
     last, _, terminations, truncations, infos = envs.step(zeros(envs))
     assert terminations.tolist() == [False, True, False]
     assert not truncations.any()
-    assert infos["_diverged"].tolist() == infos["_score"].tolist() == [False, True, False]
+    assert (
+        infos["_diverged"].tolist() == infos["_score"].tolist() == [False, True, False]
+    )
     assert "m/s" in infos["diverged"][1]
     assert infos["score"][1].rmse is None
     steps = run_to_end(envs)
@@ -188,7 +215,9 @@ def test_a_world_that_diverges_ends_alone_and_waits_for_the_others() -> None:
         assert "diverged" not in infos
     assert steps[-1][3].tolist() == [True, False, True]
     assert steps[-1][4]["_score"].tolist() == [True, False, True]
-    assert [steps[-1][4]["score"][number] for number in (0, 2)] == [expected[-1][4]["score"][0]] * 2
+    assert [steps[-1][4]["score"][number] for number in (0, 2)] == [
+        expected[-1][4]["score"][0]
+    ] * 2
     restarted = envs.step(zeros(envs))
     assert not restarted[2].any()
     assert restarted[4]["frame"].tolist() == [0, 0, 0]
@@ -205,7 +234,9 @@ def test_when_all_have_diverged_the_next_step_starts_over() -> None:
 
 
 def test_episode_statistics_of_a_divergence() -> None:
-    envs = RecordEpisodeStatistics(gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=2))
+    envs = RecordEpisodeStatistics(
+        gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=2)
+    )
     envs.reset(seed=0)
     envs.step(zeros(envs))
     blow_up(envs, 0)
@@ -230,20 +261,26 @@ def test_pictures_are_those_of_single_environments(name: str) -> None:
     expected = env.render()
     assert len(np.unique(expected)) > 10
     # The first picture of a renderer may differ in a rounding of its normals.
-    assert all(np.abs(picture.astype(int) - expected).max() <= 1 for picture in envs.render())
+    assert all(
+        np.abs(picture.astype(int) - expected).max() <= 1 for picture in envs.render()
+    )
     envs.close()
     env.close()
     assert gymnasium.make_vec(f"GAUGE/{name}", num_envs=2).render() is None
 
 
 def test_spec_of_a_vector_environment_rebuilds_it() -> None:
-    envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=3, parameters={"cube.friction": np.float64(0.2)})
+    envs = gymnasium.make_vec(
+        f"GAUGE/{RIGID}", num_envs=3, parameters={"cube.friction": np.float64(0.2)}
+    )
     again = gymnasium.make_vec(EnvSpec.from_json(envs.unwrapped.spec.to_json()))
     assert again.num_envs == 3
     assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
 
 
-@pytest.mark.parametrize("actions", [0, np.zeros(3, dtype=int), np.ones(2, dtype=int), [0, "up"], None])
+@pytest.mark.parametrize(
+    "actions", [0, np.zeros(3, dtype=int), np.ones(2, dtype=int), [0, "up"], None]
+)
 def test_wrong_actions(actions: object) -> None:
     envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=2)
     envs.reset(seed=0)
@@ -287,7 +324,9 @@ def test_an_unsupported_id_says_so() -> None:
         pytest.param(SOFT, "async", "NextStep", marks=pytest.mark.slow),
     ],
 )
-def test_scores_arrive_from_sub_environments(name: str, mode: str, autoreset: str) -> None:
+def test_scores_arrive_from_sub_environments(
+    name: str, mode: str, autoreset: str
+) -> None:
     count = 6 if (name, mode) == (RIGID, "sync") else 2
     envs = ScoreEpisodes(
         gymnasium.make_vec(
@@ -319,7 +358,9 @@ def test_bare_sub_environments_are_scored(vector: type) -> None:
     scores = run_to_end(envs)[-1][4]["score"]
     assert [score.grade for score in scores] == ["trials"] * 2
     envs.close()
-    envs = ScoreEpisodes(vector([lambda: GaugeEnv(RIGID)] * 2, autoreset_mode=AutoresetMode.SAME_STEP))
+    envs = ScoreEpisodes(
+        vector([lambda: GaugeEnv(RIGID)] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
+    )
     envs.reset(seed=0)
     with pytest.raises(EpisodeError, match=r"gymnasium\.make"):
         run_to_end(envs)
@@ -344,7 +385,10 @@ def test_six_ids_at_once_for_three_episodes() -> None:
             *_, over, info = env.step(0)
         singles[name] = info["score"]
     envs = AsyncVectorEnv(
-        [lambda name=name: gymnasium.make(f"GAUGE/{name}", settings=COARSE) for name in SIX],
+        [
+            lambda name=name: gymnasium.make(f"GAUGE/{name}", settings=COARSE)
+            for name in SIX
+        ],
         observation_mode="different",
     )
     envs.reset(seed=0)

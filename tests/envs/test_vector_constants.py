@@ -23,16 +23,26 @@ CUBES = [
 BALLS = [{"ball.restitution": 0.70}, {"ball.restitution": 0.80, "ball.mass_kg": 0.2}]
 
 
-def frames(envs: gymnasium.vector.VectorEnv, seed: int = 0, **options: object) -> list[np.ndarray]:
+def frames(
+    envs: gymnasium.vector.VectorEnv, seed: int = 0, **options: object
+) -> list[np.ndarray]:
     envs.reset(seed=seed, options=dict(options))
     over = np.zeros(envs.num_envs, dtype=bool)
     while not over.all():
-        _, _, terminated, truncated, _ = envs.step(np.zeros(envs.num_envs, dtype=np.int64))
+        _, _, terminated, truncated, _ = envs.step(
+            np.zeros(envs.num_envs, dtype=np.int64)
+        )
         over |= terminated | truncated
     return [episode.trajectory().frames for episode in envs.unwrapped.episodes]
 
 
-def single(name: str, engine: str, parameters: dict[str, float], seed: int = 0, **options: object) -> np.ndarray:
+def single(
+    name: str,
+    engine: str,
+    parameters: dict[str, float],
+    seed: int = 0,
+    **options: object,
+) -> np.ndarray:
     env = gymnasium.make(f"GAUGE/{name}", backend=engine, parameters=parameters)
     env.reset(seed=seed, options=dict(options))
     over = False
@@ -44,7 +54,10 @@ def single(name: str, engine: str, parameters: dict[str, float], seed: int = 0, 
 
 def check(name: str, engine: str, constants: Sequence[dict[str, float]]) -> None:
     envs = gymnasium.make_vec(
-        f"GAUGE/{name}", num_envs=len(constants), backend=engine, world_parameters=list(constants)
+        f"GAUGE/{name}",
+        num_envs=len(constants),
+        backend=engine,
+        world_parameters=list(constants),
     )
     together = frames(envs)
     # The constants matter: a batch in which all worlds have those of the first would pass a test of one world.
@@ -55,7 +68,9 @@ def check(name: str, engine: str, constants: Sequence[dict[str, float]]) -> None
 
 @pytest.mark.parametrize(("name", "constants"), [(SLIDE, CUBES), (DROP, BALLS)])
 @pytest.mark.parametrize("engine", ["mujoco", "rapier"])
-def test_each_world_is_the_single_environment_bit_for_bit(name: str, constants, engine: str) -> None:
+def test_each_world_is_the_single_environment_bit_for_bit(
+    name: str, constants, engine: str
+) -> None:
     if engine != "mujoco":
         pytest.importorskip("rapier3d")
     check(name, engine, constants)
@@ -72,7 +87,10 @@ def test_jitter_keeps_the_constants_of_each_world() -> None:
     envs = gymnasium.make_vec(f"GAUGE/{SLIDE}", num_envs=2, world_parameters=CUBES[:2])
     worlds = frames(envs, seed=3, jitter=True)
     for number in range(2):
-        assert np.array_equal(worlds[number], single(SLIDE, "mujoco", CUBES[number], seed=3 + number, jitter=True))
+        assert np.array_equal(
+            worlds[number],
+            single(SLIDE, "mujoco", CUBES[number], seed=3 + number, jitter=True),
+        )
 
 
 def test_they_come_on_top_of_the_parameters_of_all_worlds() -> None:
@@ -88,10 +106,14 @@ def test_they_come_on_top_of_the_parameters_of_all_worlds() -> None:
 
 
 def test_wrong_constants_are_named() -> None:
-    with pytest.raises(ParameterError, match="world_parameters has 1 entries for 2 worlds"):
+    with pytest.raises(
+        ParameterError, match="world_parameters has 1 entries for 2 worlds"
+    ):
         gymnasium.make_vec(f"GAUGE/{SLIDE}", num_envs=2, world_parameters=[{}])
     with pytest.raises(ParameterError, match=r"cube.*slipperiness"):
-        gymnasium.make_vec(f"GAUGE/{SLIDE}", num_envs=1, world_parameters=[{"cube.slipperiness": 1.0}])
+        gymnasium.make_vec(
+            f"GAUGE/{SLIDE}", num_envs=1, world_parameters=[{"cube.slipperiness": 1.0}]
+        )
 
 
 def test_an_engine_that_does_not_declare_it_gets_its_worlds_one_by_one() -> None:
@@ -101,7 +123,9 @@ def test_an_engine_that_does_not_declare_it_gets_its_worlds_one_by_one() -> None
         worlds_mix_constants = False
 
         def build_worlds(self, scenes, settings=None):
-            return super().build_worlds([replace(one, contacts=scenes[0].contacts) for one in scenes], settings)
+            return super().build_worlds(
+                [replace(one, contacts=scenes[0].contacts) for one in scenes], settings
+            )
 
     scenes = [load_experiment(SLIDE, parameters).scene for parameters in CUBES[:2]]
     worlds = worlds_of(FirstForAll(), scenes)

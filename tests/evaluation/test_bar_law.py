@@ -24,11 +24,17 @@ POISSON = {"soft": 0.23, "hard": 0.34}
 
 def band_of(name: str) -> Band:
     band = reference_band(load_experiment(name))
-    assert band is not None and band.grade is BandGrade.LAW and band.uncertainty is not None
+    assert (
+        band is not None
+        and band.grade is BandGrade.LAW
+        and band.uncertainty is not None
+    )
     return band
 
 
-def frames_of(name: str, engine: str, parameters: str | dict[str, float] = "calibrated") -> np.ndarray:
+def frames_of(
+    name: str, engine: str, parameters: str | dict[str, float] = "calibrated"
+) -> np.ndarray:
     """Simulated face areas at the frames [mm^2]."""
     result = run_episode(RunRequest(name, backend=engine, parameters=parameters))
     assert result.trajectory is not None
@@ -36,12 +42,18 @@ def frames_of(name: str, engine: str, parameters: str | dict[str, float] = "cali
 
 
 @pytest.mark.parametrize("foam", ["soft", pytest.param("hard", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("family", "sign"), [("FoamStretching", 1.0), ("FoamCompressing", -1.0)])
-def test_areas_are_those_of_a_uniform_strain(family: str, sign: float, foam: str) -> None:
+@pytest.mark.parametrize(
+    ("family", "sign"), [("FoamStretching", 1.0), ("FoamCompressing", -1.0)]
+)
+def test_areas_are_those_of_a_uniform_strain(
+    family: str, sign: float, foam: str
+) -> None:
     """A face lies in the plane of the axis and one lateral direction: its area has the product of both stretches."""
     name = f"{family}-{foam}"
     band, driver = band_of(name), load_experiment(name).scene.drivers[0]
-    strain = np.array([driver.motions[0].value(frame / 30) for frame in range(30)]) / (1e-3 * FREE_MM)
+    strain = np.array([driver.motions[0].value(frame / 30) for frame in range(30)]) / (
+        1e-3 * FREE_MM
+    )
     assert 0.045 < sign * strain[-1] < 0.055
     expected = 25.0 * 16.66666 / 2 * (1.0 + strain) * (1.0 - POISSON[foam] * strain)
     assert band.mean == pytest.approx(np.tile(expected[:, None], (1, 24)), rel=1e-5)
@@ -51,13 +63,18 @@ def test_areas_are_those_of_a_uniform_strain(family: str, sign: float, foam: str
 
 
 def test_sigma_is_the_published_scatter_where_there_is_one() -> None:
-    stretched, compressed = band_of("FoamStretching-soft"), band_of("FoamCompressing-soft")
+    stretched, compressed = (
+        band_of("FoamStretching-soft"),
+        band_of("FoamCompressing-soft"),
+    )
     assert stretched.sigma_source is SigmaSource.BASELINE
     assert np.square(stretched.sigma).sum(axis=1) == pytest.approx(8.72**2 + 6.94**2)
     assert compressed.sigma_source is SigmaSource.MEASUREMENT
     # A marker that is off by 1 mm in its plane moves an area by half the root of the sum of the squared sides.
     sides = [25.0, 16.66667, math.hypot(25.0, 16.66667)]
-    assert compressed.sigma[0] == pytest.approx(np.full(24, 0.5 * math.hypot(*sides)), rel=1e-4)
+    assert compressed.sigma[0] == pytest.approx(
+        np.full(24, 0.5 * math.hypot(*sides)), rel=1e-4
+    )
 
 
 def test_the_decay_of_a_clamp_is_the_first_root_of_its_equation() -> None:
@@ -69,21 +86,33 @@ def test_the_decay_of_a_clamp_is_the_first_root_of_its_equation() -> None:
     assert fsolve(equation, [2.0, 1.0])[0] == pytest.approx(CLAMP_DECAY, abs=1e-3)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ["FoamStretching-soft", pytest.param("FoamCompressing-hard", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "FoamStretching-soft",
+        pytest.param("FoamCompressing-hard", marks=pytest.mark.slow),
+    ],
+)
 def test_two_engines_strain_with_the_law(name: str, engine: str) -> None:
     band = band_of(name)
     apart = np.linalg.norm(frames_of(name, engine) - band.mean, axis=1)
     assert (apart[1:] < np.linalg.norm(band.uncertainty[1:], axis=1)).all()
     # What reality differs by is no error of a solver. Of the rest it may use two standard uncertainties.
-    solver = np.square(band.uncertainty[-1]) - np.square(0.18 * (band.mean[-1] - band.mean[0]))
+    solver = np.square(band.uncertainty[-1]) - np.square(
+        0.18 * (band.mean[-1] - band.mean[0])
+    )
     assert apart[-1] < 2.0 * math.sqrt(solver.sum())
 
 
 def test_a_planted_poisson_ratio_is_worse_than_the_uncertainty() -> None:
     band = band_of("FoamStretching-soft")
     planted = frames_of("FoamStretching-soft", "mujoco", {"foam.poisson_ratio": 0.45})
-    assert np.linalg.norm(planted[-1] - band.mean[-1]) > np.linalg.norm(band.uncertainty[-1])
+    assert np.linalg.norm(planted[-1] - band.mean[-1]) > np.linalg.norm(
+        band.uncertainty[-1]
+    )
 
 
 def test_a_body_without_markers_has_no_such_law() -> None:
@@ -91,4 +120,9 @@ def test_a_body_without_markers_has_no_such_law() -> None:
     assert isinstance(law, UniaxialLaw)
     pulled = law.model_copy(update={"body": "textile", "carrier": "rod"})
     with pytest.raises(ShapeError, match="textile is no soft body with markers"):
-        bar_band(pulled, load_experiment("TableclothPulling-metal").scene, variant="FoamStretching-soft", frame_count=3)
+        bar_band(
+            pulled,
+            load_experiment("TableclothPulling-metal").scene,
+            variant="FoamStretching-soft",
+            frame_count=3,
+        )

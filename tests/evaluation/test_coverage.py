@@ -56,7 +56,13 @@ def test_a_plain_bootstrap_is_found_to_miss_the_truth(
     @cache
     def resampled(count: int) -> np.ndarray:
         random = np.random.default_rng(1)
-        return random.multinomial(count, np.full(count, 1.0 / count), uncertainty.DRAW_COUNT) / count - 1.0 / count
+        return (
+            random.multinomial(
+                count, np.full(count, 1.0 / count), uncertainty.DRAW_COUNT
+            )
+            / count
+            - 1.0 / count
+        )
 
     monkeypatch.setattr(uncertainty, "_trial_weights", resampled)
     for module in (uncertainty, draws):
@@ -75,7 +81,9 @@ def test_the_table_is_whole_and_holds_as_the_note_says() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "count"), [(next(iter(CHOSEN_ON)), 20), (next(iter(HELD_OUT)), 5)])
+@pytest.mark.parametrize(
+    ("name", "count"), [(next(iter(CHOSEN_ON)), 20), (next(iter(HELD_OUT)), 5)]
+)
 def test_the_table_is_that_of_the_script(name: str, count: int) -> None:
     measured = {(row.quantity, row.engines): row for row in coverage(name, count)}
     for row in read():

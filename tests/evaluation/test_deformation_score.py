@@ -15,9 +15,18 @@ from pydantic import TypeAdapter
 from gauge_envs import load_experiment
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ShapeError, TrajectoryFileError
-from gauge_envs.evaluation.deformation import DeformationScore, deformation_reference, score_deformation
+from gauge_envs.evaluation.deformation import (
+    DeformationScore,
+    deformation_reference,
+    score_deformation,
+)
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
-from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics
+from gauge_envs.observables.deformation import (
+    STATISTICS,
+    affine_map,
+    marked_solid,
+    trial_statistics,
+)
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.pages.document import Terminal
 from gauge_envs.references.deformation import DeformationReference
@@ -40,7 +49,9 @@ def stretched(elongation: float = 0.05, poisson: float = 0.23) -> np.ndarray:
     return REST_M * (1 + grown * np.array([-poisson, -poisson, 1.0]))
 
 
-def reference_of(mean: dict[str, float], sigma: float, *, frames: int = 30) -> DeformationReference:
+def reference_of(
+    mean: dict[str, float], sigma: float, *, frames: int = 30
+) -> DeformationReference:
     return DeformationReference(
         statistics=tuple(mean),
         markers=None,
@@ -58,7 +69,11 @@ def test_z_is_the_difference_over_the_uncertainty() -> None:
     reference = reference_of({"strain.zz": 0.03, "volume_ratio": 1.0}, 0.01)
     score = score_deformation(EXPERIMENT, stretched(), reference=reference)
     assert score is not None
-    assert (score.grade, score.trial_count, score.source) == ("statistics", 5, "made up")
+    assert (score.grade, score.trial_count, score.source) == (
+        "statistics",
+        5,
+        "made up",
+    )
     axial = score["strain.zz"]
     assert (axial.frame, axial.unit) == (29, "1")
     assert axial.simulated == pytest.approx(0.05, abs=1e-12)
@@ -71,12 +86,17 @@ def test_z_is_the_difference_over_the_uncertainty() -> None:
 
 
 def test_unknown_frames_are_left_out_and_a_sigma_of_zero_gives_no_z() -> None:
-    reference = reference_of({"strain.zz": 0.03, "volume_ratio": 1.0, "area_ratio": 1.0}, 0.01)
+    reference = reference_of(
+        {"strain.zz": 0.03, "volume_ratio": 1.0, "area_ratio": 1.0}, 0.01
+    )
     reference.mean[20:, 0] = np.nan
     reference.sigma[:, 1] = 0.0
     score = score_deformation(EXPERIMENT, stretched(), reference=reference)
     assert score is not None
-    assert [statistic.name for statistic in score.statistics] == ["strain.zz", "volume_ratio"]
+    assert [statistic.name for statistic in score.statistics] == [
+        "strain.zz",
+        "volume_ratio",
+    ]
     assert score["strain.zz"].frame == 19
     assert score["strain.zz"].simulated == pytest.approx(0.05 * 19 / 29)
     assert (score["volume_ratio"].z, score["volume_ratio"].z_rms) == (None, None)
@@ -98,17 +118,28 @@ def test_the_simulated_statistics_use_the_markers_of_the_reference() -> None:
 def test_other_experiments_have_none(name: str) -> None:
     experiment = load_experiment(name)
     assert deformation_reference(experiment) is None
-    assert score_deformation(experiment, np.zeros((experiment.frame_count, 4, 3))) is None
+    assert (
+        score_deformation(experiment, np.zeros((experiment.frame_count, 4, 3))) is None
+    )
 
 
 def test_markers_of_another_experiment_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"markers_m has shape \(30, 27, 3\); FoamStretching-soft needs"):
+    with pytest.raises(
+        ShapeError,
+        match=r"markers_m has shape \(30, 27, 3\); FoamStretching-soft needs",
+    ):
         score_deformation(EXPERIMENT, stretched()[:, 1:])
 
 
 def test_a_reference_of_other_frames_is_refused() -> None:
-    with pytest.raises(ShapeError, match="the reference has 20 frames; FoamStretching-soft needs 30"):
-        score_deformation(EXPERIMENT, stretched(), reference=reference_of({"strain.zz": 0.03}, 0.01, frames=20))
+    with pytest.raises(
+        ShapeError, match="the reference has 20 frames; FoamStretching-soft needs 30"
+    ):
+        score_deformation(
+            EXPERIMENT,
+            stretched(),
+            reference=reference_of({"strain.zz": 0.03}, 0.01, frames=20),
+        )
 
 
 def test_a_score_survives_json() -> None:
@@ -134,9 +165,12 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
 ) -> None:
     """Synthetic trials of the calibrated foam, dots placed 0.8 mm off, 0.1 mm of noise; see docs/scores.md."""
     right = episode[0].markers_m
-    wrong = rollout(NAME, marker_proxy="material", settings=COARSE, parameters={"foam.poisson_ratio": 0.05})[
-        1
-    ].markers_m
+    wrong = rollout(
+        NAME,
+        marker_proxy="material",
+        settings=COARSE,
+        parameters={"foam.poisson_ratio": 0.05},
+    )[1].markers_m
     random = np.random.default_rng(8)
     off = 0.8e-3 * random.normal(size=REST_M.shape)
     placed = right + np.einsum("fij,mj->fmi", affine_map(right[0], right).gradient, off)
@@ -152,13 +186,24 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
         trial_count=10,
         source="synthetic",
     )
-    z = [score_deformation(EXPERIMENT, found, reference=reference)["volume_ratio"].z for found in (right, wrong)]
+    z = [
+        score_deformation(EXPERIMENT, found, reference=reference)["volume_ratio"].z
+        for found in (right, wrong)
+    ]
     assert abs(z[0]) < 2.0 and z[1] > 4.0
-    areas = np.stack([observe_markers(trial, markers, EXPERIMENT.score.observable) for trial in trials])
+    areas = np.stack(
+        [
+            observe_markers(trial, markers, EXPERIMENT.score.observable)
+            for trial in trials
+        ]
+    )
     mean = areas.mean(axis=0)
     baseline = np.mean([trajectory_rmse(trial, mean) for trial in areas])
     scores = [
-        trajectory_rmse(observe_markers(found, markers, EXPERIMENT.score.observable), mean) / baseline
+        trajectory_rmse(
+            observe_markers(found, markers, EXPERIMENT.score.observable), mean
+        )
+        / baseline
         for found in (right, wrong)
     ]
     # The dots cost six times the scatter, and the wrong foam adds less than a twentieth of that.
@@ -166,7 +211,9 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
     assert abs(scores[1] / scores[0] - 1.0) < 0.05
 
 
-def test_info_and_result_hold_the_statistics(episode: tuple[Trajectory, dict[str, Any]], tmp_path: Path) -> None:
+def test_info_and_result_hold_the_statistics(
+    episode: tuple[Trajectory, dict[str, Any]], tmp_path: Path
+) -> None:
     trajectory, info = episode
     found = info["deformation"]
     assert found == score_deformation(EXPERIMENT, trajectory.markers_m)
@@ -185,8 +232,15 @@ def test_info_of_a_rigid_body_has_none(rollout: Callable) -> None:
     assert rollout("SlopeSlider-2-wood")[2]["deformation"] is None
 
 
-def test_worlds_of_a_vector_environment_have_them_too(episode: tuple[Trajectory, dict[str, Any]]) -> None:
-    envs = gymnasium.make_vec("GAUGE/FoamStretching-soft", num_envs=1, marker_proxy="material", settings=COARSE)
+def test_worlds_of_a_vector_environment_have_them_too(
+    episode: tuple[Trajectory, dict[str, Any]],
+) -> None:
+    envs = gymnasium.make_vec(
+        "GAUGE/FoamStretching-soft",
+        num_envs=1,
+        marker_proxy="material",
+        settings=COARSE,
+    )
     envs.reset(seed=0)
     actions, over, infos = np.zeros(envs.action_space.shape), False, {}
     while not over:
@@ -194,7 +248,9 @@ def test_worlds_of_a_vector_environment_have_them_too(episode: tuple[Trajectory,
         over = truncations.all()
     assert infos["_deformation"].all()
     assert infos["deformation"][0] == episode[1]["deformation"]
-    assert infos["deformation"][0]["strain.zz"].simulated == pytest.approx(0.052, abs=0.002)
+    assert infos["deformation"][0]["strain.zz"].simulated == pytest.approx(
+        0.052, abs=0.002
+    )
 
 
 # Files of users
@@ -202,7 +258,9 @@ def test_worlds_of_a_vector_environment_have_them_too(episode: tuple[Trajectory,
 
 def test_markers_in_a_file_are_compared(tmp_path: Path) -> None:
     markers_m = stretched()
-    g = observe_markers(markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable)
+    g = observe_markers(
+        markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable
+    )
     np.savez(tmp_path / "a.npz", g=g, markers_m=markers_m)
     result, _ = score_file(tmp_path / "a.npz", variant=NAME)
     assert result.deformation == score_deformation(EXPERIMENT, markers_m)
@@ -212,11 +270,20 @@ def test_markers_in_a_file_are_compared(tmp_path: Path) -> None:
 
 def test_markers_between_frames_are_interpolated(tmp_path: Path) -> None:
     markers_m = stretched()
-    g = observe_markers(markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable)
+    g = observe_markers(
+        markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable
+    )
     times_s = np.sort(np.append(np.arange(30) / 30, 0.01))
-    late = np.delete(np.arange(31), 15)  # frame 14 is missing; it lies between its neighbours
+    late = np.delete(
+        np.arange(31), 15
+    )  # frame 14 is missing; it lies between its neighbours
     rows = np.searchsorted(np.arange(30) / 30, times_s, side="right") - 1
-    np.savez(tmp_path / "a.npz", time_s=times_s[late], g=g[rows][late], markers_m=markers_m[rows][late])
+    np.savez(
+        tmp_path / "a.npz",
+        time_s=times_s[late],
+        g=g[rows][late],
+        markers_m=markers_m[rows][late],
+    )
     with pytest.raises(TrajectoryFileError, match="no sample at frame 14"):
         score_file(tmp_path / "a.npz", variant=NAME)
     np.savez(tmp_path / "b.npz", time_s=times_s, g=g[rows], markers_m=markers_m[rows])
@@ -227,12 +294,22 @@ def test_markers_between_frames_are_interpolated(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda m: m[:, 1:], r"markers_m: shape is \[30, 27, 3\], expected \[30, 28, 3\]"),
-        (lambda m: np.where(m > 0.2, np.nan, m), "markers_m: a value is not a finite number"),
+        (
+            lambda m: m[:, 1:],
+            r"markers_m: shape is \[30, 27, 3\], expected \[30, 28, 3\]",
+        ),
+        (
+            lambda m: np.where(m > 0.2, np.nan, m),
+            "markers_m: a value is not a finite number",
+        ),
     ],
 )
-def test_wrong_markers_in_a_file_are_named(tmp_path: Path, change: Callable, message: str) -> None:
-    g = observe_markers(stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable)
+def test_wrong_markers_in_a_file_are_named(
+    tmp_path: Path, change: Callable, message: str
+) -> None:
+    g = observe_markers(
+        stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable
+    )
     np.savez(tmp_path / "a.npz", g=g, markers_m=change(stretched()))
     with pytest.raises(TrajectoryFileError, match=message):
         score_file(tmp_path / "a.npz", variant=NAME)
@@ -250,7 +327,9 @@ def test_markers_that_are_observed_need_no_array(tmp_path: Path) -> None:
 def test_the_summary_shows_them_apart_from_the_score(tmp_path: Path) -> None:
     from rich.console import Console
 
-    g = observe_markers(stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable)
+    g = observe_markers(
+        stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable
+    )
     np.savez(tmp_path / "a.npz", g=g, markers_m=stretched())
     result, _ = score_file(tmp_path / "a.npz", variant=NAME)
     console = Console(width=120, record=True, file=(tmp_path / "out.txt").open("w"))

@@ -35,8 +35,16 @@ def scored_ids() -> list[str]:
     for variant in variants():
         name = variant.name
         experiment = load_experiment(name)
-        passive = not experiment.scene.drivers and not experiment.scene.deformables and experiment.trial is None
-        if passive and experiment.score.observable is Observable.POSITION and reference_band(experiment) is not None:
+        passive = (
+            not experiment.scene.drivers
+            and not experiment.scene.deformables
+            and experiment.trial is None
+        )
+        if (
+            passive
+            and experiment.score.observable is Observable.POSITION
+            and reference_band(experiment) is not None
+        ):
             found.append(name)
     return found
 
@@ -51,9 +59,14 @@ def recorded(experiment: Experiment, band: Band) -> tuple[np.ndarray, np.ndarray
     back = np.linalg.pinv(band.projection)
     for world in range(COUNT):
         release, rate = random.normal(0.0, 20.0), random.normal(1.0, 0.05)
-        columns = [np.interp(rate * (numbers - release), frames, np.nan_to_num(one)) for one in band.mean.T]
+        columns = [
+            np.interp(rate * (numbers - release), frames, np.nan_to_num(one))
+            for one in band.mean.T
+        ]
         noise = random.normal(0.0, 2.0, (len(numbers), 3))
-        positions[:, world, 0] = 1e-3 * (np.column_stack(columns) @ back.T + noise + random.normal(0.0, 3.0, 3))
+        positions[:, world, 0] = 1e-3 * (
+            np.column_stack(columns) @ back.T + noise + random.normal(0.0, 3.0, 3)
+        )
     counts = np.full(COUNT, len(numbers))
     # Worlds that end early after the last frame, one that lacks its last frame, and one that diverged.
     counts[2:8] = needed + random.integers(0, LATER, 6)
@@ -61,7 +74,9 @@ def recorded(experiment: Experiment, band: Band) -> tuple[np.ndarray, np.ndarray
     return positions, counts
 
 
-def on_the_host(experiment: Experiment, band: Band, positions: np.ndarray, counts: np.ndarray) -> dict[str, np.ndarray]:
+def on_the_host(
+    experiment: Experiment, band: Band, positions: np.ndarray, counts: np.ndarray
+) -> dict[str, np.ndarray]:
     values = 1e3 * positions.reshape(len(positions), COUNT, -1).transpose(1, 0, 2)
     missing = np.arange(len(positions)) >= counts[:, None]
     return score_worlds(
@@ -77,13 +92,20 @@ def on_host(positions: Any) -> Recording:
 
 
 def on_device(positions: np.ndarray) -> Recording:
-    return Recording(device="cpu", positions_m=wp.from_numpy(positions), states=None, kernels=recordings.WarpKernels())
+    return Recording(
+        device="cpu",
+        positions_m=wp.from_numpy(positions),
+        states=None,
+        kernels=recordings.WarpKernels(),
+    )
 
 
 def assert_same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
     assert one.keys() == other.keys()
     for key, values in one.items():
-        np.testing.assert_allclose(values, other[key], rtol=1e-9, atol=1e-9, err_msg=key)
+        np.testing.assert_allclose(
+            values, other[key], rtol=1e-9, atol=1e-9, err_msg=key
+        )
 
 
 def test_the_ids_are_those_of_passive_rigid_bodies() -> None:
@@ -95,11 +117,15 @@ def test_kernels_give_the_scores_of_numpy(name: str) -> None:
     experiment = load_experiment(name)
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
-    kernels = score_recording(experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts)
+    kernels = score_recording(
+        experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts
+    )
     host = on_the_host(experiment, band, positions, counts)
     assert_same(kernels, host)
     # Some laws end before the last frame, which is then not needed.
-    assert np.flatnonzero(np.isnan(kernels["rmse"])).tolist() == ([8, 9] if np.isfinite(band.mean[-1]).any() else [9])
+    assert np.flatnonzero(np.isnan(kernels["rmse"])).tolist() == (
+        [8, 9] if np.isfinite(band.mean[-1]).any() else [9]
+    )
 
 
 def test_arrays_on_the_cpu_are_scored_without_kernels() -> None:
@@ -117,8 +143,13 @@ def test_arrays_on_the_cpu_are_scored_without_kernels() -> None:
             return positions.__dlpack_device__()
 
     for array in (positions, Handed()):
-        found = score_recording(experiment, band, recording=on_host(array), rows=[0], sample_counts=counts)
-        assert all(np.array_equal(values, host[key], equal_nan=True) for key, values in found.items())
+        found = score_recording(
+            experiment, band, recording=on_host(array), rows=[0], sample_counts=counts
+        )
+        assert all(
+            np.array_equal(values, host[key], equal_nan=True)
+            for key, values in found.items()
+        )
 
 
 def test_arrays_on_a_gpu_need_kernels() -> None:
@@ -129,11 +160,18 @@ def test_arrays_on_a_gpu_need_kernels() -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     with pytest.raises(BackendError, match="kernels"):
         score_recording(
-            experiment, reference_band(experiment), recording=on_host(OnGPU()), rows=[0], sample_counts=np.ones(1, int)
+            experiment,
+            reference_band(experiment),
+            recording=on_host(OnGPU()),
+            rows=[0],
+            sample_counts=np.ones(1, int),
         )
 
 
-@pytest.mark.parametrize("fault", ["one world shifted", "row of the band", "release offset", "range of shifts"])
+@pytest.mark.parametrize(
+    "fault",
+    ["one world shifted", "row of the band", "release offset", "range of shifts"],
+)
 def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     band = reference_band(experiment)
@@ -149,7 +187,9 @@ def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(worlds, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
     else:
         counts[2:8] += 1
-    kernels = score_recording(experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts)
+    kernels = score_recording(
+        experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts
+    )
     with pytest.raises(AssertionError):
         assert_same(kernels, host)
 
@@ -158,9 +198,17 @@ def test_the_observed_body_is_chosen_among_several() -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
-    among = np.ascontiguousarray(np.concatenate([positions + 1.0, positions, positions - 1.0], axis=2))
+    among = np.ascontiguousarray(
+        np.concatenate([positions + 1.0, positions, positions - 1.0], axis=2)
+    )
     one, other = (
-        score_recording(experiment, band, recording=on_device(array), rows=[row], sample_counts=counts)
+        score_recording(
+            experiment,
+            band,
+            recording=on_device(array),
+            rows=[row],
+            sample_counts=counts,
+        )
         for array, row in ((positions, 0), (among, 1))
     )
     assert all(np.array_equal(one[key], other[key], equal_nan=True) for key in one)
@@ -175,17 +223,35 @@ def test_positions_of_another_shape_are_refused(change: str) -> None:
     positions = positions[:50].copy() if change == "length" else positions
     counts = counts[1:] if change == "worlds" else counts
     with pytest.raises(ShapeError, match="are needed"):
-        score_recording(experiment, band, recording=on_device(positions), rows=rows, sample_counts=counts)
+        score_recording(
+            experiment,
+            band,
+            recording=on_device(positions),
+            rows=rows,
+            sample_counts=counts,
+        )
 
 
 @pytest.mark.parametrize("record", [on_host, on_device])
 @pytest.mark.parametrize(
     ("rows", "kind", "reason"),
-    [([7], np.float64, "numbers of the"), ([-1], np.float64, "numbers of the"), ([0], np.float32, "64-bit floats")],
+    [
+        ([7], np.float64, "numbers of the"),
+        ([-1], np.float64, "numbers of the"),
+        ([0], np.float32, "64-bit floats"),
+    ],
 )
-def test_a_kernel_reads_only_the_positions(record: Record, rows: list[int], kind: type, reason: str) -> None:
+def test_a_kernel_reads_only_the_positions(
+    record: Record, rows: list[int], kind: type, reason: str
+) -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
     with pytest.raises(ShapeError, match=reason):
-        score_recording(experiment, band, recording=record(positions.astype(kind)), rows=rows, sample_counts=counts)
+        score_recording(
+            experiment,
+            band,
+            recording=record(positions.astype(kind)),
+            rows=rows,
+            sample_counts=counts,
+        )

@@ -20,7 +20,9 @@ def bouncing(speed_m_per_s: float, restitution: float, hit_s: float) -> np.ndarr
 
 @pytest.mark.parametrize("restitution", [0.0, 0.2, 0.35, 0.6])
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.7])
-def test_the_rebound_of_a_bouncing_corner_is_its_restitution(restitution: float, part: float) -> None:
+def test_the_rebound_of_a_bouncing_corner_is_its_restitution(
+    restitution: float, part: float
+) -> None:
     hit = rebound(bouncing(1.8, restitution, (12 + part) * INTERVAL_S), INTERVAL_S)
     assert hit is not None
     corner, approach, found = hit

@@ -33,17 +33,23 @@ intervals_s = st.sampled_from((0.001, 1.0 / 180.0, 0.01, 1.0 / 60.0))
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-1.0, 1.0), st.floats(-20.0, 20.0), intervals_s)
-def test_a_parabola_has_its_acceleration(start: float, speed: float, acceleration: float, interval_s: float) -> None:
+def test_a_parabola_has_its_acceleration(
+    start: float, speed: float, acceleration: float, interval_s: float
+) -> None:
     times_s = interval_s * np.arange(60)
     path_m = start + speed * times_s + 0.5 * acceleration * times_s**2
-    assert acceleration_m_per_s2(times_s, path_m) == pytest.approx(acceleration, abs=1e-6)
+    assert acceleration_m_per_s2(times_s, path_m) == pytest.approx(
+        acceleration, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("step_s", [1.0 / 180.0, 0.01])
 def test_a_semi_implicit_step_does_not_bias_an_acceleration(step_s: float) -> None:
     """The scheme falls by g h^2 n (n + 1) / 2, which is a parabola in n."""
     count = np.arange(40)
-    assert acceleration_m_per_s2(step_s * count, 0.5 * G * step_s**2 * count * (count + 1)) == pytest.approx(G)
+    assert acceleration_m_per_s2(
+        step_s * count, 0.5 * G * step_s**2 * count * (count + 1)
+    ) == pytest.approx(G)
 
 
 def test_the_error_of_an_acceleration_is_its_scatter() -> None:
@@ -56,28 +62,38 @@ def test_the_error_of_an_acceleration_is_its_scatter() -> None:
 
 
 @given(st.floats(0.0, 0.5), st.floats(31.0, 60.0), st.floats(1.0, 20.0))
-def test_a_slide_has_its_friction(friction: float, slope_deg: float, gravity: float) -> None:
+def test_a_slide_has_its_friction(
+    friction: float, slope_deg: float, gravity: float
+) -> None:
     slope, times_s = math.radians(slope_deg), np.linspace(0.0, 0.5, 91)
     acceleration = gravity * (math.sin(slope) - friction * math.cos(slope))
     found = acceleration_m_per_s2(times_s, 0.5 * acceleration * times_s**2)
-    assert slide_friction(found, slope, gravity_m_per_s2=gravity) == pytest.approx(friction, abs=1e-9)
+    assert slide_friction(found, slope, gravity_m_per_s2=gravity) == pytest.approx(
+        friction, abs=1e-9
+    )
 
 
 def test_a_body_that_hops_down_a_slope_has_the_friction_of_its_impacts() -> None:
     """Its mean force on the slope is m (g cos + b), of which friction is the share mu."""
     slope, friction, lift = math.radians(30.0), 0.3, 0.2
     down = G * math.sin(slope) - friction * (G * math.cos(slope) + lift)
-    assert slide_friction(down, slope, gravity_m_per_s2=G, lift_m_per_s2=lift) == pytest.approx(friction)
+    assert slide_friction(
+        down, slope, gravity_m_per_s2=G, lift_m_per_s2=lift
+    ) == pytest.approx(friction)
 
 
 @given(st.floats(-1e-2, 1e-2), st.floats(-1.0, 1.0))
 def test_creep_is_the_slope_of_the_path(speed: float, start: float) -> None:
     times_s = np.linspace(0.5, 1.0, 91)
-    assert steady_speed_m_per_s(times_s, start + speed * times_s) == pytest.approx(speed, abs=1e-12)
+    assert steady_speed_m_per_s(times_s, start + speed * times_s) == pytest.approx(
+        speed, abs=1e-12
+    )
 
 
 @given(st.floats(0.0, 1e-3), st.floats(0.0, 1e-3), st.floats(0.005, 0.03))
-def test_rest_is_read_after_settling(depth: float, drift: float, decay_s: float) -> None:
+def test_rest_is_read_after_settling(
+    depth: float, drift: float, decay_s: float
+) -> None:
     times_s = np.linspace(0.0, 2.0, 2001)
     path = depth * (1.0 - np.exp(-times_s / decay_s)) + drift * times_s
     found = rest_depth(times_s, path, settled_s=1.8)
@@ -89,30 +105,40 @@ def test_rest_is_read_after_settling(depth: float, drift: float, decay_s: float)
 
 
 @given(st.floats(0.05, 2.5), st.floats(0.1, 1.0), intervals_s)
-def test_a_pendulum_has_the_period_of_the_elliptic_integral(amplitude: float, length: float, interval: float) -> None:
+def test_a_pendulum_has_the_period_of_the_elliptic_integral(
+    amplitude: float, length: float, interval: float
+) -> None:
     """sin(phi / 2) = k sn(w t, k^2), with k = sin(amplitude / 2), has the period 4 K(k^2) / w."""
     rate, modulus = math.sqrt(G / length), math.sin(0.5 * amplitude)
     period_s = 4.0 * float(ellipk(modulus**2)) / rate
     times_s = np.arange(0.0, 6.0 * period_s, interval)
-    angles = 2.0 * np.arcsin(modulus * ellipj(rate * (times_s - 0.123 * period_s), modulus**2)[0])
+    angles = 2.0 * np.arcsin(
+        modulus * ellipj(rate * (times_s - 0.123 * period_s), modulus**2)[0]
+    )
     # Between two samples a swing bends by (w dt)^2 / 8 at most; near 0, where it passes, by far less.
     assert mean_period_s(times_s, angles) == pytest.approx(period_s, rel=1e-3)
 
 
 def test_a_body_that_passes_once_has_no_period() -> None:
-    assert math.isnan(mean_period_s(np.linspace(0.0, 1.0, 11), np.linspace(-1.0, 1.0, 11)))
+    assert math.isnan(
+        mean_period_s(np.linspace(0.0, 1.0, 11), np.linspace(-1.0, 1.0, 11))
+    )
 
 
 # --- bounces ---------------------------------------------------------------------------------------------------------
 
 
-def restitution_of_bounce(times_s: NDArray[np.float64], heights_m: NDArray[np.float64], **known: float | None) -> float:
+def restitution_of_bounce(
+    times_s: NDArray[np.float64], heights_m: NDArray[np.float64], **known: float | None
+) -> float:
     found = first_bounce(times_s, heights_m, gravity_m_per_s2=G, **known)
     assert found is not None
     return found.restitution
 
 
-def bounce_heights(times_s: NDArray[np.float64], drop_m: float, restitution: float) -> NDArray[np.float64]:
+def bounce_heights(
+    times_s: NDArray[np.float64], drop_m: float, restitution: float
+) -> NDArray[np.float64]:
     """Return the heights over the floor of a ball dropped at time 0 that bounces at once, three times, then lies."""
     speed = math.sqrt(2.0 * G * drop_m)
     start_s, flight_s = -speed / G, 2.0 * speed / G
@@ -127,7 +153,9 @@ def bounce_heights(times_s: NDArray[np.float64], drop_m: float, restitution: flo
 
 
 @given(st.floats(0.15, 1.0), st.floats(0.1, 1.0), intervals_s)
-def test_a_bounce_sampled_off_the_contact_has_its_restitution(e: float, drop_m: float, interval_s: float) -> None:
+def test_a_bounce_sampled_off_the_contact_has_its_restitution(
+    e: float, drop_m: float, interval_s: float
+) -> None:
     fall_s = math.sqrt(2.0 * drop_m / G)
     times_s = np.arange(0.0, fall_s * (1.0 + 1.5 * e), interval_s)
     heights = bounce_heights(times_s, drop_m, e)
@@ -143,7 +171,9 @@ def test_a_bounce_sampled_off_the_contact_has_its_restitution(e: float, drop_m: 
 
 
 @given(st.floats(0.3, 0.9), st.floats(2e-3, 2e-2))
-def test_a_contact_that_lasts_does_not_change_a_restitution(e: float, lasts_s: float) -> None:
+def test_a_contact_that_lasts_does_not_change_a_restitution(
+    e: float, lasts_s: float
+) -> None:
     """The ball sinks by a half sine and leaves with e times the speed, `lasts_s` later."""
     drop_m, interval_s = 0.4, 1.0 / 180.0
     speed, fall_s = math.sqrt(2.0 * G * drop_m), math.sqrt(2.0 * drop_m / G)
@@ -151,15 +181,22 @@ def test_a_contact_that_lasts_does_not_change_a_restitution(e: float, lasts_s: f
     since = times_s - fall_s
     heights = drop_m - 0.5 * G * times_s**2
     inside, after = (since >= 0.0) & (since < lasts_s), since >= lasts_s
-    heights[inside] = -speed * lasts_s / math.pi * np.sin(math.pi * since[inside] / lasts_s)
-    heights[after] = e * speed * (since[after] - lasts_s) - 0.5 * G * (since[after] - lasts_s) ** 2
+    heights[inside] = (
+        -speed * lasts_s / math.pi * np.sin(math.pi * since[inside] / lasts_s)
+    )
+    heights[after] = (
+        e * speed * (since[after] - lasts_s) - 0.5 * G * (since[after] - lasts_s) ** 2
+    )
     assert restitution_of_bounce(times_s, heights) == pytest.approx(e, abs=1e-9)
 
 
 def test_noise_averages_out_of_a_restitution() -> None:
     rng, times_s = np.random.default_rng(0), np.arange(0.0, 0.6, 1.0 / 180.0)
     heights = bounce_heights(times_s, 0.4, 0.6)
-    found = [restitution_of_bounce(times_s, heights + rng.normal(0.0, 1e-4, len(times_s))) for _ in range(100)]
+    found = [
+        restitution_of_bounce(times_s, heights + rng.normal(0.0, 1e-4, len(times_s)))
+        for _ in range(100)
+    ]
     assert np.std(found) < 2e-4
     assert np.mean(found) == pytest.approx(0.6, abs=1e-4)
 
@@ -182,7 +219,9 @@ def test_a_ball_held_before_its_release_has_the_restitution_of_its_flights() -> 
 def test_a_bounce_higher_than_the_drop_is_read_before_its_top() -> None:
     """Twice the speed: the top is 0.61 s after the release, and samples end at 0.5 s."""
     times_s = 0.002 * np.arange(250)
-    found = restitution_of_bounce(times_s, bounce_heights(times_s, 0.2, 2.0), released_m=0.2)
+    found = restitution_of_bounce(
+        times_s, bounce_heights(times_s, 0.2, 2.0), released_m=0.2
+    )
     assert found == pytest.approx(2.0, abs=1e-9)
 
 
@@ -206,7 +245,10 @@ def test_a_body_that_does_not_fall_has_no_bounce() -> None:
 def test_a_flight_of_another_gravity_has_a_misfit() -> None:
     times_s = np.arange(0.0, 0.6, 1.0 / 180.0)
     heights = bounce_heights(times_s, 0.4, 0.6)
-    right, wrong = (first_bounce(times_s, heights, gravity_m_per_s2=gravity) for gravity in (G, 2.0 * G))
+    right, wrong = (
+        first_bounce(times_s, heights, gravity_m_per_s2=gravity)
+        for gravity in (G, 2.0 * G)
+    )
     assert right is not None
     assert wrong is not None
     assert right.misfit < 1e-9
@@ -214,15 +256,22 @@ def test_a_flight_of_another_gravity_has_a_misfit() -> None:
 
 
 @given(st.floats(0.4, 0.95), st.floats(0.5, 2.0))
-def test_flights_of_an_unknown_gravity_have_their_restitution(e: float, scale: float) -> None:
+def test_flights_of_an_unknown_gravity_have_their_restitution(
+    e: float, scale: float
+) -> None:
     """Heights of a film whose scale is off by a factor fall with another gravity, and bounce with the same ratio."""
     drop_m = 0.4
     fall_s = math.sqrt(2.0 * drop_m / G)
     ends_s = fall_s * np.cumsum([0.0, 1.0, 2.0 * e, 2.0 * e**2])
     times_s = np.arange(0.0, ends_s[-1], 1.0 / 120.0)
     heights = scale * bounce_heights(times_s, drop_m, e)
-    flights = [np.flatnonzero((times_s > low) & (times_s < high)) for low, high in pairwise(ends_s)]
-    assert restitution_of_flights(times_s, heights, flights) == pytest.approx(e, abs=1e-9)
+    flights = [
+        np.flatnonzero((times_s > low) & (times_s < high))
+        for low, high in pairwise(ends_s)
+    ]
+    assert restitution_of_flights(times_s, heights, flights) == pytest.approx(
+        e, abs=1e-9
+    )
 
 
 def test_the_speed_at_the_contact_is_that_of_the_fall() -> None:
@@ -230,7 +279,9 @@ def test_the_speed_at_the_contact_is_that_of_the_fall() -> None:
     assert speed_at_contact_m_per_s(-1e-6, G) == 0.0
 
 
-@pytest.mark.parametrize("estimator", [steady_speed_m_per_s, acceleration_m_per_s2, mean_period_s])
+@pytest.mark.parametrize(
+    "estimator", [steady_speed_m_per_s, acceleration_m_per_s2, mean_period_s]
+)
 def test_samples_without_times_are_refused(estimator) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(ShapeError):
         estimator(np.arange(5.0), np.arange(4.0))

@@ -58,10 +58,14 @@ def test_the_published_rest_and_momentum_exclude_the_speed_in_space() -> None:
     assert baselines["lsd"].mean > 0.3
 
 
-def test_the_calibrated_cradle_rests_for_a_step_or_not_at_all(cradles: dict[str, Score]) -> None:
+def test_the_calibrated_cradle_rests_for_a_step_or_not_at_all(
+    cradles: dict[str, Score],
+) -> None:
     """The published engines hand on the same momentum and have an LSD of 0, as with central differences."""
     score, published = cradles["calibrated"], published_baselines("NewtonsCradle-metal")
-    assert score.mte_normalized == pytest.approx(published["mte"].engines["newton"], abs=0.005)
+    assert score.mte_normalized == pytest.approx(
+        published["mte"].engines["newton"], abs=0.005
+    )
     assert published["lsd"].engines["newton"] == 0.0
     assert score.lsd_central_s == 0.0
     assert score.lsd_s == pytest.approx(2 / 30)
@@ -75,7 +79,10 @@ def test_the_period_is_between_the_bins_or_on_one(rollout: Callable) -> None:
     score = rollout("Pendulum-metal", settings={"timestep_s": 1 / 360})[2]["score"]
     assert score.pd_s == pytest.approx(1.2303, abs=2e-4)
     assert score.pd_fft_s == pytest.approx(10 / 8)
-    assert round(score.pd_fft_normalized, 2) == published_baselines("Pendulum-metal")["pd"].engines["isaacsim"]
+    assert (
+        round(score.pd_fft_normalized, 2)
+        == published_baselines("Pendulum-metal")["pd"].engines["isaacsim"]
+    )
     (line,) = estimator_lines("Pendulum-metal", score)
     assert "1.230 s (1.08)" in line and "1.250 s (1.10)" in line
 
@@ -96,13 +103,18 @@ def test_events_stand_beside_those_of_the_recording(cradles: dict[str, Score]) -
     events = cradles["effective"].events
     assert events is not None
     assert [(event.quantity, event.number) for event in events] == [
-        (quantity, number) for quantity in ("leaves", "returns", "rests") for number in (1, 2, 3)
+        (quantity, number)
+        for quantity in ("leaves", "returns", "rests")
+        for number in (1, 2, 3)
     ]
     rests = [event for event in events if event.quantity == "rests"]
     assert [event.recorded_s for event in rests] == [0.41, 0.37, 0.33]
-    assert [event.simulated_s for event in rests] == pytest.approx([0.44, 0.43, 0.43], abs=0.01)
+    assert [event.simulated_s for event in rests] == pytest.approx(
+        [0.44, 0.43, 0.43], abs=0.01
+    )
     returns, leaves = (
-        [event.simulated_s for event in events if event.quantity == name] for name in ("returns", "leaves")
+        [event.simulated_s for event in events if event.quantity == name]
+        for name in ("returns", "leaves")
     )
     assert rests[0].simulated_s == pytest.approx(leaves[1] - returns[0])
     # The first swing agrees with the recording, and later ones fall behind: the real row no longer stays still.
@@ -122,28 +134,43 @@ def test_events_survive_json_and_are_printed(cradles: dict[str, Score]) -> None:
 
 def test_a_ball_that_stays_has_no_simulated_events() -> None:
     experiment = load_experiment("NewtonsCradle-metal")
-    still = np.tile(1e3 * np.array(experiment.scene.body("ball-5").pose.position_m), (experiment.frame_count, 1))
+    still = np.tile(
+        1e3 * np.array(experiment.scene.body("ball-5").pose.position_m),
+        (experiment.frame_count, 1),
+    )
     times_s = np.arange(len(still)) / 30
     score = score_trajectory(experiment, None, times_s=times_s, values=still)
-    assert score.events is not None and {event.simulated_s for event in score.events} == {None}
+    assert score.events is not None and {
+        event.simulated_s for event in score.events
+    } == {None}
     assert score.lsd_dropped_rests_s == pytest.approx((1027 / 30, 1027 / 30))
     assert score.lsd_s == 0.0
 
 
 def test_other_experiments_have_no_events(rollout: Callable) -> None:
     score = rollout("SlopeSlider-2-wood")[2]["score"]
-    assert (score.events, score.lsd_dropped_rests_s, score.pd_fft_s) == (None, None, None)
+    assert (score.events, score.lsd_dropped_rests_s, score.pd_fft_s) == (
+        None,
+        None,
+        None,
+    )
     assert recorded_events("SlopeSlider-2-wood") == ()
     assert list(estimator_lines("SlopeSlider-2-wood", score)) == []
 
 
-def test_damaged_events_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_events_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "scoring" / "bands"
     folder.mkdir(parents=True)
-    text = (data_folder("scoring") / "bands" / "events.toml").read_text(encoding="utf-8")
+    text = (data_folder("scoring") / "bands" / "events.toml").read_text(
+        encoding="utf-8"
+    )
     (folder / "events.toml").write_text(text.replace("0.37", "-0.37"), encoding="utf-8")
     monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
-    with pytest.raises(ReferenceFileError, match=r"events\.2\.values_s\.1: .*given: -0\.37"):
+    with pytest.raises(
+        ReferenceFileError, match=r"events\.2\.values_s\.1: .*given: -0\.37"
+    ):
         recorded_events("NewtonsCradle-metal")
 
 
@@ -153,7 +180,9 @@ def test_damaged_events_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_chains_of_elastic_and_plastic_balls_are_known() -> None:
     assert event_driven_chain(1.0) == pytest.approx([0, 0, 0, 0, 1])
     assert event_driven_chain(0.0) == pytest.approx(np.full(5, 0.2), abs=1e-9)
-    assert event_driven_chain(EFFECTIVE)[-1] == pytest.approx(((1 + EFFECTIVE) / 2) ** 4)
+    assert event_driven_chain(EFFECTIVE)[-1] == pytest.approx(
+        ((1 + EFFECTIVE) / 2) ** 4
+    )
     for restitution in (0.0, CALIBRATED, 0.7, EFFECTIVE):
         assert event_driven_chain(restitution).sum() == pytest.approx(1.0)
         assert simultaneous_impact(restitution).sum() == pytest.approx(1.0)
@@ -167,7 +196,9 @@ def test_the_calibrated_chain_hands_on_a_fifth() -> None:
 
 def test_touching_balls_share_one_impact(cradles: dict[str, Score]) -> None:
     """The resting row is in contact and moves on as one body, which gives (1 + e) / 5 in place of a fifth."""
-    assert cradles["calibrated"].mte == pytest.approx(simultaneous_impact(CALIBRATED)[-1], rel=0.01)
+    assert cradles["calibrated"].mte == pytest.approx(
+        simultaneous_impact(CALIBRATED)[-1], rel=0.01
+    )
 
 
 def test_balls_with_a_gap_collide_one_after_another() -> None:
@@ -184,4 +215,6 @@ def test_the_effective_chain_does_not_depend_on_the_gap() -> None:
     expected = event_driven_chain(EFFECTIVE)[-1]
     for gap_m in (0.0, 1e-3):
         parameters = cradle.gap_parameters(gap_m, EFFECTIVE)
-        assert cradle.transfer(parameters, steps_per_s=9000) == pytest.approx(expected, rel=0.003)
+        assert cradle.transfer(parameters, steps_per_s=9000) == pytest.approx(
+            expected, rel=0.003
+        )

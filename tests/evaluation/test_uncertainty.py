@@ -16,7 +16,11 @@ from scipy.stats import binomtest, chi2
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.evaluation.deviation import percentile_among, percentile_interval, trial_distances
+from gauge_envs.evaluation.deviation import (
+    percentile_among,
+    percentile_interval,
+    trial_distances,
+)
 from gauge_envs.evaluation.uncertainty import WIDEST, band_errors, refusal, widening
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
@@ -50,8 +54,12 @@ def test_the_aligned_score_prefers_the_real_friction_and_the_raw_one_does_not():
         run_episode(RunRequest(SLIDES[0], parameters={"cube.friction": friction})).score
         for friction in (0.257145, 0.282)
     )
-    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx((1.005, 1.24), abs=5e-3)
-    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx((0.270, 7.09), abs=2e-2)
+    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx(
+        (1.005, 1.24), abs=5e-3
+    )
+    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx(
+        (0.270, 7.09), abs=2e-2
+    )
     assert real.primary == wrong.primary == "rmse_aligned"
     assert real.primary_normalized < wrong.primary_normalized
 
@@ -71,10 +79,18 @@ def test_an_aligned_error_is_over_that_of_aligned_trials(scores, name):
         mean = np.nanmean(np.delete(band.trials, number, axis=0), axis=0)
         seen = np.isfinite(trial).all(axis=1)
         times_s = np.arange(len(trial))[seen] / 30.0
-        near = min(np.arange(-0.3, 0.3, 0.01), key=partial(_shifted_rmse, times_s, trial[seen], mean))
-        shifts = [_shifted_rmse(times_s, trial[seen], mean, near + late) for late in np.arange(-0.01, 0.01, 2e-5)]
+        near = min(
+            np.arange(-0.3, 0.3, 0.01),
+            key=partial(_shifted_rmse, times_s, trial[seen], mean),
+        )
+        shifts = [
+            _shifted_rmse(times_s, trial[seen], mean, near + late)
+            for late in np.arange(-0.01, 0.01, 2e-5)
+        ]
         leave_one_out.append(min(shifts))
-    assert score.rmse_aligned / score.rmse_aligned_normalized == pytest.approx(np.mean(leave_one_out), rel=0.02)
+    assert score.rmse_aligned / score.rmse_aligned_normalized == pytest.approx(
+        np.mean(leave_one_out), rel=0.02
+    )
 
 
 def _shifted_rmse(times_s, values, mean, shift_s):
@@ -82,7 +98,9 @@ def _shifted_rmse(times_s, values, mean, shift_s):
     usable = (queries_s <= times_s[-1] + 1e-9) & np.isfinite(mean).all(axis=1)
     if usable.sum() < 0.6 * np.isfinite(mean).all(axis=1).sum():
         return np.inf
-    moved = np.column_stack([np.interp(queries_s[usable], times_s, column) for column in values.T])
+    moved = np.column_stack(
+        [np.interp(queries_s[usable], times_s, column) for column in values.T]
+    )
     return float(np.sqrt(np.square(moved - mean[usable]).sum(axis=1).mean()))
 
 
@@ -90,13 +108,24 @@ def _shifted_rmse(times_s, values, mean, shift_s):
 
 
 @pytest.mark.parametrize(
-    ("name", "constant"), [(SLIDES[0], "cube.friction"), (SLIDES[1], "cube.friction"), (BALL, "ball.restitution")]
+    ("name", "constant"),
+    [
+        (SLIDES[0], "cube.friction"),
+        (SLIDES[1], "cube.friction"),
+        (BALL, "ball.restitution"),
+    ],
 )
-def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(scores, name, constant):
+def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(
+    scores, name, constant
+):
     first = scores[name].explained[0]
     assert first.name.startswith(constant.partition(".")[2])
-    published = getattr(load_experiment(name).scene.contacts[0], constant.partition(".")[2])
-    moved = run_episode(RunRequest(name, parameters={constant: published + first.change * first.std})).score
+    published = getattr(
+        load_experiment(name).scene.contacts[0], constant.partition(".")[2]
+    )
+    moved = run_episode(
+        RunRequest(name, parameters={constant: published + first.change * first.std})
+    ).score
     assert moved.rmse_aligned == pytest.approx(first.left, rel=0.03)
     assert first.left < 0.3 * scores[name].rmse_aligned
 
@@ -104,12 +133,21 @@ def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(scor
 def test_nothing_explains_an_error_of_the_engine(scores, tmp_path):
     """A table of another engine, of other settings or of other constants says nothing."""
     assert scores[BALL].explained
-    assert run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})).score.explained is None
+    assert (
+        run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})).score.explained
+        is None
+    )
     # Also not where the result is scored again from its file.
-    write_result(run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})), tmp_path / "ball.json")
+    write_result(
+        run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})),
+        tmp_path / "ball.json",
+    )
     assert score_file(tmp_path / "ball.json")[0].score.explained is None
     write_result(run_episode(RunRequest(BALL)), tmp_path / "default.json")
-    assert score_file(tmp_path / "default.json")[0].score.explained == scores[BALL].explained
+    assert (
+        score_file(tmp_path / "default.json")[0].score.explained
+        == scores[BALL].explained
+    )
     effective = run_episode(RunRequest(BALL, parameters="effective")).score.explained
     assert not any(one.kind == "constant" for one in effective)
     law = run_episode(RunRequest("SlopeSlider-1-plastic")).score
@@ -117,20 +155,27 @@ def test_nothing_explains_an_error_of_the_engine(scores, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "frames", "share"), list(zip(SLIDES, [(9, 19), (8, 17), (9, 19)], [31, 64, 48], strict=True))
+    ("name", "frames", "share"),
+    list(zip(SLIDES, [(9, 19), (8, 17), (9, 19)], [31, 64, 48], strict=True)),
 )
-def test_extrapolated_frames_and_their_share_of_the_error_are_stated(scores, name, frames, share):
+def test_extrapolated_frames_and_their_share_of_the_error_are_stated(
+    scores, name, frames, share
+):
     score = scores[name]
     assert (score.measured_frames, score.compared_frames) == frames
     assert 100.0 * score.extrapolated_share == pytest.approx(share, abs=0.6)
 
 
-@pytest.mark.parametrize(("name", "median"), list(zip(SLIDES, [0.79, 0.49, 0.85], strict=True)))
+@pytest.mark.parametrize(
+    ("name", "median"), list(zip(SLIDES, [0.79, 0.49, 0.85], strict=True))
+)
 def test_the_median_real_trial_is_not_at_1_and_the_percentile_says_so(name, median):
     distances = trial_distances(bundled_band(name)).raw
     baseline = published_baselines(name)["rmse"].mean
     assert np.median(distances) / baseline == pytest.approx(median, abs=6e-3)
-    assert percentile_among(distances, float(np.median(distances)) + 1e-9) == pytest.approx(50.0, abs=3.0)
+    assert percentile_among(
+        distances, float(np.median(distances)) + 1e-9
+    ) == pytest.approx(50.0, abs=3.0)
     assert percentile_among(distances, 0.0) == 0.0
     assert percentile_among(distances, 1e9) == 100.0
 
@@ -139,13 +184,17 @@ def test_percentiles_are_those_of_the_real_trials(scores):
     for name, score in scores.items():
         distances = trial_distances(bundled_band(name))
         assert score.percentile == 100.0 * np.mean(distances.raw < score.rmse)
-        assert score.percentile_aligned == 100.0 * np.mean(distances.aligned < score.rmse_aligned)
+        assert score.percentile_aligned == 100.0 * np.mean(
+            distances.aligned < score.rmse_aligned
+        )
         assert (distances.aligned <= distances.raw + 1e-9).all()
 
 
 def test_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
     inside = [
-        scores[name].rmse_normalized_95[0] <= published <= scores[name].rmse_normalized_95[1]
+        scores[name].rmse_normalized_95[0]
+        <= published
+        <= scores[name].rmse_normalized_95[1]
         for name in SLIDES
         for published in published_baselines(name)["rmse"].engines.values()
     ]
@@ -158,7 +207,9 @@ def test_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
             assert 0.0 <= low <= value <= high
 
 
-@pytest.mark.parametrize(("name", "real"), list(zip(SLIDES, [0.257145, 0.236133, 0.270867], strict=True)))
+@pytest.mark.parametrize(
+    ("name", "real"), list(zip(SLIDES, [0.257145, 0.236133, 0.270867], strict=True))
+)
 def test_a_slide_implies_its_friction_and_that_of_the_trials(scores, name, real):
     """The facts fit every listed sample; the band knows the frames that half of the trials show."""
     friction = next(one for one in scores[name].implied if one.parameter == "friction")
@@ -167,19 +218,28 @@ def test_a_slide_implies_its_friction_and_that_of_the_trials(scores, name, real)
     assert friction.real == pytest.approx(real, abs=1e-3)
     tilt = math.radians(0.3) * (1.0 + real * math.tan(SLOPE))
     assert friction.real_uncertainty == pytest.approx(
-        math.hypot(tilt, friction.real_scatter / math.sqrt(len(bundled_band(name).trials))), rel=1e-2
+        math.hypot(
+            tilt, friction.real_scatter / math.sqrt(len(bundled_band(name).trials))
+        ),
+        rel=1e-2,
     )
 
 
 def test_a_bounce_implies_its_restitution_and_that_of_the_trials(scores):
-    restitution = next(one for one in scores[BALL].implied if one.parameter == "restitution")
+    restitution = next(
+        one for one in scores[BALL].implied if one.parameter == "restitution"
+    )
     assert restitution.value == pytest.approx(0.577, abs=1e-3)
-    assert (restitution.real, restitution.real_scatter) == pytest.approx((0.736925, 0.002242), abs=3e-4)
+    assert (restitution.real, restitution.real_scatter) == pytest.approx(
+        (0.736925, 0.002242), abs=3e-4
+    )
 
 
 def test_a_pendulum_implies_its_period():
     # Both periods are of one course, and a longer step is as good.
-    score = run_episode(RunRequest("Pendulum-metal", settings={"timestep_s": 1 / 360})).score
+    score = run_episode(
+        RunRequest("Pendulum-metal", settings={"timestep_s": 1 / 360})
+    ).score
     period = next(one for one in score.implied if one.parameter == "period")
     assert period.value == pytest.approx(score.pd_s, rel=1e-3)
     assert (period.real, period.real_scatter) == (1.14, 0.066)
@@ -187,10 +247,16 @@ def test_a_pendulum_implies_its_period():
 
 def test_a_budget_is_whole_and_names_its_sources(scores):
     for score in scores.values():
-        assert sum(entry.share for entry in score.budget) == pytest.approx(1.0, abs=1e-4)
+        assert sum(entry.share for entry in score.budget) == pytest.approx(
+            1.0, abs=1e-4
+        )
         assert all(entry.source and entry.evaluation in "AB" for entry in score.budget)
         kinds = {entry.kind for entry in score.budget}
-        assert kinds >= {"sampling", "release", "baseline"} and not kinds & {"constant", "start", "tilt"}
+        assert kinds >= {"sampling", "release", "baseline"} and not kinds & {
+            "constant",
+            "start",
+            "tilt",
+        }
         assert score.sensitivities.startswith("mujoco")
 
 
@@ -201,7 +267,10 @@ def test_a_law_has_an_interval_although_its_simulation_is_exact():
     low, high = score.rmse_normalized_95
     assert low <= score.rmse_normalized < 0.05
     combined = math.hypot(*(entry.standard_uncertainty for entry in score.budget))
-    assert combined == pytest.approx(math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean, rel=1e-5)
+    assert combined == pytest.approx(
+        math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean,
+        rel=1e-5,
+    )
     assert combined < high < 3.0 * combined
 
 
@@ -215,53 +284,96 @@ def test_measured_sensitivities_of_a_slide_are_those_of_the_closed_form():
     changes = {one.name: band.project(one.change)[:, 0] for one in table.inputs}
     std = input_uncertainties().friction.std(0.273673, "wood")
     friction = -500.0 * GRAVITY * math.cos(SLOPE) * std * times_s**2
-    tilt = 500.0 * GRAVITY * (math.cos(SLOPE) + 0.273673 * math.sin(SLOPE)) * math.radians(0.3) * times_s**2
-    np.testing.assert_allclose(changes["friction cube/board, cube/ground"], friction, atol=0.1)
+    tilt = (
+        500.0
+        * GRAVITY
+        * (math.cos(SLOPE) + 0.273673 * math.sin(SLOPE))
+        * math.radians(0.3)
+        * times_s**2
+    )
+    np.testing.assert_allclose(
+        changes["friction cube/board, cube/ground"], friction, atol=0.1
+    )
     np.testing.assert_allclose(changes["tilt about y"], tilt, atol=0.05)
     assert np.abs(changes["start of cube along its x axis"][:-1] - 1.0).max() < 0.025
 
 
 @pytest.mark.parametrize("name", [SLIDES[1], BALL])
 def test_stored_sensitivities_are_those_that_are_measured(name):
-    stored, measured = load_sensitivities(name, "mujoco"), measure_sensitivities(RunRequest(name))
+    stored, measured = (
+        load_sensitivities(name, "mujoco"),
+        measure_sensitivities(RunRequest(name)),
+    )
     assert [one.name for one in stored.inputs] == [one.name for one in measured.inputs]
     for one, other in zip(stored.inputs, measured.inputs, strict=True):
-        np.testing.assert_allclose(one.change, other.change, rtol=1e-3, atol=1e-3 * np.abs(one.change).max() + 1e-9)
+        np.testing.assert_allclose(
+            one.change,
+            other.change,
+            rtol=1e-3,
+            atol=1e-3 * np.abs(one.change).max() + 1e-9,
+        )
 
 
 def test_a_dry_joint_moves_the_swing_by_what_the_closed_form_says():
-    experiment, table = load_experiment("JointPendulum-dry"), measure_sensitivities(RunRequest("JointPendulum-dry"))
+    experiment, table = (
+        load_experiment("JointPendulum-dry"),
+        measure_sensitivities(RunRequest("JointPendulum-dry")),
+    )
     (entry,) = [one for one in table.inputs if one.name == "pendulum.dry_friction_n_m"]
     body, (joint,) = experiment.scene.body("pendulum"), experiment.scene.joints
     arm = np.subtract(body.pose.position_m, joint.anchor_m)
     length_m, dry = float(np.linalg.norm(arm)), joint.dynamics.dry_friction_n_m
     weight = body.mass_kg * GRAVITY * length_m
     rate = np.sqrt(weight / (body.mass_kg * length_m**2 + body.inertia_kg_m2))
-    start_rad, start_rate = np.arctan2(arm[0], -arm[2]), -body.angular_velocity_rad_per_s[1]
+    start_rad, start_rate = (
+        np.arctan2(arm[0], -arm[2]),
+        -body.angular_velocity_rad_per_s[1],
+    )
     times_s = np.arange(experiment.frame_count) / 30.0
 
     def swing(dry_n_m):
         """Half swings about points that dry friction puts to either side; each loses 2 dry / (m g l)."""
-        angle, speed, begin_s, shift, angles = start_rad, start_rate, 0.0, dry_n_m / weight, np.zeros_like(times_s)
+        angle, speed, begin_s, shift, angles = (
+            start_rad,
+            start_rate,
+            0.0,
+            dry_n_m / weight,
+            np.zeros_like(times_s),
+        )
         while begin_s < times_s[-1] and (speed or abs(angle) > shift):
             centre = -shift * np.sign(speed or -angle)
-            size, phase = np.hypot(angle - centre, speed / rate), np.arctan2(-speed / rate, angle - centre)
+            size, phase = (
+                np.hypot(angle - centre, speed / rate),
+                np.arctan2(-speed / rate, angle - centre),
+            )
             late = times_s >= begin_s
-            angles[late] = centre + size * np.cos(rate * (times_s[late] - begin_s) + phase)
+            angles[late] = centre + size * np.cos(
+                rate * (times_s[late] - begin_s) + phase
+            )
             begin_s += (np.ceil(phase / np.pi + 1e-9) * np.pi - phase) / rate
-            angle, speed = centre + size * np.cos(np.ceil(phase / np.pi + 1e-9) * np.pi), 0.0
+            angle, speed = (
+                centre + size * np.cos(np.ceil(phase / np.pi + 1e-9) * np.pi),
+                0.0,
+            )
         angles[times_s >= begin_s] = angle
         return 1e3 * np.sin(angles) * length_m
 
     expected_mm = swing(dry + entry.std) - swing(dry)
     assert entry.std == pytest.approx(0.041 * dry)
-    assert np.abs(entry.change[:, 0] - expected_mm).max() < 0.05 * np.abs(expected_mm).max()
+    assert (
+        np.abs(entry.change[:, 0] - expected_mm).max()
+        < 0.05 * np.abs(expected_mm).max()
+    )
     # A cycle later the amplitude has lost 4 dry / (m g l) more.
     loss_mm = 1e3 * length_m * 4.0 * entry.std / weight
-    assert np.abs(expected_mm[times_s < 2.0]).max() == pytest.approx(2.0 * rate / (2.0 * np.pi) * loss_mm, rel=0.2)
+    assert np.abs(expected_mm[times_s < 2.0]).max() == pytest.approx(
+        2.0 * rate / (2.0 * np.pi) * loss_mm, rel=0.2
+    )
 
 
-def test_another_engine_takes_the_sensitivities_of_mujoco_and_says_so(tmp_path, monkeypatch):
+def test_another_engine_takes_the_sensitivities_of_mujoco_and_says_so(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
     assert load_sensitivities(SLIDES[0], "unheard-of").backend == "mujoco"
     assert load_sensitivities(SLIDES[0], "../mujoco").backend == "mujoco"
@@ -273,13 +385,19 @@ def test_measured_uncertainty_is_kept_for_later_scores(tmp_path, monkeypatch):
     measured = run_episode(RunRequest(SLIDES[0], uncertainty=True)).score
     assert (tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json").is_file()
     stored = run_episode(RunRequest(SLIDES[0])).score
-    np.testing.assert_allclose(measured.rmse_normalized_95, stored.rmse_normalized_95, atol=1e-3)
-    finer = run_episode(RunRequest(SLIDES[0], uncertainty=True, settings={"timestep_s": 1 / 360})).score
+    np.testing.assert_allclose(
+        measured.rmse_normalized_95, stored.rmse_normalized_95, atol=1e-3
+    )
+    finer = run_episode(
+        RunRequest(SLIDES[0], uncertainty=True, settings={"timestep_s": 1 / 360})
+    ).score
     assert "timestep_s=0.002778" in finer.sensitivities
     steps = [
         next(
             one
-            for one in measure_sensitivities(RunRequest(SLIDES[0], settings=settings)).inputs
+            for one in measure_sensitivities(
+                RunRequest(SLIDES[0], settings=settings)
+            ).inputs
             if one.name == "time step"
         )
         for settings in ({}, {"timestep_s": 1 / 360})
@@ -300,9 +418,15 @@ def test_a_tilted_scene_is_the_scene_with_leaning_gravity():
     """A pendulum's bodies, joints and drivers turn with it, and turning back gives the scene."""
     for name in ("Pendulum-metal", "Turntable-1-wood", "TextileFlinging-satin"):
         scene = load_experiment(name).scene
-        turned = tilted(tilted(scene, [0.02, -0.01, 0.0], [0.1, 0.2, 0.3]), [-0.02, 0.01, 0.0], [0.1, 0.2, 0.3])
+        turned = tilted(
+            tilted(scene, [0.02, -0.01, 0.0], [0.1, 0.2, 0.3]),
+            [-0.02, 0.01, 0.0],
+            [0.1, 0.2, 0.3],
+        )
         for body, other in zip(scene.bodies, turned.bodies, strict=True):
-            np.testing.assert_allclose(body.pose.position_m, other.pose.position_m, atol=1e-12)
+            np.testing.assert_allclose(
+                body.pose.position_m, other.pose.position_m, atol=1e-12
+            )
         for joint, other in zip(scene.joints, turned.joints, strict=True):
             np.testing.assert_allclose(joint.anchor_m, other.anchor_m, atol=1e-12)
 
@@ -316,21 +440,32 @@ def test_an_interval_shrinks_with_the_number_of_trials():
     deviation = np.full_like(band.mean, 40.0)
     few = band_errors(replace(band, trials=band.trials[:8]), baseline)
     every = band_errors(band, baseline)
-    widths = [high - low for low, high in (few.interval(deviation), every.interval(deviation))]
+    widths = [
+        high - low for low, high in (few.interval(deviation), every.interval(deviation))
+    ]
     assert widths[0] >= widths[1] > 0.0
 
 
 def test_draws_of_two_engines_are_paired():
-    errors = band_errors(bundled_band(SLIDES[0]), published_baselines(SLIDES[0])["rmse"])
-    one, other = (errors.draws(np.full_like(bundled_band(SLIDES[0]).mean, size)) for size in (10.0, 11.0))
+    errors = band_errors(
+        bundled_band(SLIDES[0]), published_baselines(SLIDES[0])["rmse"]
+    )
+    one, other = (
+        errors.draws(np.full_like(bundled_band(SLIDES[0]).mean, size))
+        for size in (10.0, 11.0)
+    )
     assert np.corrcoef(one, other)[0, 1] > 0.95
 
 
 def test_an_interval_of_a_distance_in_one_direction_is_that_of_student():
     """Along the error of each trial, with a deviation far above its errors and nothing but the trials uncertain."""
     band = bundled_band(BALL)
-    trials = band.mean + np.random.default_rng(4).permutation(22)[:, None, None] * np.ones_like(band.mean)
-    errors = band_errors(replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None)
+    trials = band.mean + np.random.default_rng(4).permutation(22)[
+        :, None, None
+    ] * np.ones_like(band.mean)
+    errors = band_errors(
+        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
+    )
     low, high = errors.interval(np.full_like(band.mean, 1e3), over_baseline=False)
     values = trials[:, 0, 0]
     wider = widening(values)
@@ -347,10 +482,15 @@ def test_the_effect_of_a_trial_on_the_baseline_is_that_of_its_weight():
 
     equal = np.full(8, 1.0 / 8.0)
     # Weight that one trial gains, all others lose.
-    changes = [baseline(0.999 * equal + 0.001 * unit) / baseline(equal) - 1.0 for unit in np.eye(8)]
+    changes = [
+        baseline(0.999 * equal + 0.001 * unit) / baseline(equal) - 1.0
+        for unit in np.eye(8)
+    ]
     band = bundled_band(BALL)
     trials = band.mean + values[:, None, None] * np.ones_like(band.mean)
-    errors = band_errors(replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None)
+    errors = band_errors(
+        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
+    )
     assert errors.influence == pytest.approx(np.array(changes) / 0.001, abs=0.01)
 
 
@@ -361,7 +501,11 @@ def test_an_exact_simulation_is_as_far_from_trials_as_their_releases_smear_them(
     late_s = 0.1 + releases_s - releases_s.mean()
 
     def fall(release_s: np.ndarray) -> np.ndarray:
-        return 500.0 * GRAVITY * np.square(1.0 + frames_s - np.asarray(release_s)[..., None])[..., None]
+        return (
+            500.0
+            * GRAVITY
+            * np.square(1.0 + frames_s - np.asarray(release_s)[..., None])[..., None]
+        )
 
     trials = fall(late_s)
     band = replace(
@@ -378,20 +522,29 @@ def test_an_exact_simulation_is_as_far_from_trials_as_their_releases_smear_them(
     deviation = fall(np.array(0.1)) - band.mean
     # Along the velocity is a shift; the rest is an offset that no shift takes away.
     flat = own.flat(velocity) / np.linalg.norm(own.flat(velocity))
-    offset = 500.0 * GRAVITY * releases_s.var() * np.sqrt(1.0 - flat.sum() ** 2 / len(flat))
+    offset = (
+        500.0 * GRAVITY * releases_s.var() * np.sqrt(1.0 - flat.sum() ** 2 / len(flat))
+    )
     vector = own.flat(deviation)
-    assert np.linalg.norm(vector - (vector @ flat) * flat) == pytest.approx(offset, rel=1e-6)
+    assert np.linalg.norm(vector - (vector @ flat) * flat) == pytest.approx(
+        offset, rel=1e-6
+    )
     smear = own.sources[-1]
     assert smear.kind == "smear"
     # Drawn smears, less the observed one, have the law of the variance of five normal numbers.
     squares = np.square(releases_s - releases_s.mean())
     degrees = 4.0 / widening(squares) ** 2
     drawn = own.factors[:, smear.columns] @ own.shapes[smear.columns]
-    sizes = np.sort(np.sign(drawn @ (np.ones(12) - flat.sum() * flat)) * np.linalg.norm(drawn, axis=1))
+    sizes = np.sort(
+        np.sign(drawn @ (np.ones(12) - flat.sum() * flat))
+        * np.linalg.norm(drawn, axis=1)
+    )
     for share in (0.1, 0.5, 0.9):
         ratio = 1.25 * degrees / chi2.ppf(1.0 - share, degrees)
         expected = offset * (ratio - 1.0)
-        assert sizes[int(share * 4000)] == pytest.approx(expected, abs=0.12 * offset * ratio)
+        assert sizes[int(share * 4000)] == pytest.approx(
+            expected, abs=0.12 * offset * ratio
+        )
 
 
 def test_a_widening_is_that_of_its_definition():
@@ -412,9 +565,14 @@ def test_two_trials_have_a_score_without_an_interval_and_say_why():
     score = run_episode(RunRequest("SlopeSlider-2-wood")).score
     assert score.refused == () and score.rmse_95 is not None
     band = bundled_band(SLIDES[0])
-    errors = band_errors(replace(band, trials=band.trials[:2], mean=band.trials[:2].mean(axis=0)), None)
+    errors = band_errors(
+        replace(band, trials=band.trials[:2], mean=band.trials[:2].mean(axis=0)), None
+    )
     assert errors.interval(np.ones_like(band.mean)) is None
-    assert errors.refusal(np.ones_like(band.mean)) == "2 trials: an interval needs at least 3"
+    assert (
+        errors.refusal(np.ones_like(band.mean))
+        == "2 trials: an interval needs at least 3"
+    )
 
 
 def test_the_interval_of_a_percentile_of_independent_trials_is_wider_than_that_of_clopper_and_pearson():
@@ -447,19 +605,30 @@ def run_to_end(env):
 
 
 def test_an_episode_runs_on_after_its_last_frame_for_the_alignment_alone():
-    env = gymnasium.make(f"GAUGE/{SLIDES[1]}", render_mode="rgb_array", width=64, height=48)
+    env = gymnasium.make(
+        f"GAUGE/{SLIDES[1]}", render_mode="rgb_array", width=64, height=48
+    )
     info = run_to_end(env)
     inner = env.unwrapped
     trajectory = inner.trajectory()
     assert info["frame"] == 16 == len(trajectory.frames) - 1
-    assert len(trajectory.later_times_s) == 60 and np.isfinite(trajectory.later_samples).all()
+    assert (
+        len(trajectory.later_times_s) == 60
+        and np.isfinite(trajectory.later_samples).all()
+    )
     # The engine alone, without an environment, gives the same motion.
     simulation = backend_for("mujoco", None).build(inner.experiment.scene)
     simulation.reset(0)
-    alone = 1e3 * simulation.sample_positions(("cube",), 156, SAMPLE_INTERVAL_S).reshape(156, 3)
-    np.testing.assert_array_equal(alone, np.concatenate([trajectory.samples, trajectory.later_samples])[1:])
+    alone = 1e3 * simulation.sample_positions(
+        ("cube",), 156, SAMPLE_INTERVAL_S
+    ).reshape(156, 3)
+    np.testing.assert_array_equal(
+        alone, np.concatenate([trajectory.samples, trajectory.later_samples])[1:]
+    )
     # Poses stay those of the last frame, so the picture is that of the observation.
-    np.testing.assert_allclose(1e3 * inner.episode.poses()["cube"][:3], trajectory.samples[-1], atol=1e-9)
+    np.testing.assert_allclose(
+        1e3 * inner.episode.poses()["cube"][:3], trajectory.samples[-1], atol=1e-9
+    )
     assert env.render().shape == (48, 64, 3)
     assert info["score"] == inner.score()
 
@@ -495,6 +664,12 @@ def test_an_experiment_of_a_law_does_not_run_on():
 
 def test_a_plot_of_a_law_has_its_interval(tmp_path):
     """The lower end is the score itself, but for the last digit."""
-    results = [run_episode(RunRequest(f"SlopeSlider-1-{material}")) for material in ("wood", "plastic", "metal")]
-    assert all(result.score.rmse_normalized_95[0] <= result.score.rmse_normalized + 1e-12 for result in results)
+    results = [
+        run_episode(RunRequest(f"SlopeSlider-1-{material}"))
+        for material in ("wood", "plastic", "metal")
+    ]
+    assert all(
+        result.score.rmse_normalized_95[0] <= result.score.rmse_normalized + 1e-12
+        for result in results
+    )
     assert len(list(save_figures(results[:1], tmp_path))) == 1

@@ -87,28 +87,46 @@ frames = "nominal: a test"
 SERVO_COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 
 
-def built(folder: Path, old: str = "", new: str = "", material: str = "brass", **overrides: float) -> Scene:
+def built(
+    folder: Path,
+    old: str = "",
+    new: str = "",
+    material: str = "brass",
+    **overrides: float,
+) -> Scene:
     """Return the scene of the arm's task file with one passage changed; `upper__mass_kg` overrides a constant."""
     assert old in ARM
     path = folder / "arm.toml"
     path.write_text(ARM.replace(old, new, 1) if old else ARM, encoding="utf-8")
     stated = {key.replace("__", "."): value for key, value in overrides.items()}
-    return SceneBuilder(path, load_task(path), Variant("Arm", None, material), stated).build()
+    return SceneBuilder(
+        path, load_task(path), Variant("Arm", None, material), stated
+    ).build()
 
 
 def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path: Path) -> None:
-    brass, steel = (built(tmp_path, material=material).hinges for material in ("brass", "steel"))
+    brass, steel = (
+        built(tmp_path, material=material).hinges for material in ("brass", "steel")
+    )
     assert brass[0].anchor_m == (0.0, 0.0, 1.0)
-    assert brass[0].dynamics == JointDynamics(dry_friction_n_m=0.01, armature_kg_m2=0.002, backlash_rad=0.02)
+    assert brass[0].dynamics == JointDynamics(
+        dry_friction_n_m=0.01, armature_kg_m2=0.002, backlash_rad=0.02
+    )
     assert steel[0].dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.03)
     assert brass[0].motor is None
     assert brass[1].motor == Servo(
-        command=SERVO_COMMAND, kp_n_m_per_rad=8.0, kv_n_m_s_per_rad=0.1, torque_limit_n_m=1.5, delay_s=0.02
+        command=SERVO_COMMAND,
+        kp_n_m_per_rad=8.0,
+        kv_n_m_s_per_rad=0.1,
+        torque_limit_n_m=1.5,
+        delay_s=0.02,
     )
     assert steel[1].motor == Servo(command=SERVO_COMMAND, kp_n_m_per_rad=9.0)
 
 
-COMMAND = ', command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 }'
+COMMAND = (
+    ', command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 }'
+)
 GAINS = "kp_n_m_per_rad = 8.0, kv_n_m_s_per_rad = 0.1, torque_limit_n_m = 1.5, "
 
 
@@ -119,64 +137,127 @@ def test_a_motor_without_a_command_rests(tmp_path: Path) -> None:
 
 
 def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
-    command = ', command = { kind = "sampled", times_s = [0.0, 0.1], values = [0.0, 0.3] }'
-    text = ARM.replace(GAINS, "").replace(", kp_n_m_per_rad = 9.0", "").replace(COMMAND, command)
+    command = (
+        ', command = { kind = "sampled", times_s = [0.0, 0.1], values = [0.0, 0.3] }'
+    )
+    text = (
+        ARM.replace(GAINS, "")
+        .replace(", kp_n_m_per_rad = 9.0", "")
+        .replace(COMMAND, command)
+    )
     path = tmp_path / "arm.toml"
     path.write_text(text.replace('"servo"', '"torque"'), encoding="utf-8")
-    scene = SceneBuilder(path, load_task(path), Variant("Arm", None, "brass"), {}).build()
-    expected = TorqueMotor(command=SampledProfile(times_s=(0.0, 0.1), values=(0.0, 0.3)), delay_s=0.02)
+    scene = SceneBuilder(
+        path, load_task(path), Variant("Arm", None, "brass"), {}
+    ).build()
+    expected = TorqueMotor(
+        command=SampledProfile(times_s=(0.0, 0.1), values=(0.0, 0.3)), delay_s=0.02
+    )
     assert scene.hinges[1].motor == expected
 
 
 def test_overrides_state_terms(tmp_path: Path) -> None:
-    upper, lower = built(tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0).hinges
-    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.5, armature_kg_m2=0.002, backlash_rad=0.02)
+    upper, lower = built(
+        tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0
+    ).hinges
+    assert upper.dynamics == JointDynamics(
+        dry_friction_n_m=0.5, armature_kg_m2=0.002, backlash_rad=0.02
+    )
     assert lower.motor is not None
     assert lower.motor.delay_s == 0.0
     with pytest.raises(ParameterError, match=r"dry_friction_n_m'.*given: -1\.0"):
         built(tmp_path, upper__dry_friction_n_m=-1.0)
-    with pytest.raises(ParameterError, match="'upper' has no constant 'kp_n_m_per_rad'"):
+    with pytest.raises(
+        ParameterError, match="'upper' has no constant 'kp_n_m_per_rad'"
+    ):
         built(tmp_path, upper__kp_n_m_per_rad=1.0)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "key", "reason"),
     [
-        ("dry_friction_n_m = 0.01", "dry_friction_n_m = -0.01", "constants.upper.brass.dry_friction_n_m", "-0.01"),
-        ("armature_kg_m2 = 0.002, ", "", "constants.upper", "a joint with backlash_rad needs armature_kg_m2"),
-        ("kp_n_m_per_rad = 8.0, ", "", "constants.lower", "a servo needs the constant kp_n_m_per_rad"),
+        (
+            "dry_friction_n_m = 0.01",
+            "dry_friction_n_m = -0.01",
+            "constants.upper.brass.dry_friction_n_m",
+            "-0.01",
+        ),
+        (
+            "armature_kg_m2 = 0.002, ",
+            "",
+            "constants.upper",
+            "a joint with backlash_rad needs armature_kg_m2",
+        ),
+        (
+            "kp_n_m_per_rad = 8.0, ",
+            "",
+            "constants.lower",
+            "a servo needs the constant kp_n_m_per_rad",
+        ),
         ('"servo"', '"torque"', "constants.lower", "no motor with that constant"),
-        ("dry_friction_n_m = 0.01", "delay_s = 0.01", "constants.upper", "state its motor"),
+        (
+            "dry_friction_n_m = 0.01",
+            "delay_s = 0.01",
+            "constants.upper",
+            "state its motor",
+        ),
         ('"servo"', '"stepper"', "body_hinges.0.motor.kind", "'stepper'"),
         ('body = "upper"', 'body = "uper"', "joints.0.body", "uper"),
-        ('["upper", "lower"]', '["lower", "upper"]', "constants.upper", "'upper' has 2"),
-        ("anchor_m = [0.0, 0.0, 1.0]\n", "", "joints", "hangs_from_m, or its hinge an anchor_m"),
+        (
+            '["upper", "lower"]',
+            '["lower", "upper"]',
+            "constants.upper",
+            "'upper' has 2",
+        ),
+        (
+            "anchor_m = [0.0, 0.0, 1.0]\n",
+            "",
+            "joints",
+            "hangs_from_m, or its hinge an anchor_m",
+        ),
         (
             'constants = "nominal: a test"',
             '"constants.*.*.mass_kg" = "nominal: a test"',
             "dry_friction_n_m",
             "provenance",
         ),
-        ('body_hinges = "nominal: a test"', '"body_hinges.*.axis" = "nominal: a test"', "body_hinges.0", "provenance"),
+        (
+            'body_hinges = "nominal: a test"',
+            '"body_hinges.*.axis" = "nominal: a test"',
+            "body_hinges.0",
+            "provenance",
+        ),
     ],
 )
-def test_a_wrong_joint_names_key_and_reason(old: str, new: str, key: str, reason: str, tmp_path: Path) -> None:
+def test_a_wrong_joint_names_key_and_reason(
+    old: str, new: str, key: str, reason: str, tmp_path: Path
+) -> None:
     with pytest.raises(TaskFileError) as caught:
         built(tmp_path, old, new)
     assert key in caught.value.place
     assert reason in caught.value.reason
 
 
-def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(tmp_path: Path) -> None:
+def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(
+    tmp_path: Path,
+) -> None:
     spin = "upper = { position_m = [0.0, 0.0, 0.85], angular_velocity_deg_per_s = [0.0, 90.0, 0.0] }"
     alone = ARM[: ARM.index("[[body_hinges]]")] + ARM[ARM.index("[score]") :]
     path = tmp_path / "arm.toml"
     text = alone.replace("upper = { position_m = [0.0, 0.0, 0.85] }", spin)
     path.write_text(
-        text.replace(GAINS + "delay_s = 0.02", "").replace(", kp_n_m_per_rad = 9.0", "").replace("0.2,  }", "0.2 }")
+        text.replace(GAINS + "delay_s = 0.02", "")
+        .replace(", kp_n_m_per_rad = 9.0", "")
+        .replace("0.2,  }", "0.2 }")
     )
-    upper = SceneBuilder(path, load_task(path), Variant("Arm", None, "steel"), {}).build().body("upper")
-    assert upper.linear_velocity_m_per_s == pytest.approx((-0.15 * 1.5707963267948966, 0.0, 0.0))
+    upper = (
+        SceneBuilder(path, load_task(path), Variant("Arm", None, "steel"), {})
+        .build()
+        .body("upper")
+    )
+    assert upper.linear_velocity_m_per_s == pytest.approx(
+        (-0.15 * 1.5707963267948966, 0.0, 0.0)
+    )
 
 
 # --- experiment files ------------------------------------------------------------------------------------------------
@@ -217,10 +298,15 @@ def test_an_experiment_file_replaces_the_terms_of_its_layer(swing: Path) -> None
     upper, lower = load_experiment_file(swing).scene.hinges
     assert upper.dynamics == JointDynamics(dry_friction_n_m=0.02)
     assert lower.dynamics == JointDynamics()
-    assert lower.motor == Servo(command=SampledProfile(times_s=(0.0, 0.2), values=(0.0, 0.5)), kp_n_m_per_rad=5.0)
+    assert lower.motor == Servo(
+        command=SampledProfile(times_s=(0.0, 0.2), values=(0.0, 0.5)),
+        kp_n_m_per_rad=5.0,
+    )
 
 
-def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing: Path, tmp_path: Path) -> None:
+def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(
+    swing: Path, tmp_path: Path
+) -> None:
     result = run_episode(RunRequest(str(swing), backend="mujoco"))
     moved = np.ptp(np.array(result.trajectory.samples), axis=0)
     assert moved.max() > 10.0
@@ -232,10 +318,30 @@ def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing: Pa
 @pytest.mark.parametrize(
     ("old", "new", "error", "reason"),
     [
-        ("dry_friction_n_m = 0.02", "dry_friction_n_m = -0.02", TaskFileError, r"joints.0.dry_friction_n_m: .*-0.02"),
-        ('body = "upper"', 'body = "uper"', AssetError, r"joints.0.body: 'uper' is no body of arm.usda"),
-        ("kp_n_m_per_rad = 5.0\n", "", TaskFileError, "joints.1: a servo needs the constant kp_n_m_per_rad"),
-        ("dry_friction_n_m = 0.02", "delay_s = 0.02", TaskFileError, "joints.0: delay_s: the hinge has no motor"),
+        (
+            "dry_friction_n_m = 0.02",
+            "dry_friction_n_m = -0.02",
+            TaskFileError,
+            r"joints.0.dry_friction_n_m: .*-0.02",
+        ),
+        (
+            'body = "upper"',
+            'body = "uper"',
+            AssetError,
+            r"joints.0.body: 'uper' is no body of arm.usda",
+        ),
+        (
+            "kp_n_m_per_rad = 5.0\n",
+            "",
+            TaskFileError,
+            "joints.1: a servo needs the constant kp_n_m_per_rad",
+        ),
+        (
+            "dry_friction_n_m = 0.02",
+            "delay_s = 0.02",
+            TaskFileError,
+            "joints.0: delay_s: the hinge has no motor",
+        ),
         ("[0.0, 0.2]", "[0.2, 0.2]", TaskFileError, "joints.1.motor.command.*times_s"),
     ],
 )

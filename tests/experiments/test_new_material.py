@@ -14,12 +14,27 @@ from gauge_envs.experiments import task_files, variants
 from gauge_envs.files import data_folder
 
 EDITS = (
-    ('materials = ["wood", "plastic", "metal"]', 'materials = ["wood", "plastic", "metal", "glass"]'),
-    ("[constants.cube]\n", "[constants.cube]\nglass = { mass_kg = 0.31, friction = 0.20, restitution = 0.5 }\n"),
-    ("{ wood = 19, plastic = 17, metal = 19 }", "{ wood = 19, plastic = 17, metal = 19, glass = 19 }"),
-    ("{ wood = 46, plastic = 46, metal = 60 }", "{ wood = 46, plastic = 46, metal = 60, glass = 46 }"),
+    (
+        'materials = ["wood", "plastic", "metal"]',
+        'materials = ["wood", "plastic", "metal", "glass"]',
+    ),
+    (
+        "[constants.cube]\n",
+        "[constants.cube]\nglass = { mass_kg = 0.31, friction = 0.20, restitution = 0.5 }\n",
+    ),
+    (
+        "{ wood = 19, plastic = 17, metal = 19 }",
+        "{ wood = 19, plastic = 17, metal = 19, glass = 19 }",
+    ),
+    (
+        "{ wood = 46, plastic = 46, metal = 60 }",
+        "{ wood = 46, plastic = 46, metal = 60, glass = 46 }",
+    ),
     ('metal = "video" }', 'metal = "video", glass = "nominal" }'),
-    ("[provenance]\n", '[provenance]\n"constants.cube.glass" = "nominal: a guess for this example"\n'),
+    (
+        "[provenance]\n",
+        '[provenance]\n"constants.cube.glass" = "nominal: a guess for this example"\n',
+    ),
 )
 
 
@@ -37,7 +52,12 @@ def tasks_with_glass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
     text, count = re.subn(starts, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
     assert count == 3
     file.write_text(text, encoding="utf-8")
-    caches = (variants._read_files, variants.variants, task_files.task_spec, task_files.task_sha256)
+    caches = (
+        variants._read_files,
+        variants.variants,
+        task_files.task_spec,
+        task_files.task_sha256,
+    )
     monkeypatch.setattr(variants, "data_folder", lambda name: tmp_path / name)
     for cache in caches:
         cache.cache_clear()
@@ -48,7 +68,9 @@ def tasks_with_glass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 
 @pytest.mark.parametrize("subtask", ["1", "2", "3"])
-def test_a_new_material_runs_without_a_score(subtask: str, tasks_with_glass: Path) -> None:
+def test_a_new_material_runs_without_a_score(
+    subtask: str, tasks_with_glass: Path
+) -> None:
     name = f"SlopeSlider-{subtask}-glass"
     assert name in [variant.name for variant in variants.variants()]
     experiment = load_experiment(name)
@@ -60,7 +82,9 @@ def test_a_new_material_runs_without_a_score(subtask: str, tasks_with_glass: Pat
     assert info["reference"] == "none"
 
 
-def test_the_longer_key_states_where_new_numbers_are_from(tasks_with_glass: Path) -> None:
+def test_the_longer_key_states_where_new_numbers_are_from(
+    tasks_with_glass: Path,
+) -> None:
     spec = load_task(tasks_with_glass / "slope_slider.toml")
     assert spec.provenance_of("constants.cube.glass.mass_kg").startswith("nominal")
     assert spec.provenance_of("constants.cube.wood.mass_kg") == "metadata"

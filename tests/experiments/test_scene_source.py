@@ -26,7 +26,12 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.runs.result_file import (
+    load_result,
+    recorded_experiment,
+    result_file_name,
+    write_result,
+)
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
@@ -37,7 +42,13 @@ from gauge_envs.tools.compare.words import comparison_rows
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
 TILTED = "SlopeSlider-3-wood"
-QUICK = ("BouncingBall-rubber", "NonsmoothContact-2-wood", "Pendulum-metal", "Turntable-2-plastic", "StickStack-soft")
+QUICK = (
+    "BouncingBall-rubber",
+    "NonsmoothContact-2-wood",
+    "Pendulum-metal",
+    "Turntable-2-plastic",
+    "StickStack-soft",
+)
 """Of each kind one id; `test_usd.py` reads the layers of all."""
 G = 9.80665
 
@@ -70,7 +81,9 @@ def setting(**values: Any) -> Edit:
     def change(stage: Usd.Stage) -> None:
         for place, value in values.items():
             prim, _, name = place.partition("__")
-            attribute = stage.GetPrimAtPath(f"/World/{prim.replace('_at_', '/')}").GetAttribute(name.replace("__", ":"))
+            attribute = stage.GetPrimAtPath(
+                f"/World/{prim.replace('_at_', '/')}"
+            ).GetAttribute(name.replace("__", ":"))
             assert attribute, place
             attribute.Set(value)
 
@@ -80,7 +93,13 @@ def setting(**values: Any) -> Edit:
 # --- the shipped layers ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ALL])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in ALL
+    ],
+)
 def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
     found = load_experiment_from_asset(name, shipped(name))
     assert found.scene == load_experiment(name).scene
@@ -90,9 +109,15 @@ def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK[:4] else pytest.mark.slow) for name in QUICK]
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK[:4] else pytest.mark.slow)
+        for name in QUICK
+    ],
 )
-def test_the_shipped_layer_gives_the_same_trajectory_bit_for_bit(name: str, rollout: Rollout) -> None:
+def test_the_shipped_layer_gives_the_same_trajectory_bit_for_bit(
+    name: str, rollout: Rollout
+) -> None:
     """One id of each kind: the scenes of all layers equal those of the task files."""
     _, task, _ = rollout(name, frames=60)
     env, usd, info = rollout(name, asset=shipped(name), frames=60)
@@ -127,18 +152,25 @@ def test_half_the_friction_changes_the_slide_as_the_law_says(
     attributes: dict[str, float], edited: Callable[[str, Edit], Path], rollout: Rollout
 ) -> None:
     friction = load_experiment(SLIDE).scene.contacts[0].friction
-    path = edited(SLIDE, setting(**{place: share * friction for place, share in attributes.items()}))
+    path = edited(
+        SLIDE,
+        setting(**{place: share * friction for place, share in attributes.items()}),
+    )
     _, before, _ = rollout(SLIDE)
     env, after, info = rollout(SLIDE, asset=path)
     law = G * np.sqrt(0.75) * 0.5 * friction
-    assert downhill_acceleration(after) - downhill_acceleration(before) == pytest.approx(law, rel=5e-3)
+    assert downhill_acceleration(after) - downhill_acceleration(
+        before
+    ) == pytest.approx(law, rel=5e-3)
     assert info["score"].edited
     assert info["edited"]
     (change,) = env.experiment.asset.changes
     assert change.startswith("contact cube/board: friction 0.273673 -> 0.1368")
 
 
-def test_an_edited_mass_reaches_the_simulation(edited: Callable[[str, Edit], Path]) -> None:
+def test_an_edited_mass_reaches_the_simulation(
+    edited: Callable[[str, Edit], Path],
+) -> None:
     path = edited("Pendulum-metal", setting(ball__gauge__mass_kg=0.5))
     env = gymnasium.make("GAUGE/Pendulum-metal", asset=path)
     assert env.unwrapped.simulation.model.body("ball").mass[0] == 0.5
@@ -147,10 +179,14 @@ def test_an_edited_mass_reaches_the_simulation(edited: Callable[[str, Edit], Pat
     assert env.unwrapped.experiment.asset.changes[0].endswith(" -> 0.5")
 
 
-def test_an_edited_pose_moves_the_start(edited: Callable[[str, Edit], Path], rollout: Rollout) -> None:
+def test_an_edited_pose_moves_the_start(
+    edited: Callable[[str, Edit], Path], rollout: Rollout
+) -> None:
     start = load_experiment("BouncingBall-rubber").scene.body("ball").pose.position_m
     higher = (start[0], start[1], start[2] + 0.1)
-    path = edited("BouncingBall-rubber", setting(ball__xformOp__translate=Gf.Vec3d(*higher)))
+    path = edited(
+        "BouncingBall-rubber", setting(ball__xformOp__translate=Gf.Vec3d(*higher))
+    )
     _, trajectory, _ = rollout("BouncingBall-rubber", asset=path)
     np.testing.assert_allclose(trajectory.samples[0], 1e3 * np.array(higher), atol=1e-9)
 
@@ -159,8 +195,12 @@ def test_an_edited_mesh_changes_the_shape(edited: Callable[[str, Edit], Path]) -
     name = "NonsmoothContact-1-wood"
 
     def taller(stage: Usd.Stage) -> None:
-        points = stage.GetPrimAtPath("/World/pyramid/collision_0").GetAttribute("points")
-        points.Set(Vt.Vec3fArray([Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()]))
+        points = stage.GetPrimAtPath("/World/pyramid/collision_0").GetAttribute(
+            "points"
+        )
+        points.Set(
+            Vt.Vec3fArray([Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()])
+        )
 
     before = load_experiment(name).scene.body("pyramid").shape
     found = load_experiment_from_asset(name, edited(name, taller))
@@ -170,11 +210,17 @@ def test_an_edited_mesh_changes_the_shape(edited: Callable[[str, Edit], Path]) -
     assert "numbers differ, by up to" in found.asset.changes[0]
 
 
-def test_edited_samples_drive_the_body(edited: Callable[[str, Edit], Path], rollout: Rollout) -> None:
+def test_edited_samples_drive_the_body(
+    edited: Callable[[str, Edit], Path], rollout: Rollout
+) -> None:
     def higher(stage: Usd.Stage) -> None:
-        translate = stage.GetPrimAtPath("/World/board").GetAttribute("xformOp:translate")
+        translate = stage.GetPrimAtPath("/World/board").GetAttribute(
+            "xformOp:translate"
+        )
         for frame in translate.GetTimeSamples()[1:]:
-            translate.Set(translate.Get(frame) + Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20)), frame)
+            translate.Set(
+                translate.Get(frame) + Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20)), frame
+            )
 
     path = edited(TILTED, higher)
     before, _, _ = rollout(TILTED)
@@ -194,33 +240,49 @@ def test_actions_still_add_to_the_motion_of_a_layer(rollout: Rollout) -> None:
     env.reset(seed=0)
     for _ in range(5):
         env.step(np.zeros(1))
-    assert np.abs(turned - env.unwrapped.simulation.body_states(["board"])[0, 3:7]).max() > 1e-3
+    assert (
+        np.abs(turned - env.unwrapped.simulation.body_states(["board"])[0, 3:7]).max()
+        > 1e-3
+    )
 
 
 @pytest.mark.slow
 def test_newton_takes_an_edited_layer(edited: Callable[[str, Edit], Path]) -> None:
     pytest.importorskip("newton")
     path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
-    plain, changed = (run_episode(RunRequest(SLIDE, backend="newton", asset=asset)) for asset in (None, path))
+    plain, changed = (
+        run_episode(RunRequest(SLIDE, backend="newton", asset=asset))
+        for asset in (None, path)
+    )
     assert changed.score.edited
     assert changed.trajectory is not None
     assert plain.trajectory is not None
     assert changed.trajectory.samples[-1][0] > plain.trajectory.samples[-1][0] + 50.0
 
 
-def test_jitter_and_repeats_start_from_the_layer(edited: Callable[[str, Edit], Path]) -> None:
+def test_jitter_and_repeats_start_from_the_layer(
+    edited: Callable[[str, Edit], Path],
+) -> None:
     path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
     results = run_episodes(RunRequest(SLIDE, repeats=2, asset=path))
     assert all(result.is_edited for result in results)
-    starts = [result.trajectory.samples[0] for result in results if result.trajectory is not None]
+    starts = [
+        result.trajectory.samples[0]
+        for result in results
+        if result.trajectory is not None
+    ]
     assert 0.0 < np.abs(np.subtract(*starts)).max() < 10.0
 
 
-def test_the_reference_stays_that_of_the_calibrated_scene(edited: Callable[[str, Edit], Path]) -> None:
+def test_the_reference_stays_that_of_the_calibrated_scene(
+    edited: Callable[[str, Edit], Path],
+) -> None:
     name = "SlopeSlider-1-wood"
     start = load_experiment(name).scene.body("cube").pose.position_m
     moved = Gf.Vec3d(start[0] + 0.01, start[1], start[2])
-    found = load_experiment_from_asset(name, edited(name, setting(cube__xformOp__translate=moved)))
+    found = load_experiment_from_asset(
+        name, edited(name, setting(cube__xformOp__translate=moved))
+    )
     bands = [reference_band(one) for one in (found, load_experiment(name))]
     assert bands[0] is not None
     assert bands[1] is not None
@@ -248,7 +310,9 @@ def test_changes_name_what_was_changed() -> None:
         "scene: gravity_m_per_s2 9.80665 -> 1.62",
     ]
     assert list(scene_changes(scene, scene)) == []
-    assert list(scene_changes(scene, replace(scene, bodies=scene.bodies[::-1]))) == ["bodies: in another order"]
+    assert list(scene_changes(scene, replace(scene, bodies=scene.bodies[::-1]))) == [
+        "bodies: in another order"
+    ]
 
 
 @pytest.mark.parametrize("name", ALL[::7])
@@ -266,7 +330,9 @@ def slippery(edited: Callable[[str, Edit], Path]) -> Path:
     return edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
 
 
-def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path) -> None:
+def test_a_result_says_what_it_ran_and_reads_back(
+    slippery: Path, tmp_path: Path
+) -> None:
     result = run_episode(RunRequest(SLIDE, asset=slippery))
     file = tmp_path / result_file_name(result)
     assert f".asset-{result.asset['sha256'][:8]}." in file.name
@@ -282,12 +348,16 @@ def test_a_result_says_what_it_ran_and_reads_back(slippery: Path, tmp_path: Path
     assert "scene" not in result.to_dict(trajectory=False)["asset"]
 
 
-def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path) -> None:
+def test_the_hash_covers_every_file_that_the_stage_is_composed_of(
+    tmp_path: Path,
+) -> None:
     """A layer over two others of which one refers to a third: an edit of any is another asset; a move of all is not."""
     folder = tmp_path / "here"
     (folder / "parts").mkdir(parents=True)
     (folder / "base.usda").write_bytes(shipped(SLIDE).read_bytes())
-    (folder / "parts" / "looks.usda").write_text('#usda 1.0\n(defaultPrim = "Looks")\ndef Scope "Looks" {}\n')
+    (folder / "parts" / "looks.usda").write_text(
+        '#usda 1.0\n(defaultPrim = "Looks")\ndef Scope "Looks" {}\n'
+    )
     (folder / "parts" / "note.usda").write_text(
         '#usda 1.0\n(metersPerUnit = 1\nupAxis = "Z")\nover "World"\n{\n def "Looks" (payload = @./looks.usda@) {}\n}\n'
     )
@@ -303,7 +373,13 @@ def test_the_hash_covers_every_file_that_the_stage_is_composed_of(tmp_path: Path
         assert not asset.changes
         return asset.sha256
 
-    files = [root, *(folder / name for name in ("base.usda", "parts/looks.usda", "parts/note.usda"))]
+    files = [
+        root,
+        *(
+            folder / name
+            for name in ("base.usda", "parts/looks.usda", "parts/note.usda")
+        ),
+    ]
     parts = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
     first = digest(root)
     assert first == hashlib.sha256(parts).hexdigest()
@@ -328,7 +404,9 @@ def test_the_hash_of_a_package_is_that_of_its_bytes(tmp_path: Path) -> None:
 
 
 def test_a_layer_without_changes_is_filed_as_the_task_files(tmp_path: Path) -> None:
-    results = [run_episode(RunRequest(SLIDE, asset=asset)) for asset in (None, shipped(SLIDE))]
+    results = [
+        run_episode(RunRequest(SLIDE, asset=asset)) for asset in (None, shipped(SLIDE))
+    ]
     assert len({result_file_name(result) for result in results}) == 1
     assert len(compare(results).configurations) == 1
 
@@ -343,15 +421,26 @@ def test_results_of_before_have_no_asset(tmp_path: Path) -> None:
 
 
 def test_compare_keeps_edited_scenes_apart(slippery: Path) -> None:
-    comparison = compare([run_episode(RunRequest(SLIDE)), run_episode(RunRequest(SLIDE, asset=slippery))])
+    comparison = compare(
+        [run_episode(RunRequest(SLIDE)), run_episode(RunRequest(SLIDE, asset=slippery))]
+    )
     assert [bool(one.asset) for one in comparison.configurations] == [False, True]
     message = json.dumps(comparison_rows(comparison, ("rmse",)))
     assert f"edited scene {slippery.name}" in message
 
 
-def test_resume_takes_only_a_result_of_the_same_file(slippery: Path, tmp_path: Path) -> None:
+def test_resume_takes_only_a_result_of_the_same_file(
+    slippery: Path, tmp_path: Path
+) -> None:
     def run(asset: Path, notes: list[str]) -> Result:
-        return next(run_many([RunRequest(SLIDE, asset=asset)], out=tmp_path / "out", resume=True, notify=notes.append))
+        return next(
+            run_many(
+                [RunRequest(SLIDE, asset=asset)],
+                out=tmp_path / "out",
+                resume=True,
+                notify=notes.append,
+            )
+        )
 
     first, notes = run(slippery, []), []
     assert run(slippery, notes).created == first.created
@@ -380,9 +469,9 @@ def unnamed(name: str) -> Edit:
     def change(stage: Usd.Stage) -> None:
         layer = stage.GetRootLayer()
         data = dict(layer.customLayerData)
-        data["gauge"] = {key: value for key, value in data["gauge"].items() if key != "variant"} | (
-            {"variant": name} if name else {}
-        )
+        data["gauge"] = {
+            key: value for key, value in data["gauge"].items() if key != "variant"
+        } | ({"variant": name} if name else {})
         layer.customLayerData = data
 
     return change
@@ -395,13 +484,18 @@ def longer(stage: Usd.Stage) -> None:
 
 def fixed(stage: Usd.Stage) -> None:
     stage.GetPrimAtPath("/World/cube").GetAttribute("gauge:motion").Set("kinematic")
-    stage.GetPrimAtPath("/World/cube").GetAttribute("physics:kinematicEnabled").Set(True)
+    stage.GetPrimAtPath("/World/cube").GetAttribute("physics:kinematicEnabled").Set(
+        True
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (without("/World/cube"), "cube: no body of that name, which SlopeSlider-2-wood records; it has: board, ground"),
+        (
+            without("/World/cube"),
+            "cube: no body of that name, which SlopeSlider-2-wood records; it has: board, ground",
+        ),
         (
             unnamed("SlopeSlider-2-metal"),
             "it is the scene of SlopeSlider-2-metal, not of SlopeSlider-2-wood",
@@ -411,27 +505,37 @@ def fixed(stage: Usd.Stage) -> None:
     ],
     ids=["recorded body missing", "another variant", "longer", "does not move"],
 )
-def test_what_does_not_fit_the_id_is_reported(change: Edit, message: str, edited: Callable[[str, Edit], Path]) -> None:
+def test_what_does_not_fit_the_id_is_reported(
+    change: Edit, message: str, edited: Callable[[str, Edit], Path]
+) -> None:
     with pytest.raises(AssetError) as caught:
         load_experiment_from_asset(SLIDE, edited(SLIDE, change))
     assert message in str(caught.value)
     assert f"{SLIDE}.usda" in str(caught.value)
 
 
-def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited: Callable[[str, Edit], Path]) -> None:
+def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(
+    edited: Callable[[str, Edit], Path],
+) -> None:
     path = edited("SlopeSlider-2-plastic", unnamed(""))
     # Metal has as many frames as wood, plastic two fewer: a layer also says how long it lasts.
     with pytest.raises(AssetError, match="it lasts"):
         load_experiment_from_asset(SLIDE, path)
-    found = load_experiment_from_asset(SLIDE, edited("SlopeSlider-2-metal", unnamed("")))
+    found = load_experiment_from_asset(
+        SLIDE, edited("SlopeSlider-2-metal", unnamed(""))
+    )
     assert found.asset is not None
     assert "cube: mass_kg 0.0903 -> 0.3397" in found.asset.changes
 
 
 def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) -> None:
     name = "TextileStretching-rayon"
-    with pytest.raises(AssetError, match="no markers, which TextileStretching-rayon records"):
-        load_experiment_from_asset(name, edited(name, lambda stage: stage.RemovePrim("/World/Markers")))
+    with pytest.raises(
+        AssetError, match="no markers, which TextileStretching-rayon records"
+    ):
+        load_experiment_from_asset(
+            name, edited(name, lambda stage: stage.RemovePrim("/World/Markers"))
+        )
 
 
 @pytest.mark.parametrize(
@@ -441,16 +545,32 @@ def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) ->
         (b"", "empty.usda", "empty.usda"),
         (b"PXR-USDC and then nothing", "damaged.usdc", "damaged.usdc"),
         (b"solid", "cube.stl", "suffix '.stl' is neither that of a scene file"),
-        (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef Xform "World" {\n', "cut.usda", "cut.usda"),
-        (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef PhysicsScene "P" {}\n', "nounits.usda", "metersPerUnit"),
-        (b'#usda 1.0\n(\n metersPerUnit = 1\n)\ndef PhysicsScene "P" {}\n', "noup.usda", "upAxis"),
+        (
+            b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef Xform "World" {\n',
+            "cut.usda",
+            "cut.usda",
+        ),
+        (
+            b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef PhysicsScene "P" {}\n',
+            "nounits.usda",
+            "metersPerUnit",
+        ),
+        (
+            b'#usda 1.0\n(\n metersPerUnit = 1\n)\ndef PhysicsScene "P" {}\n',
+            "noup.usda",
+            "upAxis",
+        ),
     ],
 )
-def test_a_bad_file_is_an_error_of_one_line(content: bytes | None, name: str, message: str, tmp_path: Path) -> None:
+def test_a_bad_file_is_an_error_of_one_line(
+    content: bytes | None, name: str, message: str, tmp_path: Path
+) -> None:
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    result = CliRunner().invoke(app, ["run", SLIDE, "--asset", str(path), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(
+        app, ["run", SLIDE, "--asset", str(path), "--out", str(tmp_path / "out")]
+    )
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"error: {path}: ")
@@ -468,7 +588,9 @@ def test_a_body_without_mass_is_an_error(edited: Callable[[str, Edit], Path]) ->
         load_experiment_from_asset(SLIDE, edited(SLIDE, massless))
 
 
-def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit], Path]) -> None:
+def test_a_joint_that_scenes_do_not_have_is_an_error(
+    edited: Callable[[str, Edit], Path],
+) -> None:
     def slider(stage: Usd.Stage) -> None:
         joint = stage.DefinePrim("/World/slider", "PhysicsPrismaticJoint")
         joint.CreateRelationship("physics:body1").SetTargets([Sdf.Path("/World/cube")])
@@ -477,11 +599,18 @@ def test_a_joint_that_scenes_do_not_have_is_an_error(edited: Callable[[str, Edit
         load_experiment_from_asset(SLIDE, edited(SLIDE, slider))
 
 
-@pytest.mark.parametrize("options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}])
+@pytest.mark.parametrize(
+    "options", [{"parameters": {"cube.friction": 0.1}}, {"drivers": "imported"}]
+)
 def test_what_the_file_states_cannot_be_given_too(options: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
-    assert resolve_experiment(SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)).asset is not None
+    assert (
+        resolve_experiment(
+            SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)
+        ).asset
+        is not None
+    )
 
 
 def test_an_asset_alone_is_no_experiment() -> None:
@@ -492,15 +621,21 @@ def test_an_asset_alone_is_no_experiment() -> None:
 def test_a_model_file_is_for_its_engine_alone() -> None:
     pytest.importorskip("newton")
     path = assets_folder() / "mjcf" / f"{SLIDE}.xml"
-    with pytest.raises(UnsupportedSceneError, match=r"model of another engine.*backend='mujoco' can"):
+    with pytest.raises(
+        UnsupportedSceneError, match=r"model of another engine.*backend='mujoco' can"
+    ):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=path, backend="newton")
 
 
 def test_commands_show_and_mark_an_edited_scene(slippery: Path, tmp_path: Path) -> None:
     shown = CliRunner().invoke(app, ["show", SLIDE, "--asset", str(slippery), "--json"])
-    assert json.loads(shown.stdout)["asset"]["changes"] == ["contact cube/board: friction 0.273673 -> 0.1"]
+    assert json.loads(shown.stdout)["asset"]["changes"] == [
+        "contact cube/board: friction 0.273673 -> 0.1"
+    ]
     wide = CliRunner(env={"COLUMNS": "140"})
-    run = wide.invoke(app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")])
+    run = wide.invoke(
+        app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")]
+    )
     assert run.exit_code == 0
     assert "calibrated, edited scene" in run.stdout
     assert "friction 0.273673 -> 0.1" in run.stdout

@@ -28,8 +28,21 @@ ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
 TILTED = "SlopeSlider-3-wood"
 QUICK = (
-    *(SLIDE, TILTED, "NonsmoothContact-1-wood", "Turntable-1-wood", "BouncingBall-rubber", "NewtonsCradle-metal"),
-    *("WallBreaking-wood", "Pendulum-metal", "RopeWinding-rubber", "TextileStretching-rayon", "StickStack-soft"),
+    *(
+        SLIDE,
+        TILTED,
+        "NonsmoothContact-1-wood",
+        "Turntable-1-wood",
+        "BouncingBall-rubber",
+        "NewtonsCradle-metal",
+    ),
+    *(
+        "WallBreaking-wood",
+        "Pendulum-metal",
+        "RopeWinding-rubber",
+        "TextileStretching-rayon",
+        "StickStack-soft",
+    ),
 )
 """Of each kind of body, joint and driver one id; `build_assets.py --check` compares the files of all."""
 
@@ -59,7 +72,13 @@ def edited(tmp_path: Path) -> Callable[..., Path]:
 # --- the shipped files -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ALL])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in ALL
+    ],
+)
 def test_the_shipped_file_is_the_scenes(name: str) -> None:
     found = load_experiment_from_asset(name, shipped(name))
     assert found.asset is not None
@@ -69,10 +88,20 @@ def test_the_shipped_file_is_the_scenes(name: str) -> None:
 
 def test_the_shipped_file_states_the_settings_in_force() -> None:
     for name in ("Pendulum-metal", "TextileStretching-rayon"):
-        file = gymnasium.make(f"GAUGE/{name}", asset=shipped(name)).unwrapped.simulation.settings
+        file = gymnasium.make(
+            f"GAUGE/{name}", asset=shipped(name)
+        ).unwrapped.simulation.settings
         task = gymnasium.make(f"GAUGE/{name}").unwrapped.simulation.settings
         shared = set(file) & set(task)
-        assert {"timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance"} <= shared
+        assert {
+            "timestep_s",
+            "integrator",
+            "cone",
+            "solver",
+            "impratio",
+            "iterations",
+            "tolerance",
+        } <= shared
         assert {key: file[key] for key in shared} == {key: task[key] for key in shared}
         assert file["model_file"] == f"{name}.xml"
 
@@ -81,12 +110,17 @@ def test_the_shipped_file_states_the_settings_in_force() -> None:
     "name",
     [
         pytest.param(
-            name, marks=() if name in (TILTED, "NonsmoothContact-1-wood", "BouncingBall-rubber") else pytest.mark.slow
+            name,
+            marks=()
+            if name in (TILTED, "NonsmoothContact-1-wood", "BouncingBall-rubber")
+            else pytest.mark.slow,
         )
         for name in ALL
     ],
 )
-def test_a_file_gives_the_same_trajectory_bit_for_bit(name: str, tmp_path: Path, rollout: Rollout) -> None:
+def test_a_file_gives_the_same_trajectory_bit_for_bit(
+    name: str, tmp_path: Path, rollout: Rollout
+) -> None:
     """It is written here: the last digits of tables of stiffness, which a file holds, depend on the processor."""
     write_mjcf(load_experiment(name), tmp_path / f"{name}.xml")
     _, task, _ = rollout(name, frames=10)
@@ -96,7 +130,12 @@ def test_a_file_gives_the_same_trajectory_bit_for_bit(name: str, tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    "name", ["TextileStretching-rayon", "StickStack-soft", pytest.param("FoamShearing-soft", marks=pytest.mark.slow)]
+    "name",
+    [
+        "TextileStretching-rayon",
+        "StickStack-soft",
+        pytest.param("FoamShearing-soft", marks=pytest.mark.slow),
+    ],
 )
 def test_deformable_bodies_are_read_from_a_file(name: str) -> None:
     runs = []
@@ -125,10 +164,15 @@ def test_actions_add_to_the_motion_of_a_file() -> None:
 # --- edits -----------------------------------------------------------------------------------------------------------
 
 
-def test_half_the_friction_changes_the_slide_as_the_law_says(edited: Callable[..., Path], rollout: Rollout) -> None:
+def test_half_the_friction_changes_the_slide_as_the_law_says(
+    edited: Callable[..., Path], rollout: Rollout
+) -> None:
     path = edited(
         SLIDE,
-        ('friction="0.273673 0.273673 0 0 0" solref="0.002"', 'friction="0.1368365 0.1368365 0 0 0" solref="0.002"'),
+        (
+            'friction="0.273673 0.273673 0 0 0" solref="0.002"',
+            'friction="0.1368365 0.1368365 0 0 0" solref="0.002"',
+        ),
     )
     accelerations = []
     for asset in (None, path):
@@ -137,15 +181,23 @@ def test_half_the_friction_changes_the_slide_as_the_law_says(edited: Callable[..
         way = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
         course = 0.5 * trajectory.times_s[on_board] ** 2
         accelerations.append(course @ (way - way[0]) / (course @ course))
-    assert np.diff(accelerations)[0] == pytest.approx(9.80665 * np.sqrt(0.75) * 0.1368365, rel=5e-3)
+    assert np.diff(accelerations)[0] == pytest.approx(
+        9.80665 * np.sqrt(0.75) * 0.1368365, rel=5e-3
+    )
     assert info["score"].edited
     assert env.experiment.asset.changes == (
         "contact cube/board: pair_friction 0.273673 0.273673 0 0 0 -> 0.1368365 0.1368365 0 0 0",
     )
 
 
-def test_an_edited_mass_and_pose_reach_scene_and_model(edited: Callable[..., Path]) -> None:
-    path = edited(SLIDE, ('mass="0.0903"', 'mass="0.2"'), ('name="cube" pos="0.097247', 'name="cube" pos="0.098247'))
+def test_an_edited_mass_and_pose_reach_scene_and_model(
+    edited: Callable[..., Path],
+) -> None:
+    path = edited(
+        SLIDE,
+        ('mass="0.0903"', 'mass="0.2"'),
+        ('name="cube" pos="0.097247', 'name="cube" pos="0.098247'),
+    )
     env = gymnasium.make(f"GAUGE/{SLIDE}", asset=path)
     cube = env.unwrapped.experiment.scene.body("cube")
     assert (cube.mass_kg, cube.pose.position_m[0]) == (0.2, 0.098247)
@@ -159,16 +211,22 @@ def test_an_edited_mass_and_pose_reach_scene_and_model(edited: Callable[..., Pat
 
 
 def test_a_longer_step_is_the_files(edited: Callable[..., Path]) -> None:
-    path = edited(SLIDE, ('timestep="0.00011111111111111112"', f'timestep="{1 / 1800!r}"'))
+    path = edited(
+        SLIDE, ('timestep="0.00011111111111111112"', f'timestep="{1 / 1800!r}"')
+    )
     result = run_episode(RunRequest(SLIDE, asset=path))
     assert result.settings["timestep_s"] == 1 / 1800
-    assert result.asset["changes"] == ["option: timestep 0.0001111111111 -> 0.0005555555556"]
+    assert result.asset["changes"] == [
+        "option: timestep 0.0001111111111 -> 0.0005555555556"
+    ]
     assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
 
 
 def test_an_edited_table_is_a_change(edited: Callable[..., Path]) -> None:
     text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
-    numbers = re.search(r'name="flex_bending/textile/weight" size="\d+" data="([^ ]*)', text)
+    numbers = re.search(
+        r'name="flex_bending/textile/weight" size="\d+" data="([^ ]*)', text
+    )
     assert numbers is not None
     old = numbers.group(0)
     path = edited("TextileStretching-rayon", (old, f"{old[: -len(numbers.group(1))]}7"))
@@ -187,7 +245,9 @@ def rows_text(change: Callable[[np.ndarray], None]) -> tuple[str, str]:
     return match.group(1), " ".join(map(repr, rows.ravel().tolist()))
 
 
-def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout: Rollout) -> None:
+def test_other_rows_become_a_sampled_driver(
+    edited: Callable[..., Path], rollout: Rollout
+) -> None:
     def lift(rows: np.ndarray) -> None:
         rows[:, 2] += 1e-3 * np.minimum(np.arange(len(rows)) / 100.0, 1.0)
 
@@ -196,8 +256,14 @@ def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout
     after, _, _ = rollout(TILTED, asset=path)
     moved = [env.simulation.body_states(["board"])[0, :3] for env in (before, after)]
     np.testing.assert_allclose(moved[1] - moved[0], [0.0, 0.0, 1e-3], atol=1e-6)
-    assert "driver of board: its motion is sampled from other rows" in after.experiment.asset.changes
-    assert after.experiment.driver_provenance == f"nominal: edited in {TILTED}.xml, was nominal"
+    assert (
+        "driver of board: its motion is sampled from other rows"
+        in after.experiment.asset.changes
+    )
+    assert (
+        after.experiment.driver_provenance
+        == f"nominal: edited in {TILTED}.xml, was nominal"
+    )
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
@@ -218,14 +284,26 @@ def test_other_rows_become_a_sampled_driver(edited: Callable[..., Path], rollout
             ('<joint name="cube" type="free" />', ""),
             "cube: it is dynamic and needs a free joint with its name",
         ),
-        (TILTED, ('<joint name="board" type="free" />', ""), "board: it is kinematic and needs a free joint"),
+        (
+            TILTED,
+            ('<joint name="board" type="free" />', ""),
+            "board: it is kinematic and needs a free joint",
+        ),
         (
             TILTED,
             ('diaginertia="1000 1000 1000"', 'diaginertia="1 1 1"'),
             "board: its mass and its moments of inertia must be the same",
         ),
-        (TILTED, ('"driver/board"', '"driver/plate"'), "driver/board: the custom numeric .* is missing"),
-        (SLIDE, ('timestep="0.00011111111111111112"', 'timestep="0.001"'), "1/180 s is 5.55556 steps of 0.001 s"),
+        (
+            TILTED,
+            ('"driver/board"', '"driver/plate"'),
+            "driver/board: the custom numeric .* is missing",
+        ),
+        (
+            SLIDE,
+            ('timestep="0.00011111111111111112"', 'timestep="0.001"'),
+            "1/180 s is 5.55556 steps of 0.001 s",
+        ),
         (
             "TextileStretching-rayon",
             ('"flex_stiffness/textile/kind"', '"kind"'),
@@ -250,7 +328,9 @@ def test_velocities_without_poses_are_refused(edited: Callable[..., Path]) -> No
     def faster(rows: np.ndarray) -> None:
         rows[:, 7:13] *= 2.0
 
-    with pytest.raises(AssetError, match="velocities or forces changed but poses did not"):
+    with pytest.raises(
+        AssetError, match="velocities or forces changed but poses did not"
+    ):
         load_experiment_from_asset(TILTED, edited(TILTED, rows_text(faster)))
 
 
@@ -266,21 +346,30 @@ def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None
     text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
     node = re.search(r'<body name="textile/\d+" pos="', text)
     assert node is not None
-    with pytest.raises(AssetError, match="nodes of a deformable body cannot be moved in MJCF"):
+    with pytest.raises(
+        AssetError, match="nodes of a deformable body cannot be moved in MJCF"
+    ):
         load_experiment_from_asset(
-            "TextileStretching-rayon", edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1"))
+            "TextileStretching-rayon",
+            edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1")),
         )
 
 
 def test_a_file_of_another_experiment_is_refused() -> None:
-    with pytest.raises(AssetError, match="cube: no body of that name: the file has ball, ground"):
+    with pytest.raises(
+        AssetError, match="cube: no body of that name: the file has ball, ground"
+    ):
         load_experiment_from_asset(SLIDE, shipped("Pendulum-metal"))
 
 
 def test_settings_and_jitter_need_a_scene() -> None:
     with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
-        gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
-    with pytest.raises(AssetError, match="use a USD layer for another start, such as a jitter"):
+        gymnasium.make(
+            f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800}
+        )
+    with pytest.raises(
+        AssetError, match="use a USD layer for another start, such as a jitter"
+    ):
         run_episodes(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
 
 
@@ -306,13 +395,35 @@ def test_changes_of_a_model_find_every_kind_of_edit() -> None:
     text = shipped(SLIDE).read_text(encoding="utf-8")
     built = mujoco.MjModel.from_xml_string(text)
     for old, new, message in (
-        ("<worldbody>", '<worldbody><geom name="wall" type="plane" size="1 1 1"/>', "wall: added"),
-        ("<worldbody>", '<option wind="1 0 0" density="1.2"/><worldbody>', "option: density 0 -> 1.2"),
-        ('<geom name="cube"', '<geom name="cube" margin="0.001"', "cube: geom_margin 0 -> 0.001"),
-        ('type="free" />', 'type="free" damping="0.1" />', "dof_damping: 6 of 6 numbers differ"),
-        ('<body name="cube"', '<body name="cube" gravcomp="1"', "cube: body_gravcomp 0 -> 1"),
+        (
+            "<worldbody>",
+            '<worldbody><geom name="wall" type="plane" size="1 1 1"/>',
+            "wall: added",
+        ),
+        (
+            "<worldbody>",
+            '<option wind="1 0 0" density="1.2"/><worldbody>',
+            "option: density 0 -> 1.2",
+        ),
+        (
+            '<geom name="cube"',
+            '<geom name="cube" margin="0.001"',
+            "cube: geom_margin 0 -> 0.001",
+        ),
+        (
+            'type="free" />',
+            'type="free" damping="0.1" />',
+            "dof_damping: 6 of 6 numbers differ",
+        ),
+        (
+            '<body name="cube"',
+            '<body name="cube" gravcomp="1"',
+            "cube: body_gravcomp 0 -> 1",
+        ),
     ):
-        lines = list(model_changes(mujoco.MjModel.from_xml_string(text.replace(old, new)), built))
+        lines = list(
+            model_changes(mujoco.MjModel.from_xml_string(text.replace(old, new)), built)
+        )
         assert any(line.startswith(message) for line in lines), (message, lines)
     assert list(model_changes(built, built)) == []
     recoloured = text.replace('<geom name="cube"', '<geom name="cube" rgba="1 0 0 1"')
@@ -321,17 +432,23 @@ def test_changes_of_a_model_find_every_kind_of_edit() -> None:
 
 # --- start velocities ------------------------------------------------------------------------------------------------
 
-THROWN = {"cube.velocity_m_per_s": (0.4, 0.1, 1 / 3), "cube.angular_velocity_deg_per_s": (90.0, 50.0, -70.0)}
+THROWN = {
+    "cube.velocity_m_per_s": (0.4, 0.1, 1 / 3),
+    "cube.angular_velocity_deg_per_s": (90.0, 50.0, -70.0),
+}
 
 
-def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path: Path, rollout: Rollout) -> None:
+def test_an_exported_start_velocity_replays_bit_for_bit(
+    tmp_path: Path, rollout: Rollout
+) -> None:
     experiment = load_experiment(SLIDE, THROWN)
     write_mjcf(experiment, tmp_path / "thrown.xml")
     text = (tmp_path / "thrown.xml").read_text(encoding="utf-8")
     assert "mj_resetDataKeyframe" in text
     assert '<key name="start"' in text
     file = backend("mujoco").build_file(
-        tmp_path / "thrown.xml", backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).scene
+        tmp_path / "thrown.xml",
+        backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).scene,
     )
     # Plain MuJoCo, as the comment of the file says.
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "thrown.xml"))
@@ -343,33 +460,52 @@ def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path: Path, rollout:
     mujoco.mj_step(model, plain, nstep=round(0.5 / model.opt.timestep))
     np.testing.assert_array_equal(file.data.qpos, task.data.qpos)
     np.testing.assert_array_equal(plain.qpos, task.data.qpos)
-    assert backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).changes == ()
+    assert (
+        backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).changes
+        == ()
+    )
 
 
 def test_a_start_velocity_of_a_file_is_the_scenes(tmp_path: Path) -> None:
     write_mjcf(load_experiment(SLIDE, THROWN), tmp_path / "thrown.xml")
     found = load_experiment_from_asset(SLIDE, tmp_path / "thrown.xml")
     cube = found.scene.body("cube")
-    assert cube.linear_velocity_m_per_s == pytest.approx(THROWN["cube.velocity_m_per_s"], rel=1e-15)
-    assert np.degrees(cube.angular_velocity_rad_per_s) == pytest.approx(THROWN["cube.angular_velocity_deg_per_s"])
+    assert cube.linear_velocity_m_per_s == pytest.approx(
+        THROWN["cube.velocity_m_per_s"], rel=1e-15
+    )
+    assert np.degrees(cube.angular_velocity_rad_per_s) == pytest.approx(
+        THROWN["cube.angular_velocity_deg_per_s"]
+    )
     assert found.asset is not None
     assert len(found.asset.changes) == 2
-    assert found.asset.changes[0].startswith("cube: linear_velocity_m_per_s 0 0 0 -> 0.4 0.1 0.3333333333")
+    assert found.asset.changes[0].startswith(
+        "cube: linear_velocity_m_per_s 0 0 0 -> 0.4 0.1 0.3333333333"
+    )
     simulation = backend_for("mujoco", found.model_file).build(found.scene)
     expected = [*cube.linear_velocity_m_per_s, *cube.angular_velocity_rad_per_s]
     for _ in range(2):
-        assert simulation.body_states(["cube"])[0, 7:] == pytest.approx(expected, abs=1e-12)
+        assert simulation.body_states(["cube"])[0, 7:] == pytest.approx(
+            expected, abs=1e-12
+        )
         simulation.advance(0.1)
         simulation.reset(0)
 
 
 def test_a_hinged_start_velocity_of_a_file(tmp_path: Path) -> None:
-    spinning = load_experiment("Pendulum-metal", {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)})
+    spinning = load_experiment(
+        "Pendulum-metal", {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)}
+    )
     write_mjcf(spinning, tmp_path / "swung.xml")
-    found = load_experiment_from_asset("Pendulum-metal", tmp_path / "swung.xml").scene.body("ball")
+    found = load_experiment_from_asset(
+        "Pendulum-metal", tmp_path / "swung.xml"
+    ).scene.body("ball")
     ball = spinning.scene.body("ball")
-    assert found.linear_velocity_m_per_s == pytest.approx(ball.linear_velocity_m_per_s, abs=1e-9)
-    assert found.angular_velocity_rad_per_s == pytest.approx(ball.angular_velocity_rad_per_s, abs=1e-9)
+    assert found.linear_velocity_m_per_s == pytest.approx(
+        ball.linear_velocity_m_per_s, abs=1e-9
+    )
+    assert found.angular_velocity_rad_per_s == pytest.approx(
+        ball.angular_velocity_rad_per_s, abs=1e-9
+    )
     assert np.linalg.norm(found.linear_velocity_m_per_s) > 0.1
 
 
@@ -394,7 +530,15 @@ def test_a_keyframe_that_moves_anything_else_is_refused(
 
 
 def test_other_keyframes_have_no_effect(edited: Callable[..., Path]) -> None:
-    path = edited(SLIDE, ("</mujoco>", '<keyframe><key name="home" qvel="1 0 0 0 0 0"/></keyframe></mujoco>'))
+    path = edited(
+        SLIDE,
+        (
+            "</mujoco>",
+            '<keyframe><key name="home" qvel="1 0 0 0 0 0"/></keyframe></mujoco>',
+        ),
+    )
     found = load_experiment_from_asset(SLIDE, path)
     assert found.scene.body("cube").starts_at_rest
-    assert not backend_for("mujoco", found.model_file).build(found.scene).data.qvel.any()
+    assert (
+        not backend_for("mujoco", found.model_file).build(found.scene).data.qvel.any()
+    )

@@ -14,9 +14,25 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import variants
-from gauge_envs.observables.functions import angle_deficit_curvature, face_areas_mm2, line_turning_angle
+from gauge_envs.observables.functions import (
+    angle_deficit_curvature,
+    face_areas_mm2,
+    line_turning_angle,
+)
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.scene import Box, Cloth, ConvexUnion, Deformable, Motion, Region, RigidBody, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    ConvexUnion,
+    Deformable,
+    Motion,
+    Region,
+    RigidBody,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 FOAMS = ("soft", "hard")
@@ -36,7 +52,11 @@ MATERIALS = {
     "StickStack": FOAMS,
     "CantileverBeam": FOAMS,
 }
-NAMES = tuple(f"{family}-{material}" for family, materials in MATERIALS.items() for material in materials)
+NAMES = tuple(
+    f"{family}-{material}"
+    for family, materials in MATERIALS.items()
+    for material in materials
+)
 TOLERANCE_M = 1e-3
 
 experiment = cache(load_experiment)
@@ -53,7 +73,9 @@ def half_size_m(body: Deformable) -> NDArray[np.float64]:
     if isinstance(body, SoftBody):
         return 0.5 * np.asarray(body.shape.size_m)
     sides = [2 * body.radius_m, 2 * body.radius_m]
-    return 0.5 * np.array([body.length_m, *sides] if isinstance(body, Rope) else [*sides, body.length_m])
+    return 0.5 * np.array(
+        [body.length_m, *sides] if isinstance(body, Rope) else [*sides, body.length_m]
+    )
 
 
 def outside_m(body: Deformable, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -73,7 +95,9 @@ def region_points_m(body: Deformable, region: Region) -> NDArray[np.float64]:
     if isinstance(body, Rope | Rod):
         half = np.where(np.arange(3) == "xyz".index(region.axis), half, 0.0)
     corners = Box(size_m=tuple(2.0 * half)).corners_m
-    corners[:, "xyz".index(region.axis)] = half["xyz".index(region.axis)] * (1.0 if region.side == "high" else -1.0)
+    corners[:, "xyz".index(region.axis)] = half["xyz".index(region.axis)] * (
+        1.0 if region.side == "high" else -1.0
+    )
     return body.pose.to_world(corners)
 
 
@@ -82,7 +106,11 @@ def gap_m(body: RigidBody | Deformable, points_m: NDArray[np.float64]) -> float:
     local = body.pose.to_body(points_m)
     if isinstance(body, RigidBody):
         shape = body.shape
-        pieces = [np.asarray(p) for p in shape.pieces_m] if isinstance(shape, ConvexUnion) else [shape.corners_m]
+        pieces = (
+            [np.asarray(p) for p in shape.pieces_m]
+            if isinstance(shape, ConvexUnion)
+            else [shape.corners_m]
+        )
     else:
         pieces = [Box(size_m=tuple(2.0 * half_size_m(body))).corners_m]
     planes = [ConvexHull(piece).equations for piece in pieces]
@@ -106,7 +134,9 @@ def test_scene_resolves(name):
     names = [body.name for body in (*scene.bodies, *scene.deformables)]
     assert len(set(names)) == len(names)
     assert scene.deformables
-    assert sorted(d.body for d in scene.drivers) == sorted(b.name for b in scene.bodies if b.motion is Motion.KINEMATIC)
+    assert sorted(d.body for d in scene.drivers) == sorted(
+        b.name for b in scene.bodies if b.motion is Motion.KINEMATIC
+    )
     for contact in scene.contacts:
         assert contact.first and contact.second
         assert {*contact.first, *contact.second} <= set(names)
@@ -122,16 +152,26 @@ def test_masses_agree_with_density(name):
     for body in found.scene.deformables:
         if isinstance(body, Cloth):
             area = body.size_m[0] * body.size_m[1]
-            assert body.mass_kg == pytest.approx(body.areal_density_kg_per_m2 * area, rel=0.01)
+            assert body.mass_kg == pytest.approx(
+                body.areal_density_kg_per_m2 * area, rel=0.01
+            )
             continue
         tables = found.spec.constants[body.name]
-        density = tables.get(found.variant.material, next(iter(tables.values()))).get("density_kg_per_m3")
-        if density is None:  # Published for neither the rope nor the cantilever's rubber blocks; both are rubber.
+        density = tables.get(found.variant.material, next(iter(tables.values()))).get(
+            "density_kg_per_m3"
+        )
+        if (
+            density is None
+        ):  # Published for neither the rope nor the cantilever's rubber blocks; both are rubber.
             density, tolerance = 1130.0, 0.06
         else:
             tolerance = 0.02
         round_section = isinstance(body, Rope | Rod)
-        volume = np.pi * body.radius_m**2 * body.length_m if round_section else body.shape.volume_m3
+        volume = (
+            np.pi * body.radius_m**2 * body.length_m
+            if round_section
+            else body.shape.volume_m3
+        )
         assert body.mass_kg == pytest.approx(density * volume, rel=tolerance)
 
 
@@ -161,15 +201,23 @@ def test_flat_cloth_has_no_curvature(family):
     """Corner, edge and inner markers differ in the angles that the flat mesh has there."""
     markers = of_family(family).scene.markers
     rest = np.asarray(markers.positions_m)[None]
-    curvature = angle_deficit_curvature(rest, markers.faces, corner=markers.corner, edge=markers.edge)
+    curvature = angle_deficit_curvature(
+        rest, markers.faces, corner=markers.corner, edge=markers.edge
+    )
     np.testing.assert_allclose(curvature, 0.0, atol=1e-6)
     assert len(markers.corner) == 4
-    assert {i for face in markers.faces for i in face} == set(range(len(markers.positions_m)))
+    assert {i for face in markers.faces for i in face} == set(
+        range(len(markers.positions_m))
+    )
 
 
 def test_bending_lines_are_straight_and_end_in_the_corners():
     markers = of_family("TextileBending").scene.markers
-    np.testing.assert_allclose(line_turning_angle(np.asarray(markers.positions_m)[None], markers.lines), 0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        line_turning_angle(np.asarray(markers.positions_m)[None], markers.lines),
+        0.0,
+        atol=1e-6,
+    )
     ends = np.bincount(np.ravel(markers.lines), minlength=len(markers.positions_m))
     assert set(np.flatnonzero(ends == 1)) == set(markers.corner)
     assert set(np.flatnonzero(ends == 2)) == set(markers.edge)
@@ -182,12 +230,19 @@ def test_foam_faces_are_those_published(family):
     assert {i for face in markers.faces for i in face} == set(range(14))
     assert markers.faces == markers.faces[:12] * (1 if family == "FoamBending" else 2)
     areas = face_areas_mm2(np.asarray(markers.positions_m)[None], markers.faces)
-    np.testing.assert_allclose(areas, 0.5 * 25.0 * 50.0 / 3.0, rtol=1e-3)  # a 25 mm step between rows a third apart
+    np.testing.assert_allclose(
+        areas, 0.5 * 25.0 * 50.0 / 3.0, rtol=1e-3
+    )  # a 25 mm step between rows a third apart
 
 
 @pytest.mark.parametrize(
     ("family", "axis", "sign"),
-    [("FoamStretching", 2, 1), ("FoamCompressing", 2, -1), ("FoamShearing", 1, 1), ("FoamBending", 2, -1)],
+    [
+        ("FoamStretching", 2, 1),
+        ("FoamCompressing", 2, -1),
+        ("FoamShearing", 1, 1),
+        ("FoamBending", 2, -1),
+    ],
 )
 def test_foam_is_driven_the_named_way(family, axis, sign):
     scene = of_family(family).scene
@@ -223,14 +278,19 @@ def test_ball_passes_the_funnel():
     end = end_pose(scene, "ball", scene.duration_s).position_m[2]
     assert end + ball.shape.radius_m < board.pose.position_m[2] - 0.006
     assert end - ball.shape.radius_m > scene.floor_height_m
-    assert end_pose(scene, "ball", 1.0).position_m[2] == pytest.approx(ball.pose.position_m[2] - 0.063745)
+    assert end_pose(scene, "ball", 1.0).position_m[2] == pytest.approx(
+        ball.pose.position_m[2] - 0.063745
+    )
 
 
 def test_probe_reaches_the_cloth():
     scene = of_family("TextileStretching").scene
     (cloth,) = scene.deformables
     tip = np.array([[0.0, 0.0, 0.5 * scene.body("rod").shape.length_m]])
-    start, end = (p.to_world(tip)[0, 0] for p in (scene.body("rod").pose, end_pose(scene, "rod", scene.duration_s)))
+    start, end = (
+        p.to_world(tip)[0, 0]
+        for p in (scene.body("rod").pose, end_pose(scene, "rod", scene.duration_s))
+    )
     assert start < cloth.pose.position_m[0] < end
 
 
@@ -242,7 +302,16 @@ def test_billiard_sweeps_through_both_balls():
         ball = scene.body(name)
         centre = np.asarray([ball.pose.position_m])
         gaps = [
-            gap_m(RigidBody(name="b", shape=billiard.shape, motion=billiard.motion, pose=p, mass_kg=1.0), centre)
+            gap_m(
+                RigidBody(
+                    name="b",
+                    shape=billiard.shape,
+                    motion=billiard.motion,
+                    pose=p,
+                    mass_kg=1.0,
+                ),
+                centre,
+            )
             for p in swept
         ]
         assert gaps[0] > ball.shape.radius_m
@@ -250,14 +319,18 @@ def test_billiard_sweeps_through_both_balls():
     # Each ball rests on its post.
     underside = ball.pose.position_m[2] - ball.shape.radius_m
     support = scene.body("support")
-    assert underside == pytest.approx(support.pose.position_m[2] + np.asarray(support.shape.pieces_m)[:2, :, 2].max())
+    assert underside == pytest.approx(
+        support.pose.position_m[2] + np.asarray(support.shape.pieces_m)[:2, :, 2].max()
+    )
 
 
 def test_soft_rod_keeps_its_calibrated_poisson_ratio_on_record():
     found = experiment("StickStack-soft")
     assert found.scene.deformables[0].poisson_ratio == 0.49
     assert found.spec.constants["rod"]["soft"]["poisson_ratio"].calibrated == 0.62
-    assert found.spec.provenance_of("constants.rod.soft.poisson_ratio.used").startswith("nominal")
+    assert found.spec.provenance_of("constants.rod.soft.poisson_ratio.used").startswith(
+        "nominal"
+    )
 
 
 @pytest.mark.parametrize("family", MATERIALS)
@@ -268,13 +341,19 @@ def test_observable_has_what_it_needs(family):
         assert found.recorded
         return
     assert markers is not None
-    assert bool(markers.faces) == (observable in (Observable.CURVATURE, Observable.FACE_AREA))
+    assert bool(markers.faces) == (
+        observable in (Observable.CURVATURE, Observable.FACE_AREA)
+    )
     assert bool(markers.lines) == (observable is Observable.LINE_CURVATURE)
 
 
 def test_driver_provenance():
     video = {f for f in MATERIALS if of_family(f).driver_provenance == "video"}
-    assert video == {"TextileFlinging", "StickStack", *(f for f in MATERIALS if f.startswith("Foam"))}
+    assert video == {
+        "TextileFlinging",
+        "StickStack",
+        *(f for f in MATERIALS if f.startswith("Foam")),
+    }
     assert of_family("CantileverBeam").driver_provenance is None
     assert experiment("TableclothPulling-metal").driver_provenance == "video"
     assert experiment("TableclothPulling-wood").driver_provenance == "nominal"

@@ -53,7 +53,9 @@ def test_every_named_parameter_set_resolves(path: Path) -> None:
 def test_provenance_prefers_the_longest_match() -> None:
     spec = task_spec("SlopeSlider")
     assert spec.provenance_of("initial.all.ground.position_m").startswith("video")
-    assert spec.provenance_of("subtasks.2.initial.wood.cube.position_m").startswith("metadata")
+    assert spec.provenance_of("subtasks.2.initial.wood.cube.position_m").startswith(
+        "metadata"
+    )
     assert spec.provenance_of("constants.cube.wood.friction").startswith("metadata")
 
 
@@ -69,28 +71,142 @@ def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
 @pytest.mark.parametrize(
     ("family", "old", "new", "key", "reason"),
     [
-        ("SlopeSlider", 'title = "Slope slider"', 'titel = "Slope slider"', "title", "missing key"),
-        ("SlopeSlider", "recorded = true", "recorded = true\nrecordet = true", "bodies.cube.recordet", "unknown key"),
-        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "constants.cube.wood.mass_kg", "-0.0903"),
-        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = nan", "constants.cube.wood.mass_kg", "nan"),
-        ("SlopeSlider", "friction = 0.273673", "fricton = 0.273673", "constants.cube.wood.fricton", "unknown key"),
-        ("SlopeSlider", "restitution = 0.223583", "restitution = 1.2", "constants.cube.wood.restitution", "1.2"),
-        ("SlopeSlider", "[constants.cube]\nwood", "[constants.cube]\noak", "constants.cube.wood", "missing material"),
-        ("SlopeSlider", "[constants.cube]", "[constants.cub]", "constants.cub", "no body"),
+        (
+            "SlopeSlider",
+            'title = "Slope slider"',
+            'titel = "Slope slider"',
+            "title",
+            "missing key",
+        ),
+        (
+            "SlopeSlider",
+            "recorded = true",
+            "recorded = true\nrecordet = true",
+            "bodies.cube.recordet",
+            "unknown key",
+        ),
+        (
+            "SlopeSlider",
+            "mass_kg = 0.0903",
+            "mass_kg = -0.0903",
+            "constants.cube.wood.mass_kg",
+            "-0.0903",
+        ),
+        (
+            "SlopeSlider",
+            "mass_kg = 0.0903",
+            "mass_kg = nan",
+            "constants.cube.wood.mass_kg",
+            "nan",
+        ),
+        (
+            "SlopeSlider",
+            "friction = 0.273673",
+            "fricton = 0.273673",
+            "constants.cube.wood.fricton",
+            "unknown key",
+        ),
+        (
+            "SlopeSlider",
+            "restitution = 0.223583",
+            "restitution = 1.2",
+            "constants.cube.wood.restitution",
+            "1.2",
+        ),
+        (
+            "SlopeSlider",
+            "[constants.cube]\nwood",
+            "[constants.cube]\noak",
+            "constants.cube.wood",
+            "missing material",
+        ),
+        (
+            "SlopeSlider",
+            "[constants.cube]",
+            "[constants.cub]",
+            "constants.cub",
+            "no body",
+        ),
         ("SlopeSlider", "0.08, 0.12", "0.12, 0.08", "profile.0", "times_s[3]"),
-        ("SlopeSlider", 'bodies = ["cube", "board"]', 'bodies = ["cube", "bord"]', "contacts.0", "bord"),
-        ("SlopeSlider", "[subtasks.1.initial.metal]", "[subtasks.1.initial.steel]", "subtasks.1.initial", "steel"),
-        ("SlopeSlider", 'body = "board"', 'body = "bord"', "subtasks.3.drivers.0.body", "bord"),
-        ("SlopeSlider", "axis = [0.0, 1.0, 0.0]", "axis = [0.0, 1.0, 0.1]", "axis", "unit vector"),
-        ("SlopeSlider", "size_m = [0.05, 0.05, 0.05]", "size_m = [0.05, 0.05]", "bodies.cube.shape", ""),
-        ("SlopeSlider", '"constants" = "metadata"', '"constants" = "guess"', "provenance.constants", "guess"),
+        (
+            "SlopeSlider",
+            'bodies = ["cube", "board"]',
+            'bodies = ["cube", "bord"]',
+            "contacts.0",
+            "bord",
+        ),
+        (
+            "SlopeSlider",
+            "[subtasks.1.initial.metal]",
+            "[subtasks.1.initial.steel]",
+            "subtasks.1.initial",
+            "steel",
+        ),
+        (
+            "SlopeSlider",
+            'body = "board"',
+            'body = "bord"',
+            "subtasks.3.drivers.0.body",
+            "bord",
+        ),
+        (
+            "SlopeSlider",
+            "axis = [0.0, 1.0, 0.0]",
+            "axis = [0.0, 1.0, 0.1]",
+            "axis",
+            "unit vector",
+        ),
+        (
+            "SlopeSlider",
+            "size_m = [0.05, 0.05, 0.05]",
+            "size_m = [0.05, 0.05]",
+            "bodies.cube.shape",
+            "",
+        ),
+        (
+            "SlopeSlider",
+            '"constants" = "metadata"',
+            '"constants" = "guess"',
+            "provenance.constants",
+            "guess",
+        ),
         ("SlopeSlider", '"constants" = "metadata"\n', "", "constants", "provenance"),
-        ("SlopeSlider", "frames = { all = 9 }", "frames = { all = 1 }", "subtasks.1.frames", ""),
-        ("SlopeSlider", "frames = { all = 9 }", f"frames = {{ all = {10**400} }}", "subtasks.1.frames", "18000"),
+        (
+            "SlopeSlider",
+            "frames = { all = 9 }",
+            "frames = { all = 1 }",
+            "subtasks.1.frames",
+            "",
+        ),
+        (
+            "SlopeSlider",
+            "frames = { all = 9 }",
+            f"frames = {{ all = {10**400} }}",
+            "subtasks.1.frames",
+            "18000",
+        ),
         ("NewtonsCradle", 'kind = "hinge"', 'kind = "hing"', "joints", "hing"),
-        ("FoamStretching", "poisson_ratio = 0.23", "poisson_ratio = 0.52", "poisson_ratio", "Poisson ratio 0.52"),
-        ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "markers", "marker index 28 is out of range"),
-        ("StickStack", "used = 0.49", "used = 0.62", "poisson_ratio", "Poisson ratio 0.62"),
+        (
+            "FoamStretching",
+            "poisson_ratio = 0.23",
+            "poisson_ratio = 0.52",
+            "poisson_ratio",
+            "Poisson ratio 0.52",
+        ),
+        (
+            "FoamStretching",
+            "[0, 7, 8]",
+            "[0, 7, 28]",
+            "markers",
+            "marker index 28 is out of range",
+        ),
+        (
+            "StickStack",
+            "used = 0.49",
+            "used = 0.62",
+            "poisson_ratio",
+            "Poisson ratio 0.62",
+        ),
         ("FoamStretching", 'to = "base-1"', 'to = "wall"', "attachments", "wall"),
     ],
 )
@@ -110,7 +226,10 @@ def test_flat_piece_encloses_no_volume(tmp_path: Path) -> None:
     text = task_path("SlopeContact").read_text(encoding="utf-8")
     flat = "pieces_m = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]]"
     path = tmp_path / "flat.toml"
-    path.write_text(re.sub(r"pieces_m = \[\n.*?\n\]", flat, text, count=1, flags=re.DOTALL), encoding="utf-8")
+    path.write_text(
+        re.sub(r"pieces_m = \[\n.*?\n\]", flat, text, count=1, flags=re.DOTALL),
+        encoding="utf-8",
+    )
     with pytest.raises(TaskFileError, match="no volume"):
         load_task(path)
 
@@ -119,7 +238,11 @@ def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute() ->
     raw = tomllib.loads(task_path("StickStack").read_text(encoding="utf-8"))
     entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
     assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
-    rod = next(d for d in load_experiment("StickStack-soft").scene.deformables if d.name == "rod")
+    rod = next(
+        d
+        for d in load_experiment("StickStack-soft").scene.deformables
+        if d.name == "rod"
+    )
     assert rod.poisson_ratio == 0.49
 
 

@@ -19,7 +19,14 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
-from gauge_envs.scene import GRAVITY_M_PER_S2, ConvexUnion, Cylinder, Plane, RigidBody, Sphere
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    ConvexUnion,
+    Cylinder,
+    Plane,
+    RigidBody,
+    Sphere,
+)
 
 RIGID = {
     "SlopeContact": 2,
@@ -67,8 +74,15 @@ def pieces(body: RigidBody) -> list[NDArray[np.float64]]:
         local = [np.asarray(piece) for piece in shape.pieces_m]
     elif isinstance(shape, Cylinder):
         angles = np.linspace(0, 2 * np.pi, 64, endpoint=False)
-        ring = shape.radius_m / np.cos(np.pi / 64) * np.column_stack([np.cos(angles), np.sin(angles)])
-        ends = [np.column_stack([ring, np.full(64, z)]) for z in (-0.5 * shape.length_m, 0.5 * shape.length_m)]
+        ring = (
+            shape.radius_m
+            / np.cos(np.pi / 64)
+            * np.column_stack([np.cos(angles), np.sin(angles)])
+        )
+        ends = [
+            np.column_stack([ring, np.full(64, z)])
+            for z in (-0.5 * shape.length_m, 0.5 * shape.length_m)
+        ]
         local = [np.concatenate(ends)]
     else:
         local = [shape.corners_m]
@@ -77,7 +91,9 @@ def pieces(body: RigidBody) -> list[NDArray[np.float64]]:
 
 def overlap_depth(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """Thickness of the common part of two convex polyhedra: twice its largest inscribed ball; negative when apart."""
-    if (first.min(axis=0) > second.max(axis=0) + 0.01).any() or (second.min(axis=0) > first.max(axis=0) + 0.01).any():
+    if (first.min(axis=0) > second.max(axis=0) + 0.01).any() or (
+        second.min(axis=0) > first.max(axis=0) + 0.01
+    ).any():
         return -np.inf
     faces = np.concatenate([ConvexHull(first).equations, ConvexHull(second).equations])
     # x inside every face by at least r, largest r: bounded, as each face normal has length one.
@@ -92,23 +108,37 @@ def depth(first: RigidBody, second: RigidBody) -> float:
     if isinstance(first.shape, Plane):
         first, second = second, first
     if isinstance(second.shape, Plane):
-        lowest = min(float(second.pose.to_body(vertices)[:, 2].min()) for vertices in pieces(first))
+        lowest = min(
+            float(second.pose.to_body(vertices)[:, 2].min())
+            for vertices in pieces(first)
+        )
         return -lowest
     if isinstance(first.shape, Sphere) and isinstance(second.shape, Sphere):
-        distance = float(np.linalg.norm(np.subtract(first.pose.position_m, second.pose.position_m)))
+        distance = float(
+            np.linalg.norm(np.subtract(first.pose.position_m, second.pose.position_m))
+        )
         return first.shape.radius_m + second.shape.radius_m - distance
-    return max(overlap_depth(a, b) for a, b in itertools.product(pieces(first), pieces(second)))
+    return max(
+        overlap_depth(a, b) for a, b in itertools.product(pieces(first), pieces(second))
+    )
 
 
 def close_pairs(found: Experiment) -> Iterator[tuple[RigidBody, RigidBody]]:
     """Pairs that may collide and whose bounding spheres meet."""
-    radius = {b.name: float(np.linalg.norm(b.shape.corners_m, axis=1).max()) for b in found.scene.bodies}
+    radius = {
+        b.name: float(np.linalg.norm(b.shape.corners_m, axis=1).max())
+        for b in found.scene.bodies
+    }
     pairs = {
-        frozenset(pair) for contact in found.scene.contacts for pair in itertools.product(contact.first, contact.second)
+        frozenset(pair)
+        for contact in found.scene.contacts
+        for pair in itertools.product(contact.first, contact.second)
     }
     for pair in sorted(tuple(sorted(names)) for names in pairs if len(names) == 2):
         first, second = (found.scene.body(name) for name in pair)
-        gap = float(np.linalg.norm(np.subtract(first.pose.position_m, second.pose.position_m)))
+        gap = float(
+            np.linalg.norm(np.subtract(first.pose.position_m, second.pose.position_m))
+        )
         flat = isinstance(first.shape, Plane) or isinstance(second.shape, Plane)
         if flat or gap < radius[first.name] + radius[second.name]:
             yield first, second
@@ -118,7 +148,10 @@ def close_pairs(found: Experiment) -> Iterator[tuple[RigidBody, RigidBody]]:
 
 
 def test_every_rigid_experiment_is_there() -> None:
-    counts = {family: sum(variant.family == family for variant in variants()) for family in RIGID}
+    counts = {
+        family: sum(variant.family == family for variant in variants())
+        for family in RIGID
+    }
     assert counts == RIGID
 
 
@@ -140,7 +173,9 @@ def test_volume_times_density_is_the_mass(family: str) -> None:
         for material, constants in tables.items():
             density = constants.get("density_kg_per_m3")
             if density is not None:
-                assert volume * density == pytest.approx(constants["mass_kg"], rel=0.01), (name, material)
+                assert volume * density == pytest.approx(
+                    constants["mass_kg"], rel=0.01
+                ), (name, material)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -154,7 +189,9 @@ def test_resting_bodies_touch_what_they_rest_on(name: str) -> None:
     found = experiment(name)
     family, subtask = found.variant.family, found.variant.subtask
     for first, second in RESTING.get(f"{family}-{subtask}", RESTING.get(family, ())):
-        assert abs(depth(found.scene.body(first), found.scene.body(second))) < TOLERANCE_M, (first, second)
+        assert (
+            abs(depth(found.scene.body(first), found.scene.body(second))) < TOLERANCE_M
+        ), (first, second)
 
 
 @pytest.mark.parametrize("family", RIGID)
@@ -173,14 +210,22 @@ def test_pieces_of_a_shape_do_not_overlap(family: str) -> None:
 def test_slope_contact_parts_make_one_block(material: str) -> None:
     scene = experiment(f"SlopeContact-{material}").scene
     corners = np.concatenate(
-        [scene.body(name).pose.to_world(scene.body(name).shape.corners_m) for name in ("teh", "base")]
+        [
+            scene.body(name).pose.to_world(scene.body(name).shape.corners_m)
+            for name in ("teh", "base")
+        ]
     )
     hull = ConvexHull(corners)
     assert hull.volume == pytest.approx(0.1 * 0.1 * 0.2, rel=1e-4)
-    assert sum(scene.body(name).shape.volume_m3 for name in ("teh", "base")) == pytest.approx(hull.volume, rel=1e-4)
+    assert sum(
+        scene.body(name).shape.volume_m3 for name in ("teh", "base")
+    ) == pytest.approx(hull.volume, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["SlopeContact-wood", *(n for n in NAMES if n.startswith("NonsmoothContact"))])
+@pytest.mark.parametrize(
+    "name",
+    ["SlopeContact-wood", *(n for n in NAMES if n.startswith("NonsmoothContact"))],
+)
 def test_origin_of_a_falling_polyhedron_is_its_centroid(name: str) -> None:
     found = experiment(name)
     shape = found.scene.body(found.recorded[0]).shape
@@ -191,14 +236,19 @@ def test_origin_of_a_falling_polyhedron_is_its_centroid(name: str) -> None:
     inner = vertices.mean(axis=0)
     triangles = vertices[ConvexHull(vertices).simplices]
     volumes = np.abs(np.linalg.det(triangles - inner)) / 6.0
-    centroid = (volumes[:, None] * (triangles.sum(axis=1) + inner) / 4.0).sum(axis=0) / volumes.sum()
+    centroid = (volumes[:, None] * (triangles.sum(axis=1) + inner) / 4.0).sum(
+        axis=0
+    ) / volumes.sum()
     assert np.abs(centroid).max() < 1e-12
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n.startswith("NonsmoothContact")])
 def test_nonsmooth_body_falls_into_the_groove(name: str) -> None:
     found = experiment(name)
-    falling, base = (found.scene.body(n) for n in found.spec.subtasks[found.variant.subtask or ""].bodies[:2])
+    falling, base = (
+        found.scene.body(n)
+        for n in found.spec.subtasks[found.variant.subtask or ""].bodies[:2]
+    )
     vertices = falling.pose.to_world(falling.shape.corners_m)
     tip = vertices[vertices[:, 2].argmin()] - base.pose.position_m
     half_width = 0.025 if base.name == "squarebase" else 0.0125
@@ -215,14 +265,20 @@ def required_friction(name: str, time_s: float) -> float:
     radius = float(np.linalg.norm((cube - motion.point_m)[:2]))
     step = 1e-4
     before, now, after = (motion.value(time_s + k * step) for k in (-1, 0, 1))
-    rate, acceleration = (after - before) / (2 * step), (after - 2 * now + before) / step**2
+    rate, acceleration = (
+        (after - before) / (2 * step),
+        (after - 2 * now + before) / step**2,
+    )
     return radius * float(np.hypot(rate**2, acceleration)) / GRAVITY_M_PER_S2
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_turntable_speeds_are_on_the_stated_side_of_slipping(material: str) -> None:
     friction = experiment(f"Turntable-1-{material}").scene.contacts[0].friction
-    slow = [required_friction(f"Turntable-1-{material}", t) for t in np.linspace(0.01, 94 / 30 - 0.01, 50)]
+    slow = [
+        required_friction(f"Turntable-1-{material}", t)
+        for t in np.linspace(0.01, 94 / 30 - 0.01, 50)
+    ]
     assert max(slow) < 0.1 * friction
     assert required_friction(f"Turntable-2-{material}", 0.4) > 1.9 * friction
     # Back and forth: no slip at steady speed, slip at the stop.
@@ -235,17 +291,25 @@ def test_turntable_three_repeats_the_recorded_strokes() -> None:
     degrees = [np.degrees(motion.value(t)) for t in (0.0, 1.75, 3.70, 6.0)]
     assert degrees == pytest.approx([0.0, 366.52, -30.59, 386.0], abs=0.05)
     for start, end, rate in [(0.6, 1.6, 4.0), (2.5, 3.6, -4.0), (4.3, 5.6, 4.0)]:
-        assert (motion.value(end) - motion.value(start)) / (end - start) == pytest.approx(rate, rel=0.005)
+        assert (motion.value(end) - motion.value(start)) / (
+            end - start
+        ) == pytest.approx(rate, rel=0.005)
 
 
 def test_ball_parameter_sets_are_the_recorded_means() -> None:
-    facts = tomllib.loads((data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8"))
+    facts = tomllib.loads(
+        (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
+            encoding="utf-8"
+        )
+    )
     recorded = experiment("BouncingBall-rubber", "recorded")
     ball, ground = recorded.scene.body("ball"), recorded.scene.body("ground")
     assert isinstance(ball.shape, Sphere)
     assert ball.pose.position_m[2] == facts["start_height_m"]["mean"]
     contact_height = facts["contact_height_m"]["mean"]
-    assert ground.pose.position_m[2] == pytest.approx(contact_height - ball.shape.radius_m, abs=1e-12)
+    assert ground.pose.position_m[2] == pytest.approx(
+        contact_height - ball.shape.radius_m, abs=1e-12
+    )
     for parameters in ("effective", "recorded"):
         (contact,) = experiment("BouncingBall-rubber", parameters).scene.contacts
         assert contact.restitution == facts["rebound_ratio"]["mean"]
@@ -259,14 +323,22 @@ def test_the_effective_friction_is_that_of_the_recorded_slides(material: str) ->
     assert contact.friction == facts[material]["friction"]["mean"]
 
 
-def test_cradle_starts_level_and_its_effective_restitution_transfers_the_recorded_share() -> None:
+def test_cradle_starts_level_and_its_effective_restitution_transfers_the_recorded_share() -> (
+    None
+):
     scene = experiment("NewtonsCradle-metal", "effective").scene
-    assert ((1.0 + scene.contacts[0].restitution) / 2.0) ** 4 == pytest.approx(0.9302, abs=1e-12)
+    assert ((1.0 + scene.contacts[0].restitution) / 2.0) ** 4 == pytest.approx(
+        0.9302, abs=1e-12
+    )
     first, hinge = scene.body("ball-1"), scene.joints[0]
-    assert np.subtract(first.pose.position_m, hinge.anchor_m) == pytest.approx([0.0, -0.138251, 0.0], abs=1e-12)
+    assert np.subtract(first.pose.position_m, hinge.anchor_m) == pytest.approx(
+        [0.0, -0.138251, 0.0], abs=1e-12
+    )
     for index in range(2, 6):
         x, y, z = scene.body(f"ball-{index}").pose.position_m
-        assert (x, y, z) == pytest.approx((0.448794, 0.377852 + 0.02 * (index - 1), 0.178669), abs=1e-12)
+        assert (x, y, z) == pytest.approx(
+            (0.448794, 0.377852 + 0.02 * (index - 1), 0.178669), abs=1e-12
+        )
 
 
 def test_pendulum_is_level_and_has_the_recorded_period() -> None:
@@ -277,15 +349,22 @@ def test_pendulum_is_level_and_has_the_recorded_period() -> None:
     length = float(np.linalg.norm(arm)) + 0.4 * 0.03**2 / float(np.linalg.norm(arm))
     assert length == pytest.approx(0.269881, abs=1e-6)
     # Exact period at the mean amplitude of the recorded swings, 84 degrees: 1.201 +- 0.015 s measured.
-    period = 4.0 * np.sqrt(length / GRAVITY_M_PER_S2) * ellipk(np.sin(np.radians(42.0)) ** 2)
+    period = (
+        4.0 * np.sqrt(length / GRAVITY_M_PER_S2) * ellipk(np.sin(np.radians(42.0)) ** 2)
+    )
     assert period == pytest.approx(1.20106, abs=0.015)
 
 
 def test_wall_is_hit_by_the_swinging_ball() -> None:
     found = experiment("WallBreaking-wood")
-    bricks = np.array([found.scene.body(name).pose.position_m for name in found.recorded])
+    bricks = np.array(
+        [found.scene.body(name).pose.position_m for name in found.recorded]
+    )
     assert len(bricks) == 118
-    assert sorted(np.unique(bricks[:, 2].round(6), return_counts=True)[1].tolist()) == [8] + [10] * 5 + [12] * 5
+    assert (
+        sorted(np.unique(bricks[:, 2].round(6), return_counts=True)[1].tolist())
+        == [8] + [10] * 5 + [12] * 5
+    )
     (tether,) = found.scene.joints
     ball = found.scene.body("ball")
     assert isinstance(ball.shape, Sphere)

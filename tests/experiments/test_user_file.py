@@ -24,7 +24,13 @@ from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_file
 from gauge_envs.cli.app import app
-from gauge_envs.errors import AssetError, ParameterError, ReferenceFileError, ShapeError, TaskFileError
+from gauge_envs.errors import (
+    AssetError,
+    ParameterError,
+    ReferenceFileError,
+    ShapeError,
+    TaskFileError,
+)
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.references.bands import Band
@@ -32,7 +38,12 @@ from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.runs.result_file import (
+    load_result,
+    recorded_experiment,
+    result_file_name,
+    write_result,
+)
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
 from gauge_envs.tools.assets.build import assets_folder
@@ -76,7 +87,9 @@ def test_the_band_of_the_example_is_the_closed_form() -> None:
     assert band is not None
     times_s = np.arange(31) / 30.0
     start = np.array([np.cos(TILT), -np.sin(TILT)]) @ crate_start_m()
-    np.testing.assert_allclose(band.mean[:, 0], 1e3 * (start + 0.5 * ACCELERATION * times_s**2), atol=1e-5)
+    np.testing.assert_allclose(
+        band.mean[:, 0], 1e3 * (start + 0.5 * ACCELERATION * times_s**2), atol=1e-5
+    )
     sigma = np.hypot(1.0, 1e3 * 0.5 * G * np.cos(TILT) * 0.01 * times_s**2)
     np.testing.assert_allclose(band.sigma[:, 0], sigma, atol=1e-5)
 
@@ -84,7 +97,9 @@ def test_the_band_of_the_example_is_the_closed_form() -> None:
 def crate_start_m() -> np.ndarray:
     """Along x and up, from USD's own composition of the layer, which is in centimetres."""
     stage = Usd.Stage.Open(str(EXAMPLE / "crate.usda"))
-    place = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/Yard/Incline/Crate"))
+    place = UsdGeom.XformCache().GetLocalToWorldTransform(
+        stage.GetPrimAtPath("/Yard/Incline/Crate")
+    )
     x, y, _ = place.ExtractTranslation()
     return 1e-2 * np.array([x, y])
 
@@ -108,10 +123,17 @@ def test_a_file_may_state_its_camera(changed: Callable[..., Path]) -> None:
     path = changed(("[provenance]", f"{CAMERA}[provenance]"))
     found = load_experiment_file(str(path))
     view = experiment_view(found)
-    assert (view.target_m, view.distance_m, view.azimuth_deg, view.elevation_deg) == ((0.1, 0.2, 0.3), 1.5, 90.0, -20.0)
+    assert (view.target_m, view.distance_m, view.azimuth_deg, view.elevation_deg) == (
+        (0.1, 0.2, 0.3),
+        1.5,
+        90.0,
+        -20.0,
+    )
     assert experiment_record(found)["definition"]["camera"]["distance_m"] == 1.5
     plain = load_experiment_file(str(CRATE))
-    assert plain.camera is None and "camera" not in experiment_record(plain)["definition"]
+    assert (
+        plain.camera is None and "camera" not in experiment_record(plain)["definition"]
+    )
 
 
 def test_the_crate_slides_as_the_law_says() -> None:
@@ -120,7 +142,9 @@ def test_the_crate_slides_as_the_law_says() -> None:
     times_s, samples = result.trajectory.arrays()
     way = 1e-3 * samples @ [np.cos(TILT), 0.0, -np.sin(TILT)]
     course = 0.5 * times_s**2
-    assert course @ (way - way[0]) / (course @ course) == pytest.approx(ACCELERATION, rel=1e-3)
+    assert course @ (way - way[0]) / (course @ course) == pytest.approx(
+        ACCELERATION, rel=1e-3
+    )
     assert result.score.grade == "law"
     assert not result.score.edited
     assert result.score.rmse == pytest.approx(0.0, abs=0.1)
@@ -135,7 +159,9 @@ def test_gymnasium_makes_it_as_an_id() -> None:
     assert -0.1 < reward < 0.0
     with pytest.raises(ParameterError, match="names its own USD layer"):
         resolve_experiment(str(CRATE), asset=EXAMPLE / "crate.usda")
-    with pytest.raises(ParameterError, match=r"with crate\.toml: the file states the constants"):
+    with pytest.raises(
+        ParameterError, match=r"with crate\.toml: the file states the constants"
+    ):
         resolve_experiment(str(CRATE), {"Crate.friction": 0.1})
 
 
@@ -147,7 +173,9 @@ def test_repeats_scatter() -> None:
 # --- results ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_result_needs_no_other_file(changed: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_result_needs_no_other_file(
+    changed: Callable[..., Path], tmp_path: Path
+) -> None:
     path = changed()
     result = run_episode(RunRequest(str(path)))
     file = tmp_path / result_file_name(result)
@@ -191,20 +219,35 @@ def test_a_damaged_record_is_an_error(tmp_path: Path) -> None:
         recorded_experiment(load_result(file))
 
 
-def test_compare_tells_versions_of_an_experiment_file_apart(changed: Callable[..., Path]) -> None:
+def test_compare_tells_versions_of_an_experiment_file_apart(
+    changed: Callable[..., Path],
+) -> None:
     first = run_episode(RunRequest(str(changed())))
-    second = run_episode(RunRequest(str(changed(("-1122.618262", "-1122.618263"), file="crate.csv")), seed=1))
+    second = run_episode(
+        RunRequest(
+            str(changed(("-1122.618262", "-1122.618263"), file="crate.csv")), seed=1
+        )
+    )
     assert first.task_sha256 != second.task_sha256
-    notes = compare([first, second, run_episode(RunRequest("SlopeSlider-2-wood"))]).notes
-    assert notes == ("Asset-crate: made from different versions of its experiment file",)
+    notes = compare(
+        [first, second, run_episode(RunRequest("SlopeSlider-2-wood"))]
+    ).notes
+    assert notes == (
+        "Asset-crate: made from different versions of its experiment file",
+    )
 
 
 def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
     requests = [RunRequest("SlopeSlider-2-wood"), RunRequest(str(CRATE))]
     ran = [result.id for result in run_many(requests, out=tmp_path)]
     assert ran == ["GAUGE/SlopeSlider-2-wood", "GAUGE/Asset-crate"]
-    created = [result.created for result in run_many(requests, out=tmp_path, resume=True)]
-    assert created == [load_result(file).created for file in sorted(tmp_path.glob("*.json"), reverse=True)]
+    created = [
+        result.created for result in run_many(requests, out=tmp_path, resume=True)
+    ]
+    assert created == [
+        load_result(file).created
+        for file in sorted(tmp_path.glob("*.json"), reverse=True)
+    ]
 
 
 # --- what the file adds ----------------------------------------------------------------------------------------------
@@ -212,12 +255,23 @@ def test_a_mixed_run_goes_on(tmp_path: Path) -> None:
 
 def test_a_pair_is_overridden_by_path_or_name(changed: Callable[..., Path]) -> None:
     constants = 'friction = 0.1\nrestitution = 0.5\nmode = "impact"\n'
-    path = changed(("[score]", f'[[contacts]]\nbodies = ["/Yard/Incline/Crate", "Deck"]\n{constants}[score]'))
+    path = changed(
+        (
+            "[score]",
+            f'[[contacts]]\nbodies = ["/Yard/Incline/Crate", "Deck"]\n{constants}[score]',
+        )
+    )
     (contact,) = load_experiment_file(str(path)).scene.contacts
-    assert (contact.friction, contact.restitution, contact.mode) == (0.1, 0.5, ContactMode.IMPACT)
+    assert (contact.friction, contact.restitution, contact.mode) == (
+        0.1,
+        0.5,
+        ContactMode.IMPACT,
+    )
 
 
-def test_scores_are_normalized_by_the_files_baseline(changed: Callable[..., Path]) -> None:
+def test_scores_are_normalized_by_the_files_baseline(
+    changed: Callable[..., Path],
+) -> None:
     path = changed(("[provenance]", "[baseline.rmse]\nmean = 2.0\n[provenance]"))
     score = run_episode(RunRequest(str(path))).score
     assert score.rmse is not None
@@ -228,7 +282,10 @@ def test_scores_are_normalized_by_the_files_baseline(changed: Callable[..., Path
 def test_a_file_drives_kinematic_bodies(changed: Callable[..., Path]) -> None:
     deck = 'def Xform "Ramp"\n'
     changed(
-        (deck, f'{deck[:-1]} (\n prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n)\n'),
+        (
+            deck,
+            f'{deck[:-1]} (\n prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]\n)\n',
+        ),
         file="crate.usda",
     )
     changed(
@@ -261,7 +318,10 @@ def test_our_own_layers_with_markers_can_be_experiments(tmp_path: Path) -> None:
     assert result.trajectory is not None
     assert result.trajectory.unit == "rad"
     assert result.score.grade == "none"
-    short, full = load_experiment_file(str(tmp_path / "cloth.toml")), load_experiment(name)
+    short, full = (
+        load_experiment_file(str(tmp_path / "cloth.toml")),
+        load_experiment(name),
+    )
     assert short.scene.bodies == full.scene.bodies
     assert short.scene.duration_s == 0.1
 
@@ -277,16 +337,21 @@ EVERY_FOURTH = [9 * row + column for row in (0, 3, 6) for column in (0, 4, 8)]
 def flung(tmp_path: Path) -> Callable[..., Path]:
     """Writes an experiment on a copy of a shipped layer: flung(change, markers="prim = ...")."""
 
-    def make(change: Callable[[Usd.Stage], None] = lambda stage: None, markers: str = "") -> Path:
+    def make(
+        change: Callable[[Usd.Stage], None] = lambda stage: None, markers: str = ""
+    ) -> Path:
         stage = Usd.Stage.Open(str(assets_folder() / "usd" / f"{FLUNG}.usda"))
         change(stage)
         stage.GetRootLayer().Export(str(tmp_path / f"{FLUNG}.usda"))
         stage.Reload()
-        table = f'[markers]\nbodies = ["/World/textile"]\n{markers}\n' if markers else ""
+        table = (
+            f'[markers]\nbodies = ["/World/textile"]\n{markers}\n' if markers else ""
+        )
         text = f'name = "cloth"\ntitle = "Cloth"\nusd = "{FLUNG}.usda"\nframes = 4\n{table}'
         path = tmp_path / "cloth.toml"
         path.write_text(
-            f'{text}[score]\nobservable = "marker_position"\n[provenance]\nscene = "metadata"\n', encoding="utf-8"
+            f'{text}[score]\nobservable = "marker_position"\n[provenance]\nscene = "metadata"\n',
+            encoding="utf-8",
         )
         return path
 
@@ -299,16 +364,25 @@ def fewer(stage: Usd.Stage) -> None:
     shelf.AddTranslateOp().Set(Gf.Vec3d(0.3, -0.2, 0.1))
     shelf.AddRotateZOp().Set(90.0)
     shelf.AddScaleOp().Set(Gf.Vec3f(1e-3))
-    points = np.array(stage.GetPrimAtPath("/World/Markers").GetAttribute("gauge:positions_m").Get())[EVERY_FOURTH]
+    points = np.array(
+        stage.GetPrimAtPath("/World/Markers").GetAttribute("gauge:positions_m").Get()
+    )[EVERY_FOURTH]
     x, y, z = (points - [0.3, -0.2, 0.1]).T
     dots = UsdGeom.Points.Define(stage, "/World/Shelf/Dots")
-    dots.CreatePointsAttr(Vt.Vec3fArray.FromNumpy((1e3 * np.column_stack([y, -x, z])).astype(np.float32)))
+    dots.CreatePointsAttr(
+        Vt.Vec3fArray.FromNumpy((1e3 * np.column_stack([y, -x, z])).astype(np.float32))
+    )
 
 
-def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_path: Path) -> None:
+def test_a_prim_of_the_layer_has_the_markers(
+    flung: Callable[..., Path], tmp_path: Path
+) -> None:
     every = run_episode(RunRequest(str(flung()), marker_proxy="node"))
     path = flung(fewer, 'prim = "/World/Shelf/Dots"\nfaces = [[0, 1, 4]]')
-    some, scene = run_episode(RunRequest(str(path), marker_proxy="node")), load_experiment_file(str(path)).scene
+    some, scene = (
+        run_episode(RunRequest(str(path), marker_proxy="node")),
+        load_experiment_file(str(path)).scene,
+    )
     full = load_experiment(FLUNG).scene.markers
     assert scene.markers is not None
     assert full is not None
@@ -318,24 +392,36 @@ def test_a_prim_of_the_layer_has_the_markers(flung: Callable[..., Path], tmp_pat
     assert every.trajectory is not None
     assert some.trajectory is not None
     all_63 = np.array(every.trajectory.samples).reshape(-1, 63, 3)
-    np.testing.assert_array_equal(np.array(some.trajectory.samples).reshape(-1, 9, 3), all_63[:, EVERY_FOURTH])
+    np.testing.assert_array_equal(
+        np.array(some.trajectory.samples).reshape(-1, 9, 3), all_63[:, EVERY_FOURTH]
+    )
     write_result(some, tmp_path / "some.json")
     assert recorded_experiment(load_result(tmp_path / "some.json")).scene == scene
 
 
-def test_the_named_one_of_two_sets_of_markers_counts(flung: Callable[..., Path]) -> None:
+def test_the_named_one_of_two_sets_of_markers_counts(
+    flung: Callable[..., Path],
+) -> None:
     def twice(stage: Usd.Stage) -> None:
         layer = stage.GetRootLayer()
         assert Sdf.CopySpec(layer, "/World/Markers", layer, "/World/Spare")
-        UsdGeom.Xformable(stage.GetPrimAtPath("/World/Spare")).AddTranslateOp().Set(Gf.Vec3d(0.0, 0.0, 1e-3))
+        UsdGeom.Xformable(stage.GetPrimAtPath("/World/Spare")).AddTranslateOp().Set(
+            Gf.Vec3d(0.0, 0.0, 1e-3)
+        )
 
     with pytest.raises(AssetError, match="/World/Spare: is a second set of markers"):
         load_experiment_file(str(flung(twice)))
-    found = load_experiment_file(str(flung(twice, 'prim = "/World/Spare"'))).scene.markers
+    found = load_experiment_file(
+        str(flung(twice, 'prim = "/World/Spare"'))
+    ).scene.markers
     first = load_experiment(FLUNG).scene.markers
     assert found is not None
     assert first is not None
-    np.testing.assert_allclose(np.subtract(found.positions_m, first.positions_m), [[0.0, 0.0, 1e-3]] * 63, atol=1e-7)
+    np.testing.assert_allclose(
+        np.subtract(found.positions_m, first.positions_m),
+        [[0.0, 0.0, 1e-3]] * 63,
+        atol=1e-7,
+    )
 
 
 def test_points_are_read_in_metres_with_z_up(changed: Callable[..., Path]) -> None:
@@ -344,12 +430,20 @@ def test_points_are_read_in_metres_with_z_up(changed: Callable[..., Path]) -> No
     mesh = UsdGeom.Mesh.Define(stage, "/Yard/Incline/Crate/Dots")
     mesh.CreatePointsAttr([(1.0, 2.0, 3.0), (-4.0, 5.0, -6.0)])
     place = UsdGeom.XformCache().GetLocalToWorldTransform(mesh.GetPrim())
-    wanted = np.array([place.Transform(Gf.Vec3d(*point)) for point in mesh.GetPointsAttr().Get()])
-    with pytest.raises(AssetError, match=r"crate\.usda is open in this process with edits: save them"):
+    wanted = np.array(
+        [place.Transform(Gf.Vec3d(*point)) for point in mesh.GetPointsAttr().Get()]
+    )
+    with pytest.raises(
+        AssetError, match=r"crate\.usda is open in this process with edits: save them"
+    ):
         read_points(layer, "/Yard/Incline/Crate/Dots")
     stage.Save()
     x, y, z = 1e-2 * wanted.T
-    np.testing.assert_allclose(read_points(layer, "/Yard/Incline/Crate/Dots"), np.column_stack([x, -z, y]), atol=1e-12)
+    np.testing.assert_allclose(
+        read_points(layer, "/Yard/Incline/Crate/Dots"),
+        np.column_stack([x, -z, y]),
+        atol=1e-12,
+    )
 
 
 def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
@@ -358,7 +452,9 @@ def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
     def change(stage: Usd.Stage) -> None:
         prim = stage.DefinePrim("/World/Dots", kind)
         if count:
-            prim.GetAttribute("points").Set([Gf.Vec3f(float(index)) for index in range(count)])
+            prim.GetAttribute("points").Set(
+                [Gf.Vec3f(float(index)) for index in range(count)]
+            )
 
     return change
 
@@ -378,19 +474,53 @@ def dots(kind: str, count: int = 0) -> Callable[[Usd.Stage], None]:
             AssetError,
             f"cloth.toml: markers.prim: /World/Dots of {FLUNG}.usda: is Cube: Points or Mesh is expected",
         ),
-        (dots("Points"), 'prim = "/World/Dots"', AssetError, f"/World/Dots of {FLUNG}.usda: has no points"),
-        (dots("Mesh"), 'prim = "/World/Dots"', AssetError, f"/World/Dots of {FLUNG}.usda: has no points"),
-        (dots("Points", 2), 'prim = "/World/Dots"\nlines = [[0, 2]]', TaskFileError, "markers: lines: marker index 2"),
-        (dots("Points", 2), "faces = []", TaskFileError, "markers: one of prim and positions_m is expected"),
+        (
+            dots("Points"),
+            'prim = "/World/Dots"',
+            AssetError,
+            f"/World/Dots of {FLUNG}.usda: has no points",
+        ),
+        (
+            dots("Mesh"),
+            'prim = "/World/Dots"',
+            AssetError,
+            f"/World/Dots of {FLUNG}.usda: has no points",
+        ),
+        (
+            dots("Points", 2),
+            'prim = "/World/Dots"\nlines = [[0, 2]]',
+            TaskFileError,
+            "markers: lines: marker index 2",
+        ),
+        (
+            dots("Points", 2),
+            "faces = []",
+            TaskFileError,
+            "markers: one of prim and positions_m is expected",
+        ),
         (
             dots("Points", 2),
             'prim = "/World/Dots"\npositions_m = [[0.0, 0.0, 0.0]]',
             TaskFileError,
             "markers: one of prim and positions_m is expected",
         ),
-        (dots("Points", 2), 'prim = "/World/Dots"\ncolour = 1', TaskFileError, "markers.colour: unknown key"),
+        (
+            dots("Points", 2),
+            'prim = "/World/Dots"\ncolour = 1',
+            TaskFileError,
+            "markers.colour: unknown key",
+        ),
     ],
-    ids=["missing", "type", "no points", "empty mesh", "index", "neither", "both", "key"],
+    ids=[
+        "missing",
+        "type",
+        "no points",
+        "empty mesh",
+        "index",
+        "neither",
+        "both",
+        "key",
+    ],
 )
 def test_what_is_wrong_with_markers_is_reported(
     change: Callable[[Usd.Stage], None],
@@ -411,26 +541,41 @@ def test_markers_away_from_their_body_are_refused(flung: Callable[..., Path]) ->
 
 
 def test_rigid_bodies_carry_no_markers(changed: Callable[..., Path]) -> None:
-    table = '[markers]\nbodies = ["/Yard/Incline/Crate"]\npositions_m = [[0.0, 0.0, 1.0]]\n'
+    table = (
+        '[markers]\nbodies = ["/Yard/Incline/Crate"]\npositions_m = [[0.0, 0.0, 1.0]]\n'
+    )
     path = changed(
-        ('recorded = ["/Yard/Incline/Crate"]', ""), ('observable = "position"', 'observable = "marker_position"')
+        ('recorded = ["/Yard/Incline/Crate"]', ""),
+        ('observable = "position"', 'observable = "marker_position"'),
     )
     text = path.read_text()
-    path.write_text(f"{text[: text.index('[band]')]}{table}{text[text.index('[provenance]') :]}")
-    with pytest.raises(AssetError, match=r"Crate: no deformable body of that name .*rigid bodies have none"):
+    path.write_text(
+        f"{text[: text.index('[band]')]}{table}{text[text.index('[provenance]') :]}"
+    )
+    with pytest.raises(
+        AssetError,
+        match=r"Crate: no deformable body of that name .*rigid bodies have none",
+    ):
         load_experiment_file(str(path))
 
 
 # --- what the hash covers --------------------------------------------------------------------------------------------
 
 
-def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Callable[..., Path]) -> None:
+def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(
+    changed: Callable[..., Path],
+) -> None:
     path = changed()
     first = load_experiment_file(str(path))
-    files = [path.parent / name for name in ("crate.toml", "crate.usda", "materials.usda", "crate.csv")]
+    files = [
+        path.parent / name
+        for name in ("crate.toml", "crate.usda", "materials.usda", "crate.csv")
+    ]
     digests = b"".join(hashlib.sha256(file.read_bytes()).digest() for file in files)
     assert first.asset is not None
-    assert first.asset.sha256 == first.file_sha256 == hashlib.sha256(digests).hexdigest()
+    assert (
+        first.asset.sha256 == first.file_sha256 == hashlib.sha256(digests).hexdigest()
+    )
     changed(("dynamicFriction = 0.3", "dynamicFriction = 0.31"), file="materials.usda")
     changed(("staticFriction = 0.3", "staticFriction = 0.31"), file="materials.usda")
     second = load_experiment_file(str(path))
@@ -457,12 +602,28 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Call
         ),
         (('usd = "crate.usda"', 'usd = "gone.usda"'), AssetError, "gone.usda"),
         (('name = "crate"', 'name = "a crate/1"'), TaskFileError, "name: "),
-        (("frames = 31", "frames = 31\ncolour = 1"), TaskFileError, "colour: unknown key"),
+        (
+            ("frames = 31", "frames = 31\ncolour = 1"),
+            TaskFileError,
+            "colour: unknown key",
+        ),
         (("frames = 31", ""), TaskFileError, "frames: missing key"),
-        (("frames = 31", "frames = 30"), ReferenceFileError, "frames is 30, but the table has 31"),
+        (
+            ("frames = 31", "frames = 30"),
+            ReferenceFileError,
+            "frames is 30, but the table has 31",
+        ),
         (("frames = 31", "frames ="), TaskFileError, "crate.toml: (file): "),
-        (('file = "crate.csv"', 'file = "gone.csv"'), ReferenceFileError, "gone.csv: the file is missing"),
-        (('["downhill"]', '["uphill"]'), ReferenceFileError, "expected frame,mean.uphill,sigma.uphill"),
+        (
+            ('file = "crate.csv"', 'file = "gone.csv"'),
+            ReferenceFileError,
+            "gone.csv: the file is missing",
+        ),
+        (
+            ('["downhill"]', '["uphill"]'),
+            ReferenceFileError,
+            "expected frame,mean.uphill,sigma.uphill",
+        ),
         (
             ('grade = "law"', 'grade = "guess"'),
             TaskFileError,
@@ -473,7 +634,11 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Call
             TaskFileError,
             "band: it takes 2 coordinates, g(t) has 3",
         ),
-        (("[score]", '[[contacts]]\nbodies = ["Crate", "Crate"]\n[score]'), AssetError, "do not collide"),
+        (
+            ("[score]", '[[contacts]]\nbodies = ["Crate", "Crate"]\n[score]'),
+            AssetError,
+            "do not collide",
+        ),
         (
             ("[score]", '[[contacts]]\nbodies = ["Crate", "Floor"]\n[score]'),
             AssetError,
@@ -483,7 +648,10 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed: Call
     ],
 )
 def test_what_is_wrong_in_a_file_is_reported(
-    replacement: tuple[str, str], error: type[Exception], message: str, changed: Callable[..., Path]
+    replacement: tuple[str, str],
+    error: type[Exception],
+    message: str,
+    changed: Callable[..., Path],
 ) -> None:
     path = changed(replacement)
     with pytest.raises(error) as caught:
@@ -498,7 +666,10 @@ def test_what_is_wrong_in_a_file_is_reported(
         ([('    upAxis = "Y"\n', "")], "upAxis"),
         ([("@./materials.usda@", "@./gone.usda@")], "crate.usda"),
         ([('def PhysicsScene "Physics"', 'def Xform "Physics"')], "PhysicsScene"),
-        ([("gravityDirection = (0, -1, 0)", "gravityDirection = (1, 0, 0)")], "/Yard/Physics"),
+        (
+            [("gravityDirection = (0, -1, 0)", "gravityDirection = (1, 0, 0)")],
+            "/Yard/Physics",
+        ),
         ([('def Cube "Box"', 'def Capsule "Box"')], "/Yard/Incline/Crate/Box"),
     ],
 )
@@ -521,7 +692,9 @@ def test_commands_take_an_experiment_file(tmp_path: Path) -> None:
     assert run.exit_code == 0
     (line,) = map(json.loads, run.stdout.splitlines())
     assert line["id"] == "GAUGE/Asset-crate"
-    bad = CliRunner().invoke(app, ["run", str(tmp_path / "gone.toml"), "--out", str(tmp_path)])
+    bad = CliRunner().invoke(
+        app, ["run", str(tmp_path / "gone.toml"), "--out", str(tmp_path)]
+    )
     assert (bad.exit_code, bad.stderr) == (
         2,
         f"error: {tmp_path}/gone.toml: cannot be read: No such file or directory\n",
@@ -532,16 +705,24 @@ def test_a_trajectory_of_another_simulator_is_scored(tmp_path: Path) -> None:
     times_s = np.arange(31) / 30.0
     x, z = crate_start_m()
     way = 0.5 * ACCELERATION * times_s**2
-    places = np.column_stack([x + np.cos(TILT) * way, np.zeros(31), z - np.sin(TILT) * way])
+    places = np.column_stack(
+        [x + np.cos(TILT) * way, np.zeros(31), z - np.sin(TILT) * way]
+    )
     np.savetxt(tmp_path / "mine.csv", 1e3 * places, delimiter=",")
-    scored = CliRunner().invoke(app, ["score", str(tmp_path / "mine.csv"), "--id", str(CRATE), "--json"])
+    scored = CliRunner().invoke(
+        app, ["score", str(tmp_path / "mine.csv"), "--id", str(CRATE), "--json"]
+    )
     assert scored.exit_code == 0, scored.stderr
     assert json.loads(scored.stdout)["score"]["rmse"] == pytest.approx(0.0, abs=1e-5)
 
 
 # --- the guide -------------------------------------------------------------------------------------------------------
 
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+BLOCKS = re.findall(
+    r"^```(\w+)\n(.*?)^```$",
+    GUIDE.read_text(encoding="utf-8"),
+    flags=re.MULTILINE | re.DOTALL,
+)
 TABLES = [text for kind, text in BLOCKS if kind == "toml"]
 
 
@@ -558,18 +739,31 @@ def test_what_the_guide_runs_works_in_order(workplace: Path) -> None:
     output = ""
     for kind, text in BLOCKS:
         if kind == "python":
-            run = subprocess.run([sys.executable, "-c", text], cwd=workplace, capture_output=True, text=True)
+            run = subprocess.run(
+                [sys.executable, "-c", text],
+                cwd=workplace,
+                capture_output=True,
+                text=True,
+            )
             assert run.returncode == 0, run.stderr
         elif kind == "sh":
             for line in text.splitlines():
                 program, *arguments = shlex.split(line)
                 command = [str(Path(sys.executable).parent / program), *arguments]
-                run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True)
+                run = subprocess.run(
+                    command,
+                    cwd=workplace,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                )
                 assert run.returncode == 0, run.stderr
                 output += run.stdout
         elif kind == "text":
             for line in text.splitlines():
-                assert line.rstrip() in [shown.rstrip() for shown in output.splitlines()]
+                assert line.rstrip() in [
+                    shown.rstrip() for shown in output.splitlines()
+                ]
 
 
 def test_the_guide_quotes_the_experiment_file() -> None:

@@ -34,16 +34,27 @@ def test_a_task_file_states_a_velocity(tmp_path: Path) -> None:
     scene = built(
         tmp_path,
         "BouncingBall-rubber",
-        (start, "ball = { velocity_m_per_s = [1.0, 0.0, -2.0], angular_velocity_deg_per_s = [0, 180, 0], position_m"),
+        (
+            start,
+            "ball = { velocity_m_per_s = [1.0, 0.0, -2.0], angular_velocity_deg_per_s = [0, 180, 0], position_m",
+        ),
     ).build()
     assert scene.body("ball").linear_velocity_m_per_s == (1.0, 0.0, -2.0)
-    assert scene.body("ball").angular_velocity_rad_per_s == pytest.approx((0.0, math.pi, 0.0))
+    assert scene.body("ball").angular_velocity_rad_per_s == pytest.approx(
+        (0.0, math.pi, 0.0)
+    )
 
 
 def test_a_task_file_whose_fixed_body_moves_is_refused(tmp_path: Path) -> None:
     start = "ground = { position_m"
-    with pytest.raises(TaskFileError, match="'ground' is fixed and has a start velocity"):
-        built(tmp_path, "BouncingBall-rubber", (start, "ground = { velocity_m_per_s = [1, 0, 0], position_m"))
+    with pytest.raises(
+        TaskFileError, match="'ground' is fixed and has a start velocity"
+    ):
+        built(
+            tmp_path,
+            "BouncingBall-rubber",
+            (start, "ground = { velocity_m_per_s = [1, 0, 0], position_m"),
+        )
 
 
 def test_an_override_states_a_velocity() -> None:
@@ -54,21 +65,42 @@ def test_an_override_states_a_velocity() -> None:
 
 def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity() -> None:
     axis = np.array(load_experiment("Pendulum-metal").scene.joints[0].axis)
-    scene = load_experiment("Pendulum-metal", {"ball.angular_velocity_deg_per_s": tuple(90.0 * axis)}).scene
+    scene = load_experiment(
+        "Pendulum-metal", {"ball.angular_velocity_deg_per_s": tuple(90.0 * axis)}
+    ).scene
     ball, hinge = scene.body("ball"), scene.joints[0]
     arm = np.subtract(ball.pose.position_m, hinge.anchor_m)
-    assert ball.linear_velocity_m_per_s == pytest.approx(np.cross(0.5 * math.pi * axis, arm))
+    assert ball.linear_velocity_m_per_s == pytest.approx(
+        np.cross(0.5 * math.pi * axis, arm)
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "key", "value", "message"),
     [
-        (SLIDE, "board.velocity_m_per_s", (1.0, 0.0, 0.0), "'board' is fixed and has a start velocity"),
+        (
+            SLIDE,
+            "board.velocity_m_per_s",
+            (1.0, 0.0, 0.0),
+            "'board' is fixed and has a start velocity",
+        ),
         (SLIDE, "cube.velocity_m_per_s", (1.0, 0.0), "cube.velocity_m_per_s"),
-        ("Pendulum-metal", "ball.velocity_m_per_s", (1.0, 2.0, 3.0), "does not rotate the body about its hinge"),
-        ("TextileBending-rayon", "textile.velocity_m_per_s", (1.0, 0.0, 0.0), "is deformable and starts at rest"),
+        (
+            "Pendulum-metal",
+            "ball.velocity_m_per_s",
+            (1.0, 2.0, 3.0),
+            "does not rotate the body about its hinge",
+        ),
+        (
+            "TextileBending-rayon",
+            "textile.velocity_m_per_s",
+            (1.0, 0.0, 0.0),
+            "is deformable and starts at rest",
+        ),
     ],
 )
-def test_an_override_that_cannot_be(name: str, key: str, value: tuple[float, ...], message: str) -> None:
+def test_an_override_that_cannot_be(
+    name: str, key: str, value: tuple[float, ...], message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         load_experiment(name, {key: value})

@@ -25,9 +25,14 @@ EXAMPLE = ROOT / "examples" / "usd_experiment"
 def test_a_scene_that_cannot_be_built_is_found(tmp_path: Path) -> None:
     text = task_path("SlopeSlider").read_text(encoding="utf-8")
     file = tmp_path / "slope_slider.toml"
-    file.write_text(text.replace('board = "kinematic"', 'board = "dynamic"'), encoding="utf-8")
+    file.write_text(
+        text.replace('board = "kinematic"', 'board = "dynamic"'), encoding="utf-8"
+    )
     assert file.read_text(encoding="utf-8") != text
-    with pytest.raises(TaskFileError, match=r"slope_slider\.toml: drivers: 'board' is driven but dynamic"):
+    with pytest.raises(
+        TaskFileError,
+        match=r"slope_slider\.toml: drivers: 'board' is driven but dynamic",
+    ):
         load_task(file)
 
 
@@ -37,7 +42,9 @@ def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     folder = tmp_path / "tasks"
     shutil.copytree(task_path("Pendulum").parent, folder)
     for reader in (module, overview):
-        monkeypatch.setattr(reader, "task_files", lambda: tuple(sorted(folder.glob("*.toml"))))
+        monkeypatch.setattr(
+            reader, "task_files", lambda: tuple(sorted(folder.glob("*.toml")))
+        )
     cached = (module._read_files, variants, task_spec)
     for function in cached:
         function.cache_clear()
@@ -51,7 +58,10 @@ def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 BREAKS = {
     "no TOML": (b"family = ", "cannot be read: "),
     "no text": (b"\xff", "cannot be read: "),
-    "no materials": (b'family = "Pendulum"', "cannot be read: materials: a list of names is expected"),
+    "no materials": (
+        b'family = "Pendulum"',
+        "cannot be read: materials: a list of names is expected",
+    ),
     "no family": (b"family = 3", "cannot be read: family: a name is expected"),
     "no task": (b'family = "Pendulum"\nmaterials = ["metal"]', "missing key"),
     "deep": (b"a = " + b"[" * 9999, "nested too deeply"),
@@ -59,14 +69,20 @@ BREAKS = {
 
 
 @pytest.mark.parametrize("broken", BREAKS)
-def test_one_wrong_file_is_named_and_the_others_are_listed(broken: str, tasks: Path) -> None:
+def test_one_wrong_file_is_named_and_the_others_are_listed(
+    broken: str, tasks: Path
+) -> None:
     content, reason = BREAKS[broken]
     (tasks / "pendulum.toml").write_bytes(content)
     result = CliRunner().invoke(app, ["list", "--json"])
     assert result.exit_code == 1
     families = {json.loads(line)["family"] for line in result.stdout.splitlines()}
     assert len(families) == 21 and "Pendulum" not in families
-    assert "skipped:" in result.stderr and "pendulum.toml" in result.stderr and reason in result.stderr
+    assert (
+        "skipped:" in result.stderr
+        and "pendulum.toml" in result.stderr
+        and reason in result.stderr
+    )
     assert len(task_file_faults()) == 1
     assert load_experiment("SlopeSlider-2-wood").frame_count == 19
     with pytest.raises(TaskFileError, match=r"pendulum\.toml"):
@@ -87,14 +103,19 @@ def crate(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("frames", [18_001, 10**9, 10**30])
 def test_the_number_of_frames_is_limited(frames: int, crate: Path) -> None:
-    lines = [line if not line.startswith("frames") else f"frames = {frames}" for line in crate.read_text().splitlines()]
+    lines = [
+        line if not line.startswith("frames") else f"frames = {frames}"
+        for line in crate.read_text().splitlines()
+    ]
     crate.write_text("\n".join(lines))
     with pytest.raises(TaskFileError, match=r"crate\.toml: frames: "):
         load_experiment_file(crate)
 
 
 def test_a_number_that_python_cannot_write_is_an_error(crate: Path) -> None:
-    crate.write_text(crate.read_text().replace("frames = ", f"frames = 0x{'f' * 9000} # "))
+    crate.write_text(
+        crate.read_text().replace("frames = ", f"frames = 0x{'f' * 9000} # ")
+    )
     with pytest.raises(TaskFileError, match=r"crate\.toml: frames: "):
         load_experiment_file(crate)
 
@@ -105,8 +126,12 @@ def test_an_error_of_a_band_prints_no_text_of_the_file(
     monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
     private = tmp_path / "private.csv"
     private.write_text("root:secret:0,frame\n1,2\n")
-    band = next(line for line in crate.read_text().splitlines() if line.startswith("file = "))
+    band = next(
+        line for line in crate.read_text().splitlines() if line.startswith("file = ")
+    )
     crate.write_text(crate.read_text().replace(band, f'file = "{private}"'))
     with pytest.raises(ReferenceFileError) as caught:
         load_experiment_file(crate)
-    assert "columns are frame and 1 unknown ones" in str(caught.value) and "secret" not in str(caught.value)
+    assert "columns are frame and 1 unknown ones" in str(
+        caught.value
+    ) and "secret" not in str(caught.value)

@@ -19,9 +19,24 @@ from mutations import (
     stepping,
     wrenches,
 )
-from mutations.mutant import FAILS_ITSELF, Fault, Mutant, Passed, first_failure, is_of_the_fault
+from mutations.mutant import (
+    FAILS_ITSELF,
+    Fault,
+    Mutant,
+    Passed,
+    first_failure,
+    is_of_the_fault,
+)
 
-__all__ = ["FAILS_ITSELF", "FAULTS", "Fault", "Mutant", "Passed", "first_failure", "is_of_the_fault"]
+__all__ = [
+    "FAILS_ITSELF",
+    "FAULTS",
+    "Fault",
+    "Mutant",
+    "Passed",
+    "first_failure",
+    "is_of_the_fault",
+]
 
 FAULTS: dict[str, Fault] = {
     **rigid_scenes.FAULTS,

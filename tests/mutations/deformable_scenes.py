@@ -18,34 +18,49 @@ Array = NDArray[np.float64]
 
 
 def _random_fabric(scene: Scene) -> Scene:
-    return change_deformables(Cloth, stretch_stiffness_n_per_m=1.0 + 1e-9 * float(np.random.default_rng().random()))(
-        scene
-    )
+    return change_deformables(
+        Cloth,
+        stretch_stiffness_n_per_m=1.0 + 1e-9 * float(np.random.default_rng().random()),
+    )(scene)
 
 
 def _warp_along_y(scene: Scene) -> Scene:
     changed = [
-        replace(one, size_m=(one.size_m[1], one.size_m[0])) if isinstance(one, Cloth) else one
+        replace(one, size_m=(one.size_m[1], one.size_m[0]))
+        if isinstance(one, Cloth)
+        else one
         for one in scene.deformables
     ]
     return replace(scene, deformables=tuple(changed))
 
 
 def _edge_only(scene: Scene) -> Scene:
-    attachments = [replace(one, region=replace(one.region, depth_m=0.0)) for one in scene.attachments]
+    attachments = [
+        replace(one, region=replace(one.region, depth_m=0.0))
+        for one in scene.attachments
+    ]
     return replace(scene, attachments=tuple(attachments))
 
 
 def _one_row_more(scene: Scene) -> Scene:
-    held = scene.attachments if any(isinstance(one, Cloth) for one in scene.deformables) else ()
-    deeper = [replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03)) for one in held]
+    held = (
+        scene.attachments
+        if any(isinstance(one, Cloth) for one in scene.deformables)
+        else ()
+    )
+    deeper = [
+        replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03))
+        for one in held
+    ]
     return replace(scene, attachments=tuple(deeper or scene.attachments))
 
 
 def _lines_turned(scene: Scene) -> Scene:
     turn = Rotation.from_euler("z", 3.0, degrees=True)
     changed = [
-        replace(one, pose=Pose.from_rotation(one.pose.position_m, turn * one.pose.rotation))
+        replace(
+            one, pose=Pose.from_rotation(one.pose.position_m, turn * one.pose.rotation)
+        )
         if isinstance(one, Rope | Rod)
         else one
         for one in scene.deformables
@@ -54,7 +69,9 @@ def _lines_turned(scene: Scene) -> Scene:
 
 
 def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
-    return lambda scene: scene if scene.air is None else replace(scene, air=change(scene.air))
+    return lambda scene: (
+        scene if scene.air is None else replace(scene, air=change(scene.air))
+    )
 
 
 class _PumpingAir(Air):
@@ -72,7 +89,13 @@ def _pumping(air: Air) -> Air:
 
 def _thick(scene: Scene) -> Scene:
     changed = [
-        replace(one, pose=replace(one.pose, position_m=vector(np.add(one.pose.position_m, [0.0, 0.0, 3e-3]))))
+        replace(
+            one,
+            pose=replace(
+                one.pose,
+                position_m=vector(np.add(one.pose.position_m, [0.0, 0.0, 3e-3])),
+            ),
+        )
         if isinstance(one, Cloth)
         else one
         for one in scene.deformables
@@ -117,16 +140,38 @@ FAULTS: dict[str, Fault] = dict(
             "mass of the nodes",
             scene=change_deformables(Cloth, mass_kg=1.3, areal_density_kg_per_m2=1.3),
         ),
-        fault("cloth-sides", "warp and weft of cloth exchanged", "cloth-start", "warp along x", scene=_warp_along_y),
+        fault(
+            "cloth-sides",
+            "warp and weft of cloth exchanged",
+            "cloth-start",
+            "warp along x",
+            scene=_warp_along_y,
+        ),
         fault(
             "cloth-friction",
             "friction of cloth 20 % low",
             "cloth-slide",
             "friction were 0.24",
-            scene=lambda scene: change_contacts(friction=lambda mu: 0.8 * mu)(scene) if scene.deformables else scene,
+            scene=lambda scene: (
+                change_contacts(friction=lambda mu: 0.8 * mu)(scene)
+                if scene.deformables
+                else scene
+            ),
         ),
-        fault("cloth-height", "cloth 3 mm too high", "cloth-start", "centred on its pose", scene=_thick),
-        fault("cloth-random", "random fabric", "cloth-determinism", "random numbers", scene=_random_fabric),
+        fault(
+            "cloth-height",
+            "cloth 3 mm too high",
+            "cloth-start",
+            "centred on its pose",
+            scene=_thick,
+        ),
+        fault(
+            "cloth-random",
+            "random fabric",
+            "cloth-determinism",
+            "random numbers",
+            scene=_random_fabric,
+        ),
         fault(
             "no-attachments",
             "attachments missing",
@@ -135,7 +180,11 @@ FAULTS: dict[str, Fault] = dict(
             scene=lambda scene: replace(scene, attachments=()),
         ),
         fault(
-            "attachment-depth", "attachments at the edge only", "cloth-bending", "a clamp of 50 mm", scene=_edge_only
+            "attachment-depth",
+            "attachments at the edge only",
+            "cloth-bending",
+            "a clamp of 50 mm",
+            scene=_edge_only,
         ),
         fault(
             "attachment-row",
@@ -156,21 +205,31 @@ FAULTS: dict[str, Fault] = dict(
             "drag without the factor 1/2, or areas counted twice",
             "air-terminal",
             "2 times",
-            scene=_air(lambda air: replace(air, density_kg_per_m3=2.0 * air.density_kg_per_m3)),
+            scene=_air(
+                lambda air: replace(air, density_kg_per_m3=2.0 * air.density_kg_per_m3)
+            ),
         ),
         fault(
             "air-wind",
             "wind from the other side",
             "air-pressure",
             "against the wind",
-            scene=_air(lambda air: replace(air, wind_m_per_s=vector(np.negative(air.wind_m_per_s)))),
+            scene=_air(
+                lambda air: replace(
+                    air, wind_m_per_s=vector(np.negative(air.wind_m_per_s))
+                )
+            ),
         ),
         fault(
             "air-friction",
             "friction of one side of the cloth",
             "air-friction",
             "counts both sides",
-            scene=_air(lambda air: replace(air, tangential_coefficient=0.5 * air.tangential_coefficient)),
+            scene=_air(
+                lambda air: replace(
+                    air, tangential_coefficient=0.5 * air.tangential_coefficient
+                )
+            ),
         ),
         fault(
             "air-lift",

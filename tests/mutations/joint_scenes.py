@@ -22,20 +22,33 @@ def _hinges(change: Callable[[Any], Any]) -> Callable[[Scene], Scene]:
     """Return a fault that changes each hinge, which is all joints of scenes with friction or motors."""
 
     def changed(scene: Scene) -> Scene:
-        if all(hinge.motor is None and hinge.dynamics == JointDynamics() for hinge in scene.hinges):
+        if all(
+            hinge.motor is None and hinge.dynamics == JointDynamics()
+            for hinge in scene.hinges
+        ):
             return scene
-        joints, inner = (tuple(map(change, hinges)) for hinges in (scene.joints, scene.body_hinges))
+        joints, inner = (
+            tuple(map(change, hinges)) for hinges in (scene.joints, scene.body_hinges)
+        )
         return replace(scene, joints=joints, body_hinges=inner)
 
     return changed
 
 
-def _terms(change: Callable[[JointDynamics], JointDynamics]) -> Callable[[Scene], Scene]:
+def _terms(
+    change: Callable[[JointDynamics], JointDynamics],
+) -> Callable[[Scene], Scene]:
     return _hinges(lambda hinge: replace(hinge, dynamics=change(hinge.dynamics)))
 
 
 def _servos(change: Callable[[Servo], Servo]) -> Callable[[Scene], Scene]:
-    return _hinges(lambda one: replace(one, motor=change(one.motor)) if isinstance(one.motor, Servo) else one)
+    return _hinges(
+        lambda one: (
+            replace(one, motor=change(one.motor))
+            if isinstance(one.motor, Servo)
+            else one
+        )
+    )
 
 
 class _Reversed(Passed):
@@ -81,7 +94,10 @@ class _RestingRotor(Passed):
         model, rates = self.inner.model, self.inner.data.qvel
         for joint in map(model.joint, range(model.njnt)):
             if joint.name.endswith("/play"):
-                rates[joint.dofadr], rates[joint.dofadr - 1] = rates[joint.dofadr - 1], 0.0
+                rates[joint.dofadr], rates[joint.dofadr - 1] = (
+                    rates[joint.dofadr - 1],
+                    0.0,
+                )
 
 
 def _grasps(change: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
@@ -94,7 +110,9 @@ def _pads(kind: type, shape: Shape) -> Callable[[Scene], Scene]:
     return lambda scene: replace(
         scene,
         bodies=tuple(
-            replace(one, shape=shape) if one.name in scene.hung and isinstance(one.shape, kind) else one
+            replace(one, shape=shape)
+            if one.name in scene.hung and isinstance(one.shape, kind)
+            else one
             for one in scene.bodies
         ),
     )
@@ -138,7 +156,9 @@ FAULTS: dict[str, Fault] = dict(
             "dry friction of joints times 1.05",
             "joint-dry",
             "the unit of the joint's friction",
-            scene=_terms(lambda one: replace(one, dry_friction_n_m=1.05 * one.dry_friction_n_m)),
+            scene=_terms(
+                lambda one: replace(one, dry_friction_n_m=1.05 * one.dry_friction_n_m)
+            ),
         ),
         fault(
             "joint-dry-viscous",
@@ -147,7 +167,11 @@ FAULTS: dict[str, Fault] = dict(
             "does not depend on speed",
             scene=_terms(
                 lambda one: (
-                    replace(one, dry_friction_n_m=0.0, viscous_friction_n_m_s_per_rad=one.dry_friction_n_m)
+                    replace(
+                        one,
+                        dry_friction_n_m=0.0,
+                        viscous_friction_n_m_s_per_rad=one.dry_friction_n_m,
+                    )
                     if one.dry_friction_n_m
                     else one
                 )
@@ -168,7 +192,10 @@ FAULTS: dict[str, Fault] = dict(
             "radians",
             scene=_terms(
                 lambda one: replace(
-                    one, viscous_friction_n_m_s_per_rad=float(np.degrees(one.viscous_friction_n_m_s_per_rad))
+                    one,
+                    viscous_friction_n_m_s_per_rad=float(
+                        np.degrees(one.viscous_friction_n_m_s_per_rad)
+                    ),
                 )
             ),
         ),
@@ -194,14 +221,28 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_RestingRotor,
             engine="mujoco",
         ),
-        fault("motor-reversed", "motors turn the other way", "joint-torque", "sign of the axis", simulation=_Reversed),
-        fault("command-late", "commands one interval late", "joint-delay", "the next advance()", simulation=_Late),
+        fault(
+            "motor-reversed",
+            "motors turn the other way",
+            "joint-torque",
+            "sign of the axis",
+            simulation=_Reversed,
+        ),
+        fault(
+            "command-late",
+            "commands one interval late",
+            "joint-delay",
+            "the next advance()",
+            simulation=_Late,
+        ),
         fault(
             "servo-sign",
             "servos speed up",
             "joint-servo",
             "the sign of the rate",
-            scene=_servos(lambda one: replace(one, kv_n_m_s_per_rad=-one.kv_n_m_s_per_rad)),
+            scene=_servos(
+                lambda one: replace(one, kv_n_m_s_per_rad=-one.kv_n_m_s_per_rad)
+            ),
         ),
         fault(
             "servo-unlimited",
@@ -216,7 +257,11 @@ FAULTS: dict[str, Fault] = dict(
             "joint-dry-servo",
             "share one motor",
             scene=_hinges(
-                lambda one: replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0)) if one.motor else one
+                lambda one: (
+                    replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0))
+                    if one.motor
+                    else one
+                )
             ),
         ),
         fault(
@@ -226,7 +271,14 @@ FAULTS: dict[str, Fault] = dict(
             "the second body relative to the first",
             simulation=_ReversedBetween,
         ),
-        fault("grasp-soft", "pads are soft", "grasp-sink", "its stiffness", simulation=_SoftPads, engine="mujoco"),
+        fault(
+            "grasp-soft",
+            "pads are soft",
+            "grasp-sink",
+            "its stiffness",
+            simulation=_SoftPads,
+            engine="mujoco",
+        ),
         fault(
             "grasp-creeps",
             "pads creep",
@@ -235,7 +287,13 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_CreepingPads,
             engine="mujoco",
         ),
-        fault("motor-tired", "motors lose torque", "grasp-holds", "than torque over length", simulation=_TiredMotors),
+        fault(
+            "motor-tired",
+            "motors lose torque",
+            "grasp-holds",
+            "than torque over length",
+            simulation=_TiredMotors,
+        ),
         fault(
             "grasp-friction",
             "friction of pads times 0.95",

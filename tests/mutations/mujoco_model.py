@@ -53,7 +53,10 @@ def _mean_of_vertices(model: Any, scene: Scene) -> None:
 def _mean_of_pieces(model: Any, scene: Scene) -> None:
     for one in _dynamic(scene, ConvexUnion):
         assert isinstance(one.shape, ConvexUnion)
-        centres = [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in one.shape.pieces_m]
+        centres = [
+            mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0]
+            for piece in one.shape.pieces_m
+        ]
         model.body(one.name).ipos[:] = np.mean(centres, axis=0)
 
 
@@ -219,7 +222,9 @@ class _Asleep(Passed):
         super().advance(seconds)
         if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
             rows = self.inner.data.qvel.reshape(-1, 6)
-            slow = (np.linalg.norm(rows[:, :3], axis=1) < 5e-3) & ~rows[:, 3:].any(axis=1)
+            slow = (np.linalg.norm(rows[:, :3], axis=1) < 5e-3) & ~rows[:, 3:].any(
+                axis=1
+            )
             self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
             rows[self.slow_s > 0.5] = 0.0
 
@@ -236,13 +241,20 @@ class _HeavySpin(Passed):
 
     def advance(self, seconds: float) -> None:
         for one in self.scene.dynamic_bodies:
-            if np.linalg.norm(self.body_states([one.name])[0, 10:]) > 5.0 and self.scene.gravity_m_per_s2:
+            if (
+                np.linalg.norm(self.body_states([one.name])[0, 10:]) > 5.0
+                and self.scene.gravity_m_per_s2
+            ):
                 force = -0.01 * one.mass_kg * self.scene.gravity_m_per_s2
-                self.inner.apply_wrench(one.name, np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+                self.inner.apply_wrench(
+                    one.name, np.array([0.0, 0.0, force, 0.0, 0.0, 0.0])
+                )
         super().advance(seconds)
 
 
-def _own(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[str, Fault]:
+def _own(
+    id: str, what: str, caught_by: str, says: str, **how: Any
+) -> tuple[str, Fault]:
     return fault(id, what, caught_by, says, engine="mujoco", **how)
 
 
@@ -367,8 +379,20 @@ FAULTS: dict[str, Fault] = dict(
             "so soft",
             settings={"sustained_solref": (0.2, 1.0)},
         ),
-        _own("blast", "fast bodies thrown off", "time", "each call changes its speed", simulation=_Blast),
-        _own("starts-turning", "rotation at the start", "reset-start", "velocities", simulation=_StartsTurning),
+        _own(
+            "blast",
+            "fast bodies thrown off",
+            "time",
+            "each call changes its speed",
+            simulation=_Blast,
+        ),
+        _own(
+            "starts-turning",
+            "rotation at the start",
+            "reset-start",
+            "velocities",
+            simulation=_StartsTurning,
+        ),
         _own(
             "centre-elsewhere",
             "centre of mass 5 mm off",

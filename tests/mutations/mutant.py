@@ -35,7 +35,9 @@ class Passed(Simulation):
         """Pass on."""
         self.inner.reset(seed)
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         """Pass on."""
         self.inner.drive(body, pose, velocity, acceleration)
 
@@ -133,18 +135,26 @@ class Mutant(Backend):
         """Return what the healthy backend supports."""
         return self.healthy.supports(scene)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build the faulty scene in the faulty simulation."""
-        inner = self.healthy.build(self._fault.scene(scene), {**(settings or {}), **self._fault.settings})
+        inner = self.healthy.build(
+            self._fault.scene(scene), {**(settings or {}), **self._fault.settings}
+        )
         return self._fault.simulation(inner, scene)
 
 
 FAILS_ITSELF: Mapping[str, frozenset[str]] = {
     "mujoco": frozenset({"grasp-creep", "oblique-slip-rebound", "rebound-flat"}),
     "newton": frozenset({"oblique-slip-rebound", "rebound-flat"}),
-    "rapier": frozenset({"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}),
+    "rapier": frozenset(
+        {"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}
+    ),
     "physx": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
-    "drake": frozenset({"grasp-creep", "grasp-slips", "grasp-torsion", "slide-between", "rebound-flat"}),
+    "drake": frozenset(
+        {"grasp-creep", "grasp-slips", "grasp-torsion", "slide-between", "rebound-flat"}
+    ),
     # The implicit damping of a servo also brakes it at its largest torque.
     "genesis": frozenset({"oblique-grip-speed", "oblique-grip-spin", "joint-limit"}),
 }
@@ -158,12 +168,17 @@ def first_failure(mutant: Mutant, only: Sequence[str] = ()) -> CheckResult | Non
         mutant: The mutant.
         only: Ids or patterns of checks; all when empty.
     """
-    return next((one for one in run_checks(mutant, only=only) if is_of_the_fault(mutant, one)), None)
+    return next(
+        (one for one in run_checks(mutant, only=only) if is_of_the_fault(mutant, one)),
+        None,
+    )
 
 
 def is_of_the_fault(mutant: Mutant, result: CheckResult) -> bool:
     """Return whether a check fails, and otherwise than it does on the healthy engine by more than its tolerance."""
-    if not result.is_bad or result.check not in FAILS_ITSELF.get(mutant.engine_name, frozenset()):
+    if not result.is_bad or result.check not in FAILS_ITSELF.get(
+        mutant.engine_name, frozenset()
+    ):
         return result.is_bad
     (healthy,) = run_checks(mutant.healthy, only=[result.check])
     if result.measured is None or healthy.measured is None:
@@ -171,6 +186,8 @@ def is_of_the_fault(mutant: Mutant, result: CheckResult) -> bool:
     return abs(result.measured - healthy.measured) > (result.width or 0.0)
 
 
-def fault(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[str, Fault]:
+def fault(
+    id: str, what: str, caught_by: str, says: str, **how: Any
+) -> tuple[str, Fault]:
     """Return the entry of a fault in a table: its id and the fault."""
     return id, Fault(what=what, caught_by=caught_by, says=says, **how)

@@ -73,7 +73,10 @@ class _VelocityOfCentre(Passed):
         states = super().body_states(names)
         for row, name in zip(states, names, strict=True):
             centre_m, _ = mass_properties(self.scene.body(name).shape, 1.0)
-            row[7:10] += np.cross(row[10:], Rotation.from_quat(row[3:7], scalar_first=True).apply(centre_m))
+            row[7:10] += np.cross(
+                row[10:],
+                Rotation.from_quat(row[3:7], scalar_first=True).apply(centre_m),
+            )
         return states
 
 
@@ -120,7 +123,11 @@ class _StateLate(Passed):
         super().advance(seconds)
 
     def body_states(self, names: Sequence[str]) -> Array:
-        return np.array([self._before[name] for name in names]) if self._before else super().body_states(names)
+        return (
+            np.array([self._before[name] for name in names])
+            if self._before
+            else super().body_states(names)
+        )
 
     def state(self) -> Any:
         return super().state(), self._before
@@ -142,7 +149,10 @@ class _NodesLag(Passed):
         super().reset(seed)
 
     def advance(self, seconds: float) -> None:
-        self._before = {one.name: np.array(self.inner.nodes(one.name)) for one in self.scene.deformables}
+        self._before = {
+            one.name: np.array(self.inner.nodes(one.name))
+            for one in self.scene.deformables
+        }
         super().advance(seconds)
 
     def nodes(self, name: str) -> Array:
@@ -201,7 +211,13 @@ FAULTS: dict[str, Fault] = dict(
             "inverse",
             simulation=_reporting(_inverse),
         ),
-        fault("millimetres", "positions in mm", "start-position", "in mm", simulation=_reporting(_millimetres)),
+        fault(
+            "millimetres",
+            "positions in mm",
+            "start-position",
+            "in mm",
+            simulation=_reporting(_millimetres),
+        ),
         fault(
             "velocity-frame",
             "velocity in the body frame",
@@ -238,13 +254,33 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_reporting(_spin_reversed),
         ),
         fault(
-            "order-of-names", "rows in alphabetical order", "order-of-names", "order asked for", simulation=_SceneOrder
+            "order-of-names",
+            "rows in alphabetical order",
+            "order-of-names",
+            "order asked for",
+            simulation=_SceneOrder,
         ),
         fault("nan-mass", "mass of a body NaN", "finite", "mass", simulation=_NaNMass),
-        fault("state-late", "states one interval late", "time", "one interval late", simulation=_StateLate),
-        fault("nodes-lag", "nodes one interval late", "cloth-pinned-edge", "late", simulation=_NodesLag),
         fault(
-            "nodes-shuffled", "nodes of a rope in another order", "rope-nodes", "in order", simulation=_NodesShuffled
+            "state-late",
+            "states one interval late",
+            "time",
+            "one interval late",
+            simulation=_StateLate,
+        ),
+        fault(
+            "nodes-lag",
+            "nodes one interval late",
+            "cloth-pinned-edge",
+            "late",
+            simulation=_NodesLag,
+        ),
+        fault(
+            "nodes-shuffled",
+            "nodes of a rope in another order",
+            "rope-nodes",
+            "in order",
+            simulation=_NodesShuffled,
         ),
         fault(
             "nodes-reversed",
@@ -253,7 +289,13 @@ FAULTS: dict[str, Fault] = dict(
             "order changes",
             simulation=_NodesReversed,
         ),
-        fault("nodes-millimetres", "nodes in mm", "cloth-start", "in mm", simulation=_NodesInMillimetres),
+        fault(
+            "nodes-millimetres",
+            "nodes in mm",
+            "cloth-start",
+            "in mm",
+            simulation=_NodesInMillimetres,
+        ),
         fault(
             "quaternion-grown",
             "quaternions of fast bodies are 0.1 % too long",

@@ -28,7 +28,12 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
-from mutations.scenes import change_bodies, change_contacts, change_joints, change_shapes
+from mutations.scenes import (
+    change_bodies,
+    change_contacts,
+    change_joints,
+    change_shapes,
+)
 
 Array = NDArray[np.float64]
 
@@ -46,7 +51,9 @@ def _margin(one: RigidBody) -> RigidBody:
         return one
     if isinstance(one.shape, Plane):
         normal = one.pose.rotation.apply([0.0, 0.0, MARGIN_M])
-        return replace(one, pose=replace(one.pose, position_m=vector(one.pose.position_m + normal)))
+        return replace(
+            one, pose=replace(one.pose, position_m=vector(one.pose.position_m + normal))
+        )
     return replace(one, shape=_grown(one.shape, MARGIN_M))
 
 
@@ -58,12 +65,17 @@ def _grown(shape: Shape, margin_m: float) -> Shape:
     if isinstance(shape, Sphere):
         return Sphere(radius_m=shape.radius_m + margin_m)
     if isinstance(shape, Cylinder):
-        return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
+        return Cylinder(
+            radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m
+        )
     if isinstance(shape, ConvexUnion):
         top = shape.corners_m[:, 2].max()
         return ConvexUnion(
             pieces_m=tuple(
-                tuple((x, y, z + margin_m if z > top - 1e-9 else z) for x, y, z in piece) for piece in shape.pieces_m
+                tuple(
+                    (x, y, z + margin_m if z > top - 1e-9 else z) for x, y, z in piece
+                )
+                for piece in shape.pieces_m
             )
         )
     return shape
@@ -97,7 +109,9 @@ def _box_twice(shape: Shape) -> Shape:
 
 
 def _sphere_larger(shape: Shape) -> Shape:
-    return Sphere(radius_m=1.05 * shape.radius_m) if isinstance(shape, Sphere) else shape
+    return (
+        Sphere(radius_m=1.05 * shape.radius_m) if isinstance(shape, Sphere) else shape
+    )
 
 
 def _hull(shape: Shape) -> Shape:
@@ -107,7 +121,11 @@ def _hull(shape: Shape) -> Shape:
 
 
 def _first_piece(shape: Shape) -> Shape:
-    return ConvexUnion(pieces_m=shape.pieces_m[:1]) if isinstance(shape, ConvexUnion) else shape
+    return (
+        ConvexUnion(pieces_m=shape.pieces_m[:1])
+        if isinstance(shape, ConvexUnion)
+        else shape
+    )
 
 
 SLOW_LIMIT_M_PER_S = 0.6
@@ -120,7 +138,11 @@ def _no_slow_rebound(scene: Scene) -> Scene:
 
 
 def _all_collide(scene: Scene) -> Scene:
-    listed = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
+    listed = {
+        frozenset(pair)
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+    }
     names = [one.name for one in scene.bodies]
     more = [
         Contact(first=(first,), second=(second,), friction=0.5, restitution=0.0)
@@ -144,23 +166,33 @@ def _one_friction(scene: Scene) -> Scene:
 def _per_point(scene: Scene) -> Scene:
     boxes = {one.name for one in scene.dynamic_bodies if isinstance(one.shape, Box)}
     contacts = (
-        replace(one, restitution=0.5 * one.restitution) if boxes.intersection((*one.first, *one.second)) else one
+        replace(one, restitution=0.5 * one.restitution)
+        if boxes.intersection((*one.first, *one.second))
+        else one
         for one in scene.contacts
     )
     return replace(scene, contacts=tuple(contacts))
 
 
 def _one_restitution(scene: Scene) -> Scene:
-    largest = max((one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT), default=0.0)
+    largest = max(
+        (one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT),
+        default=0.0,
+    )
     return change_contacts(restitution=lambda e: largest)(scene)
 
 
 def _always_impact(scene: Scene) -> Scene:
-    return replace(scene, contacts=tuple(replace(one, mode=ContactMode.IMPACT) for one in scene.contacts))
+    return replace(
+        scene,
+        contacts=tuple(replace(one, mode=ContactMode.IMPACT) for one in scene.contacts),
+    )
 
 
 def _random_friction(scene: Scene) -> Scene:
-    return change_contacts(friction=lambda mu: mu * float(1.0 + 1e-9 * np.random.default_rng().random()))(scene)
+    return change_contacts(
+        friction=lambda mu: mu * float(1.0 + 1e-9 * np.random.default_rng().random())
+    )(scene)
 
 
 def _nothing_fixed(scene: Scene) -> Scene:
@@ -175,7 +207,9 @@ def _nothing_fixed(scene: Scene) -> Scene:
     )(scene)
 
 
-def _tilted(axis: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
+def _tilted(
+    axis: tuple[float, float, float], degrees: float
+) -> tuple[float, float, float]:
     return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
 
 
@@ -198,12 +232,19 @@ def _thrown(change: Callable[[RigidBody], RigidBody]) -> Callable[[Scene], Scene
 def _velocity_of_centre(one: RigidBody) -> RigidBody:
     """Give the centre of mass the velocity that the scene states for the origin."""
     arm = one.pose.rotation.apply(mass_properties(one.shape, one.mass_kg)[0])
-    linear = np.subtract(one.linear_velocity_m_per_s, np.cross(one.angular_velocity_rad_per_s, arm))
+    linear = np.subtract(
+        one.linear_velocity_m_per_s, np.cross(one.angular_velocity_rad_per_s, arm)
+    )
     return replace(one, linear_velocity_m_per_s=vector(linear))
 
 
 def _spin_turned(one: RigidBody) -> RigidBody:
-    return replace(one, angular_velocity_rad_per_s=vector(one.pose.rotation.apply(one.angular_velocity_rad_per_s)))
+    return replace(
+        one,
+        angular_velocity_rad_per_s=vector(
+            one.pose.rotation.apply(one.angular_velocity_rad_per_s)
+        ),
+    )
 
 
 class _WithoutCylinder(Passed):
@@ -226,12 +267,15 @@ class _AsIs(Passed):
         return np.array(self.inner.body_states(names))
 
 
-def _of_pairs(chosen: Callable[[Scene, Contact], bool], change: Callable[[float], float]) -> Callable[[Scene], Scene]:
+def _of_pairs(
+    chosen: Callable[[Scene, Contact], bool], change: Callable[[float], float]
+) -> Callable[[Scene], Scene]:
     """Return a fault that changes the friction of some contacts of a scene."""
 
     def changed(scene: Scene) -> Scene:
         contacts = (
-            replace(one, friction=change(one.friction)) if chosen(scene, one) else one for one in scene.contacts
+            replace(one, friction=change(one.friction)) if chosen(scene, one) else one
+            for one in scene.contacts
         )
         return replace(scene, contacts=tuple(contacts))
 
@@ -244,7 +288,11 @@ def _is_impact(scene: Scene, contact: Contact) -> bool:
 
 def _is_of_two_moving(scene: Scene, contact: Contact) -> bool:
     moving = {body.name for body in scene.dynamic_bodies}
-    return set(contact.first) <= moving and set(contact.second) <= moving and contact.first != contact.second
+    return (
+        set(contact.first) <= moving
+        and set(contact.second) <= moving
+        and contact.first != contact.second
+    )
 
 
 def _turning(change: Callable[[Contact], Contact]) -> Callable[[Scene], Scene]:
@@ -258,7 +306,9 @@ FAULTS: dict[str, Fault] = dict(
             "torsional friction times friction",
             "torsion",
             "a share of the friction",
-            scene=_turning(lambda one: replace(one, torsion_m=one.torsion_m * one.friction)),
+            scene=_turning(
+                lambda one: replace(one, torsion_m=one.torsion_m * one.friction)
+            ),
         ),
         fault(
             "rolling-none",
@@ -267,7 +317,13 @@ FAULTS: dict[str, Fault] = dict(
             "the dimension of rolling friction",
             scene=_turning(lambda one: replace(one, rolling_m=0.0)),
         ),
-        fault("margin", "collision margin of 1 mm left in", "contact-listed", "margin", scene=change_bodies(_margin)),
+        fault(
+            "margin",
+            "collision margin of 1 mm left in",
+            "contact-listed",
+            "margin",
+            scene=change_bodies(_margin),
+        ),
         fault(
             "cylinder-length",
             "cylinder with half the length",
@@ -303,8 +359,20 @@ FAULTS: dict[str, Fault] = dict(
             "threshold speed",
             scene=_no_slow_rebound,
         ),
-        fault("gravity-1-percent", "gravity 1 % high", "free-fall", "gravity", scene=_gravity(lambda g: 1.01 * g)),
-        fault("gravity-upward", "gravity upward", "free-fall", "sign of gravity", scene=_gravity(lambda g: -g)),
+        fault(
+            "gravity-1-percent",
+            "gravity 1 % high",
+            "free-fall",
+            "gravity",
+            scene=_gravity(lambda g: 1.01 * g),
+        ),
+        fault(
+            "gravity-upward",
+            "gravity upward",
+            "free-fall",
+            "sign of gravity",
+            scene=_gravity(lambda g: -g),
+        ),
         fault(
             "gravity-own",
             "gravity of the engine",
@@ -333,7 +401,13 @@ FAULTS: dict[str, Fault] = dict(
             "friction were 0.24",
             scene=change_contacts(friction=lambda mu: 0.8 * mu),
         ),
-        fault("friction-none", "no friction", "slide", "friction were", scene=change_contacts(friction=lambda mu: 0.0)),
+        fault(
+            "friction-none",
+            "no friction",
+            "slide",
+            "friction were",
+            scene=change_contacts(friction=lambda mu: 0.0),
+        ),
         fault(
             "restitution-none",
             "no restitution",
@@ -367,7 +441,11 @@ FAULTS: dict[str, Fault] = dict(
             "restitution of sustained pairs",
             "rebound-sustained",
             "no effect on a pair of the mode SUSTAINED",
-            scene=lambda scene: _always_impact(scene) if any(one.restitution for one in scene.contacts) else scene,
+            scene=lambda scene: (
+                _always_impact(scene)
+                if any(one.restitution for one in scene.contacts)
+                else scene
+            ),
         ),
         fault(
             "mass-high",
@@ -381,7 +459,13 @@ FAULTS: dict[str, Fault] = dict(
             "mass of one body 1.5 times too large",
             "collision-momentum",
             "masses are not the scene's",
-            scene=change_bodies(lambda one: replace(one, mass_kg=1.5 * one.mass_kg) if one.name == "left" else one),
+            scene=change_bodies(
+                lambda one: (
+                    replace(one, mass_kg=1.5 * one.mass_kg)
+                    if one.name == "left"
+                    else one
+                )
+            ),
         ),
         fault(
             "box-half-sizes",
@@ -418,20 +502,33 @@ FAULTS: dict[str, Fault] = dict(
             "on each support that is wrong: plane",
             scene=change_bodies(_plane_at_origin),
         ),
-        fault("random", "random numbers without a seed", "determinism", "random numbers", scene=_random_friction),
+        fault(
+            "random",
+            "random numbers without a seed",
+            "determinism",
+            "random numbers",
+            scene=_random_friction,
+        ),
         fault(
             "hinge-axis",
             "axis of the hinge tilted by 3 degrees",
             "hinge-radius",
             "axis is tilted",
-            scene=change_joints(Hinge, lambda one: replace(one, axis=_tilted(one.axis, 3.0))),
+            scene=change_joints(
+                Hinge, lambda one: replace(one, axis=_tilted(one.axis, 3.0))
+            ),
         ),
         fault(
             "hinge-anchor",
             "anchor of the hinge 2 mm off",
             "pendulum-period",
             "hinge's position",
-            scene=change_joints(Hinge, lambda one: replace(one, anchor_m=(one.anchor_m[0] + 2e-3, *one.anchor_m[1:]))),
+            scene=change_joints(
+                Hinge,
+                lambda one: replace(
+                    one, anchor_m=(one.anchor_m[0] + 2e-3, *one.anchor_m[1:])
+                ),
+            ),
         ),
         fault(
             "no-joints",
@@ -452,14 +549,18 @@ FAULTS: dict[str, Fault] = dict(
             "string 5 % long",
             "tether-length",
             "315",
-            scene=change_joints(Tether, lambda one: replace(one, length_m=1.05 * one.length_m)),
+            scene=change_joints(
+                Tether, lambda one: replace(one, length_m=1.05 * one.length_m)
+            ),
         ),
         fault(
             "tether-short",
             "string 20 % short",
             "tether-slack",
             "shorter than its length_m",
-            scene=change_joints(Tether, lambda one: replace(one, length_m=0.7 * one.length_m)),
+            scene=change_joints(
+                Tether, lambda one: replace(one, length_m=0.7 * one.length_m)
+            ),
         ),
         fault(
             "no-contacts",
@@ -489,7 +590,13 @@ FAULTS: dict[str, Fault] = dict(
             "friction were",
             scene=change_contacts(friction=lambda mu: 5.0),
         ),
-        fault("gravity-twice", "gravity twice", "free-fall", "gravity acts twice", scene=_gravity_twice),
+        fault(
+            "gravity-twice",
+            "gravity twice",
+            "free-fall",
+            "gravity acts twice",
+            scene=_gravity_twice,
+        ),
         fault(
             "quaternion-inside",
             "quaternion w, x, y, z read as x, y, z, w",
@@ -502,7 +609,9 @@ FAULTS: dict[str, Fault] = dict(
             "start velocity ignored",
             "start-velocity",
             "starts at rest",
-            scene=_thrown(lambda one: replace(one, linear_velocity_m_per_s=(0.0, 0.0, 0.0))),
+            scene=_thrown(
+                lambda one: replace(one, linear_velocity_m_per_s=(0.0, 0.0, 0.0))
+            ),
         ),
         fault(
             "start-velocity-millimetres",
@@ -510,7 +619,12 @@ FAULTS: dict[str, Fault] = dict(
             "start-velocity",
             "in mm/s",
             scene=_thrown(
-                lambda one: replace(one, linear_velocity_m_per_s=vector(1e-3 * np.asarray(one.linear_velocity_m_per_s)))
+                lambda one: replace(
+                    one,
+                    linear_velocity_m_per_s=vector(
+                        1e-3 * np.asarray(one.linear_velocity_m_per_s)
+                    ),
+                )
             ),
         ),
         fault(
@@ -532,10 +646,19 @@ FAULTS: dict[str, Fault] = dict(
             "a body left out",
             "all-bodies-move",
             "the cylinder fell 0 m",
-            scene=lambda scene: replace(scene, bodies=tuple(one for one in scene.bodies if one.name != "cylinder")),
+            scene=lambda scene: replace(
+                scene,
+                bodies=tuple(one for one in scene.bodies if one.name != "cylinder"),
+            ),
             simulation=_WithoutCylinder,
         ),
-        fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
+        fault(
+            "all-collide",
+            "all bodies collide",
+            "contact-unlisted",
+            "collision filter",
+            scene=_all_collide,
+        ),
         fault(
             "nothing-fixed",
             "fixed bodies move",
@@ -570,14 +693,18 @@ FAULTS: dict[str, Fault] = dict(
             "string 2 mm too long",
             "tether-rest",
             "its length is not length_m",
-            scene=change_joints(Tether, lambda one: replace(one, length_m=one.length_m + 2e-3)),
+            scene=change_joints(
+                Tether, lambda one: replace(one, length_m=one.length_m + 2e-3)
+            ),
         ),
         fault(
             "mass-in-grams",
             "masses rounded to grams",
             "masses",
             "rounds or limits masses",
-            scene=change_bodies(lambda one: replace(one, mass_kg=max(round(one.mass_kg, 3), 1e-3))),
+            scene=change_bodies(
+                lambda one: replace(one, mass_kg=max(round(one.mass_kg, 3), 1e-3))
+            ),
         ),
         fault(
             "inertia-uniform",

@@ -42,7 +42,9 @@ class _HalfTheTime(Passed):
 class _ReadsFirst(Passed):
     """Reads positions before it advances."""
 
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> Array:
+    def sample_positions(
+        self, names: Sequence[str], count: int, interval_s: float
+    ) -> Array:
         positions = np.empty((count, len(names), 3))
         for row in positions:
             row[:] = self.body_states(names)[:, :3]
@@ -61,32 +63,45 @@ class _StepsAtBuild(Passed):
 class _Teleport(Passed):
     """Moves driven bodies without a velocity."""
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         super().drive(body, pose, np.zeros(6), np.zeros(6))
 
 
 class _NoAcceleration(Passed):
     """Ignores the acceleration of driven bodies."""
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         super().drive(body, pose, velocity, np.zeros(6))
 
 
 class _DrivenInDegrees(Passed):
     """Takes the rates of driven bodies for degrees."""
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         velocity, acceleration = np.array(velocity), np.array(acceleration)
-        velocity[3:], acceleration[3:] = np.degrees(velocity[3:]), np.degrees(acceleration[3:])
+        velocity[3:], acceleration[3:] = (
+            np.degrees(velocity[3:]),
+            np.degrees(acceleration[3:]),
+        )
         super().drive(body, pose, velocity, acceleration)
 
 
 class _DriveSwapped(Passed):
     """Exchanges x and y of the angular velocity and acceleration of driven bodies."""
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         order = [0, 1, 2, 4, 3, 5]
-        super().drive(body, pose, np.asarray(velocity)[order], np.asarray(acceleration)[order])
+        super().drive(
+            body, pose, np.asarray(velocity)[order], np.asarray(acceleration)[order]
+        )
 
 
 class _DriveLate(Passed):
@@ -100,7 +115,9 @@ class _DriveLate(Passed):
         self._before = {}
         super().reset(seed)
 
-    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+    def drive(
+        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+    ) -> None:
         now = (pose, np.array(velocity), np.array(acceleration))
         super().drive(body, *self._before.get(body, now))
         self._before[body] = now
@@ -164,9 +181,27 @@ class _StateDisturbs(Passed):
 
 FAULTS: dict[str, Fault] = dict(
     (
-        fault("step-short", "one step less in each call", "time", "count steps", simulation=_OneStepShort),
-        fault("step-per-call", "1/180 s in each call", "time", "one step for each call", simulation=_OneStepPerCall),
-        fault("half-time", "half the time", "free-fall", "simulates 0.5 times the time", simulation=_HalfTheTime),
+        fault(
+            "step-short",
+            "one step less in each call",
+            "time",
+            "count steps",
+            simulation=_OneStepShort,
+        ),
+        fault(
+            "step-per-call",
+            "1/180 s in each call",
+            "time",
+            "one step for each call",
+            simulation=_OneStepPerCall,
+        ),
+        fault(
+            "half-time",
+            "half the time",
+            "free-fall",
+            "simulates 0.5 times the time",
+            simulation=_HalfTheTime,
+        ),
         fault(
             "driven-degrees",
             "rates of driven bodies in degrees",
@@ -181,8 +216,20 @@ FAULTS: dict[str, Fault] = dict(
             "advance first",
             simulation=_ReadsFirst,
         ),
-        fault("steps-at-build", "build makes a step", "start-position", "step", simulation=_StepsAtBuild),
-        fault("teleport", "driven bodies without velocity", "driven-velocity", "no velocity", simulation=_Teleport),
+        fault(
+            "steps-at-build",
+            "build makes a step",
+            "start-position",
+            "step",
+            simulation=_StepsAtBuild,
+        ),
+        fault(
+            "teleport",
+            "driven bodies without velocity",
+            "driven-velocity",
+            "no velocity",
+            simulation=_Teleport,
+        ),
         fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
@@ -197,8 +244,20 @@ FAULTS: dict[str, Fault] = dict(
             "exchanges axes",
             simulation=_DriveSwapped,
         ),
-        fault("drive-late", "driven bodies one interval late", "driven-path", "late", simulation=_DriveLate),
-        fault("no-reset", "reset does nothing", "reset-start", "does not restore", simulation=_NoReset),
+        fault(
+            "drive-late",
+            "driven bodies one interval late",
+            "driven-path",
+            "late",
+            simulation=_DriveLate,
+        ),
+        fault(
+            "no-reset",
+            "reset does nothing",
+            "reset-start",
+            "does not restore",
+            simulation=_NoReset,
+        ),
         fault(
             "state-behind",
             "state stays in the simulation, so that a copy shares nothing",
@@ -206,9 +265,19 @@ FAULTS: dict[str, Fault] = dict(
             "in a copy",
             simulation=_StateStaysBehind,
         ),
-        fault("state-live", "state that changes as the simulation goes on", "restore", "copies", simulation=_LiveState),
         fault(
-            "state-disturbs", "state() advances the simulation", "restore", "after state()", simulation=_StateDisturbs
+            "state-live",
+            "state that changes as the simulation goes on",
+            "restore",
+            "copies",
+            simulation=_LiveState,
+        ),
+        fault(
+            "state-disturbs",
+            "state() advances the simulation",
+            "restore",
+            "after state()",
+            simulation=_StateDisturbs,
         ),
     )
 )

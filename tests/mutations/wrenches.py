@@ -34,7 +34,10 @@ class _WrenchInBody(Passed):
 
     def apply_wrench(self, body: str, wrench: Array) -> None:
         rotation = self.scene.body(body).pose.rotation
-        super().apply_wrench(body, np.concatenate([rotation.apply(wrench[:3]), rotation.apply(wrench[3:])]))
+        super().apply_wrench(
+            body,
+            np.concatenate([rotation.apply(wrench[:3]), rotation.apply(wrench[3:])]),
+        )
 
 
 class _WrenchOnce(Passed):
@@ -104,7 +107,11 @@ class _RollingFriction(Passed):
 
     def __init__(self, inner: Simulation, scene: Scene) -> None:
         super().__init__(inner, scene)
-        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        touching = {
+            name
+            for contact in scene.contacts
+            for name in (*contact.first, *contact.second)
+        }
         self._levers = {
             one.name: 0.01 * one.mass_kg * scene.gravity_m_per_s2 * one.shape.radius_m
             for one in scene.dynamic_bodies
@@ -129,15 +136,47 @@ FAULTS: dict[str, Fault] = dict(
             "rolling friction were",
             simulation=_RollingFriction,
         ),
-        fault("wrench-ignored", "wrench ignored", "wrench-force", "the wrench is ignored", simulation=_WrenchIgnored),
-        fault("reset-wrench", "reset keeps wrenches", "wrench-reset", "reset must clear", simulation=_WrenchKept),
         fault(
-            "restore-wrench", "restore forgets wrenches", "restore-wrench", "wrench", simulation=_RestoreForgetsWrench
+            "wrench-ignored",
+            "wrench ignored",
+            "wrench-force",
+            "the wrench is ignored",
+            simulation=_WrenchIgnored,
         ),
-        fault("torque-ignored", "torque ignored", "inertia-box", "torque", simulation=_TorqueIgnored),
-        fault("wrench-body", "wrench in the body frame", "wrench-frame", "world frame", simulation=_WrenchInBody),
         fault(
-            "wrench-once", "wrench acts for one interval", "wrench-force", "first interval only", simulation=_WrenchOnce
+            "reset-wrench",
+            "reset keeps wrenches",
+            "wrench-reset",
+            "reset must clear",
+            simulation=_WrenchKept,
+        ),
+        fault(
+            "restore-wrench",
+            "restore forgets wrenches",
+            "restore-wrench",
+            "wrench",
+            simulation=_RestoreForgetsWrench,
+        ),
+        fault(
+            "torque-ignored",
+            "torque ignored",
+            "inertia-box",
+            "torque",
+            simulation=_TorqueIgnored,
+        ),
+        fault(
+            "wrench-body",
+            "wrench in the body frame",
+            "wrench-frame",
+            "world frame",
+            simulation=_WrenchInBody,
+        ),
+        fault(
+            "wrench-once",
+            "wrench acts for one interval",
+            "wrench-force",
+            "first interval only",
+            simulation=_WrenchOnce,
         ),
         fault(
             "wrench-origin",

@@ -19,7 +19,9 @@ def sheet(rows, columns, height=lambda x, y: 0 * x):
     x, y = np.meshgrid(np.arange(columns) * 0.03, np.arange(rows) * 0.02)
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    faces = np.concatenate(
+        [np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))]
+    )
     corner = index[[0, 0, -1, -1], [0, -1, 0, -1]].tolist()
     border = np.concatenate((index[0], index[-1], index[:, 0], index[:, -1])).tolist()
     markers = np.stack((x, y, height(x, y)), axis=-1).reshape(-1, 3)
@@ -63,7 +65,9 @@ def test_a_sheet_bent_about_one_axis_keeps_no_curvature():
 
 def test_a_cube_corner_has_a_quarter_turn_of_curvature():
     markers = np.array([[[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]], dtype=float)
-    curvature = angle_deficit_curvature(markers, [[0, 1, 2], [0, 2, 3], [0, 3, 1]], corner=[], edge=[])
+    curvature = angle_deficit_curvature(
+        markers, [[0, 1, 2], [0, 2, 3], [0, 3, 1]], corner=[], edge=[]
+    )
     assert curvature[0, 0] == pytest.approx(np.pi / 2)
 
 
@@ -72,7 +76,9 @@ def test_a_pyramid_apex_has_the_deficit_of_its_mantle(count, apex_height):
     markers, faces = fan(count, apex_height)
     cosine = (np.cos(2 * np.pi / count) + apex_height**2) / (1 + apex_height**2)
     expected = 2 * np.pi - count * np.arccos(cosine)
-    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[0, 0] == pytest.approx(expected, abs=1e-6)
+    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[
+        0, 0
+    ] == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_fine_cone_has_the_curvature_of_its_opening():
@@ -87,15 +93,25 @@ def test_a_closed_surface_has_two_full_turns_in_total():
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    frames = np.stack([points, points * [1.0, 2.0, 0.3], points + 0.02 * rng.normal(size=points.shape)])
-    curvature = angle_deficit_curvature(frames, ConvexHull(points).simplices, corner=[], edge=[])
+    frames = np.stack(
+        [
+            points,
+            points * [1.0, 2.0, 0.3],
+            points + 0.02 * rng.normal(size=points.shape),
+        ]
+    )
+    curvature = angle_deficit_curvature(
+        frames, ConvexHull(points).simplices, corner=[], edge=[]
+    )
     np.testing.assert_allclose(curvature.sum(axis=1), 4 * np.pi, rtol=1e-10)
 
 
 def test_frames_are_independent():
     markers, faces, corner, edge = sheet(4, 5, lambda x, y: 40 * x * y)
     flat, *_ = sheet(4, 5)
-    both = angle_deficit_curvature(np.stack((markers, flat)), faces, corner=corner, edge=edge)
+    both = angle_deficit_curvature(
+        np.stack((markers, flat)), faces, corner=corner, edge=edge
+    )
     alone = angle_deficit_curvature(markers[None], faces, corner=corner, edge=edge)
     np.testing.assert_allclose(both[:1], alone, atol=1e-12)
     assert np.abs(both[0]).max() > 0.01 > np.abs(both[1]).max()
@@ -114,10 +130,14 @@ def test_angles_of_degenerate_triangles_are_left_out():
     markers, faces = fan(6, 0.0)
     markers[0, 1] = markers[0, 2]
     # Face (0, 1, 2) is a line now and drops out; (0, 6, 1) spans two sixths of the turn instead of one.
-    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[
+        0, 0
+    ] == pytest.approx(0.0, abs=1e-12)
     markers[0, 3] = markers[0, 0]
     # Now (0, 2, 3) and (0, 3, 4) drop out too, a sixth of the turn each.
-    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[0, 0] == pytest.approx(2 * np.pi / 3)
+    assert angle_deficit_curvature(markers, faces, corner=[], edge=[])[
+        0, 0
+    ] == pytest.approx(2 * np.pi / 3)
 
 
 def test_curvature_refuses_a_marker_of_two_kinds_and_unknown_ones():
@@ -131,7 +151,9 @@ def test_curvature_refuses_a_marker_of_two_kinds_and_unknown_ones():
     with pytest.raises(ShapeError, match="markers_m has shape"):
         angle_deficit_curvature(markers, faces, corner=corner, edge=edge)
     with pytest.raises(ShapeError, match="integers"):
-        angle_deficit_curvature(markers[None], faces.astype(float), corner=corner, edge=edge)
+        angle_deficit_curvature(
+            markers[None], faces.astype(float), corner=corner, edge=edge
+        )
 
 
 # Turning angle along lines
@@ -156,11 +178,14 @@ def test_turning_angle_is_nan_where_a_neighbour_is_missing_or_coincides():
     markers[1, 0] = np.nan
     markers[2, 3] = markers[2, 2]
     np.testing.assert_array_equal(
-        line_turning_angle(markers, [[0, 1], [1, 2], [2, 3]]), [[0.0, 0.0], [np.nan, 0.0], [0.0, np.nan]]
+        line_turning_angle(markers, [[0, 1], [1, 2], [2, 3]]),
+        [[0.0, 0.0], [np.nan, 0.0], [0.0, np.nan]],
     )
 
 
-@pytest.mark.parametrize("lines", [[[0, 1]], [[0, 1], [0, 2]], [[0, 2], [1, 2]], [[0, 1], [1, 7]], [0, 1]])
+@pytest.mark.parametrize(
+    "lines", [[[0, 1]], [[0, 1], [0, 2]], [[0, 2], [1, 2]], [[0, 1], [1, 7]], [0, 1]]
+)
 def test_turning_angle_refuses_lines_that_are_no_rows(lines):
     with pytest.raises(ShapeError, match="lines"):
         line_turning_angle(np.zeros((1, 4, 3)), lines)
@@ -171,21 +196,27 @@ def test_turning_angle_refuses_lines_that_are_no_rows(lines):
 
 def test_area_of_a_right_triangle():
     markers = np.array([[[0, 0, 0], [0.03, 0, 0], [0, 0.04, 0]]])
-    np.testing.assert_allclose(face_areas_mm2(markers, [[0, 1, 2], [2, 1, 0]]), [[600.0, 600.0]])
+    np.testing.assert_allclose(
+        face_areas_mm2(markers, [[0, 1, 2], [2, 1, 0]]), [[600.0, 600.0]]
+    )
 
 
 @given(scale=st.floats(0.01, 100.0), seed=st.integers(0, 1000))
 def test_areas_scale_with_the_square_of_the_size(scale, seed):
     markers = np.random.default_rng(seed).normal(size=(2, 6, 3))
     faces = [[0, 1, 2], [2, 3, 4], [5, 0, 3]]
-    np.testing.assert_allclose(face_areas_mm2(scale * markers, faces), scale**2 * face_areas_mm2(markers, faces))
+    np.testing.assert_allclose(
+        face_areas_mm2(scale * markers, faces),
+        scale**2 * face_areas_mm2(markers, faces),
+    )
 
 
 def test_area_is_nan_where_a_vertex_is_missing():
     markers = np.random.default_rng(0).normal(size=(2, 4, 3))
     markers[1, 3, 2] = np.nan
     np.testing.assert_array_equal(
-        np.isnan(face_areas_mm2(markers, [[0, 1, 2], [1, 2, 3]])), [[False, False], [False, True]]
+        np.isnan(face_areas_mm2(markers, [[0, 1, 2], [1, 2, 3]])),
+        [[False, False], [False, True]],
     )
 
 
@@ -209,9 +240,13 @@ def test_markers_find_their_own_nodes_in_any_order():
 
 def test_markers_without_a_node_near_by_are_refused_by_name():
     nodes = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    with pytest.raises(ShapeError, match=r"marker 1 is 12\.0 mm from its node 1; the limit is 10\.0 mm"):
+    with pytest.raises(
+        ShapeError, match=r"marker 1 is 12\.0 mm from its node 1; the limit is 10\.0 mm"
+    ):
         assign_markers([[0.0, 0, 0], [0.112, 0, 0]], nodes)
-    assert assign_markers([[0.0, 0, 0], [0.112, 0, 0]], nodes, max_distance_m=0.02).tolist() == [0, 1]
+    assert assign_markers(
+        [[0.0, 0, 0], [0.112, 0, 0]], nodes, max_distance_m=0.02
+    ).tolist() == [0, 1]
     with pytest.raises(ShapeError, match="2 nodes are too few for 3 markers"):
         assign_markers(np.zeros((3, 3)), nodes)
     with pytest.raises(ShapeError, match="markers_m: point 1 is not finite"):

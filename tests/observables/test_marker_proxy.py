@@ -31,21 +31,31 @@ def foam(name: str, **options: str) -> Result:
         pytest.param("FoamTwisting-soft", 53.30, 4.739, marks=pytest.mark.slow),
     ],
 )
-def test_the_node_scores_the_mesh(name: str, by_node: float, by_material: float) -> None:
+def test_the_node_scores_the_mesh(
+    name: str, by_node: float, by_material: float
+) -> None:
     """Normalized RMSE against the withheld bands; the faces of the recordings have 208 mm^2 at rest."""
     node, material = foam(name, marker_proxy="node"), foam(name)
     assert node.score.rmse_normalized == pytest.approx(by_node, rel=1e-3)
     assert material.score.rmse_normalized == pytest.approx(by_material, rel=1e-3)
     assert material.trajectory is not None and node.trajectory is not None
-    areas = np.array(material.trajectory.samples)[0], np.array(node.trajectory.samples)[0]
+    areas = (
+        np.array(material.trajectory.samples)[0],
+        np.array(node.trajectory.samples)[0],
+    )
     assert areas[0] == pytest.approx(208.33, abs=0.01)
     assert (areas[1].min(), areas[1].max()) == pytest.approx((272.3, 408.5), abs=0.1)
 
 
 def test_material_points_are_the_default_of_environments_runs_and_results() -> None:
     assert EnvArguments("FoamStretching-soft").proxy is MarkerProxy.MATERIAL
-    assert RunRequest("FoamStretching-soft") == RunRequest("FoamStretching-soft", marker_proxy="material")
-    assert {one.__dataclass_fields__["marker_proxy"].default for one in (Result, RunConfiguration)} == {"material"}
+    assert RunRequest("FoamStretching-soft") == RunRequest(
+        "FoamStretching-soft", marker_proxy="material"
+    )
+    assert {
+        one.__dataclass_fields__["marker_proxy"].default
+        for one in (Result, RunConfiguration)
+    } == {"material"}
 
 
 def test_an_old_result_without_the_key_is_by_node(tmp_path: Path) -> None:

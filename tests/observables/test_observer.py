@@ -8,17 +8,28 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers, observe_markers
+from gauge_envs.observables.observer import (
+    MarkerProxy,
+    ObserverMarkers,
+    observe_markers,
+)
 from gauge_envs.scene import Cloth
 
 
 class Sheet:
     """Stands for a simulation: nodes of a regular grid, moved by a function of time."""
 
-    def __init__(self, cloth: Cloth, cell_m: float, motion=lambda points, t: points) -> None:
+    def __init__(
+        self, cloth: Cloth, cell_m: float, motion=lambda points, t: points
+    ) -> None:
         counts = [round(edge / cell_m) + 1 for edge in cloth.size_m]
-        axes = [np.linspace(-0.5 * edge, 0.5 * edge, n) for edge, n in zip(cloth.size_m, counts, strict=True)]
-        grid = np.stack(np.meshgrid(*axes, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+        axes = [
+            np.linspace(-0.5 * edge, 0.5 * edge, n)
+            for edge, n in zip(cloth.size_m, counts, strict=True)
+        ]
+        grid = np.stack(np.meshgrid(*axes, [0.0], indexing="ij"), axis=-1).reshape(
+            -1, 3
+        )
         self._rest = cloth.pose.to_world(grid)
         self._motion = motion
         self.time_s = 0.0
@@ -51,7 +62,9 @@ def test_flat_sheet_has_no_curvature(proxy: MarkerProxy, cell_m: float) -> None:
 def test_material_points_are_exact_where_nodes_are_not() -> None:
     scene, cloth = flinging()
     # A stretch that is linear in space: interpolation is exact, a proxy 5 mm away is 5 mm times the strain off.
-    sheet = Sheet(cloth, 0.5 / 41, lambda points, t: points * np.array([1.0 + t, 1.0, 1.0 - t]))
+    sheet = Sheet(
+        cloth, 0.5 / 41, lambda points, t: points * np.array([1.0 + t, 1.0, 1.0 - t])
+    )
     targets = np.asarray(scene.markers.positions_m) * np.array([1.1, 1.0, 0.9])
     errors = {}
     for proxy in MarkerProxy:
@@ -67,7 +80,9 @@ def test_material_points_are_exact_where_nodes_are_not() -> None:
 def test_mesh_too_coarse_for_the_markers_is_refused() -> None:
     scene, cloth = flinging()
     with pytest.raises(ShapeError, match="marker"):
-        ObserverMarkers(scene, Observable.CURVATURE, Sheet(cloth, 0.125), MarkerProxy.NODE)
+        ObserverMarkers(
+            scene, Observable.CURVATURE, Sheet(cloth, 0.125), MarkerProxy.NODE
+        )
 
 
 def test_marker_off_the_material_is_refused() -> None:
@@ -80,10 +95,14 @@ def test_marker_off_the_material_is_refused() -> None:
 def test_sampling_observes_after_each_interval() -> None:
     scene, cloth = flinging()
     sheet = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, t, 0.0]))
-    observer = ObserverMarkers(scene, Observable.MARKER_POSITION, sheet, MarkerProxy.NODE)
+    observer = ObserverMarkers(
+        scene, Observable.MARKER_POSITION, sheet, MarkerProxy.NODE
+    )
     samples = observer.sample(sheet, 3, 0.1).reshape(3, -1, 3)
     start = 1e3 * np.asarray(scene.markers.positions_m)
-    assert samples[:, :, 1] - start[:, 1] == pytest.approx(np.array([[100.0], [200.0], [300.0]]) * np.ones(63))
+    assert samples[:, :, 1] - start[:, 1] == pytest.approx(
+        np.array([[100.0], [200.0], [300.0]]) * np.ones(63)
+    )
 
 
 def test_missing_markers_stay_missing() -> None:
@@ -97,9 +116,16 @@ def test_missing_markers_stay_missing() -> None:
 
 @pytest.mark.parametrize(
     ("name", "width"),
-    [("TextileStretching-satin", 25), ("TextileBending-satin", 10), ("FoamTwisting-soft", 24), ("StickStack-soft", 12)],
+    [
+        ("TextileStretching-satin", 25),
+        ("TextileBending-satin", 10),
+        ("FoamTwisting-soft", 24),
+        ("StickStack-soft", 12),
+    ],
 )
 def test_width_of_each_observable(name: str, width: int) -> None:
     found = load_experiment(name)
     positions = np.asarray(found.scene.markers.positions_m)[None]
-    assert observe_markers(positions, found.scene.markers, found.spec.score.observable).shape == (1, width)
+    assert observe_markers(
+        positions, found.scene.markers, found.spec.score.observable
+    ).shape == (1, width)

@@ -16,8 +16,18 @@ from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import score_text
 
 ROWS = (
-    {"id": "GAUGE/A-1", "grade": "trials", "scores": {"first": 1.0, "second": None}, "note": "one"},
-    {"id": "GAUGE/A-1", "grade": "trials", "scores": {"first": 12.345, "second": 3.0}, "note": ""},
+    {
+        "id": "GAUGE/A-1",
+        "grade": "trials",
+        "scores": {"first": 1.0, "second": None},
+        "note": "one",
+    },
+    {
+        "id": "GAUGE/A-1",
+        "grade": "trials",
+        "scores": {"first": 12.345, "second": 3.0},
+        "note": "",
+    },
     {"id": "GAUGE/B-2", "grade": "none", "scores": None, "note": "a | b"},
 )
 TABLE = Table(
@@ -81,7 +91,10 @@ def test_rows_can_be_objects() -> None:
         name: str
         size: float
 
-    table = Table(columns=(Column("name", "name"), Column("size", "size", unit="m")), rows=[Row("cube", 0.05)])
+    table = Table(
+        columns=(Column("name", "name"), Column("size", "size", unit="m")),
+        rows=[Row("cube", 0.05)],
+    )
     assert printed(table) == ["name  size [m]", "cube  0.05"]
     assert as_rows(table) == [{"name": "cube", "size": 0.05}]
 
@@ -99,7 +112,12 @@ NAMED = Table(
         *(Column(key, key, is_number=True) for key in ("reality", "default", "this")),
     ),
     rows=[
-        {"name": "friction of wood on a board of ten degrees", "reality": 1, "default": 2, "this": 3},
+        {
+            "name": "friction of wood on a board of ten degrees",
+            "reality": 1,
+            "default": 2,
+            "this": 3,
+        },
         {"name": "rest", "reality": 10, "default": 20, "this": 30},
     ],
 )
@@ -127,19 +145,32 @@ def test_columns_that_do_not_fit_are_written_below_the_row() -> None:
 
 
 def test_long_titles_are_wrapped_at_blanks() -> None:
-    columns = (Column("a", "metric"), Column("b", "mujoco, contact_solimp=0.95", is_number=True), Column("c", "newton"))
-    assert printed(Table(columns=columns, rows=[{"a": "RMSE", "b": "1.23", "c": "4.56"}])) == [
+    columns = (
+        Column("a", "metric"),
+        Column("b", "mujoco, contact_solimp=0.95", is_number=True),
+        Column("c", "newton"),
+    )
+    assert printed(
+        Table(columns=columns, rows=[{"a": "RMSE", "b": "1.23", "c": "4.56"}])
+    ) == [
         "                    mujoco,",
         "metric  contact_solimp=0.95  newton",
         "RMSE                   1.23  4.56",
     ]
 
 
-WORDS = st.lists(st.text("abc123.-", min_size=1, max_size=14), min_size=1, max_size=8).map(" ".join)
+WORDS = st.lists(
+    st.text("abc123.-", min_size=1, max_size=14), min_size=1, max_size=8
+).map(" ".join)
 
 
 @settings(max_examples=80, deadline=None)
-@example(titles=["1", "1", "1" * 13], cells=[["1", "1 1 1 1 1", "-", *["1"] * 5]], places=[Place.CELL] * 8, width=30)
+@example(
+    titles=["1", "1", "1" * 13],
+    cells=[["1", "1 1 1 1 1", "-", *["1"] * 5]],
+    places=[Place.CELL] * 8,
+    width=30,
+)
 @given(
     titles=st.lists(WORDS, min_size=1, max_size=8),
     cells=st.lists(st.lists(WORDS, min_size=8, max_size=8), min_size=1, max_size=4),
@@ -151,17 +182,29 @@ def test_no_line_is_too_long_and_no_word_is_lost(
 ) -> None:
     columns = (
         Column("0", "first"),
-        *(Column(str(index), title, place=places[index]) for index, title in enumerate(titles[1:], start=1)),
+        *(
+            Column(str(index), title, place=places[index])
+            for index, title in enumerate(titles[1:], start=1)
+        ),
     )
-    rows: list[dict[str, Any]] = [{str(index): text for index, text in enumerate(line)} for line in cells]
+    rows: list[dict[str, Any]] = [
+        {str(index): text for index, text in enumerate(line)} for line in cells
+    ]
     lines = printed(Table(columns=columns, rows=rows), width)
     assert max(map(len, lines)) <= width
     words = {word.strip(";") for line in lines for word in line.split()}
-    assert words >= {word for row in rows for index in range(len(columns)) for word in row[str(index)].split()}
+    assert words >= {
+        word
+        for row in rows
+        for index in range(len(columns))
+        for word in row[str(index)].split()
+    }
 
 
 def test_facts_have_their_texts_beside_the_names_and_long_names_above() -> None:
-    facts = Facts({"episode": "19 frames at 30 Hz", "floor with torso, head and 5 more": "0.02 1"})
+    facts = Facts(
+        {"episode": "19 frames at 30 Hz", "floor with torso, head and 5 more": "0.02 1"}
+    )
     assert printed(facts, 24) == [
         "episode  19 frames at 30",
         "         Hz",
@@ -173,4 +216,7 @@ def test_facts_have_their_texts_beside_the_names_and_long_names_above() -> None:
 
 @pytest.mark.parametrize("text", ["[red]", "[/]", "a [b] c"])
 def test_brackets_are_text(text: str) -> None:
-    assert printed(Table(columns=(Column("a", text),), rows=[{"a": text}])) == [text, text]
+    assert printed(Table(columns=(Column("a", text),), rows=[{"a": text}])) == [
+        text,
+        text,
+    ]

@@ -26,9 +26,22 @@ from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
 from gauge_envs.tools.dataset.words import import_document
 from gauge_envs.tools.sanity.model import Report
 
-IDS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
+IDS = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-2-plastic",
+    "SlopeSlider-2-metal",
+    "BouncingBall-rubber",
+)
 UNLIMITED = 1000
-SANITY_ROWS = ("foot-slide", "slide*", "rebound*", "creep-*", "rest-height", "momentum", "seam")
+SANITY_ROWS = (
+    "foot-slide",
+    "slide*",
+    "rebound*",
+    "creep-*",
+    "rest-height",
+    "momentum",
+    "seam",
+)
 
 Print = Callable[..., str]
 
@@ -37,7 +50,13 @@ Print = Callable[..., str]
 def results() -> list[Result]:
     """Results of four experiments on MuJoCo, and the same under another engine's name."""
     ours = [run_episode(RunRequest(name)) for name in IDS]
-    return [*ours, *(replace(result, backend="newton", versions={"newton": "1.0"}) for result in ours)]
+    return [
+        *ours,
+        *(
+            replace(result, backend="newton", versions={"newton": "1.0"})
+            for result in ours
+        ),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +66,12 @@ def report() -> Report:
 
 
 @pytest.fixture
-def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, results: list[Result], report: Report) -> Print:
+def gauge(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    results: list[Result],
+    report: Report,
+) -> Print:
     """Prints the output of a command at a width; the folder holds the results."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report)
@@ -70,7 +94,9 @@ def unlimited() -> dict[tuple[str, ...], set[str]]:
     return {}
 
 
-def words_of(gauge: Print, unlimited: dict[tuple[str, ...], set[str]], *command: str) -> set[str]:
+def words_of(
+    gauge: Print, unlimited: dict[tuple[str, ...], set[str]], *command: str
+) -> set[str]:
     if command not in unlimited:
         unlimited[command] = words(gauge(UNLIMITED, *command))
     return unlimited[command]
@@ -100,7 +126,10 @@ COMMANDS = (
 @pytest.mark.parametrize("width", [80, pytest.param(120, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_a_table_fits_the_terminal_and_breaks_no_word(
-    gauge: Print, unlimited: dict[tuple[str, ...], set[str]], command: tuple[str, ...], width: int
+    gauge: Print,
+    unlimited: dict[tuple[str, ...], set[str]],
+    command: tuple[str, ...],
+    width: int,
 ) -> None:
     text = gauge(width, *command)
     assert max(map(len, text.splitlines())) <= width
@@ -109,24 +138,32 @@ def test_a_table_fits_the_terminal_and_breaks_no_word(
 
 
 WIDE = tuple(
-    command for command in COMMANDS if command[0] != "show" and command[1:] not in (("backends",), ("scenes",))
+    command
+    for command in COMMANDS
+    if command[0] != "show" and command[1:] not in (("backends",), ("scenes",))
 )
 
 
 @pytest.mark.parametrize("command", WIDE, ids=" ".join)
-def test_wide_shows_all_columns_at_any_width(gauge: Print, command: tuple[str, ...]) -> None:
+def test_wide_shows_all_columns_at_any_width(
+    gauge: Print, command: tuple[str, ...]
+) -> None:
     text = gauge(80, *command, "--format", "wide")
     assert max(map(len, text.splitlines())) <= 80
     assert words(gauge(UNLIMITED, *command, "--format", "wide")) <= words(text)
 
 
 def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
-    assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {variant.id for variant in variants()}
-    assert {line.split()[0] for line in gauge(80, "list", "references").splitlines()} >= {
-        one.name for one in variants()
+    assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {
+        variant.id for variant in variants()
     }
+    assert {
+        line.split()[0] for line in gauge(80, "list", "references").splitlines()
+    } >= {one.name for one in variants()}
     for command in ("compare", "diagnose"):
-        assert {line.split()[0] for line in gauge(80, command).splitlines() if line} >= set(IDS)
+        assert {
+            line.split()[0] for line in gauge(80, command).splitlines() if line
+        } >= set(IDS)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +177,9 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
         (("sanity", "HalfCheetah-v5"), 120),
     ],
 )
-def test_a_table_takes_few_lines_at_80_columns(gauge: Print, command: tuple[str, ...], most: int) -> None:
+def test_a_table_takes_few_lines_at_80_columns(
+    gauge: Print, command: tuple[str, ...], most: int
+) -> None:
     assert len(gauge(80, *command).splitlines()) <= most
 
 
@@ -162,7 +201,9 @@ def test_an_import_fits_the_terminal(width: int) -> None:
         scatter_deg=None,
     )  # fmt: skip
     record: Any = SimpleNamespace(drivers=[driver])
-    one = ImportedTrials(variant=variant, record=record, used=20, left_out=1, rows=rows, findings=())
+    one = ImportedTrials(
+        variant=variant, record=record, used=20, left_out=1, rows=rows, findings=()
+    )
     console = Console(width=width)
     with console.capture() as capture:
         console.print(Terminal(import_document([one])))

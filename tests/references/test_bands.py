@@ -17,7 +17,10 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.published import published_baselines
 
 MATERIALS = ("wood", "plastic", "metal")
-VARIANTS = (*(f"SlopeSlider-2-{material}" for material in MATERIALS), "BouncingBall-rubber")
+VARIANTS = (
+    *(f"SlopeSlider-2-{material}" for material in MATERIALS),
+    "BouncingBall-rubber",
+)
 GRAVITY = 9.80665
 
 
@@ -28,17 +31,27 @@ def band_of(variant: str) -> Band:
 
 
 def sidecar(variant: str) -> dict:
-    return tomllib.loads((data_folder("scoring") / "bands" / f"{variant}.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(
+        (data_folder("scoring") / "bands" / f"{variant}.toml").read_text(
+            encoding="utf-8"
+        )
+    )
 
 
-@pytest.mark.parametrize("name", ["bands/SlopeSlider-2-wood.csv", "bands/BouncingBall-rubber.toml"])
-def test_check_notices_a_changed_and_a_missing_file(name: str, tmp_path: Path, capsys) -> None:
+@pytest.mark.parametrize(
+    "name", ["bands/SlopeSlider-2-wood.csv", "bands/BouncingBall-rubber.toml"]
+)
+def test_check_notices_a_changed_and_a_missing_file(
+    name: str, tmp_path: Path, capsys
+) -> None:
     scoring = tmp_path / "scoring"
     shutil.copytree(data_folder("scoring"), scoring)
     arguments = ["--check", "--scoring", str(scoring)]
     assert build_bands.main(arguments) == 0
     file = scoring / name
-    file.write_text(file.read_text(encoding="utf-8").replace("5", "6", 1), encoding="utf-8")
+    file.write_text(
+        file.read_text(encoding="utf-8").replace("5", "6", 1), encoding="utf-8"
+    )
     assert build_bands.main(arguments) == 1
     assert str(file) in capsys.readouterr().err
     file.unlink()
@@ -51,7 +64,10 @@ def test_check_notices_changed_facts(tmp_path: Path) -> None:
     scoring = tmp_path / "scoring"
     shutil.copytree(data_folder("scoring"), scoring)
     facts = scoring / "facts" / "bouncing_ball.csv"
-    facts.write_text(facts.read_text(encoding="utf-8").replace("2.821644", "2.831644"), encoding="utf-8")
+    facts.write_text(
+        facts.read_text(encoding="utf-8").replace("2.821644", "2.831644"),
+        encoding="utf-8",
+    )
     assert build_bands.main(["--check", "--scoring", str(scoring)]) == 1
 
 
@@ -79,14 +95,21 @@ def test_sigma_agrees_with_the_scores_of_the_trials(variant: str) -> None:
 # What is measured
 
 
-@pytest.mark.parametrize(("material", "first", "last"), [("wood", 6, 14), ("plastic", 6, 13), ("metal", 7, 15)])
-def test_slope_frames_without_half_of_the_trials_are_extrapolated(material: str, first: int, last: int) -> None:
+@pytest.mark.parametrize(
+    ("material", "first", "last"),
+    [("wood", 6, 14), ("plastic", 6, 13), ("metal", 7, 15)],
+)
+def test_slope_frames_without_half_of_the_trials_are_extrapolated(
+    material: str, first: int, last: int
+) -> None:
     measured = np.flatnonzero(band_of(f"SlopeSlider-2-{material}").measured)
     assert measured.tolist() == list(range(first, last + 1))
 
 
 def test_ball_frames_before_the_arcs_are_extrapolated() -> None:
-    assert np.flatnonzero(band_of("BouncingBall-rubber").measured).tolist() == list(range(4, 18))
+    assert np.flatnonzero(band_of("BouncingBall-rubber").measured).tolist() == list(
+        range(4, 18)
+    )
 
 
 def test_a_slide_keeps_its_samples_and_rests_before_the_vertex() -> None:
@@ -94,7 +117,17 @@ def test_a_slide_keeps_its_samples_and_rests_before_the_vertex() -> None:
     trials = build_bands.reconstruct_slides(slides, 19)
     first = trials.positions_mm[0]
     assert np.flatnonzero(trials.measured[0]).tolist() == list(range(6, 15))
-    assert first[6:15].tolist() == [-43.14, -23.53, -1.29, 23.84, 51.88, 82.74, 116.53, 153.28, 193.10]
+    assert first[6:15].tolist() == [
+        -43.14,
+        -23.53,
+        -1.29,
+        23.84,
+        51.88,
+        82.74,
+        116.53,
+        153.28,
+        193.10,
+    ]
     assert (np.diff(trials.positions_mm, axis=1) >= 0).all()
     assert (trials.positions_mm[:, 0] < -80).all()
 
@@ -124,29 +157,42 @@ def test_a_second_impact_within_the_window_is_refused() -> None:
         ("metal", 98.720, 359.680, 0.262758, 0.76),
     ],
 )
-def test_ideal_coulomb_cube(material: str, x: float, z: float, friction: float, score: float) -> None:
+def test_ideal_coulomb_cube(
+    material: str, x: float, z: float, friction: float, score: float
+) -> None:
     """Released at frame 0 from the metadata's position, with the metadata's friction."""
     variant, slope = f"SlopeSlider-2-{material}", math.radians(30)
     baseline = published_baselines(variant)["rmse"]
     time = np.arange(baseline.frames) / 30
     travel = 500 * GRAVITY * (math.sin(slope) - friction * math.cos(slope)) * time**2
-    positions = np.array([x, 400.0, z]) + travel[:, np.newaxis] * [math.cos(slope), 0, -math.sin(slope)]
+    positions = np.array([x, 400.0, z]) + travel[:, np.newaxis] * [
+        math.cos(slope),
+        0,
+        -math.sin(slope),
+    ]
     band = band_of(variant)
     rmse = math.sqrt(np.square(band.project(positions) - band.mean).mean())
     assert rmse / baseline.mean == pytest.approx(score, abs=0.01)
 
 
-def ball_score(*, restitution: float, start: float, contact: float, release: float) -> float:
+def ball_score(
+    *, restitution: float, start: float, contact: float, release: float
+) -> float:
     """Normalized E_RMSE of a ball dropped at a time, from a height, over a contact height (m, s)."""
     time = np.maximum(np.arange(18) / 30 - release, 0)
     fall_time = math.sqrt(2 * (start - contact) / GRAVITY)
     after = time - fall_time
     falling = start - GRAVITY / 2 * time**2
-    rising = contact + restitution * GRAVITY * fall_time * after - GRAVITY / 2 * after**2
+    rising = (
+        contact + restitution * GRAVITY * fall_time * after - GRAVITY / 2 * after**2
+    )
     z = 1000 * np.where(after < 0, falling, rising)
     band = band_of("BouncingBall-rubber")
     deviation = band.project(np.column_stack([0 * z, 0 * z, z])) - band.mean
-    return math.sqrt(np.square(deviation).mean()) / published_baselines("BouncingBall-rubber")["rmse"].mean
+    return (
+        math.sqrt(np.square(deviation).mean())
+        / published_baselines("BouncingBall-rubber")["rmse"].mean
+    )
 
 
 @pytest.mark.parametrize(
@@ -158,19 +204,30 @@ def ball_score(*, restitution: float, start: float, contact: float, release: flo
         (0.735, 0.4423, 0.0372, 0.0601, 0.13),
     ],
 )
-def test_ideal_ball(restitution: float, start: float, contact: float, release: float, score: float) -> None:
+def test_ideal_ball(
+    restitution: float, start: float, contact: float, release: float, score: float
+) -> None:
     """Metadata ball, the same released late, with the recorded rebound too, with the recorded heights too."""
-    measured = ball_score(restitution=restitution, start=start, contact=contact, release=release)
+    measured = ball_score(
+        restitution=restitution, start=start, contact=contact, release=release
+    )
     assert measured == pytest.approx(score, rel=0.02)
     if release > 0:
         assert measured <= min(
-            ball_score(restitution=restitution, start=start, contact=contact, release=release + shift)
+            ball_score(
+                restitution=restitution,
+                start=start,
+                contact=contact,
+                release=release + shift,
+            )
             for shift in (-0.002, 0.002)
         )
 
 
 def test_effective_parameters_leave_almost_nothing() -> None:
-    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8")
+    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
+        encoding="utf-8"
+    )
     summary = tomllib.loads(text)
     assert summary["rebound_ratio"]["mean"] == pytest.approx(0.737, abs=0.001)
     assert summary["start_height_m"]["mean"] == pytest.approx(0.4425, abs=0.0002)
@@ -184,8 +241,15 @@ def test_effective_parameters_leave_almost_nothing() -> None:
 
 
 def test_slope_summary_inverts_coulomb_sliding() -> None:
-    text = (data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml").read_text(encoding="utf-8")
+    text = (
+        data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"
+    ).read_text(encoding="utf-8")
     for material, summary in tomllib.loads(text).items():
-        friction, acceleration = summary["friction"]["mean"], summary["acceleration_m_s2"]["mean"]
-        expected = GRAVITY * (math.sin(math.radians(30)) - friction * math.cos(math.radians(30)))
+        friction, acceleration = (
+            summary["friction"]["mean"],
+            summary["acceleration_m_s2"]["mean"],
+        )
+        expected = GRAVITY * (
+            math.sin(math.radians(30)) - friction * math.cos(math.radians(30))
+        )
         assert acceleration == pytest.approx(expected, abs=1e-5), material

@@ -24,9 +24,13 @@ def band_of(material: str):
     return band
 
 
-def error_mm(material: str, engine: str, parameters: str | dict[str, float] = "calibrated") -> np.ndarray:
+def error_mm(
+    material: str, engine: str, parameters: str | dict[str, float] = "calibrated"
+) -> np.ndarray:
     """Distance of the simulated cube from the law at its frames [mm]."""
-    request = RunRequest(f"Turntable-2-{material}", backend=engine, parameters=parameters)
+    request = RunRequest(
+        f"Turntable-2-{material}", backend=engine, parameters=parameters
+    )
     frames = run_episode(request).trajectory.arrays()[1][::6]
     band = band_of(material)
     known = np.isfinite(band.mean).all(axis=1)
@@ -39,9 +43,15 @@ def test_the_cube_slips_where_carrying_takes_more_than_friction(material: str) -
     scene = load_experiment(f"Turntable-2-{material}").scene
     axle = np.array(scene.body("plate").pose.position_m)[:2]
     arm = np.array(scene.body("cube").pose.position_m)[:2] - axle
-    friction = next(contact.friction for contact in scene.contacts if "plate" in (*contact.first, *contact.second))
+    friction = next(
+        contact.friction
+        for contact in scene.contacts
+        if "plate" in (*contact.first, *contact.second)
+    )
     radius, alpha = float(np.linalg.norm(arm)), 10.0 / 0.3
-    slips_s = math.sqrt(math.sqrt((friction * GRAVITY / radius) ** 2 - alpha**2)) / alpha
+    slips_s = (
+        math.sqrt(math.sqrt((friction * GRAVITY / radius) ** 2 - alpha**2)) / alpha
+    )
     assert 4.5 / 30 < slips_s < 5.5 / 30
     band = band_of(material)
     times_s = np.arange(13) / 30
@@ -60,7 +70,14 @@ def test_the_law_ends_before_a_corner_is_in_the_air(material: str) -> None:
     band = band_of(material)
     known = np.isfinite(band.mean).all(axis=1)
     assert np.flatnonzero(known).tolist() == list(range(13))
-    axle = 1e3 * np.array(load_experiment(f"Turntable-2-{material}").scene.body("plate").pose.position_m)[:2]
+    axle = (
+        1e3
+        * np.array(
+            load_experiment(f"Turntable-2-{material}")
+            .scene.body("plate")
+            .pose.position_m
+        )[:2]
+    )
     last = float(np.linalg.norm(band.mean[12, :2] - axle))
     # A corner lies between the middle and half a diagonal further out.
     assert 150.0 - 25.0 * math.sqrt(2.0) - 3.0 < last < 150.0
@@ -70,7 +87,9 @@ def test_the_law_ends_before_a_corner_is_in_the_air(material: str) -> None:
 def test_a_point_slides_as_a_particle() -> None:
     """With all pressure in the middle and no height the cube is a particle; a start of 1 um grows to 20 um."""
     scene = load_experiment("Turntable-2-wood").scene
-    start, axle = (np.array(scene.body(name).pose.position_m)[:2] for name in ("cube", "plate"))
+    start, axle = (
+        np.array(scene.body(name).pose.position_m)[:2] for name in ("cube", "plate")
+    )
     (motion,) = scene.drivers[0].motions
 
     def rate(time_s: float, state: np.ndarray) -> list[float]:
@@ -80,9 +99,20 @@ def test_a_point_slides_as_a_particle() -> None:
         return [*state[2:], *pull]
 
     times_s = np.arange(13) / 30
-    found = solve_ivp(rate, (0.0, 0.4), [*start, 0.0, 0.0], "Radau", times_s, rtol=1e-9, atol=1e-11, max_step=2e-3)
+    found = solve_ivp(
+        rate,
+        (0.0, 0.4),
+        [*start, 0.0, 0.0],
+        "Radau",
+        times_s,
+        rtol=1e-9,
+        atol=1e-11,
+        max_step=2e-3,
+    )
     particle = 1e3 * found.y[:2].T
-    place, _ = build_laws.Slider(material="wood", point_m=1e-6, height_m=0.0).positions_mm()
+    place, _ = build_laws.Slider(
+        material="wood", point_m=1e-6, height_m=0.0
+    ).positions_mm()
     assert place[:13, :2] == pytest.approx(particle, abs=0.05)
     # The cube differs from a particle by more than its parts are uncertain for: the spin of the base takes friction.
     assert np.linalg.norm(band_of("wood").mean[12, :2] - particle[12]) > 1.0

@@ -32,15 +32,21 @@ ROW = Convergence(
     points_rms_mm=0.062,
     points_max_mm=0.18,
 )
-DIVERGED = Convergence(variant="Funnel-satin", setting="cell_m", default=0.02, refined=0.01, unit="mm")
+DIVERGED = Convergence(
+    variant="Funnel-satin", setting="cell_m", default=0.02, refined=0.01, unit="mm"
+)
 
 
 def bundled(engine: str) -> ConvergenceTable:
-    return ConvergenceTable.read(data_folder("scoring") / "convergence" / f"{engine}.csv")
+    return ConvergenceTable.read(
+        data_folder("scoring") / "convergence" / f"{engine}.csv"
+    )
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
-def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine: str) -> None:
+def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(
+    engine: str,
+) -> None:
     table = bundled(engine)
     assert {"engine", "date"} <= table.notes.keys()
     assert table.notes["engine"].startswith(engine)
@@ -48,7 +54,9 @@ def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine: st
     assert table.rows
     for (name, setting), row in table.rows.items():
         assert name in known
-        assert setting == "training" or row.refined == pytest.approx(0.5 * row.default, rel=1e-3)
+        assert setting == "training" or row.refined == pytest.approx(
+            0.5 * row.default, rel=1e-3
+        )
         experiment = load_experiment(name)
         assert row.unit == experiment.score.observable.unit
         assert setting != "cell_m" or experiment.scene.deformables
@@ -62,15 +70,21 @@ def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine: st
 
 
 def test_mujoco_has_half_the_step_of_every_scored_experiment() -> None:
-    names = {name for name, setting in bundled("mujoco").rows if setting == "timestep_s"}
+    names = {
+        name for name, setting in bundled("mujoco").rows if setting == "timestep_s"
+    }
     assert {"BouncingBall-rubber", "SlopeSlider-3-metal", "Turntable-3-metal"} <= names
     assert {
-        f"{family}-{m}" for family in ("SlopeSlider-2", "Turntable-1") for m in ("wood", "plastic", "metal")
+        f"{family}-{m}"
+        for family in ("SlopeSlider-2", "Turntable-1")
+        for m in ("wood", "plastic", "metal")
     } <= names
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
-    table = ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}).with_rows([ROW, DIVERGED])
+    table = ConvergenceTable(
+        {"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}
+    ).with_rows([ROW, DIVERGED])
     file = tmp_path / "mujoco.csv"
     file.write_text(table.text(), encoding="utf-8")
     found = ConvergenceTable.read(file)
@@ -91,11 +105,19 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
         ("timestep_s", "iterations", r"mujoco.csv: line 4: setting"),
         (",0.062,", ",-0.062,", r"mujoco.csv: line 4: rms"),
         (",0.062,0.18\n", ",0.062\n", r"mujoco.csv: line 4: 9 fields, expected 10"),
-        ("SlopeSlider-2-wood,", "{row}\nSlopeSlider-2-wood,", r"mujoco.csv: line 5: .* has a row above"),
+        (
+            "SlopeSlider-2-wood,",
+            "{row}\nSlopeSlider-2-wood,",
+            r"mujoco.csv: line 5: .* has a row above",
+        ),
     ],
 )
 def test_damage_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
-    text = ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}).with_rows([ROW]).text()
+    text = (
+        ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {})
+        .with_rows([ROW])
+        .text()
+    )
     line = text.splitlines()[3]
     file = tmp_path / "mujoco.csv"
     file.write_text(text.replace(old, new.replace("{row}", line), 1), encoding="utf-8")
@@ -105,18 +127,27 @@ def test_damage_is_named(old: str, new: str, message: str, tmp_path: Path) -> No
 
 def test_an_engine_without_a_table_was_not_measured() -> None:
     assert convergence_of("another", "SlopeSlider-2-wood") == {}
-    assert convergence_text({}, has_cells=True) == "half step: not measured; half cell: not measured"
+    assert (
+        convergence_text({}, has_cells=True)
+        == "half step: not measured; half cell: not measured"
+    )
     assert convergence_text({}, has_cells=False) == "half step: not measured"
     unscored = ROW.model_copy(update={"share": None}).model_dump()
     expected = "half step moves the trajectory by 0.062 mm (rms of the observed points)"
     assert convergence_text({"timestep_s": unscored}, has_cells=False) == expected
-    assert convergence_text({"cell_m": DIVERGED.model_dump()}, has_cells=True).endswith("half cell: diverged")
+    assert convergence_text({"cell_m": DIVERGED.model_dump()}, has_cells=True).endswith(
+        "half cell: diverged"
+    )
 
 
 def test_the_preset_for_training_stands_where_details_do() -> None:
-    row = ROW.model_copy(update={"setting": "training", "default": 10.2, "refined": 99.6}).model_dump()
+    row = ROW.model_copy(
+        update={"setting": "training", "default": 10.2, "refined": 99.6}
+    ).model_dump()
     assert "training" not in convergence_text({"training": row}, has_cells=False)
-    assert convergence_text({"training": row}, has_cells=False, with_unit=True).endswith(
+    assert convergence_text(
+        {"training": row}, has_cells=False, with_unit=True
+    ).endswith(
         "preset training moves the trajectory by 0.34 % of the real scatter, g(t) by 0.062 mm rms and 0.18 mm at most, "
         "points by 0.062 mm rms; 100 env-steps/s, by default 10"
     )
@@ -125,30 +156,55 @@ def test_the_preset_for_training_stands_where_details_do() -> None:
 def test_commands_show_what_was_measured(tmp_path: Path) -> None:
     share = bundled("mujoco").of("SlopeSlider-2-wood")["timestep_s"].share
     assert share is not None
-    expected = f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
-    shown = CliRunner().invoke(app, ["show", "SlopeSlider-2-wood", "--format", "wide"]).output
+    expected = (
+        f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
+    )
+    shown = (
+        CliRunner()
+        .invoke(app, ["show", "SlopeSlider-2-wood", "--format", "wide"])
+        .output
+    )
     assert expected in " ".join(shown.split())
-    ran = CliRunner().invoke(app, ["run", "SlopeSlider-2-wood", "--out", str(tmp_path)]).output
+    ran = (
+        CliRunner()
+        .invoke(app, ["run", "SlopeSlider-2-wood", "--out", str(tmp_path)])
+        .output
+    )
     assert expected in " ".join(ran.split())
-    values = json.loads(CliRunner().invoke(app, ["show", "SlopeSlider-2-wood", "--json"]).output)
+    values = json.loads(
+        CliRunner().invoke(app, ["show", "SlopeSlider-2-wood", "--json"]).output
+    )
     (row,) = (row for row in values["engines"] if row["engine"] == "mujoco")
     assert row["convergence"]["timestep_s"]["share"] == share
 
 
 def test_other_settings_have_no_convergence(tmp_path: Path) -> None:
-    options = ["run", "SlopeSlider-2-wood", "--set", "impratio=1.0", "--out", str(tmp_path)]
+    options = [
+        "run",
+        "SlopeSlider-2-wood",
+        "--set",
+        "impratio=1.0",
+        "--out",
+        str(tmp_path),
+    ]
     assert "half step" not in CliRunner().invoke(app, options).output
 
 
 # --- the script ------------------------------------------------------------------------------------------------------
 
 
-def test_the_script_measures_a_row_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_script_measures_a_row_and_resumes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     options = ["--scoring", str(tmp_path), "--ids", "BouncingBall-*"]
     assert build_convergence.main(options) == 0
     file = tmp_path / "convergence" / "mujoco.csv"
     row, training = ConvergenceTable.read(file).rows.values()
-    assert (row.variant, row.setting, training.setting) == ("BouncingBall-rubber", "timestep_s", "training")
+    assert (row.variant, row.setting, training.setting) == (
+        "BouncingBall-rubber",
+        "timestep_s",
+        "training",
+    )
     # Eight times the step; the ball falls 0.5 m.
     assert training.points_max_mm is not None and 0.0 < training.points_max_mm < 5.0
     assert training.refined > 2.0 * training.default
@@ -159,14 +215,21 @@ def test_the_script_measures_a_row_and_resumes(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().out == ""
 
 
-def test_the_check_fails_where_a_row_differs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_check_fails_where_a_row_differs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(build_convergence, "QUICK", ("BouncingBall-rubber",))
     (tmp_path / "convergence").mkdir()
-    table, row = bundled("mujoco"), bundled("mujoco").of("BouncingBall-rubber")["timestep_s"]
+    table, row = (
+        bundled("mujoco"),
+        bundled("mujoco").of("BouncingBall-rubber")["timestep_s"],
+    )
     for factor, status in ((1.0, 0), (1.2, 1)):
         assert row.rms is not None
         changed = table.with_rows([row.model_copy(update={"rms": factor * row.rms})])
-        (tmp_path / "convergence" / "mujoco.csv").write_text(changed.text(), encoding="utf-8")
+        (tmp_path / "convergence" / "mujoco.csv").write_text(
+            changed.text(), encoding="utf-8"
+        )
         assert build_convergence.main(["--scoring", str(tmp_path), "--check"]) == status
 
 
@@ -175,14 +238,27 @@ def test_rms_is_the_distance_of_the_paper() -> None:
     moved = frames.copy()
     moved[3] = (3.0, 0.0, 4.0)
     runs = [
-        build_convergence.Run(frames=one, points_m=1e-3 * one[:, None], settings={}, nodes_m={}, steps_per_s=1.0)
+        build_convergence.Run(
+            frames=one,
+            points_m=1e-3 * one[:, None],
+            settings={},
+            nodes_m={},
+            steps_per_s=1.0,
+        )
         for one in (frames, moved)
     ]
-    row = build_convergence.compare("SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5))
+    row = build_convergence.compare(
+        "SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5)
+    )
     assert (row.rms, row.max, row.points_max_mm) == pytest.approx((2.5, 5.0, 5.0))
     assert row.share == pytest.approx(2.5 / 18.0)
 
 
-def test_the_summary_has_the_range_of_an_experiment(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_has_the_range_of_an_experiment(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert build_convergence.main(["--table"]) == 0
-    assert "| SlopeSlider-2 | mujoco | 0.27 to 0.34 | 0.062 to 0.091 |  |  |" in capsys.readouterr().out
+    assert (
+        "| SlopeSlider-2 | mujoco | 0.27 to 0.34 | 0.062 to 0.091 |  |  |"
+        in capsys.readouterr().out
+    )

@@ -13,7 +13,16 @@ import pytest
 from build_pushes import FRAMES, HALF_EDGE_M, HEIGHTS_M, NAME, Push, Pushes, read_pushes
 from limit_surface import ellipsoid_turn_rate, turn_of_push, turn_rate
 from numpy.typing import NDArray
-from pushes import own_path, point_push_scene, recorded, sample_times_s, scored, simulated, slide_friction, union
+from pushes import (
+    own_path,
+    point_push_scene,
+    recorded,
+    sample_times_s,
+    scored,
+    simulated,
+    slide_friction,
+    union,
+)
 
 from gauge_envs import beyond_variants, load_experiment, variants
 from gauge_envs.errors import ParameterError
@@ -53,35 +62,56 @@ def test_the_task_has_the_hand_of_the_facts() -> None:
     scene = load_experiment(NAME).scene
     hand = scene.body("hand")
     assert isinstance(hand.shape, ConvexUnion)
-    for stated, found in zip(hand.shape.pieces_m, build_pushes.pieces_m(pushes().front_m()), strict=True):
+    for stated, found in zip(
+        hand.shape.pieces_m, build_pushes.pieces_m(pushes().front_m()), strict=True
+    ):
         np.testing.assert_allclose(stated, found, atol=1e-5)
     start = pushes().hand_path(np.array([build_pushes.START_S]))[0, :3]
     np.testing.assert_allclose(hand.pose.position_m, start, atol=1e-5)
     np.testing.assert_allclose(
-        scene.body("cube").pose.position_m[:2], 1e-3 * pushes().cubes_mm()[:, 0, :2].mean(axis=0), atol=1e-5
+        scene.body("cube").pose.position_m[:2],
+        1e-3 * pushes().cubes_mm()[:, 0, :2].mean(axis=0),
+        atol=1e-5,
     )
     _, values = build_pushes.driver_values(pushes())
-    for motion, column, tolerance in zip(scene.drivers[0].motions, (3, 0, 1, 2), (1e-5,) * 4, strict=True):
-        np.testing.assert_allclose(motion.profiles[0].values, values[:, column], atol=tolerance)
+    for motion, column, tolerance in zip(
+        scene.drivers[0].motions, (3, 0, 1, 2), (1e-5,) * 4, strict=True
+    ):
+        np.testing.assert_allclose(
+            motion.profiles[0].values, values[:, column], atol=tolerance
+        )
 
 
 def test_a_planted_delay_of_a_trial_is_found() -> None:
     """A recording that was cut 30 ms later has the same common times, although its first frames differ."""
     facts = {name: np.array(values) for name, values in pushes().facts.items()}
-    for name in ("cube_position", "cube_quaternion", "hand_position", "hand_quaternion"):
+    for name in (
+        "cube_position",
+        "cube_quaternion",
+        "hand_position",
+        "hand_quaternion",
+    ):
         facts[name][4, :-3] = pushes().facts[name][4, 3:]
     moved = Pushes(facts).trials
     for trial in (4, 7):
         shift_s = moved[trial].times_s[0] - pushes().trials[trial].times_s[0]
         # All times shift by a 20th of it, as their mean is zero.
-        assert shift_s == pytest.approx((0.03 if trial == 4 else 0.0) - 0.03 / 20, abs=2e-4)
+        assert shift_s == pytest.approx(
+            (0.03 if trial == 4 else 0.0) - 0.03 / 20, abs=2e-4
+        )
 
 
 def turned_hand(slope: float) -> Push:
     """Return a push by a straight front that leans back below by a slope, and pitches; the cube follows it."""
     times_s = np.linspace(-0.2, 0.7, 91)
     pitch = -0.3 * np.clip(times_s, 0.0, 0.6)
-    hand_m = np.column_stack([0.2 * np.maximum(times_s, 0.0), 0.0 * times_s, 0.195 + 0.1 * np.maximum(times_s, 0.0)])
+    hand_m = np.column_stack(
+        [
+            0.2 * np.maximum(times_s, 0.0),
+            0.0 * times_s,
+            0.195 + 0.1 * np.maximum(times_s, 0.0),
+        ]
+    )
     # The front is the line x = 0.07 + slope (z + 0.125), and the rear of the cube its foremost point below the top.
     heights = np.linspace(-0.2, -0.125, 400)
     front = np.column_stack([0.07 + slope * (heights + 0.125), heights])
@@ -90,15 +120,26 @@ def turned_hand(slope: float) -> Push:
         x = place[0] + np.cos(angle) * front[:, 0] + np.sin(angle) * front[:, 1]
         z = place[2] - np.sin(angle) * front[:, 0] + np.cos(angle) * front[:, 1]
         rear_m.append(x[(z < 2.0 * HALF_EDGE_M) & (z > 0.0)].max(initial=-1.0))
-    cube_m = np.column_stack([np.array(rear_m) + HALF_EDGE_M, 0.0 * times_s, HALF_EDGE_M + 0.0 * times_s])
+    cube_m = np.column_stack(
+        [np.array(rear_m) + HALF_EDGE_M, 0.0 * times_s, HALF_EDGE_M + 0.0 * times_s]
+    )
     zero = np.zeros_like(cube_m)
-    return Push("planted", times_s, cube_m, zero, hand_m, np.column_stack([0.0 * pitch, pitch, 0.0 * pitch]))
+    return Push(
+        "planted",
+        times_s,
+        cube_m,
+        zero,
+        hand_m,
+        np.column_stack([0.0 * pitch, pitch, 0.0 * pitch]),
+    )
 
 
 def test_a_planted_front_of_the_hand_is_found() -> None:
     found = turned_hand(0.1).front_m()
     touched = (HEIGHTS_M < -0.13) & (HEIGHTS_M > -0.165)
-    np.testing.assert_allclose(found[touched], 0.07 + 0.1 * (HEIGHTS_M[touched] + 0.125), atol=4e-4)
+    np.testing.assert_allclose(
+        found[touched], 0.07 + 0.1 * (HEIGHTS_M[touched] + 0.125), atol=4e-4
+    )
 
 
 def test_even_and_odd_trials_give_the_same_front() -> None:
@@ -112,7 +153,9 @@ def test_the_friction_of_a_planted_slide_is_found(friction: float) -> None:
     times_s = 0.3 + 0.01 * np.arange(80)
     left_s = np.maximum(0.4137 - times_s, 0.0)
     noise_m = np.random.default_rng(0).normal(0.0, 5e-5, len(times_s))
-    found, error = slide_friction(times_s, 0.6 - 0.5 * friction * GRAVITY_M_PER_S2 * left_s**2 + noise_m)
+    found, error = slide_friction(
+        times_s, 0.6 - 0.5 * friction * GRAVITY_M_PER_S2 * left_s**2 + noise_m
+    )
     assert found == pytest.approx(friction, abs=4.0 * error)
     assert error < 0.03
 
@@ -122,7 +165,11 @@ def test_friction_of_the_task_is_that_of_even_slides() -> None:
     for push in pushes().trials[::2]:
         late = push.times_s > 0.3
         values.append(slide_friction(push.times_s[late], push.cube_m[late, 0])[0])
-    (contact,) = (one for one in load_experiment(NAME).scene.contacts if "table" in one.first + one.second)
+    (contact,) = (
+        one
+        for one in load_experiment(NAME).scene.contacts
+        if "table" in one.first + one.second
+    )
     assert contact.friction == pytest.approx(np.mean(values), abs=5e-4)
 
 
@@ -139,12 +186,16 @@ def test_an_odd_trial_on_its_own_path() -> None:
     assert row["travel_mm"] == pytest.approx(row["real_travel_mm"], abs=6.0)
 
 
-def played(env: gymnasium.Env, **options: Any) -> tuple[FloatArray, Any, dict[str, Any]]:
+def played(
+    env: gymnasium.Env, **options: Any
+) -> tuple[FloatArray, Any, dict[str, Any]]:
     """Return the path of the cube of an episode [mm], its score, and what the reset said."""
     observation, info = env.reset(seed=0, options=options)
     path, over, last = [observation["observable"]], False, info
     while not over:
-        observation, _, terminated, truncated, last = env.step(np.zeros(env.action_space.shape, np.float32))
+        observation, _, terminated, truncated, last = env.step(
+            np.zeros(env.action_space.shape, np.float32)
+        )
         path.append(observation["observable"])
         over = terminated or truncated
     return np.array(path), last["score"], info
@@ -158,7 +209,9 @@ def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it() -> 
         path, score, info = played(env, trial=trial)
         np.testing.assert_allclose(path[0, :2], cubes_mm[trial, 0, :2], atol=1e-3)
         assert info["trial"] == trial and score.trial_count is None
-        assert score.rmse == pytest.approx(np.sqrt(np.mean(np.square(path - cubes_mm[trial])[:, 0])), abs=2e-3)
+        assert score.rmse == pytest.approx(
+            np.sqrt(np.mean(np.square(path - cubes_mm[trial])[:, 0])), abs=2e-3
+        )
         # The study's loop, without an environment, sees the same push.
         track = simulated("mujoco", own_path(load_experiment(NAME), trial))
         np.testing.assert_allclose(track.cube_mm[::6][: len(path)], path, atol=1e-6)
@@ -169,10 +222,17 @@ def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it() -> 
     # The next reset without a trial has the mean path and all trials again.
     again, score, info = played(env)
     np.testing.assert_array_equal(again, mean)
-    assert "trial" not in info and (score.rmse, score.trial_count) == (mean_score.rmse, 20)
-    worlds = gymnasium.make_vec(f"GAUGE/{NAME}", num_envs=2, vectorization_mode="vector_entry_point")
+    assert "trial" not in info and (score.rmse, score.trial_count) == (
+        mean_score.rmse,
+        20,
+    )
+    worlds = gymnasium.make_vec(
+        f"GAUGE/{NAME}", num_envs=2, vectorization_mode="vector_entry_point"
+    )
     observations, _ = worlds.reset(seed=0, options={"trial": 3})
-    np.testing.assert_allclose(observations["observable"][:, :2], cubes_mm[[3, 3], 0, :2], atol=1e-3)
+    np.testing.assert_allclose(
+        observations["observable"][:, :2], cubes_mm[[3, 3], 0, :2], atol=1e-3
+    )
     with pytest.raises(ParameterError, match="choose 0 to 19"):
         env.reset(options={"trial": 20})
 
@@ -188,13 +248,19 @@ def test_a_planted_fault_leaves_the_scatter(
     experiment = load_experiment(NAME, constants)
     if not has_fingers:
         shape = union(build_pushes.pieces_m(pushes().front_m())[:1])
-        bodies = tuple(replace(body, shape=shape) if body.name == "hand" else body for body in experiment.scene.bodies)
+        bodies = tuple(
+            replace(body, shape=shape) if body.name == "hand" else body
+            for body in experiment.scene.bodies
+        )
         experiment = replace(experiment, scene=replace(experiment.scene, bodies=bodies))
     times_s = sample_times_s(experiment.scene)
     errors = []
     for trial in (1, 5, 9):
         found = simulated("mujoco", own_path(experiment, trial)).measures(times_s)
-        errors.append(found["travel_mm"] - recorded(pushes().trials[trial], times_s).measures(times_s)["travel_mm"])
+        errors.append(
+            found["travel_mm"]
+            - recorded(pushes().trials[trial], times_s).measures(times_s)["travel_mm"]
+        )
     assert travel_mm[0] < np.mean(errors) < travel_mm[1]
 
 
@@ -203,13 +269,17 @@ def test_a_rod_pushed_at_its_end_turns_about_the_known_point() -> None:
     length_m = 0.3
     along_m = length_m * (np.arange(3000) + 0.5) / 3000
     supports_m = np.column_stack([np.zeros_like(along_m), along_m])
-    rate = turn_rate(np.zeros(2), np.array([1.0, 0.0]), supports_m, np.full(3000, 1.0 / 3000))
+    rate = turn_rate(
+        np.zeros(2), np.array([1.0, 0.0]), supports_m, np.full(3000, 1.0 / 3000)
+    )
     assert 1.0 / rate == pytest.approx(length_m / np.sqrt(2.0), rel=1e-4)
 
 
 def test_a_rod_on_its_ends_turns_about_the_far_one() -> None:
     supports_m = np.array([[0.0, 0.0], [0.0, 0.3]])
-    rate = turn_rate(np.array([0.0, 0.1]), np.array([1.0, 0.0]), supports_m, np.array([0.5, 0.5]))
+    rate = turn_rate(
+        np.array([0.0, 0.1]), np.array([1.0, 0.0]), supports_m, np.array([0.5, 0.5])
+    )
     assert rate == pytest.approx(1.0 / 0.2, rel=1e-6)
 
 
@@ -219,12 +289,17 @@ def test_the_ellipsoid_is_the_motion_of_least_power() -> None:
     rates = np.linspace(-40.0, 40.0, 800_001)
     centre = velocity[:, None] - rates * np.array([[-point_m[1]], [point_m[0]]])
     power = np.sqrt((centre**2).sum(axis=0) + (length_m * rates) ** 2)
-    assert ellipsoid_turn_rate(point_m, velocity, length_m) == pytest.approx(rates[power.argmin()], abs=2e-4)
+    assert ellipsoid_turn_rate(point_m, velocity, length_m) == pytest.approx(
+        rates[power.argmin()], abs=2e-4
+    )
 
 
 def test_friction_of_the_table_cancels_in_a_slow_push() -> None:
     """MuJoCo turns a cube as the law of its four corners, whatever the friction; the ball is 6 mm high, so 5 % off."""
     law_deg = np.degrees(turn_of_push(0.01, 0.02, HALF_EDGE_M))
-    turns = [simulated("mujoco", point_push_scene(0.01, friction)).turn_deg[-1, 2] for friction in (0.1, 0.4)]
+    turns = [
+        simulated("mujoco", point_push_scene(0.01, friction)).turn_deg[-1, 2]
+        for friction in (0.1, 0.4)
+    ]
     np.testing.assert_allclose(turns, law_deg, rtol=0.06)
     assert turns[0] == pytest.approx(turns[1], rel=0.04)

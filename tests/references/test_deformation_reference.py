@@ -17,12 +17,21 @@ from gauge_envs.observables.deformation import STATISTICS
 from gauge_envs.references import tables
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 
-FAMILIES = ("FoamStretching", "FoamCompressing", "FoamShearing", "FoamTwisting", "FoamBending", "CantileverBeam")
+FAMILIES = (
+    "FoamStretching",
+    "FoamCompressing",
+    "FoamShearing",
+    "FoamTwisting",
+    "FoamBending",
+    "CantileverBeam",
+)
 FREE_SPAN_M = 0.1743
 
 
 def facts(name: str) -> dict[str, np.ndarray]:
-    return build_recordings.read_table(data_folder("scoring") / "facts" / "recordings" / f"{name}.csv")
+    return build_recordings.read_table(
+        data_folder("scoring") / "facts" / "recordings" / f"{name}.csv"
+    )
 
 
 def statistics_of(variant: str) -> DeformationReference:
@@ -61,30 +70,47 @@ def test_soft_and_hard_share_a_recording_and_say_so(family: str) -> None:
 def test_deformation_starts_at_none(family: str) -> None:
     """Within three times the uncertainty. The first known frame of the beam is in its swing."""
     reference = statistics_of(f"{family}-soft")
-    rest = [0.0 if name.startswith(("strain", "non")) else 1.0 for name in reference.statistics]
+    rest = [
+        0.0 if name.startswith(("strain", "non")) else 1.0
+        for name in reference.statistics
+    ]
     assert (np.abs(reference.mean[0] - rest) < 3 * reference.sigma[0]).all()
 
 
-@pytest.mark.parametrize(("name", "variant"), [("stretching", "Stretching"), ("compressing", "Compressing")])
+@pytest.mark.parametrize(
+    ("name", "variant"), [("stretching", "Stretching"), ("compressing", "Compressing")]
+)
 def test_axial_strain_is_that_of_the_outer_sections(name: str, variant: str) -> None:
     """Heights of the lowest and the highest section alone; and the grip moves at least as far as the markers."""
     seen = facts(f"foam_{name}_markers")
-    low, high = (np.mean([seen[f"marker_{7 * k + s}_z_mm"] for k in range(4)], axis=0) for s in (0, 6))
-    start = tomllib.loads((data_folder("scoring") / "facts/recordings/recordings.toml").read_text())[f"foam_{name}"]
+    low, high = (
+        np.mean([seen[f"marker_{7 * k + s}_z_mm"] for k in range(4)], axis=0)
+        for s in (0, 6)
+    )
+    start = tomllib.loads(
+        (data_folder("scoring") / "facts/recordings/recordings.toml").read_text()
+    )[f"foam_{name}"]
     still = seen["time_s"] < start["frame_zero_s"]
     length = high - low
     picture = int(np.argmin(np.abs(seen["time_s"] - start["frame_zero_s"] - 29 / 30)))
     mean, sigma = column(statistics_of(f"Foam{variant}-soft"), "strain.zz")
-    assert mean[29] == pytest.approx(length[picture] / length[still].mean() - 1, abs=sigma[29])
+    assert mean[29] == pytest.approx(
+        length[picture] / length[still].mean() - 1, abs=sigma[29]
+    )
     assert abs(mean[29]) < abs(start["facts"]["grip_mm"]["value"]) * 1e-3 / FREE_SPAN_M
 
 
 def test_lateral_strain_and_volume_go_with_the_axial_strain() -> None:
     reference = statistics_of("FoamStretching-soft")
-    (axial, _), (lateral, lateral_sigma) = column(reference, "strain.zz"), column(reference, "strain.lateral")
+    (axial, _), (lateral, lateral_sigma) = (
+        column(reference, "strain.zz"),
+        column(reference, "strain.lateral"),
+    )
     volume, volume_sigma = column(reference, "volume_ratio")
     assert axial[29] > 0.03 and lateral[29] < 0
-    assert volume[29] == pytest.approx((1 + axial[29]) * (1 + lateral[29]) ** 2, abs=5e-4)
+    assert volume[29] == pytest.approx(
+        (1 + axial[29]) * (1 + lateral[29]) ** 2, abs=5e-4
+    )
     # The scale of all sections is off by the same share, so that both directions go together.
     assert volume_sigma[29] == pytest.approx(2 * lateral_sigma[29], rel=0.06)
 
@@ -108,15 +134,27 @@ def test_shapes_must_agree() -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("FoamBending-soft.csv", "mean.strain.yy", "mean.strain.y", "line 1: columns are"),
+        (
+            "FoamBending-soft.csv",
+            "mean.strain.yy",
+            "mean.strain.y",
+            "line 1: columns are",
+        ),
         ("FoamBending-soft.csv", "\n1,", "\n2,", "line 3: frame 2 where 1 is next"),
         ("FoamBending-soft.csv", "0.0266", "-0.0266", "uncertainty.strain.yy: "),
-        ("FoamBending-soft.toml", "frames = 35", "frames = 5", "frames is 5, but the table has 35"),
+        (
+            "FoamBending-soft.toml",
+            "frames = 35",
+            "frames = 5",
+            "frames is 5, but the table has 35",
+        ),
         ("FoamBending-soft.toml", '"statistics"', '"trials"', "grade: "),
         ("FoamBending-soft.toml", "trial_count = 1", "", "trial_count: missing key"),
     ],
 )
-def test_damaged_statistics_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:
+def test_damaged_statistics_are_named(
+    scoring: Path, file: str, old: str, new: str, message: str
+) -> None:
     damaged = scoring / "statistics" / file
     text = damaged.read_text(encoding="utf-8")
     assert old in text
@@ -131,15 +169,26 @@ def test_check_notices_a_changed_marker(
     scoring: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Bands have a test of their own, and statistics of two recordings suffice.
-    monkeypatch.setattr(build_recordings, "generated_files", build_recordings.statistics_files)
+    monkeypatch.setattr(
+        build_recordings, "generated_files", build_recordings.statistics_files
+    )
     stated = scoring / "facts" / "recordings" / "statistics.toml"
     sections = re.split(r"(?m)^(?=\[)", stated.read_text(encoding="utf-8"))
-    kept = [part for part in sections if part.startswith(("[foam_bending", "[foam_stretching"))]
+    kept = [
+        part
+        for part in sections
+        if part.startswith(("[foam_bending", "[foam_stretching"))
+    ]
     assert len(kept) > 1
     stated.write_text("".join(kept), encoding="utf-8")
     table = scoring / "facts" / "recordings" / "foam_bending_markers.csv"
     lines = table.read_text(encoding="utf-8").splitlines()
-    lines[-10] = ",".join(["9" + field if k == 5 else field for k, field in enumerate(lines[-10].split(","))])
+    lines[-10] = ",".join(
+        [
+            "9" + field if k == 5 else field
+            for k, field in enumerate(lines[-10].split(","))
+        ]
+    )
     table.write_text("\n".join(lines) + "\n", encoding="utf-8")
     assert build_recordings.main(["--check", "--scoring", str(scoring)]) == 1
     stale = capsys.readouterr().err.splitlines()

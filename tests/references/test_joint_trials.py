@@ -20,7 +20,13 @@ from gauge_envs.scene.driver_path import motor_commands
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
-NAMES = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
+NAMES = (
+    "JointPendulum-dry",
+    "JointPendulum-viscous",
+    "DoublePendulum-bars",
+    "TorquePendulum-ak80",
+    "ServoArm-so101",
+)
 COUNTS = dict(zip(NAMES, (2, 4, 26, 4, 8), strict=True))
 INTERVAL_S = 1.0 / 180.0
 
@@ -57,7 +63,9 @@ def swing(scene: Scene, seconds: float) -> NDArray[np.float64]:
     return np.arctan2(-arm[:, 0], -arm[:, 2])
 
 
-def turning_points(angles: NDArray[np.float64], interval_s: float) -> NDArray[np.float64]:
+def turning_points(
+    angles: NDArray[np.float64], interval_s: float
+) -> NDArray[np.float64]:
     """Times and amplitudes of the turning points, from parabolas, shape [count, 2]."""
     size, found = np.abs(angles), []
     near = round(0.05 / interval_s)
@@ -70,12 +78,18 @@ def turning_points(angles: NDArray[np.float64], interval_s: float) -> NDArray[np
 
 
 def with_dynamics(scene: Scene, dynamics: JointDynamics) -> Scene:
-    return replace(scene, joints=tuple(replace(joint, dynamics=dynamics) for joint in scene.joints))
+    return replace(
+        scene, joints=tuple(replace(joint, dynamics=dynamics) for joint in scene.joints)
+    )
 
 
 def weight_n_m(scene: Scene) -> float:
     body, hinge = scene.bodies[0], scene.hinges[0]
-    return GRAVITY_M_PER_S2 * body.mass_kg * float(np.linalg.norm(np.subtract(body.pose.position_m, hinge.anchor_m)))
+    return (
+        GRAVITY_M_PER_S2
+        * body.mass_kg
+        * float(np.linalg.norm(np.subtract(body.pose.position_m, hinge.anchor_m)))
+    )
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
@@ -108,9 +122,15 @@ def test_hung_bodies_turn_by_the_recorded_angles() -> None:
     angles = 1e-4 * shots.arrays["angle"][: len(shots.shot(0).times_s)]
     upper, lower = (shots.shot(0, name).rotations for name in ("upper", "lower"))
     np.testing.assert_allclose(upper.as_rotvec()[:, 1], angles[:, 0], atol=1e-9)
-    np.testing.assert_allclose((upper.inv() * lower).as_rotvec()[:, 1], angles[:, 1], atol=1e-9)
-    hinge_m = shots.shot(0, "upper").positions_m + upper.apply(shots.sidecar.hung[1].anchor_on_m)
-    np.testing.assert_allclose(np.linalg.norm(hinge_m - [0.0, 0.0, 0.5], axis=1), 0.172719, atol=1e-6)
+    np.testing.assert_allclose(
+        (upper.inv() * lower).as_rotvec()[:, 1], angles[:, 1], atol=1e-9
+    )
+    hinge_m = shots.shot(0, "upper").positions_m + upper.apply(
+        shots.sidecar.hung[1].anchor_on_m
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(hinge_m - [0.0, 0.0, 0.5], axis=1), 0.172719, atol=1e-6
+    )
 
 
 def test_motors_follow_the_recorded_commands() -> None:
@@ -127,14 +147,32 @@ def test_motors_follow_the_recorded_commands() -> None:
 
 
 def sidecar(**changed: object) -> dict[str, object]:
-    hung = {"body": "a", "on": "world", "anchor_on_m": (0, 0, 1), "anchor_m": (0, 0, 1), "axis": (0, 1, 0)}
-    stated = {"body": "world", "trial_count": 2, "fit": "even", "source": "x", "licence": "y", "hung": [hung]}
+    hung = {
+        "body": "a",
+        "on": "world",
+        "anchor_on_m": (0, 0, 1),
+        "anchor_m": (0, 0, 1),
+        "axis": (0, 1, 0),
+    }
+    stated = {
+        "body": "world",
+        "trial_count": 2,
+        "fit": "even",
+        "source": "x",
+        "licence": "y",
+        "hung": [hung],
+    }
     return {**stated, "source_sha256": "0" * 64, "position_noise_m": 1e-5, **changed}
 
 
 def test_a_chain_on_the_world_has_no_pose() -> None:
     assert ShotSidecar.model_validate(sidecar()).bodies == ("a",)
-    for wrong in ({"rate_hz": 100.0}, {"position_noise_m": None}, {"hung": []}, {"body": "b"}):
+    for wrong in (
+        {"rate_hz": 100.0},
+        {"position_noise_m": None},
+        {"hung": []},
+        {"body": "b"},
+    ):
         with pytest.raises(ValueError, match=r"go together|on the world|a new body"):
             ShotSidecar.model_validate(sidecar(**wrong))
 
@@ -142,7 +180,10 @@ def test_a_chain_on_the_world_has_no_pose() -> None:
 def test_a_file_without_intervals_is_refused(tmp_path, monkeypatch) -> None:
     folder, name = single_shot.scoring_folder("single_shot"), "JointPendulum-dry"
     with np.load(folder / f"{name}.npz") as archive:
-        np.savez(tmp_path / f"{name}.npz", **{key: archive[key] for key in archive if key != "interval_s"})
+        np.savez(
+            tmp_path / f"{name}.npz",
+            **{key: archive[key] for key in archive if key != "interval_s"},
+        )
     (tmp_path / f"{name}.toml").write_text((folder / f"{name}.toml").read_text())
     monkeypatch.setattr(single_shot, "scoring_folder", lambda _: tmp_path)
     with pytest.raises(ReferenceFileError):
@@ -156,11 +197,16 @@ def test_dry_friction_takes_the_same_from_each_cycle() -> None:
     scene = started("JointPendulum-dry", 0)
     dry = scene.hinges[0].dynamics.dry_friction_n_m
     turning = turning_points(swing(scene, 3.1), INTERVAL_S)[:, 1]
-    np.testing.assert_allclose(turning[:-2] - turning[2:], 4.0 * dry / weight_n_m(scene), rtol=0.03)
+    np.testing.assert_allclose(
+        turning[:-2] - turning[2:], 4.0 * dry / weight_n_m(scene), rtol=0.03
+    )
 
 
 def test_viscous_friction_takes_the_same_share_of_each_cycle() -> None:
-    scene = with_dynamics(started("JointPendulum-dry", 0), JointDynamics(viscous_friction_n_m_s_per_rad=3e-3))
+    scene = with_dynamics(
+        started("JointPendulum-dry", 0),
+        JointDynamics(viscous_friction_n_m_s_per_rad=3e-3),
+    )
     body, hinge = scene.bodies[0], scene.hinges[0]
     assert body.inertia_kg_m2 is not None
     arm_m = np.linalg.norm(np.subtract(body.pose.position_m, hinge.anchor_m))
@@ -168,7 +214,9 @@ def test_viscous_friction_takes_the_same_share_of_each_cycle() -> None:
     decay = 0.5 * hinge.dynamics.viscous_friction_n_m_s_per_rad / inertia
     turning = turning_points(swing(scene, 3.1), INTERVAL_S)
     period_s = 2.0 * np.pi / np.sqrt(weight_n_m(scene) / inertia - decay**2)
-    np.testing.assert_allclose(turning[2:, 1] / turning[:-2, 1], np.exp(-decay * period_s), rtol=0.01)
+    np.testing.assert_allclose(
+        turning[2:, 1] / turning[:-2, 1], np.exp(-decay * period_s), rtol=0.01
+    )
 
 
 def test_a_held_servo_sags_between_weight_and_friction() -> None:
@@ -181,19 +229,27 @@ def test_a_held_servo_sags_between_weight_and_friction() -> None:
         rows = slice(*shots.arrays["first"][trial : trial + 2])
         angles = shots.sidecar.angle_unit_rad * shots.arrays["angle"][rows]
         commands = unit * shots.arrays["command"][rows]
-        same = [(values[50:] == values[:-50]).all(axis=1) for values in (angles, commands)]
+        same = [
+            (values[50:] == values[:-50]).all(axis=1) for values in (angles, commands)
+        ]
         still = np.flatnonzero(same[0] & same[1]) + 50
         for frame in still[::50]:
             poses = {one.body: shots.shot(trial, one.body) for one in hung}
             for j in (1, 2, 3):
                 hinge, dynamics = hung[j], scene.body_hinges[j - 1].dynamics
                 carrier = poses[hinge.on]
-                turned = Rotation.from_quat(carrier.quaternions[frame], scalar_first=True)
+                turned = Rotation.from_quat(
+                    carrier.quaternions[frame], scalar_first=True
+                )
                 anchor_m = carrier.positions_m[frame] + turned.apply(hinge.anchor_on_m)
                 axis = turned.apply(hinge.axis)
                 torque = 0.0
                 for one in hung[j:]:
-                    weight = [0.0, 0.0, -GRAVITY_M_PER_S2 * scene.body(one.body).mass_kg]
+                    weight = [
+                        0.0,
+                        0.0,
+                        -GRAVITY_M_PER_S2 * scene.body(one.body).mass_kg,
+                    ]
                     lever = poses[one.body].positions_m[frame] - anchor_m
                     torque += float(np.dot(axis, np.cross(lever, weight)))
                 motor = scene.body_hinges[j - 1].motor
@@ -212,9 +268,13 @@ def test_a_held_servo_sags_between_weight_and_friction() -> None:
 
 def error_mm(name: str, trial: int, scene: Scene) -> float:
     shots = shots_of(name)
-    found = 1e3 * positions(scene, shots.shot(trial).duration_s)[::6].reshape(-1, 3 * len(scene.bodies))
+    found = 1e3 * positions(scene, shots.shot(trial).duration_s)[::6].reshape(
+        -1, 3 * len(scene.bodies)
+    )
     band = shots.band(trial, len(found))
-    return float(np.sqrt(np.mean(np.square((found - band.mean)[band.measured]).sum(axis=1))))
+    return float(
+        np.sqrt(np.mean(np.square((found - band.mean)[band.measured]).sum(axis=1)))
+    )
 
 
 def test_data_tell_dry_from_viscous() -> None:
@@ -222,7 +282,9 @@ def test_data_tell_dry_from_viscous() -> None:
     dry, viscous = (started(name, 1) for name in NAMES[:2])
     torque = dry.hinges[0].dynamics.dry_friction_n_m
     # Equal loss in a cycle of amplitude A and frequency w: 4 torque A = pi viscous w A^2.
-    wrong = JointDynamics(viscous_friction_n_m_s_per_rad=4.0 * torque / (np.pi * 8.05 * 0.066))
+    wrong = JointDynamics(
+        viscous_friction_n_m_s_per_rad=4.0 * torque / (np.pi * 8.05 * 0.066)
+    )
     right_mm = error_mm(NAMES[0], 1, dry)
     assert error_mm(NAMES[0], 1, with_dynamics(dry, wrong)) > 2.5 * right_mm
     rubbing = viscous.hinges[0].dynamics.viscous_friction_n_m_s_per_rad
@@ -231,7 +293,9 @@ def test_data_tell_dry_from_viscous() -> None:
     assert error_mm(NAMES[1], 1, with_dynamics(viscous, wrong)) > 2.5 * right_mm
 
 
-@pytest.mark.parametrize(("name", "limit_mm"), [(NAMES[0], 0.5), (NAMES[1], 8.0), (NAMES[2], 5.0)])
+@pytest.mark.parametrize(
+    ("name", "limit_mm"), [(NAMES[0], 0.5), (NAMES[1], 8.0), (NAMES[2], 5.0)]
+)
 def test_judged_pieces_are_met(name: str, limit_mm: float) -> None:
     assert error_mm(name, 1, started(name, 1)) < limit_mm
 
@@ -240,7 +304,10 @@ def test_a_pendulum_without_friction_misses_its_run() -> None:
     scene = started("TorquePendulum-ak80", 3)
     right_mm = error_mm("TorquePendulum-ak80", 3, scene)
     assert right_mm < 60.0
-    assert error_mm("TorquePendulum-ak80", 3, with_dynamics(scene, JointDynamics())) > 3.0 * right_mm
+    assert (
+        error_mm("TorquePendulum-ak80", 3, with_dynamics(scene, JointDynamics()))
+        > 3.0 * right_mm
+    )
 
 
 def test_a_scale_of_the_torque_is_a_scale_of_all_constants() -> None:
@@ -249,17 +316,27 @@ def test_a_scale_of_the_torque_is_a_scale_of_all_constants() -> None:
     hinge, body = scene.joints[0], scene.bodies[0]
     dynamics = hinge.dynamics
     assert body.inertia_kg_m2 is not None
-    louder = replace(hinge.motor.command, values=tuple(1.25 * value for value in hinge.motor.command.values))
+    louder = replace(
+        hinge.motor.command,
+        values=tuple(1.25 * value for value in hinge.motor.command.values),
+    )
     scaled = replace(
         scene,
-        bodies=(replace(body, mass_kg=1.25 * body.mass_kg, inertia_kg_m2=1.25 * body.inertia_kg_m2),),
+        bodies=(
+            replace(
+                body,
+                mass_kg=1.25 * body.mass_kg,
+                inertia_kg_m2=1.25 * body.inertia_kg_m2,
+            ),
+        ),
         joints=(
             replace(
                 hinge,
                 motor=replace(hinge.motor, command=louder),
                 dynamics=JointDynamics(
                     dry_friction_n_m=1.25 * dynamics.dry_friction_n_m,
-                    viscous_friction_n_m_s_per_rad=1.25 * dynamics.viscous_friction_n_m_s_per_rad,
+                    viscous_friction_n_m_s_per_rad=1.25
+                    * dynamics.viscous_friction_n_m_s_per_rad,
                 ),
             ),
         ),

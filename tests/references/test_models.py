@@ -18,7 +18,13 @@ from gauge_envs.files import data_folder
 from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.models import POINT_SIGMA_MM, interpolated, packed, solved_model, unpacked
+from gauge_envs.references.models import (
+    POINT_SIGMA_MM,
+    interpolated,
+    packed,
+    solved_model,
+    unpacked,
+)
 from gauge_envs.tools.catalog.description import description
 
 FOLDER = data_folder("scoring") / "models"
@@ -38,7 +44,10 @@ def converging(order, *, factors=(2.0, 1.0, 0.5), scale=0.3):
 
 
 @pytest.mark.parametrize("order", [0.6, 1.0, 2.0])
-@pytest.mark.parametrize("factors", [(2.0, 1.0, 0.5), (5.0 / 3.0, 1.0, 0.5), (2.0, 1.0, 2.0 / 3.0), (1.0, 0.5, 0.25)])
+@pytest.mark.parametrize(
+    "factors",
+    [(2.0, 1.0, 0.5), (5.0 / 3.0, 1.0, 0.5), (2.0, 1.0, 2.0 / 3.0), (1.0, 0.5, 0.25)],
+)
 def test_richardson_finds_order_and_limit(order, factors):
     exact, runs = converging(order, factors=factors)
     found = extrapolation.extrapolate(runs, factors)
@@ -69,8 +78,12 @@ def test_two_runs_are_not_extrapolated_and_count_three_times():
     np.testing.assert_allclose(found.uncertainty, 1.5 * change)
 
 
-@pytest.mark.parametrize(("orders", "least"), [((1.0, 2.0), 0.95), ((2.0, 3.0), 0.95), ((0.7, 2.0), 0.92)])
-@pytest.mark.parametrize("factors", [(2.0, 1.0, 0.5), (4.0 / 3.0, 1.0, 0.5), (1.0, 0.5, 0.25)])
+@pytest.mark.parametrize(
+    ("orders", "least"), [((1.0, 2.0), 0.95), ((2.0, 3.0), 0.95), ((0.7, 2.0), 0.92)]
+)
+@pytest.mark.parametrize(
+    "factors", [(2.0, 1.0, 0.5), (4.0 / 3.0, 1.0, 0.5), (1.0, 0.5, 0.25)]
+)
 def test_the_uncertainty_covers_errors_of_two_orders(orders, least, factors):
     """Errors of several orders cancel in parts. The worlds have a seed that the rule was not chosen on."""
     random = np.random.default_rng(7)
@@ -78,10 +91,16 @@ def test_the_uncertainty_covers_errors_of_two_orders(orders, least, factors):
     held = []
     for _ in range(300):
         first, second = (
-            np.concatenate([random.normal() + 0.0 * times, random.normal() * times], axis=1) for _ in range(2)
+            np.concatenate(
+                [random.normal() + 0.0 * times, random.normal() * times], axis=1
+            )
+            for _ in range(2)
         )
         share = random.uniform(0.05, 1.0)
-        runs = [first * factor ** orders[0] + share * second * factor ** orders[1] for factor in factors]
+        runs = [
+            first * factor ** orders[0] + share * second * factor ** orders[1]
+            for factor in factors
+        ]
         found = extrapolation.extrapolate(runs, factors)
         left = np.linalg.norm(runs[factors.index(1.0)] + found.correction)
         held.append(left <= 2.0 * np.linalg.norm(found.uncertainty))
@@ -90,7 +109,9 @@ def test_the_uncertainty_covers_errors_of_two_orders(orders, least, factors):
 
 def test_families_that_disagree_are_as_uncertain_as_they_are_apart():
     zero, one = np.zeros((20, 2)), np.full((20, 2), 3.0)
-    mean, uncertainty, apart = extrapolation.combined([(zero, 0.1 + zero), (one, 0.1 + zero)])
+    mean, uncertainty, apart = extrapolation.combined(
+        [(zero, 0.1 + zero), (one, 0.1 + zero)]
+    )
     np.testing.assert_allclose(mean, 1.5)
     np.testing.assert_allclose(apart, 1.5)
     np.testing.assert_allclose(uncertainty, np.hypot(1.5, 0.1))
@@ -98,7 +119,9 @@ def test_families_that_disagree_are_as_uncertain_as_they_are_apart():
 
 def test_the_surer_engine_weighs_more():
     zero, one = np.zeros((20, 2)), np.full((20, 2), 1.0)
-    mean, uncertainty, apart = extrapolation.combined([(zero, 0.1 + zero), (one, 3.0 + zero)])
+    mean, uncertainty, apart = extrapolation.combined(
+        [(zero, 0.1 + zero), (one, 3.0 + zero)]
+    )
     between = 0.25
     weights = 1.0 / np.array([0.01 + between, 9.0 + between])
     np.testing.assert_allclose(mean, weights[1] / weights.sum())
@@ -137,11 +160,16 @@ def test_an_uncertainty_is_interpolated_between_stored_frames():
 def test_every_id_without_a_real_reference_or_law_has_a_model_or_a_reason():
     reasons = models.unsolved_scenes()
     assert not set(reasons) & set(SOLVED)
-    grades = {variant.name: reference_band(load_experiment(variant)) for variant in variants()}
+    grades = {
+        variant.name: reference_band(load_experiment(variant)) for variant in variants()
+    }
     without = {name for name, band in grades.items() if band is None}
     assert without <= set(reasons), "run scripts/build_models.py for them"
     name = min(without)
-    assert description(load_experiment(name))["reference"]["unsolved"]["reason"] == reasons[name].reason
+    assert (
+        description(load_experiment(name))["reference"]["unsolved"]["reason"]
+        == reasons[name].reason
+    )
 
 
 @pytest.mark.parametrize("name", SOLVED)
@@ -150,10 +178,15 @@ def test_a_model_covers_a_quarter_and_states_what_it_rests_on(name):
     sidecar, band = model.sidecar, model.band
     assert band.grade is BandGrade.MODEL
     assert sidecar.frames == load_experiment(name).frame_count
-    assert max(sidecar.solved_frames, sidecar.point_frames or 0) >= extrapolation.LEAST_SPAN * sidecar.frames
+    assert (
+        max(sidecar.solved_frames, sidecar.point_frames or 0)
+        >= extrapolation.LEAST_SPAN * sidecar.frames
+    )
     known = np.isfinite(band.mean).all(axis=1)
     assert bool(sidecar.ends) == (not known.all())
-    assert np.flatnonzero(~known[: sidecar.solved_frames]).tolist() == list(range(*(sidecar.gap or (0, 0))))
+    assert np.flatnonzero(~known[: sidecar.solved_frames]).tolist() == list(
+        range(*(sidecar.gap or (0, 0)))
+    )
     assert not known[sidecar.solved_frames :].any()
     assert len(sidecar.engines) >= 2
     assert set(model.others) == {one.engine for one in sidecar.engines}
@@ -162,7 +195,9 @@ def test_a_model_covers_a_quarter_and_states_what_it_rests_on(name):
     for one in sidecar.engines:
         assert {"step"} <= {refinement.parameter for refinement in one.refinements}
     if load_experiment(name).scene.deformables:
-        assert any("cell" in {r.parameter for r in one.refinements} for one in sidecar.engines)
+        assert any(
+            "cell" in {r.parameter for r in one.refinements} for one in sidecar.engines
+        )
 
 
 def test_the_mean_of_two_solutions_lies_between_them():
@@ -171,14 +206,19 @@ def test_the_mean_of_two_solutions_lies_between_them():
     known = slice(0, model.sidecar.solved_frames)
     low, high = np.minimum(first, second)[known], np.maximum(first, second)[known]
     margin = 2.0 * model.sidecar.quantum
-    assert ((model.band.mean[known] >= low - margin) & (model.band.mean[known] <= high + margin)).all()
+    assert (
+        (model.band.mean[known] >= low - margin)
+        & (model.band.mean[known] <= high + margin)
+    ).all()
 
 
 def test_damage_is_named(tmp_path):
     for file in FOLDER.glob(f"{FOAM}.*"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     sidecar = json.loads((tmp_path / f"{FOAM}.json").read_text(encoding="utf-8"))
-    (tmp_path / f"{FOAM}.json").write_text(json.dumps(sidecar | {"solved_frames": 7}), encoding="utf-8")
+    (tmp_path / f"{FOAM}.json").write_text(
+        json.dumps(sidecar | {"solved_frames": 7}), encoding="utf-8"
+    )
     with pytest.raises(ReferenceFileError, match=r"has arrays .* expected .*\(7, "):
         models._read(tmp_path / f"{FOAM}.npz", FOAM)
     models._read.cache_clear()
@@ -216,7 +256,9 @@ def test_default_settings_are_as_far_off_as_their_refinement_says(foam):
     assert score.grade == "model"
     assert score.rmse <= own.correction + sidecar.families_apart + 1e-3
     # The solution without MuJoCo's own part is Newton's.
-    assert score.rmse_without["mujoco"] == pytest.approx(score.rmse, abs=2.0 * sidecar.families_apart)
+    assert score.rmse_without["mujoco"] == pytest.approx(
+        score.rmse, abs=2.0 * sidecar.families_apart
+    )
     assert score.rmse_without["mujoco"] != score.rmse_without["newton"]
     assert score.release_offset_s is None
     assert score.percentile is None

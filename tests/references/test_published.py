@@ -28,16 +28,27 @@ from gauge_envs.references.published import (
     uncontacted_band,
 )
 
-TRIAL_VARIANTS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
+TRIAL_VARIANTS = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-2-plastic",
+    "SlopeSlider-2-metal",
+    "BouncingBall-rubber",
+)
 CARRIED_VARIANTS = tuple(
-    f"{family}-1-{material}" for family in ("SlopeSlider", "Turntable") for material in ("wood", "plastic", "metal")
+    f"{family}-1-{material}"
+    for family in ("SlopeSlider", "Turntable")
+    for material in ("wood", "plastic", "metal")
 )
 FLIGHT_VARIANTS = tuple(
-    f"NonsmoothContact-{subtask}-{material}" for subtask in "123" for material in ("wood", "plastic")
+    f"NonsmoothContact-{subtask}-{material}"
+    for subtask in "123"
+    for material in ("wood", "plastic")
 )
 SLIDE_VARIANTS = ("SlopeContact-wood", "SlopeContact-plastic")
 PENDULUM_VARIANTS = ("Pendulum-metal", "NewtonsCradle-metal")
-THROWN_VARIANTS = tuple(f"Turntable-2-{material}" for material in ("wood", "plastic", "metal"))
+THROWN_VARIANTS = tuple(
+    f"Turntable-2-{material}" for material in ("wood", "plastic", "metal")
+)
 
 
 @pytest.fixture
@@ -74,10 +85,23 @@ def make_band(**changes: object) -> Band:
 
 
 def test_table_5_is_complete() -> None:
-    rows = [row for variant in published_variants() for row in published_baselines(variant).values()]
+    rows = [
+        row
+        for variant in published_variants()
+        for row in published_baselines(variant).values()
+    ]
     assert len(rows) == 110
-    assert Counter(row.metric for row in rows) == {"rmse": 53, "dtw": 53, "lsd": 1, "mte": 1, "pd": 1, "el": 1}
-    missing = Counter(engine for row in rows for engine, score in row.engines.items() if score is None)
+    assert Counter(row.metric for row in rows) == {
+        "rmse": 53,
+        "dtw": 53,
+        "lsd": 1,
+        "mte": 1,
+        "pd": 1,
+        "el": 1,
+    }
+    missing = Counter(
+        engine for row in rows for engine, score in row.engines.items() if score is None
+    )
     assert missing == {"genesis": 2, "newton": 4}
     # Sums over the columns of the paper's table: a digit that slips anywhere moves one of them.
     assert sum(row.frames for row in rows) == 20210
@@ -91,7 +115,17 @@ def test_table_5_is_complete() -> None:
 
 
 @pytest.mark.parametrize(
-    ("variant", "metric", "frames", "unit", "mean", "std", "isaacsim", "genesis", "newton"),
+    (
+        "variant",
+        "metric",
+        "frames",
+        "unit",
+        "mean",
+        "std",
+        "isaacsim",
+        "genesis",
+        "newton",
+    ),
     [
         ("SlopeSlider-2-wood", "rmse", 19, "mm", 18.00, 15.89, 1.23, 0.53, 1.71),
         ("NonsmoothContact-3-plastic", "dtw", 20, "mm", 8.92, 2.44, 1.9, 14.37, 8.01),
@@ -100,14 +134,41 @@ def test_table_5_is_complete() -> None:
         ("NewtonsCradle-metal", "mte", 1027, "1", 0.9302, 0.0247, 0.2, None, 0.26),
         ("Pendulum-metal", "pd", 300, "s", 1.14, 0.066, 1.1, 2.47, 1.09),
         ("Pendulum-metal", "el", 3000, "1", 0.0, None, 0.034, -0.041, 0.022),
-        ("TextileStretching-uniform", "rmse", 432, "rad", 0.018, 0.012, 6.12, 13.79, None),
-        ("TextileFlinging-leather", "dtw", 219, "rad", 0.0063, 0.00023, 84.39, 7.89, 25.72),
+        (
+            "TextileStretching-uniform",
+            "rmse",
+            432,
+            "rad",
+            0.018,
+            0.012,
+            6.12,
+            13.79,
+            None,
+        ),
+        (
+            "TextileFlinging-leather",
+            "dtw",
+            219,
+            "rad",
+            0.0063,
+            0.00023,
+            84.39,
+            7.89,
+            25.72,
+        ),
         ("FoamBending-hard", "dtw", 33, "mm^2", 2.28, 0.21, 72.88, 12.41, 69.62),
     ],
 )
-def test_rows_read_as_printed(variant, metric, frames, unit, mean, std, isaacsim, genesis, newton) -> None:
+def test_rows_read_as_printed(
+    variant, metric, frames, unit, mean, std, isaacsim, genesis, newton
+) -> None:
     row = published_baselines(variant)[metric]
-    assert (row.variant, row.metric, row.frames, row.unit) == (variant, metric, frames, unit)
+    assert (row.variant, row.metric, row.frames, row.unit) == (
+        variant,
+        metric,
+        frames,
+        unit,
+    )
     assert row.mean == pytest.approx(mean, rel=1e-12)
     assert row.std == (None if std is None else pytest.approx(std, rel=1e-12))
     assert row.engines == {"isaacsim": isaacsim, "genesis": genesis, "newton": newton}
@@ -123,7 +184,11 @@ def test_the_table_cannot_be_emptied_through_the_returned_dict() -> None:
 
 
 def test_world_model_table_is_complete() -> None:
-    lines = (data_folder("scoring") / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
+    lines = (
+        (data_folder("scoring") / "published" / "world_model_results.csv")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
     assert len(lines) == 1 + 14
     assert {line.count(",") for line in lines} == {13}
     fields = [field for line in lines[1:] for field in line.split(",")[3:]]
@@ -139,7 +204,11 @@ def test_bundled_bands_load(variant: str) -> None:
     band = load_band(variant)
     frames = published_baselines(variant)["rmse"].frames
     assert band is not None
-    assert (band.grade, band.unit, band.mean.shape) == (BandGrade.TRIALS, "mm", (frames, 1))
+    assert (band.grade, band.unit, band.mean.shape) == (
+        BandGrade.TRIALS,
+        "mm",
+        (frames, 1),
+    )
     assert np.linalg.norm(band.projection, axis=1) == pytest.approx(1)
     assert band.trial_count in (19, 20, 22)
     assert (band.sigma > 0).all()
@@ -197,7 +266,9 @@ def test_carried_band_repeats_the_published_scatter(variant: str) -> None:
     assert (band.project(positions) == positions).all()
     assert band.measured.all()
     assert baseline.std is not None
-    assert np.square(band.sigma).sum(axis=1) == pytest.approx(baseline.mean**2 + baseline.std**2)
+    assert np.square(band.sigma).sum(axis=1) == pytest.approx(
+        baseline.mean**2 + baseline.std**2
+    )
 
 
 def test_carried_band_recovers_the_sigma_of_an_ensemble(scoring: Path) -> None:
@@ -206,20 +277,34 @@ def test_carried_band_recovers_the_sigma_of_an_ensemble(scoring: Path) -> None:
     deviations = trials - trials.mean(axis=0)
     rmse = np.sqrt(np.square(deviations).sum(axis=2).mean(axis=1))
     table = scoring / "published" / "engine_results.csv"
-    edit(table, "SlopeSlider-1-wood,9,rmse,mm,0.59,0.28", f"SlopeSlider-1-wood,9,rmse,mm,{rmse.mean()},{rmse.std()}")
+    edit(
+        table,
+        "SlopeSlider-1-wood,9,rmse,mm,0.59,0.28",
+        f"SlopeSlider-1-wood,9,rmse,mm,{rmse.mean()},{rmse.std()}",
+    )
     band = carried_band(variant="SlopeSlider-1-wood", positions_mm=np.zeros((9, 3)))
-    assert np.square(band.sigma).sum(axis=1).mean() == pytest.approx(np.square(deviations).sum(axis=2).mean())
+    assert np.square(band.sigma).sum(axis=1).mean() == pytest.approx(
+        np.square(deviations).sum(axis=2).mean()
+    )
     assert band.sigma == pytest.approx(np.full((9, 3), 1.7), rel=0.01)
 
 
-@pytest.mark.parametrize("positions", [np.zeros((10, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)])
+@pytest.mark.parametrize(
+    "positions", [np.zeros((10, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)]
+)
 def test_carried_band_refuses_other_positions(positions: np.ndarray) -> None:
     with pytest.raises(ShapeError):
         carried_band(variant="SlopeSlider-1-wood", positions_mm=positions)
 
 
 @pytest.mark.parametrize(
-    "variant", ["SlopeSlider-2-wood", "WallBreaking-wood", "SlopeSlider-1-cheese", "SlopeContact-wood"]
+    "variant",
+    [
+        "SlopeSlider-2-wood",
+        "WallBreaking-wood",
+        "SlopeSlider-1-cheese",
+        "SlopeContact-wood",
+    ],
 )
 def test_carried_band_refuses_variants_without_the_law(variant: str) -> None:
     with pytest.raises(UnknownNameError, match="carried variant"):
@@ -230,7 +315,11 @@ def test_laws_name_who_is_carried_by_what() -> None:
     slider, turntable = law_for("SlopeSlider-1-metal"), law_for("Turntable-1-wood")
     assert isinstance(slider, CarriedLaw) and isinstance(turntable, CarriedLaw)
     assert (slider.kind, slider.body, slider.carrier) == ("carried", "cube", "board")
-    assert (turntable.kind, turntable.body, turntable.carrier) == ("carried", "cube", "plate")
+    assert (turntable.kind, turntable.body, turntable.carrier) == (
+        "carried",
+        "cube",
+        "plate",
+    )
 
 
 def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement() -> None:
@@ -251,7 +340,9 @@ def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement() -> None
 def test_laws_until_contact_name_what_moves(variant: str) -> None:
     law = law_for(variant)
     assert isinstance(law, FlightLaw | SlideLaw)
-    assert law.body == {"1": "pyramid", "2": "pyramid", "3": "wedge"}.get(variant.split("-")[1], "teh")
+    assert law.body == {"1": "pyramid", "2": "pyramid", "3": "wedge"}.get(
+        variant.split("-")[1], "teh"
+    )
 
 
 def test_a_material_without_published_scores_has_no_law() -> None:
@@ -267,10 +358,20 @@ def test_a_law_without_published_scores_names_its_materials() -> None:
 
 def test_grades_of_all_published_variants() -> None:
     grades = {variant: band_grade(variant) for variant in published_variants()}
-    assert {variant for variant, grade in grades.items() if grade is BandGrade.TRIALS} == set(TRIAL_VARIANTS)
-    laws = {*CARRIED_VARIANTS, *FLIGHT_VARIANTS, *SLIDE_VARIANTS, *PENDULUM_VARIANTS, *THROWN_VARIANTS}
+    assert {
+        variant for variant, grade in grades.items() if grade is BandGrade.TRIALS
+    } == set(TRIAL_VARIANTS)
+    laws = {
+        *CARRIED_VARIANTS,
+        *FLIGHT_VARIANTS,
+        *SLIDE_VARIANTS,
+        *PENDULUM_VARIANTS,
+        *THROWN_VARIANTS,
+    }
     laws |= {"FoamStretching-soft", "FoamStretching-hard"}
-    assert {variant for variant, grade in grades.items() if grade is BandGrade.LAW} == laws
+    assert {
+        variant for variant, grade in grades.items() if grade is BandGrade.LAW
+    } == laws
     assert band_grade("WallBreaking-wood") is BandGrade.NONE
 
 
@@ -280,7 +381,12 @@ def test_grades_of_all_published_variants() -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
-        ("published/engine_results.csv", "variant,frames", "variant,frame", "line 1: columns are"),
+        (
+            "published/engine_results.csv",
+            "variant,frames",
+            "variant,frame",
+            "line 1: columns are",
+        ),
         (
             "published/engine_results.csv",
             "5.17",
@@ -293,7 +399,12 @@ def test_grades_of_all_published_variants() -> None:
             "ten,dtw",
             "line 3: frames: ",
         ),
-        ("published/engine_results.csv", "wood,10,dtw", "wood,10,rmse", "line 3: SlopeContact-wood has a second row"),
+        (
+            "published/engine_results.csv",
+            "wood,10,dtw",
+            "wood,10,rmse",
+            "line 3: SlopeContact-wood has a second row",
+        ),
         (
             "published/engine_results.csv",
             "10,dtw",
@@ -302,7 +413,12 @@ def test_grades_of_all_published_variants() -> None:
         ),
         ("published/engine_results.csv", "9.25", "", "line 2: baseline_mean: "),
         ("published/engine_results.csv", ",2.98", "", "line 2: 8 fields, expected 9"),
-        ("bands/SlopeSlider-2-wood.csv", "\n3,", "\n4,", "line 5: frame 4 where 3 is next"),
+        (
+            "bands/SlopeSlider-2-wood.csv",
+            "\n3,",
+            "\n4,",
+            "line 5: frame 4 where 3 is next",
+        ),
         (
             "bands/SlopeSlider-2-wood.csv",
             "-96.678904",
@@ -322,7 +438,12 @@ def test_grades_of_all_published_variants() -> None:
             '"guess"',
             "grade: ",
         ),
-        ("bands/SlopeSlider-2-wood.toml", "trial_count = 20", "", "grade 'trials' needs trial_count"),
+        (
+            "bands/SlopeSlider-2-wood.toml",
+            "trial_count = 20",
+            "",
+            "grade 'trials' needs trial_count",
+        ),
         (
             "bands/SlopeSlider-2-wood.toml",
             "[0.866025403784,",
@@ -336,7 +457,12 @@ def test_grades_of_all_published_variants() -> None:
             'kind = "thrown"',
             "law.0: ",
         ),
-        ("bands/laws.toml", 'carrier = "board"', "", "law.0.carried.carrier: missing key"),
+        (
+            "bands/laws.toml",
+            'carrier = "board"',
+            "",
+            "law.0.carried.carrier: missing key",
+        ),
         (
             "bands/laws.toml",
             "sigma_mm = 1.0",
@@ -345,21 +471,31 @@ def test_grades_of_all_published_variants() -> None:
         ),
     ],
 )
-def test_damaged_files_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:
+def test_damaged_files_are_named(
+    scoring: Path, file: str, old: str, new: str, message: str
+) -> None:
     edit(scoring / file, old, new)
     with pytest.raises(ReferenceFileError) as caught:
-        published_variants(), load_band("SlopeSlider-2-wood"), law_for("SlopeSlider-1-wood")
+        (
+            published_variants(),
+            load_band("SlopeSlider-2-wood"),
+            law_for("SlopeSlider-1-wood"),
+        )
     assert str(scoring / file) in str(caught.value)
     assert message in str(caught.value)
 
 
 def test_a_band_without_its_sidecar_is_damage(scoring: Path) -> None:
     (scoring / "bands" / "SlopeSlider-2-wood.toml").unlink()
-    with pytest.raises(ReferenceFileError, match=r"SlopeSlider-2-wood\.toml: the file is missing"):
+    with pytest.raises(
+        ReferenceFileError, match=r"SlopeSlider-2-wood\.toml: the file is missing"
+    ):
         load_band("SlopeSlider-2-wood")
 
 
 def test_import_is_light() -> None:
     program = "import sys, gauge_envs.references.bands; print({'pandas', 'matplotlib', 'torch'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "set()"

@@ -31,13 +31,35 @@ from gauge_envs.scene.drivers import Driver
 
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
-UNTOLD = ("CantileverBeam", "FoamStretching", "FoamCompressing", "FoamShearing", "FoamTwisting", "FoamBending")
-STRAINED = ("FoamStretching-soft", "FoamStretching-hard", "FoamCompressing-soft", "FoamCompressing-hard")
+UNTOLD = (
+    "CantileverBeam",
+    "FoamStretching",
+    "FoamCompressing",
+    "FoamShearing",
+    "FoamTwisting",
+    "FoamBending",
+)
+STRAINED = (
+    "FoamStretching-soft",
+    "FoamStretching-hard",
+    "FoamCompressing-soft",
+    "FoamCompressing-hard",
+)
 BESIDE_A_LAW = (
-    *("SlopeContact-wood", "NonsmoothContact-1-plastic", "Pendulum-metal", "TableclothPulling-metal"),
+    *(
+        "SlopeContact-wood",
+        "NonsmoothContact-1-plastic",
+        "Pendulum-metal",
+        "TableclothPulling-metal",
+    ),
     *STRAINED,
 )
-WITHHELD = tuple(name for family in UNTOLD for foam in ("soft", "hard") if (name := f"{family}-{foam}") not in STRAINED)
+WITHHELD = tuple(
+    name
+    for family in UNTOLD
+    for foam in ("soft", "hard")
+    if (name := f"{family}-{foam}") not in STRAINED
+)
 
 
 def facts_folder() -> Path:
@@ -45,7 +67,9 @@ def facts_folder() -> Path:
 
 
 def recordings() -> dict[str, dict]:
-    return tomllib.loads((facts_folder() / "recordings.toml").read_text(encoding="utf-8"))
+    return tomllib.loads(
+        (facts_folder() / "recordings.toml").read_text(encoding="utf-8")
+    )
 
 
 def table(name: str) -> dict[str, np.ndarray]:
@@ -67,11 +91,15 @@ def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return copy
 
 
-def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, capsys, monkeypatch) -> None:
+def test_check_notices_changed_measurements_and_a_missing_band(
+    scoring: Path, capsys, monkeypatch
+) -> None:
     monkeypatch.setattr(build_recordings, "statistics_files", lambda scoring: {})
     (scoring / "bands" / "Pendulum-metal.toml").unlink()
     facts = scoring / "facts" / "recordings" / "slope_slider.csv"
-    facts.write_text(facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8")
+    facts.write_text(
+        facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8"
+    )
     # What the copy shares with the repository is current, or the list would be longer.
     assert build_recordings.main(["--check", "--scoring", str(scoring)]) == 1
     stale = capsys.readouterr().err.splitlines()
@@ -81,30 +109,50 @@ def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, ca
     ]
 
 
-def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(tmp_path: Path) -> None:
+def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
+    tmp_path: Path,
+) -> None:
     page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
     stale = tmp_path / "coverage.md"
-    stale.write_text(page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"), encoding="utf-8")
+    stale.write_text(
+        page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"),
+        encoding="utf-8",
+    )
     assert build_coverage.main(["--check", "--out", str(stale)]) == 1
     rows = page.partition("Why bands are withheld")[0].splitlines()
-    assert sum(line.startswith(f"| {variant.name} |") for variant in variants() for line in rows) == 75
+    assert (
+        sum(
+            line.startswith(f"| {variant.name} |")
+            for variant in variants()
+            for line in rows
+        )
+        == 75
+    )
 
 
 def test_no_default_preset_fails_a_check_of_what_is_ranked() -> None:
     data = json.loads(build_engine_table.DATA.read_text(encoding="utf-8"))
-    defaults = {one["engine"]: one for one in data["configurations"] if not one["preset"]}
+    defaults = {
+        one["engine"]: one for one in data["configurations"] if not one["preset"]
+    }
     assert set(defaults) == set(build_engine_table.ENGINES)
-    assert {engine: build_engine_table.failed_checks(one) for engine, one in defaults.items()} == dict.fromkeys(
-        defaults, 0
-    )
+    assert {
+        engine: build_engine_table.failed_checks(one)
+        for engine, one in defaults.items()
+    } == dict.fromkeys(defaults, 0)
     for one in defaults.values():
-        slides = [ratio for column, ratio in one["laws"].items() if column.startswith("slide")]
+        slides = [
+            ratio for column, ratio in one["laws"].items() if column.startswith("slide")
+        ]
         slides.append(build_engine_table.law_ratio(one, "slide"))
         assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 
 def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"no ranks: rapier lacks BouncingBall-rubber calibrated, .*Turntable-3-metal"):
+    with pytest.raises(
+        SystemExit,
+        match=r"no ranks: rapier lacks BouncingBall-rubber calibrated, .*Turntable-3-metal",
+    ):
         build_engine_table.graded_results("rapier", "", tmp_path)
 
 
@@ -114,7 +162,9 @@ def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) 
 def test_what_moves_evenly_is_met_at_every_frame_between_pictures() -> None:
     times = np.arange(10) / 25
     frames = np.arange(12) / 30
-    value, rate = build_recordings.at_frames(times, 3 + 2 * times, frames, interval_s=1 / 25)
+    value, rate = build_recordings.at_frames(
+        times, 3 + 2 * times, frames, interval_s=1 / 25
+    )
     inside = frames <= times[-1]
     assert value[inside] == pytest.approx(3 + 2 * frames[inside], abs=1e-12)
     assert rate[inside] == pytest.approx(2, abs=1e-9)
@@ -130,17 +180,24 @@ def test_nothing_is_invented_where_a_picture_is_missing() -> None:
     within_gap = (frames > times[3]) & (frames < times[5])
     assert within_gap.any()
     assert np.isnan(value[within_gap]).all()
-    assert np.isfinite(value[(frames <= times[3]) | ((frames >= times[5]) & (frames <= times[-1]))]).all()
+    assert np.isfinite(
+        value[(frames <= times[3]) | ((frames >= times[5]) & (frames <= times[-1]))]
+    ).all()
 
 
 def test_the_mean_of_a_jump_does_not_overshoot() -> None:
     value, _ = build_recordings.at_frames(
-        np.arange(8) / 25, np.repeat([0.0, 1.0], 4), np.linspace(0, 7 / 25, 50), interval_s=1 / 25
+        np.arange(8) / 25,
+        np.repeat([0.0, 1.0], 4),
+        np.linspace(0, 7 / 25, 50),
+        interval_s=1 / 25,
     )
     assert (value.min(), value.max()) == (0.0, 1.0)
 
 
-def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end() -> None:
+def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end() -> (
+    None
+):
     values = np.array([0.0, 1.0, 2.0, 3.0, np.nan, 5.0, 6.0])
     seen = build_recordings.seen_well(values, 2)
     assert np.isnan(seen).tolist() == [False, False, True, True, True, False, False]
@@ -166,7 +223,9 @@ def test_a_band_reads_as_it_was_built(variant: str) -> None:
     band = band_of(variant)
     experiment = load_experiment(variant)
     name, recording, layout = next(
-        found for found in build_recordings.supported(facts_folder()) if variant in found[1]["variants"]
+        found
+        for found in build_recordings.supported(facts_folder())
+        if variant in found[1]["variants"]
     )
     built = build_recordings.recorded_band(variant, recording, layout, table(name))
     assert band.grade is BandGrade.RECORDING
@@ -181,11 +240,14 @@ def test_a_band_reads_as_it_was_built(variant: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("variant", "known"), [("SlopeSlider-3-metal", 58), ("Turntable-3-metal", 95), ("SlopeContact-wood", 7)]
+    ("variant", "known"),
+    [("SlopeSlider-3-metal", 58), ("Turntable-3-metal", 95), ("SlopeContact-wood", 7)],
 )
 def test_frames_after_the_last_picture_are_not_known(variant: str, known: int) -> None:
     band = band_of(variant)
-    assert np.flatnonzero(np.isfinite(band.mean).all(axis=1)).tolist() == list(range(known))
+    assert np.flatnonzero(np.isfinite(band.mean).all(axis=1)).tolist() == list(
+        range(known)
+    )
     assert np.flatnonzero(band.measured).tolist() == list(range(known))
 
 
@@ -200,7 +262,9 @@ def test_sigma_is_the_published_scatter_where_there_is_one(variant: str) -> None
     assert band.sigma_source is SigmaSource.BASELINE
     width = band.projection.shape[1]
     assert np.unique(band.sigma).size == 1
-    assert width * band.sigma[0, 0] ** 2 == pytest.approx(baseline.mean**2 + baseline.std**2, rel=1e-5)
+    assert width * band.sigma[0, 0] ** 2 == pytest.approx(
+        baseline.mean**2 + baseline.std**2, rel=1e-5
+    )
 
 
 def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
@@ -209,27 +273,49 @@ def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
     deviation = trials - trials.mean(axis=0)
     rmse = np.sqrt(np.square(deviation).sum(axis=2).mean(axis=1))
     baseline = Baseline("made up", "rmse", 40, "mm^2", rmse.mean(), rmse.std(), {})
-    assert build_recordings.sigma_of(baseline, 24) == pytest.approx(math.sqrt(np.square(deviation).mean()), rel=1e-12)
+    assert build_recordings.sigma_of(baseline, 24) == pytest.approx(
+        math.sqrt(np.square(deviation).mean()), rel=1e-12
+    )
 
 
-@pytest.mark.parametrize("variant", [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"])
+@pytest.mark.parametrize(
+    "variant",
+    [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"],
+)
 def test_bands_start_where_the_experiment_does(variant: str) -> None:
     """In millimetres, in the world frame, on the right coordinate: within the 5 mm by which a real start is off."""
     band, experiment = band_of(variant), load_experiment(variant)
     if experiment.recorded:
-        start = 1e3 * np.array([experiment.scene.body(name).pose.position_m for name in experiment.recorded]).ravel()
+        start = (
+            1e3
+            * np.array(
+                [
+                    experiment.scene.body(name).pose.position_m
+                    for name in experiment.recorded
+                ]
+            ).ravel()
+        )
     else:
         assert experiment.scene.markers is not None
         start = 1e3 * np.asarray(experiment.scene.markers.positions_m).ravel()
     np.testing.assert_allclose(band.mean[0], band.projection @ start, rtol=0, atol=5.0)
 
 
-@pytest.mark.parametrize("variant", [name for name in WITHHELD if name.startswith("Foam")])
+@pytest.mark.parametrize(
+    "variant", [name for name in WITHHELD if name.startswith("Foam")]
+)
 def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> None:
     band, experiment = band_of(variant), load_experiment(variant)
     assert experiment.scene.markers is not None
-    corners = 1e3 * np.asarray(experiment.scene.markers.positions_m)[np.asarray(experiment.scene.markers.faces)]
-    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    corners = (
+        1e3
+        * np.asarray(experiment.scene.markers.positions_m)[
+            np.asarray(experiment.scene.markers.faces)
+        ]
+    )
+    areas = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
     assert areas == pytest.approx(625 / 3, rel=1e-3)
     np.testing.assert_allclose(band.mean[0], areas, rtol=0.15)
     assert band.mean[0].mean() == pytest.approx(areas.mean(), rel=0.04)
@@ -240,7 +326,14 @@ def test_each_recording_says_what_it_is_and_what_was_assumed() -> None:
     described.pop("layouts")
     for name, recording in described.items():
         assert len(recording["sha256"]) == 64, name
-        assert {"video", "identity", "method", "assumed", "not_measured", "facts"} <= set(recording), name
+        assert {
+            "video",
+            "identity",
+            "method",
+            "assumed",
+            "not_measured",
+            "facts",
+        } <= set(recording), name
         assert recording["supports"] in ("band", "cross-check"), name
 
 
@@ -251,7 +344,10 @@ def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
     """One recorded trial is of one material; and without a published scatter no score can be normalized."""
     for _, recording, _ in build_recordings.supported(facts_folder()):
         ambiguous = len(recording["variants"]) > 1
-        unscaled = any("rmse" not in published_baselines(variant) for variant in recording["variants"])
+        unscaled = any(
+            "rmse" not in published_baselines(variant)
+            for variant in recording["variants"]
+        )
         if ambiguous or unscaled:
             assert recording.get("withheld"), recording["video"]
 
@@ -270,7 +366,10 @@ def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
 def test_a_law_is_used_while_the_recording_is_withheld(variant: str) -> None:
     experiment = load_experiment(variant)
     assert band_grade(variant) is BandGrade.LAW
-    used, asked = reference_band(experiment), reference_band(experiment, use_withheld=True)
+    used, asked = (
+        reference_band(experiment),
+        reference_band(experiment, use_withheld=True),
+    )
     assert used is not None and asked is not None
     assert (used.grade, used.withheld) == (BandGrade.LAW, None)
     assert (asked.grade, bool(asked.withheld)) == (BandGrade.RECORDING, True)
@@ -285,10 +384,14 @@ def test_the_pendulums_recording_is_withheld_as_circular() -> None:
     shown = CliRunner().invoke(app, ["show", "Pendulum-metal"]).stdout
     assert "circular" in " ".join(shown.split())
     scene = load_experiment("Pendulum-metal").scene
-    arm_m = np.linalg.norm(np.subtract(scene.body("ball").pose.position_m, scene.joints[0].anchor_m))
+    arm_m = np.linalg.norm(
+        np.subtract(scene.body("ball").pose.position_m, scene.joints[0].anchor_m)
+    )
     effective_m = arm_m + 0.4 * 0.03**2 / arm_m
     # Period of the first swings at 85 degrees, where the complete elliptic integral gives 1.1596 of the small one.
-    assert 2 * math.pi * math.sqrt(effective_m / GRAVITY) * 1.1596 == pytest.approx(period_s, abs=0.015)
+    assert 2 * math.pi * math.sqrt(effective_m / GRAVITY) * 1.1596 == pytest.approx(
+        period_s, abs=0.015
+    )
 
 
 def test_the_recorded_pyramid_falls_with_gravity_before_the_contact() -> None:
@@ -312,7 +415,11 @@ def test_a_certain_band_is_used(variant: str) -> None:
 
 def test_a_score_on_a_withheld_band_says_so(rollout: Callable) -> None:
     plain = rollout("SlopeContact-wood")[2]["score"]
-    assert (plain.grade, plain.coordinates, plain.withheld) == ("law", ("x", "y", "z"), None)
+    assert (plain.grade, plain.coordinates, plain.withheld) == (
+        "law",
+        ("x", "y", "z"),
+        None,
+    )
     assert plain.rmse_normalized is None
     asked = rollout("SlopeContact-wood", use_withheld=True)[2]["score"]
     assert (asked.grade, asked.coordinates) == ("recording", ("slide",))
@@ -323,18 +430,31 @@ def test_a_score_on_a_withheld_band_says_so(rollout: Callable) -> None:
 
 def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
     # Where a line breaks depends on the terminal.
-    shown = " ".join(CliRunner().invoke(app, ["show", "FoamTwisting-hard"]).stdout.split())
+    shown = " ".join(
+        CliRunner().invoke(app, ["show", "FoamTwisting-hard"]).stdout.split()
+    )
     assert "recording withheld" in shown
     assert "cannot be told" in " ".join(shown.split())
-    values = json.loads(CliRunner().invoke(app, ["show", "SlopeSlider-3-metal", "--json"]).stdout)["reference"]
-    assert (values["grade"], values["sigma_source"], values["known_frames"]) == ("recording", "baseline", 58)
+    values = json.loads(
+        CliRunner().invoke(app, ["show", "SlopeSlider-3-metal", "--json"]).stdout
+    )["reference"]
+    assert (values["grade"], values["sigma_source"], values["known_frames"]) == (
+        "recording",
+        "baseline",
+        58,
+    )
     file = tmp_path / "still.csv"
     file.write_text("\n".join(["504.278,408.961,180.622"] * 10), encoding="utf-8")
     arguments = ["score", str(file), "--id", "SlopeContact-wood", "--json"]
     plain = json.loads(CliRunner().invoke(app, arguments).stdout)["score"]
-    asked = json.loads(CliRunner().invoke(app, [*arguments, "--use", "withheld"]).stdout)["score"]
+    asked = json.loads(
+        CliRunner().invoke(app, [*arguments, "--use", "withheld"]).stdout
+    )["score"]
     assert (plain["grade"], plain["withheld"]) == ("law", None)
-    still = band_of("SlopeContact-wood").mean[:7, 0] - band_of("SlopeContact-wood").mean[0, 0]
+    still = (
+        band_of("SlopeContact-wood").mean[:7, 0]
+        - band_of("SlopeContact-wood").mean[0, 0]
+    )
     assert asked["rmse"] == pytest.approx(math.sqrt(np.square(still).mean()), rel=1e-3)
 
 
@@ -344,7 +464,12 @@ def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
     band = band_of("SlopeSlider-3-metal")
     g = np.where(np.isfinite(band.mean), band.mean, 1e4)
     score = score_trajectory(experiment, band, times_s=np.arange(60) / 30, values=g)
-    assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (0.0, 0.0, 0.0, 1.0)
+    assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    )
 
 
 # Against simulations
@@ -355,11 +480,17 @@ def turntable() -> Experiment:
     return load_experiment("Turntable-3-metal")
 
 
-def test_mujoco_is_scored_on_the_turntable(rollout: Callable, turntable: Experiment) -> None:
+def test_mujoco_is_scored_on_the_turntable(
+    rollout: Callable, turntable: Experiment
+) -> None:
     """And slips at the first stop as the recorded cube did, within three times the uncertainty of that."""
     _, trajectory, info = rollout("Turntable-3-metal")
     score = info["score"]
-    assert (info["reference"], score.grade, score.coordinates) == ("recording", "recording", ("x", "y"))
+    assert (info["reference"], score.grade, score.coordinates) == (
+        "recording",
+        "recording",
+        ("x", "y"),
+    )
     assert score.rmse_normalized == pytest.approx(score.rmse / 13.26)
     assert score.rmse_normalized < 1
     assert score.withheld is None
@@ -369,8 +500,14 @@ def test_mujoco_is_scored_on_the_turntable(rollout: Callable, turntable: Experim
     # From 2.60 s of the clip on, the cube is carried again until the plate stops once more.
     carried = (trajectory.times_s > 2.60 - 0.638) & (trajectory.times_s < 3.1)
     plate = turntable.scene.body("plate").pose
-    poses = [turntable.scene.drivers[0].pose(plate, time) for time in trajectory.times_s]
-    turned = np.degrees(np.unwrap([2 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in poses]))
+    poses = [
+        turntable.scene.drivers[0].pose(plate, time) for time in trajectory.times_s
+    ]
+    turned = np.degrees(
+        np.unwrap(
+            [2 * math.atan2(pose.quaternion[3], pose.quaternion[0]) for pose in poses]
+        )
+    )
     slip = (azimuth - azimuth[0] - turned + turned[0])[carried].mean()
     recorded = recordings()["turntable"]["facts"]["slip_after_first_stop_deg"]
     assert slip == pytest.approx(recorded["value"], abs=3 * recorded["sigma"])
@@ -391,13 +528,22 @@ def test_mujoco_is_scored_on_the_tilted_board(rollout: Callable) -> None:
 
 def test_slips_of_the_recorded_cube_are_the_means_of_the_table() -> None:
     facts, seen = recordings()["turntable"]["facts"], table("turntable")
-    for event, start, end in (("start", 1.0, 2.28), ("first_stop", 2.6, 4.28), ("second_stop", 4.64, 5.52)):
+    for event, start, end in (
+        ("start", 1.0, 2.28),
+        ("first_stop", 2.6, 4.28),
+        ("second_stop", 4.64, 5.52),
+    ):
         window = (seen["time_s"] >= start - 1e-6) & (seen["time_s"] <= end + 1e-6)
-        slip, radius = facts[f"slip_after_{event}_deg"], facts[f"radius_after_{event}_mm"] if "stop" in event else None
+        slip, radius = (
+            facts[f"slip_after_{event}_deg"],
+            facts[f"radius_after_{event}_mm"] if "stop" in event else None,
+        )
         assert seen["slip_deg"][window].mean() == pytest.approx(slip["value"], abs=0.06)
         assert seen["slip_deg"][window].std() == pytest.approx(slip["sigma"], abs=0.25)
         if radius is not None:
-            assert seen["radius_mm"][window].mean() == pytest.approx(radius["value"], abs=0.06)
+            assert seen["radius_mm"][window].mean() == pytest.approx(
+                radius["value"], abs=0.06
+            )
 
 
 def test_speeds_and_accelerations_follow_from_the_tables() -> None:
@@ -412,7 +558,12 @@ def test_speeds_and_accelerations_follow_from_the_tables() -> None:
     sliding = (times > 0) & (times < 0.17)
     weight = 1 / slid["fit_sigma_mm"][sliding] ** 2
     half_square = 0.5 * times[sliding] ** 2
-    acceleration = 1e-3 * (weight * half_square) @ slid["slide_mm"][sliding] / (weight * half_square @ half_square)
+    acceleration = (
+        1e-3
+        * (weight * half_square)
+        @ slid["slide_mm"][sliding]
+        / (weight * half_square @ half_square)
+    )
     stated = described["slope_contact"]["facts"]["slide_acceleration_m_per_s2"]
     assert acceleration == pytest.approx(stated["value"], abs=stated["sigma"])
 
@@ -422,22 +573,40 @@ def test_the_recorded_period_is_that_of_the_angles() -> None:
     swing = table("pendulum")
     times, angle = swing["time_s"], swing["angle_deg"]
     before = np.flatnonzero(angle[:-1] * angle[1:] < 0)
-    crossings = times[before] - angle[before] * np.diff(times)[before] / np.diff(angle)[before]
+    crossings = (
+        times[before] - angle[before] * np.diff(times)[before] / np.diff(angle)[before]
+    )
     stated = recordings()["pendulum"]["facts"]["period_s"]
     assert len(crossings) == 4
-    assert 2 * np.diff(crossings).mean() == pytest.approx(stated["value"], abs=2 * stated["sigma"])
+    assert 2 * np.diff(crossings).mean() == pytest.approx(
+        stated["value"], abs=2 * stated["sigma"]
+    )
 
 
 def test_the_recorded_bounce_agrees_with_the_trials() -> None:
-    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(encoding="utf-8")
+    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
+        encoding="utf-8"
+    )
     trials, seen = tomllib.loads(text), recordings()["bouncing_ball"]["facts"]
-    assert seen["rebound_ratio"]["value"] == pytest.approx(trials["rebound_ratio"]["mean"], rel=0.01)
-    assert seen["second_rebound_ratio"]["value"] == pytest.approx(trials["rebound_ratio"]["mean"], rel=0.03)
+    assert seen["rebound_ratio"]["value"] == pytest.approx(
+        trials["rebound_ratio"]["mean"], rel=0.01
+    )
+    assert seen["second_rebound_ratio"]["value"] == pytest.approx(
+        trials["rebound_ratio"]["mean"], rel=0.03
+    )
     start = seen["start_height_m"]
-    assert start["value"] == pytest.approx(trials["start_height_m"]["mean"], abs=3 * start["sigma"])
-    fall = math.sqrt(2 / GRAVITY * (trials["start_height_m"]["mean"] - trials["contact_height_m"]["mean"]))
+    assert start["value"] == pytest.approx(
+        trials["start_height_m"]["mean"], abs=3 * start["sigma"]
+    )
+    fall = math.sqrt(
+        2
+        / GRAVITY
+        * (trials["start_height_m"]["mean"] - trials["contact_height_m"]["mean"])
+    )
     assert seen["fall_s"]["value"] == pytest.approx(fall, abs=0.008)
-    assert seen["gravity_from_first_flight_m_per_s2"]["value"] == pytest.approx(GRAVITY, abs=0.27)
+    assert seen["gravity_from_first_flight_m_per_s2"]["value"] == pytest.approx(
+        GRAVITY, abs=0.27
+    )
 
 
 def test_the_recorded_cradle_rests_as_long_as_the_published_one() -> None:
@@ -449,14 +618,21 @@ def test_the_recorded_cradle_rests_as_long_as_the_published_one() -> None:
 def test_frame_zero_is_that_of_the_driver() -> None:
     driver = load_experiment("Turntable-3-metal").spec.subtasks["3"].drivers
     assert driver is not None
-    assert f"its time {recordings()['turntable']['frame_zero_s']} s being frame 0" in driver[0].note
+    assert (
+        f"its time {recordings()['turntable']['frame_zero_s']} s being frame 0"
+        in driver[0].note
+    )
 
 
 # Laws
 
 
 def friction(variant: str) -> float:
-    return next(c.friction for c in load_experiment(variant).scene.contacts if c.second[0] in ("board", "plate"))
+    return next(
+        c.friction
+        for c in load_experiment(variant).scene.contacts
+        if c.second[0] in ("board", "plate")
+    )
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
@@ -493,7 +669,12 @@ def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
     ("file", "old", "new", "message"),
     [
         ("SlopeContact-wood.csv", "mean.slide", "mean.slid", "line 1: columns are"),
-        ("SlopeContact-wood.csv", "measured,mean.slide", "measured,average.slide", "expected mean.slide among them"),
+        (
+            "SlopeContact-wood.csv",
+            "measured,mean.slide",
+            "measured,average.slide",
+            "expected mean.slide among them",
+        ),
         (
             "SlopeContact-wood.csv",
             ",1.58",
@@ -506,9 +687,19 @@ def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
             ",x",
             "line 2: uncertainty.slide: ",
         ),
-        ("SlopeContact-wood.toml", "frames = 10", "frames = 4", "frames is 4, but the table has 7"),
+        (
+            "SlopeContact-wood.toml",
+            "frames = 10",
+            "frames = 4",
+            "frames is 4, but the table has 7",
+        ),
         ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigmas: unknown key"),
-        ("SlopeContact-wood.toml", "sigma = ", "# ", "sigma is missing here, and the table has no column of it"),
+        (
+            "SlopeContact-wood.toml",
+            "sigma = ",
+            "# ",
+            "sigma is missing here, and the table has no column of it",
+        ),
         (
             "SlopeContact-wood.toml",
             '"baseline"',
@@ -521,12 +712,19 @@ def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
             "withheld = 3 #",
             "withheld: ",
         ),
-        ("SlopeContact-wood.toml", 'coordinates = ["slide"]', "", "coordinates: missing key"),
+        (
+            "SlopeContact-wood.toml",
+            'coordinates = ["slide"]',
+            "",
+            "coordinates: missing key",
+        ),
         ("FoamBending-soft.toml", "11]", "12]", "expected whole numbers from 0 to 11"),
         ("FoamBending-soft.toml", "width = 12", "", "indices and width go together"),
     ],
 )
-def test_damaged_bands_are_named(scoring: Path, file: str, old: str, new: str, message: str) -> None:
+def test_damaged_bands_are_named(
+    scoring: Path, file: str, old: str, new: str, message: str
+) -> None:
     damaged = scoring / "bands" / file
     text = damaged.read_text(encoding="utf-8")
     assert old in text
@@ -540,8 +738,12 @@ def test_damaged_bands_are_named(scoring: Path, file: str, old: str, new: str, m
 def test_a_measured_sigma_needs_an_uncertainty(scoring: Path) -> None:
     folder = scoring / "bands"
     text = (folder / "SlopeContact-wood.toml").read_text(encoding="utf-8")
-    (folder / "SlopeContact-wood.toml").write_text(text.replace('"baseline"', '"measurement"'), encoding="utf-8")
-    (folder / "SlopeContact-wood.csv").write_text("frame,time_s,measured,mean.slide\n0,0.0,1,5\n", encoding="utf-8")
+    (folder / "SlopeContact-wood.toml").write_text(
+        text.replace('"baseline"', '"measurement"'), encoding="utf-8"
+    )
+    (folder / "SlopeContact-wood.csv").write_text(
+        "frame,time_s,measured,mean.slide\n0,0.0,1,5\n", encoding="utf-8"
+    )
     with pytest.raises(ReferenceFileError, match="the table has no uncertainty"):
         bundled_band("SlopeContact-wood")
 

@@ -37,7 +37,9 @@ def band_of(load: str) -> Band:
     return band
 
 
-def swing(times_s: np.ndarray, *, frequency_hz: float, decay: float, droop_mm: float) -> np.ndarray:
+def swing(
+    times_s: np.ndarray, *, frequency_hz: float, decay: float, droop_mm: float
+) -> np.ndarray:
     """Heights of a damped oscillator that is let go at 200 mm, at rest."""
     angular = 2.0 * math.pi * frequency_hz
     shape = np.cos(angular * times_s) + decay / angular * np.sin(angular * times_s)
@@ -48,18 +50,28 @@ def euler_bernoulli_hz(load_kg: float) -> float:
     """First frequency of a clamped beam with a point mass at its end, from its frequency equation."""
     mass_kg = DENSITY * WIDTH_M**2 * LENGTH_M
     x = np.linspace(0.3, 1.9, 200001)
-    sides = 1.0 + np.cos(x) * np.cosh(x) + load_kg / mass_kg * x * (np.cos(x) * np.sinh(x) - np.sin(x) * np.cosh(x))
+    sides = (
+        1.0
+        + np.cos(x) * np.cosh(x)
+        + load_kg / mass_kg * x * (np.cos(x) * np.sinh(x) - np.sin(x) * np.cosh(x))
+    )
     root = x[np.flatnonzero(np.diff(np.sign(sides)))[0]]
-    return root**2 * math.sqrt(STIFFNESS_N_M2 / (mass_kg * LENGTH_M**3)) / (2.0 * math.pi)
+    return (
+        root**2 * math.sqrt(STIFFNESS_N_M2 / (mass_kg * LENGTH_M**3)) / (2.0 * math.pi)
+    )
 
 
 def test_the_beams_are_beyond_the_75() -> None:
-    assert {name_of(load) for load in LOADS_KG} <= {variant.name for variant in beyond_variants()}
+    assert {name_of(load) for load in LOADS_KG} <= {
+        variant.name for variant in beyond_variants()
+    }
     assert not [variant for variant in variants() if variant.family == "SiliconeBeam"]
     assert {band_grade(name_of(load)) for load in LOADS_KG} == {BandGrade.TRIALS}
 
 
-def test_the_check_finds_a_band_of_other_facts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_check_finds_a_band_of_other_facts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     scoring = tmp_path / "scoring"
     for folder in ("facts", "bands", "trials"):
         shutil.copytree(data_folder("scoring") / folder, scoring / folder)
@@ -72,9 +84,19 @@ def test_the_check_finds_a_band_of_other_facts(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_facts_name_their_files() -> None:
-    stated = tomllib.loads((data_folder("scoring") / "facts" / "silicone_beam.toml").read_text(encoding="utf-8"))
-    assert set(stated["sha256"]) == {name for name, _ in build_silicone_beam.FILES.values()}
-    assert (data_folder("scoring") / "facts" / stated["licence"]).read_text(encoding="utf-8").startswith("MIT License")
+    stated = tomllib.loads(
+        (data_folder("scoring") / "facts" / "silicone_beam.toml").read_text(
+            encoding="utf-8"
+        )
+    )
+    assert set(stated["sha256"]) == {
+        name for name, _ in build_silicone_beam.FILES.values()
+    }
+    assert (
+        (data_folder("scoring") / "facts" / stated["licence"])
+        .read_text(encoding="utf-8")
+        .startswith("MIT License")
+    )
 
 
 @pytest.mark.parametrize("load", LOADS_KG)
@@ -89,21 +111,36 @@ def test_a_release_is_found_where_a_free_body_would_start(load: str) -> None:
         assert np.abs(held).max() < 0.05
 
 
-@pytest.mark.parametrize(("frequency_hz", "decay", "droop_mm"), [(7.74, 2.4, 6.3), (3.34, 1.5, 24.0), (4.3, 0.0, 16.0)])
+@pytest.mark.parametrize(
+    ("frequency_hz", "decay", "droop_mm"),
+    [(7.74, 2.4, 6.3), (3.34, 1.5, 24.0), (4.3, 0.0, 16.0)],
+)
 @pytest.mark.parametrize("rate_hz", [30.0, 180.0])
-def test_the_fit_returns_a_known_swing(frequency_hz: float, decay: float, droop_mm: float, rate_hz: float) -> None:
+def test_the_fit_returns_a_known_swing(
+    frequency_hz: float, decay: float, droop_mm: float, rate_hz: float
+) -> None:
     times_s = np.arange(round(2.5 * rate_hz)) / rate_hz
     heights = swing(times_s, frequency_hz=frequency_hz, decay=decay, droop_mm=droop_mm)
     exact = fit_ringing(times_s, heights, level_mm=200.0)
-    noisy = fit_ringing(times_s, heights + np.random.default_rng(1).normal(0.0, 0.1, len(times_s)), level_mm=200.0)
+    noisy = fit_ringing(
+        times_s,
+        heights + np.random.default_rng(1).normal(0.0, 0.1, len(times_s)),
+        level_mm=200.0,
+    )
     assert exact is not None
     assert noisy is not None
     assert exact.residual_mm < 1e-6
-    for found, truth in (("frequency_hz", frequency_hz), ("decay_rate_per_s", decay), ("droop_mm", droop_mm)):
+    for found, truth in (
+        ("frequency_hz", frequency_hz),
+        ("decay_rate_per_s", decay),
+        ("droop_mm", droop_mm),
+    ):
         assert getattr(exact, found)[0] == pytest.approx(truth, abs=1e-6)
         value, error = getattr(noisy, found)
         assert abs(value - truth) < 4.0 * error
-    assert exact.damping_ratio == pytest.approx(decay / math.hypot(decay, 2.0 * math.pi * frequency_hz), abs=1e-6)
+    assert exact.damping_ratio == pytest.approx(
+        decay / math.hypot(decay, 2.0 * math.pi * frequency_hz), abs=1e-6
+    )
 
 
 def test_what_does_not_swing_has_no_fit() -> None:
@@ -114,7 +151,9 @@ def test_what_does_not_swing_has_no_fit() -> None:
 
 
 @pytest.mark.parametrize("load", LOADS_KG)
-def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load: str) -> None:
+def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(
+    load: str,
+) -> None:
     """Within 4 %: theory leaves out shear, the clamp's hold on the width, and the size of the load."""
     band = band_of(load)
     values = np.zeros((len(band.mean), band.projection.shape[1]))
@@ -124,7 +163,9 @@ def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load:
     values[0, [5, 8]] = 200.0
     found = {
         one.parameter: one
-        for one in implied_parameters(load_experiment(name_of(load)), band, times_s=times_s, values=values)
+        for one in implied_parameters(
+            load_experiment(name_of(load)), band, times_s=times_s, values=values
+        )
     }
     assert set(found) == {"frequency", "decay_rate", "droop"}
     for one in found.values():
@@ -132,7 +173,9 @@ def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load:
         assert one.real_scatter is not None
         # The mean of two releases rings as each of them does.
         assert abs(one.value - one.real) < max(2.0 * one.real_scatter, 0.02 * one.real)
-    assert found["frequency"].real == pytest.approx(euler_bernoulli_hz(LOADS_KG[load]), rel=0.04)
+    assert found["frequency"].real == pytest.approx(
+        euler_bernoulli_hz(LOADS_KG[load]), rel=0.04
+    )
     weight_n = GRAVITY * (0.375 * DENSITY * WIDTH_M**2 * LENGTH_M + LOADS_KG[load])
     droop_mm = 1e3 * weight_n * LENGTH_M**3 / (3.0 * STIFFNESS_N_M2)
     # Large droops are less than linear theory's: at 25 mm of 100 mm a beam with an end load bends 4 % less.
@@ -143,7 +186,9 @@ def test_a_beam_that_creeps_has_a_droop_and_no_frequency() -> None:
     band, times_s = band_of("0g"), np.arange(451) / 180.0
     values = np.zeros((len(times_s), 9))
     values[:, [5, 8]] = (200.0 - 3.3 * (1.0 - np.exp(-3.0 * times_s)))[:, None]
-    found = implied_parameters(load_experiment(name_of("0g")), band, times_s=times_s, values=values)
+    found = implied_parameters(
+        load_experiment(name_of("0g")), band, times_s=times_s, values=values
+    )
     assert [one.parameter for one in found] == ["droop"]
     assert found[0].value == pytest.approx(3.3, abs=0.01)
 
@@ -153,12 +198,28 @@ def test_a_band_without_trials_rings_by_its_mean() -> None:
     values = np.zeros((len(band.mean), 9))
     values[:, [5, 8]] = band.mean
     experiment = load_experiment(name_of("0g"))
-    found = implied_parameters(experiment, band, times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ, values=values)
-    assert all(one.real == pytest.approx(one.value, abs=1e-6) and one.real_scatter is None for one in found)
-    assert implied_parameters(experiment, None, times_s=np.arange(76) / 30.0, values=values) == ()
+    found = implied_parameters(
+        experiment,
+        band,
+        times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
+        values=values,
+    )
+    assert all(
+        one.real == pytest.approx(one.value, abs=1e-6) and one.real_scatter is None
+        for one in found
+    )
+    assert (
+        implied_parameters(
+            experiment, None, times_s=np.arange(76) / 30.0, values=values
+        )
+        == ()
+    )
 
 
-@pytest.mark.parametrize(("load", "bodies"), [("0g", {"beam"}), ("52g", {"arm", "end"}), ("101g", {"arm", "end"})])
+@pytest.mark.parametrize(
+    ("load", "bodies"),
+    [("0g", {"beam"}), ("52g", {"arm", "end"}), ("101g", {"arm", "end"})],
+)
 def test_the_load_is_part_of_the_scene(load: str, bodies: set[str]) -> None:
     scene = load_experiment(name_of(load)).scene
     assert {body.name for body in scene.deformables} == bodies
@@ -166,21 +227,34 @@ def test_the_load_is_part_of_the_scene(load: str, bodies: set[str]) -> None:
     assert scene.markers is not None
     assert set(scene.markers.bodies) == bodies
     total_kg = sum(body.mass_kg for body in scene.deformables)
-    assert total_kg == pytest.approx(DENSITY * WIDTH_M**2 * LENGTH_M + LOADS_KG[load], abs=1e-6)
+    assert total_kg == pytest.approx(
+        DENSITY * WIDTH_M**2 * LENGTH_M + LOADS_KG[load], abs=1e-6
+    )
 
 
 @pytest.mark.slow
 def test_mujoco_swings_between_the_beam_theories_with_and_without_shear() -> None:
     """At a Poisson ratio of 0.3, where the default mesh does not lock; the clamp restrains part of the shear."""
     overrides = {"beam.poisson_ratio": 0.3}
-    score = run_episode(RunRequest(name_of("0g"), backend="mujoco", parameters=overrides)).score
+    score = run_episode(
+        RunRequest(name_of("0g"), backend="mujoco", parameters=overrides)
+    ).score
     assert score is not None
     found = {one.parameter: one.value for one in score.implied}
     load_n_per_m = GRAVITY * DENSITY * WIDTH_M**2
     bending_mm = 1e3 * load_n_per_m * LENGTH_M**4 / (8.0 * STIFFNESS_N_M2)
     shear_modulus_pa = MODULUS_PA / 2.6
-    shear_mm = 1e3 * load_n_per_m * LENGTH_M**2 / (2.0 * 5.0 / 6.0 * shear_modulus_pa * WIDTH_M**2)
+    shear_mm = (
+        1e3
+        * load_n_per_m
+        * LENGTH_M**2
+        / (2.0 * 5.0 / 6.0 * shear_modulus_pa * WIDTH_M**2)
+    )
     assert bending_mm < found["droop"] < bending_mm + shear_mm
     # The stiffness of a swing is that of its droop, to first order.
     rigid_hz = euler_bernoulli_hz(0.0)
-    assert rigid_hz * math.sqrt(bending_mm / (bending_mm + shear_mm)) < found["frequency"] < rigid_hz
+    assert (
+        rigid_hz * math.sqrt(bending_mm / (bending_mm + shear_mm))
+        < found["frequency"]
+        < rigid_hz
+    )

@@ -32,7 +32,9 @@ def flights(shots: SingleShots, half: str) -> list[tuple[SingleShot, int]]:
     for trial in shots.trials(half)[::4]:
         shot = shots.shot(trial)
         matrices = Rotation.from_quat(shot.quaternions, scalar_first=True).as_matrix()
-        lowest = shot.positions_m[:, 2] + np.einsum("tij,vj->tvi", matrices, HALF_WIDTH_M * signs)[:, :, 2].min(axis=1)
+        lowest = shot.positions_m[:, 2] + np.einsum(
+            "tij,vj->tvi", matrices, HALF_WIDTH_M * signs
+        )[:, :, 2].min(axis=1)
         if (count := int(np.argmax(lowest < 0.005))) >= 8:
             found.append((shot, count))
     return found
@@ -46,7 +48,9 @@ def drift(shot: SingleShot, count: int) -> tuple[float, float]:
     turned = Rotation.from_rotvec(shot.angular_velocity_rad_per_s * time_s)
     rotations = Rotation.from_quat(shot.quaternions[[0, count - 1]], scalar_first=True)
     apart = turned * rotations[0] * rotations[1].inv()
-    return float(np.linalg.norm(place - shot.positions_m[count - 1])), float(apart.magnitude())
+    return float(np.linalg.norm(place - shot.positions_m[count - 1])), float(
+        apart.magnitude()
+    )
 
 
 def test_the_tosses_are_beyond_the_75(shots: SingleShots) -> None:
@@ -65,9 +69,13 @@ def test_recorded_flights_follow_the_closed_form(shots: SingleShots, half: str) 
     assert np.median(np.degrees(drifts[:, 1])) < 0.3
     falls = []
     for shot, count in flights(shots, half):
-        falls.append(-2.0 * np.polyfit(shot.times_s[:count], shot.positions_m[:count, 2], 2)[0])
+        falls.append(
+            -2.0 * np.polyfit(shot.times_s[:count], shot.positions_m[:count, 2], 2)[0]
+        )
     # Three standard errors of a median.
-    assert np.median(falls) == pytest.approx(GRAVITY, abs=3.0 * 1.25 * np.std(falls) / np.sqrt(len(falls)))
+    assert np.median(falls) == pytest.approx(
+        GRAVITY, abs=3.0 * 1.25 * np.std(falls) / np.sqrt(len(falls))
+    )
 
 
 def test_start_velocities_are_those_of_finite_differences(shots: SingleShots) -> None:
@@ -94,14 +102,23 @@ def test_planted_faults_of_convention_are_seen(shots: SingleShots) -> None:
 
     def world_rate(shot: SingleShot) -> SingleShot:
         start = Rotation.from_quat(shot.quaternions[0], scalar_first=True)
-        return replace(shot, angular_velocity_rad_per_s=start.inv().apply(shot.angular_velocity_rad_per_s))
+        return replace(
+            shot,
+            angular_velocity_rad_per_s=start.inv().apply(
+                shot.angular_velocity_rad_per_s
+            ),
+        )
 
     def scalar_last(shot: SingleShot) -> SingleShot:
         return replace(shot, quaternions=np.roll(shot.quaternions, 1, axis=1))
 
     def unscaled(shot: SingleShot) -> SingleShot:
         scale = shots.sidecar.nuisances.length_scale
-        return replace(shot, positions_m=shot.positions_m / scale, velocity_m_per_s=shot.velocity_m_per_s / scale)
+        return replace(
+            shot,
+            positions_m=shot.positions_m / scale,
+            velocity_m_per_s=shot.velocity_m_per_s / scale,
+        )
 
     def late_velocity(shot: SingleShot) -> SingleShot:
         lag = np.array([0.0, 0.0, GRAVITY * shots.sidecar.nuisances.velocity_lag_s])
@@ -113,7 +130,9 @@ def test_planted_faults_of_convention_are_seen(shots: SingleShots) -> None:
         (unscaled, 0, 0.3e-3),
         (late_velocity, 0, 0.3e-3),
     ):
-        found = [drift(fault(shot), count)[column] for shot, count in flights(shots, "judge")]
+        found = [
+            drift(fault(shot), count)[column] for shot, count in flights(shots, "judge")
+        ]
         assert np.median(found) > 2.0 * limit, fault.__name__
 
 
@@ -125,7 +144,9 @@ def test_nuisances_agree_with_what_they_were_not_fitted_on(shots: SingleShots) -
     unshifted = (np.median(rest) - nuisances.height_offset_m) / nuisances.length_scale
     assert HALF_WIDTH_M / unshifted == pytest.approx(nuisances.length_scale, abs=4e-3)
     # Backward differences lag by half an interval.
-    assert nuisances.velocity_lag_s == pytest.approx(0.5 / shots.sidecar.rate_hz, rel=0.1)
+    assert nuisances.velocity_lag_s == pytest.approx(
+        0.5 / shots.sidecar.rate_hz, rel=0.1
+    )
 
 
 def test_poses_between_frames_and_after_the_end(shots: SingleShots) -> None:
@@ -138,7 +159,9 @@ def test_poses_between_frames_and_after_the_end(shots: SingleShots) -> None:
 
 
 def test_a_trial_that_does_not_exist_is_named(shots: SingleShots) -> None:
-    with pytest.raises(ParameterError, match="trial 499 does not exist: choose 0 to 498"):
+    with pytest.raises(
+        ParameterError, match="trial 499 does not exist: choose 0 to 498"
+    ):
         shots.shot(499)
     assert single_shots("SlopeSlider-2-wood") is None
 

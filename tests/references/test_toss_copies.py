@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
-from toss_copies import TOLERANCE_M, copies, height_distances_m, placed_distance_m, recorded_corners_m
+from toss_copies import (
+    TOLERANCE_M,
+    copies,
+    height_distances_m,
+    placed_distance_m,
+    recorded_corners_m,
+)
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.resolve import with_trial
@@ -30,10 +36,18 @@ def corners_m() -> dict[str, list[Any]]:
     return {name: recorded_corners_m(name) for name in (CUBE, BLOCKS)}
 
 
-def laid_elsewhere(corners: Any, *, turn: Any = None, mirrored: bool = False, shift_m: Any = (0.3, -0.2, 0.0)) -> Any:
+def laid_elsewhere(
+    corners: Any,
+    *,
+    turn: Any = None,
+    mirrored: bool = False,
+    shift_m: Any = (0.3, -0.2, 0.0),
+) -> Any:
     """Return a toss that is turned about the vertical or as stated, shifted, and has its corners in another order."""
     turn = Rotation.from_euler("z", 63.0, degrees=True) if turn is None else turn
-    moved = corners * [1.0, -1.0 if mirrored else 1.0, 1.0] @ turn.as_matrix().T + shift_m
+    moved = (
+        corners * [1.0, -1.0 if mirrored else 1.0, 1.0] @ turn.as_matrix().T + shift_m
+    )
     return moved[:, np.random.default_rng(0).permutation(moved.shape[1])]
 
 
@@ -52,7 +66,9 @@ def test_independent_trials_are_far_apart(corners_m: dict[str, list[Any]]) -> No
 @pytest.mark.parametrize("name", [CUBE, BLOCKS])
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("late", [0, 5])
-def test_a_planted_copy_is_found(corners_m: dict[str, list[Any]], name: str, mirrored: bool, late: int) -> None:
+def test_a_planted_copy_is_found(
+    corners_m: dict[str, list[Any]], name: str, mirrored: bool, late: int
+) -> None:
     some = corners_m[name][:FEW]
     planted = laid_elsewhere(some[7], mirrored=mirrored)[late:]
     planted = planted + np.random.default_rng(1).normal(0.0, 1e-5, planted.shape)
@@ -71,10 +87,14 @@ def test_other_tosses_are_no_copies(corners_m: dict[str, list[Any]]) -> None:
         assert copies([*some, other]) == {}
 
 
-def test_equal_heights_of_different_motions_are_refused(corners_m: dict[str, list[Any]]) -> None:
+def test_equal_heights_of_different_motions_are_refused(
+    corners_m: dict[str, list[Any]],
+) -> None:
     some = corners_m[CUBE][:FEW]
     # A motion that spins about the vertical has the same heights.
-    turns = Rotation.from_rotvec(np.outer(0.02 * np.arange(len(some[7])), [0.0, 0.0, 1.0])).as_matrix()
+    turns = Rotation.from_rotvec(
+        np.outer(0.02 * np.arange(len(some[7])), [0.0, 0.0, 1.0])
+    ).as_matrix()
     spun = np.einsum("tij,tvj->tvi", turns, some[7])
     assert placed_distance_m(some[7], spun) > 1e-2
     with pytest.raises(ValueError, match="tosses 7 and 24 have equal heights, but are"):
@@ -84,7 +104,12 @@ def test_equal_heights_of_different_motions_are_refused(corners_m: dict[str, lis
 def test_trials_of_a_half_are_independent() -> None:
     shots = shots_of(CUBE)
     fit, judge = set(shots.trials("fit")), set(shots.trials("judge"))
-    assert (len(shots), len(shots.trials()), len(fit), len(judge)) == (499, 474, 238, 236)
+    assert (len(shots), len(shots.trials()), len(fit), len(judge)) == (
+        499,
+        474,
+        238,
+        236,
+    )
     assert fit | judge == set(shots.trials()) == set(range(499)) - set(shots.copies)
     assert {trial % 2 for trial in fit} == {0}
     # Parts of a half keep their tosses, less the copies.
@@ -96,20 +121,33 @@ def test_trials_of_a_half_are_independent() -> None:
 def test_seeds_select_independent_trials_and_a_copy_says_so() -> None:
     shots = shots_of(CUBE)
     env = gymnasium.make(f"GAUGE/{CUBE}")
-    assert [env.reset(seed=seed)[1]["trial"] for seed in (122, 123, 473, 474)] == [122, 124, 498, 0]
+    assert [env.reset(seed=seed)[1]["trial"] for seed in (122, 123, 473, 474)] == [
+        122,
+        124,
+        498,
+        0,
+    ]
     assert env.reset(options={"trial": 123})[1]["trial"] == 123
     env.close()
     experiment = load_experiment(CUBE)
-    sources = [getattr(reference_band(with_trial(experiment, trial)), "source", "") for trial in (49, 123)]
+    sources = [
+        getattr(reference_band(with_trial(experiment, trial)), "source", "")
+        for trial in (49, 123)
+    ]
     assert sources[0].startswith(f"trial 49 of {shots.sidecar.source}")
     assert sources[1].startswith("trial 123 (the same recording as trial 49) of ")
 
 
 @pytest.mark.parametrize(
-    "wrong", [[(5, 7)], [(7, 7)], [(499, 3)], [(7, 3), (9, 7)], [(7, 3), (7, 4)]], ids=lambda pairs: str(pairs)
+    "wrong",
+    [[(5, 7)], [(7, 7)], [(499, 3)], [(7, 3), (9, 7)], [(7, 3), (7, 4)]],
+    ids=lambda pairs: str(pairs),
 )
 def test_wrong_copies_are_refused(wrong: list[tuple[int, int]]) -> None:
     values = shots_of(CUBE).sidecar.model_dump()
     listed = [{"trial": trial, "of": of} for trial, of in wrong]
-    with pytest.raises(ValidationError, match="copies: each trial once, of an earlier one that is no copy"):
+    with pytest.raises(
+        ValidationError,
+        match="copies: each trial once, of an earlier one that is no copy",
+    ):
         ShotSidecar.model_validate(values | {"copies": listed})

@@ -46,13 +46,18 @@ def test_errors_of_a_known_shift_and_turn() -> None:
     assert zero.rest_mm == pytest.approx(0.0, abs=1e-9)
     assert zero.rest_deg == pytest.approx(0.0, abs=1e-5)
     found = shot_error(
-        shot, TIMES_S, places + np.array([0.003, 0.004, 0.0]), Rotation.from_euler("x", 7.0, degrees=True) * turned
+        shot,
+        TIMES_S,
+        places + np.array([0.003, 0.004, 0.0]),
+        Rotation.from_euler("x", 7.0, degrees=True) * turned,
     )
     for name in ("early", "mean", "rest"):
         assert getattr(found, f"{name}_mm") == pytest.approx(5.0)
         assert getattr(found, f"{name}_deg") == pytest.approx(7.0)
     assert found.same_face
-    over = shot_error(shot, TIMES_S, places, Rotation.from_euler("x", 90.0, degrees=True) * turned)
+    over = shot_error(
+        shot, TIMES_S, places, Rotation.from_euler("x", 90.0, degrees=True) * turned
+    )
     assert not over.same_face
     assert over.rest_deg == pytest.approx(90.0)
 
@@ -66,7 +71,8 @@ def test_errors_need_samples_up_to_the_early_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("euler", "face"), [((0, 0, 40), "+z"), ((180, 0, 10), "-z"), ((90, 0, 0), "+y"), ((0, 90, 0), "-x")]
+    ("euler", "face"),
+    [((0, 0, 40), "+z"), ((180, 0, 10), "-z"), ((90, 0, 0), "+y"), ((0, 90, 0), "-x")],
 )
 def test_upper_face(euler: tuple[float, float, float], face: str) -> None:
     assert upper_face(Rotation.from_euler("xyz", euler, degrees=True)) == face
@@ -77,17 +83,32 @@ def test_energy_of_free_flight_is_constant_and_has_its_closed_form() -> None:
     linear, angular = np.array([1.0, -0.5, 0.4]), np.array([3.0, -4.0, 5.0])
     places = np.outer(TIMES_S, linear)
     places[:, 2] += 2.0 - 0.5 * GRAVITY * TIMES_S**2
-    energies = energies_j(cube, TIMES_S, places, Rotation.from_rotvec(np.outer(TIMES_S, angular)))
-    expected = 0.5 * 0.37 * linear @ linear + 0.5 * 8.1e-4 * angular @ angular + 0.37 * GRAVITY * 2.0
+    energies = energies_j(
+        cube, TIMES_S, places, Rotation.from_rotvec(np.outer(TIMES_S, angular))
+    )
+    expected = (
+        0.5 * 0.37 * linear @ linear
+        + 0.5 * 8.1e-4 * angular @ angular
+        + 0.37 * GRAVITY * 2.0
+    )
     np.testing.assert_allclose(energies, expected, rtol=1e-9)
     uniform = replace(cube, inertia_kg_m2=None)
-    assert energies_j(uniform, TIMES_S, places, Rotation.from_rotvec(np.outer(TIMES_S, angular)))[0] < expected - 1e-3
+    assert (
+        energies_j(
+            uniform, TIMES_S, places, Rotation.from_rotvec(np.outer(TIMES_S, angular))
+        )[0]
+        < expected - 1e-3
+    )
 
 
 @pytest.mark.parametrize(("restitution", "kind"), [(0.5, "face"), (0.3, "corner")])
 def test_first_impact_of_a_drop(restitution: float, kind: str) -> None:
     cube = load_experiment(NAME).scene.body("cube")
-    tilt = Rotation.identity() if kind == "face" else Rotation.align_vectors([[0, 0, -1]], [[1, 1, 1]])[0]
+    tilt = (
+        Rotation.identity()
+        if kind == "face"
+        else Rotation.align_vectors([[0, 0, -1]], [[1, 1, 1]])[0]
+    )
     reach = 0.0524 if kind == "face" else 0.0524 * np.sqrt(3.0)
     fall_s, speed = 0.3, GRAVITY * 0.3
     after_s = TIMES_S - fall_s
@@ -110,7 +131,10 @@ def test_first_impact_of_a_drop(restitution: float, kind: str) -> None:
 
 def test_no_impact_without_contact() -> None:
     cube = load_experiment(NAME).scene.body("cube")
-    assert impacts(cube, 0.0524, TIMES_S, np.full((181, 3), 0.3), Rotation.identity(181)) == []
+    assert (
+        impacts(cube, 0.0524, TIMES_S, np.full((181, 3), 0.3), Rotation.identity(181))
+        == []
+    )
 
 
 def test_perturbed_starts_scatter_as_the_measurement() -> None:
@@ -121,10 +145,16 @@ def test_perturbed_starts_scatter_as_the_measurement() -> None:
     drawn = [perturbed_start(cube, nuisances, seed=seed) for seed in range(400)]
     heights = np.array([one.pose.position_m[2] for one in drawn])
     assert np.std(heights) == pytest.approx(nuisances.rest_height_std_m, rel=0.1)
-    turns = [(one.pose.rotation * cube.pose.rotation.inv()).as_rotvec() for one in drawn]
+    turns = [
+        (one.pose.rotation * cube.pose.rotation.inv()).as_rotvec() for one in drawn
+    ]
     horizontal = np.degrees(np.linalg.norm(np.array(turns)[:, :2], axis=1))
-    assert np.sqrt(np.mean(horizontal**2)) == pytest.approx(nuisances.rest_tilt_deg, rel=0.1)
-    assert perturbed_start(cube, nuisances, seed=1) == perturbed_start(cube, nuisances, seed=1)
+    assert np.sqrt(np.mean(horizontal**2)) == pytest.approx(
+        nuisances.rest_tilt_deg, rel=0.1
+    )
+    assert perturbed_start(cube, nuisances, seed=1) == perturbed_start(
+        cube, nuisances, seed=1
+    )
 
 
 def test_bootstrap_interval_of_a_mean_has_the_width_of_theory() -> None:

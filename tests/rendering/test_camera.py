@@ -61,7 +61,11 @@ def rollout_pixels(name: str) -> list[np.ndarray]:
     env.reset(seed=0)
     experiment, scene = env.episode.experiment, env.episode.experiment.scene
     view = experiment_view(experiment, reference=reference_path(experiment, env.band))
-    zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    zero = (
+        0
+        if isinstance(env.action_space, gymnasium.spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     last = min(experiment.frame_count - 1, MOST_FRAMES)
     seen = []
     for frame in range(last + 1):
@@ -70,14 +74,18 @@ def rollout_pixels(name: str) -> list[np.ndarray]:
             for body, pose in env.episode.poses().items():
                 turn = Rotation.from_quat(pose[3:], scalar_first=True)
                 points.append(pose[:3] + turn.apply(scene.body(body).shape.corners_m))
-            seen.append(view.pixels(np.concatenate(points), width=SIZE[0], height=SIZE[1]))
+            seen.append(
+                view.pixels(np.concatenate(points), width=SIZE[0], height=SIZE[1])
+            )
         if frame < last:
             env.step(zero)
     env.close()
     return seen
 
 
-@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
+@pytest.mark.parametrize(
+    "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)]
+)
 def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
     seen = rollout_pixels(name)
     for pixels in seen:
@@ -86,12 +94,24 @@ def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
     assert (np.ptp(everything, axis=0) / SIZE).max() >= LEAST_SHARE
 
 
-@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-wood", "Throw-Limit-rubber", "Pendulum-Limit-metal"])
+@pytest.mark.parametrize(
+    "task",
+    [
+        "Carry-Limit-wood",
+        "Push-Limit-wood",
+        "Throw-Limit-rubber",
+        "Pendulum-Limit-metal",
+    ],
+)
 def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
     env = gymnasium.make(f"GAUGE/{task}").unwrapped
     assert isinstance(env, ControlEnv)
     reach = env.reach()
-    view = experiment_view(env.experiment) if reach is None else scene_view(env.experiment.scene, reference=reach)
+    view = (
+        experiment_view(env.experiment)
+        if reach is None
+        else scene_view(env.experiment.scene, reference=reach)
+    )
     seen = []
     for seed in range(4):
         env.reset(seed=seed)
@@ -100,7 +120,11 @@ def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
             _, _, terminated, truncated, _ = env.step(env.law_action(0.95))
             over = terminated or truncated
             seen.append(
-                view.pixels(np.array([pose[:3] for pose in env.moving_poses().values()]), width=SIZE[0], height=SIZE[1])
+                view.pixels(
+                    np.array([pose[:3] for pose in env.moving_poses().values()]),
+                    width=SIZE[0],
+                    height=SIZE[1],
+                )
             )
     env.close()
     assert ((np.concatenate(seen) >= 0.0) & (np.concatenate(seen) <= SIZE)).all()
@@ -121,19 +145,29 @@ def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect: float) -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     body = experiment.scene.dynamic_bodies[0]
     corners = body.pose.to_world(body.shape.corners_m)
-    share = experiment_view(experiment, aspect=aspect).pixels(corners, width=aspect * 100.0, height=100.0)
+    share = experiment_view(experiment, aspect=aspect).pixels(
+        corners, width=aspect * 100.0, height=100.0
+    )
     assert share.min() >= 0.0
     assert (share <= [aspect * 100.0, 100.0]).all()
 
 
-@pytest.mark.parametrize("name", ["NonsmoothContact-1-wood", "TextileFlinging-satin", "Pendulum-metal"])
+@pytest.mark.parametrize(
+    "name", ["NonsmoothContact-1-wood", "TextileFlinging-satin", "Pendulum-metal"]
+)
 def test_a_scene_without_a_camera_is_seen_whole(name: str) -> None:
     scene = load_experiment(name).scene
     view = scene_view(scene)
-    corners = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
+    corners = [
+        body.pose.to_world(body.shape.corners_m)
+        for body in scene.bodies
+        if not isinstance(body.shape, Plane)
+    ]
     for driver in scene.drivers:
         body = scene.body(driver.body)
-        corners.append(driver.pose(body.pose, scene.duration_s).to_world(body.shape.corners_m))
+        corners.append(
+            driver.pose(body.pose, scene.duration_s).to_world(body.shape.corners_m)
+        )
     pixels = view.pixels(np.concatenate(corners), width=300.0, height=300.0)
     assert (pixels >= 0.0).all()
     assert (pixels <= 300.0).all()
@@ -144,13 +178,20 @@ def test_the_rule_frames_places_of_a_reference() -> None:
     experiment = load_experiment("CubeToss-acrylic")
     path = reference_path(experiment, reference_band(experiment))
     assert path is not None
-    pixels = scene_view(experiment.scene, reference=path).pixels(path.places_m[:, 0], width=300.0, height=300.0)
+    pixels = scene_view(experiment.scene, reference=path).pixels(
+        path.places_m[:, 0], width=300.0, height=300.0
+    )
     assert (pixels >= 0.0).all()
     assert (pixels <= 300.0).all()
 
 
-@pytest.mark.parametrize(("name", "way"), [("SlopeSlider-2-wood", (1.0, 0.0)), ("TextileFlinging-satin", (0.0, 1.0))])
-def test_a_plane_motion_is_seen_from_the_side(name: str, way: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("name", "way"),
+    [("SlopeSlider-2-wood", (1.0, 0.0)), ("TextileFlinging-satin", (0.0, 1.0))],
+)
+def test_a_plane_motion_is_seen_from_the_side(
+    name: str, way: tuple[float, float]
+) -> None:
     forward = experiment_view(load_experiment(name)).axes[2]
     level = forward[:2] / np.hypot(*forward[:2])
     # Within 40 degrees of the normal of the motion, so that at least cos(40 deg) = 77 % of each way is seen.
@@ -160,14 +201,20 @@ def test_a_plane_motion_is_seen_from_the_side(name: str, way: tuple[float, float
 @needs_opengl
 def test_pictures_show_points_where_the_view_says() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
-    view = View(target_m=(0.1, -0.2, 0.4), distance_m=1.3, azimuth_deg=33.0, elevation_deg=-21.0)
+    view = View(
+        target_m=(0.1, -0.2, 0.4), distance_m=1.3, azimuth_deg=33.0, elevation_deg=-21.0
+    )
     renderer = SceneRenderer(scene, {}, 320, 240, view=view)
     for offset in ([0.0, 0.0, 0.0], [0.1, 0.1, 0.15], [-0.2, -0.1, 0.1]):
         point = np.add(view.target_m, offset)[None] - 0.3 * view.axes[2]
         picture = renderer.picture({}, {}, Overlay(markers_m=point)).astype(int)
         blue = picture[..., 2] - picture[..., 0] > 60
-        row, column = (np.flatnonzero(blue.any(axis=axis)).mean() + 0.5 for axis in (1, 0))
-        assert [column, row] == pytest.approx(view.pixels(point, width=320, height=240)[0], abs=0.75)
+        row, column = (
+            np.flatnonzero(blue.any(axis=axis)).mean() + 0.5 for axis in (1, 0)
+        )
+        assert [column, row] == pytest.approx(
+            view.pixels(point, width=320, height=240)[0], abs=0.75
+        )
     renderer.close()
 
 
@@ -176,7 +223,9 @@ def test_markers_are_on_the_sides_that_the_camera_sees(name: str) -> None:
     experiment = load_experiment(name)
     scene = experiment.scene
     foam, forward = scene.deformables[0], experiment_view(experiment).axes[2]
-    places = foam.pose.to_body(np.array(scene.markers.positions_m)) / (0.5 * np.array(foam.shape.size_m))
+    places = foam.pose.to_body(np.array(scene.markers.positions_m)) / (
+        0.5 * np.array(foam.shape.size_m)
+    )
     normals = np.where(np.abs(places) > 0.99, np.sign(places), 0.0)[:, :2]
     towards = -foam.pose.rotation.apply(forward, inverse=True)[:2]
     # All markers are on two neighbouring sides.

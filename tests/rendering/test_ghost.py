@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.reference_path import ghost_trajectory, reference_path, reference_text
+from gauge_envs.evaluation.reference_path import (
+    ghost_trajectory,
+    reference_path,
+    reference_text,
+)
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
@@ -28,19 +32,28 @@ def band_along(direction: list[float], mean: list[float]) -> Band:
 
 
 def test_only_the_measured_direction_moves() -> None:
-    ghost = ghost_trajectory(band_along([0.6, 0.0, -0.8], [10.0, 20.0]), np.array([[0.0, 5.0, 0.0], [1.0, 6.0, 2.0]]))
+    ghost = ghost_trajectory(
+        band_along([0.6, 0.0, -0.8], [10.0, 20.0]),
+        np.array([[0.0, 5.0, 0.0], [1.0, 6.0, 2.0]]),
+    )
     # Along the direction, the second sample is at 0.6 - 1.6 = -1 mm, so 21 mm are missing.
-    assert ghost == pytest.approx(np.array([[6.0, 5.0, -8.0], [1.0 + 0.6 * 21.0, 6.0, 2.0 - 0.8 * 21.0]]))
+    assert ghost == pytest.approx(
+        np.array([[6.0, 5.0, -8.0], [1.0 + 0.6 * 21.0, 6.0, 2.0 - 0.8 * 21.0]])
+    )
 
 
 def test_frames_without_a_mean_have_no_ghost() -> None:
-    ghost = ghost_trajectory(band_along([1.0, 0.0, 0.0], [3.0, np.nan]), np.zeros((3, 3)))
+    ghost = ghost_trajectory(
+        band_along([1.0, 0.0, 0.0], [3.0, np.nan]), np.zeros((3, 3))
+    )
     assert ghost[0].tolist() == [3.0, 0.0, 0.0]
     assert np.isnan(ghost[1:, 0]).all()
     assert np.isnan(ghost[2]).all()
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-1-wood"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-1-wood"]
+)
 def test_a_ghost_has_the_mean_of_its_band(name: str) -> None:
     band = reference_band(load_experiment(name))
     assert band is not None

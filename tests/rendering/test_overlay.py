@@ -70,7 +70,9 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
     # Moving the body also uncovers its old place and moves its shadow, where the ghost adds nothing.
     shown = np.abs(ghost.astype(int) - plain).max(axis=2) > 10
     arrived = np.abs(moved.astype(int) - plain).max(axis=2) > 10
-    right_of_it = renderer.camera.pixels((pose[:3] + 0.5 * (away - pose)[:3])[None], width=240, height=180)[0, 0]
+    right_of_it = renderer.camera.pixels(
+        (pose[:3] + 0.5 * (away - pose)[:3])[None], width=240, height=180
+    )[0, 0]
     assert shown.sum() > 200
     assert (shown & arrived).sum() > 0.95 * shown.sum()
     assert np.flatnonzero(shown.any(axis=0)).min() > right_of_it - 30
@@ -82,7 +84,9 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "NonsmoothContact-1-wood"])
-def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(name: str) -> None:
+def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(
+    name: str,
+) -> None:
     experiment = load_experiment(name)
     scene = experiment.scene
     renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
@@ -94,14 +98,21 @@ def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(nam
     for _ in range(5):
         # A thousandth of a pixel at most: what a resting body moves by in simulations and recordings.
         shift = np.array([*rng.uniform(-1e-6, 1e-6, 3), 0.0, 0.0, 0.0, 0.0])
-        overlay = Overlay(ghosts={body.name: pose + shift}, recorded_m=(pose + shift)[None, :3])
+        overlay = Overlay(
+            ghosts={body.name: pose + shift}, recorded_m=(pose + shift)[None, :3]
+        )
         pictures.append(renderer.picture({body.name: pose}, {}, overlay).astype(int))
     away = {body.name: np.array([0.0, 0.0, 10.0, 1.0, 0.0, 0.0, 0.0])}
-    empty, alone = (renderer.picture(away, {}, one).astype(int) for one in (None, overlay))
+    empty, alone = (
+        renderer.picture(away, {}, one).astype(int) for one in (None, overlay)
+    )
     renderer.close()
     assert max(np.abs(one - other).max() for one, other in pairwise(pictures)) <= 1
     # The whole ghost is to be seen, as it is without its body.
-    with_body, without = (np.abs(one - other).max(axis=2) > 5 for one, other in ((pictures[-1], plain), (alone, empty)))
+    with_body, without = (
+        np.abs(one - other).max(axis=2) > 5
+        for one, other in ((pictures[-1], plain), (alone, empty))
+    )
     assert without.sum() > 150
     assert (with_body & without).sum() > 0.97 * without.sum()
 
@@ -114,7 +125,9 @@ def test_markers_that_coincide_keep_the_colour_of_the_simulation() -> None:
     place = np.array([scene.body("ball").pose.position_m]) - [0.0, 0.0, 0.15]
     alone = renderer.picture({}, {}, Overlay(markers_m=place)).astype(int)
     for shift in (-1e-6, 1e-6):
-        both = renderer.picture({}, {}, Overlay(markers_m=place, recorded_m=place + shift)).astype(int)
+        both = renderer.picture(
+            {}, {}, Overlay(markers_m=place, recorded_m=place + shift)
+        ).astype(int)
         assert np.abs(both - alone).max() <= 1
     renderer.close()
 
@@ -123,7 +136,9 @@ def test_markers_that_coincide_keep_the_colour_of_the_simulation() -> None:
 def test_paths_of_any_length_fit_into_a_picture() -> None:
     scene = load_experiment("BouncingBall-rubber").scene
     renderer = SceneRenderer(scene, {}, 64, 48)
-    points = np.array(scene.body("ball").pose.position_m) + np.linspace(0.0, 0.3, 3001)[:, None] * [0.0, 0.0, -1.0]
+    points = np.array(scene.body("ball").pose.position_m) + np.linspace(0.0, 0.3, 3001)[
+        :, None
+    ] * [0.0, 0.0, -1.0]
     points[1500] = np.nan
     with_path = renderer.picture({}, {}, Overlay(paths=(points,)))
     plain = renderer.picture({}, {})
@@ -135,7 +150,12 @@ def test_paths_of_any_length_fit_into_a_picture() -> None:
 def test_environments_draw_the_overlay_on_request_alone() -> None:
     pictures = {}
     for overlay in (False, True):
-        env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", render_overlay=overlay, **SIZE)
+        env = gymnasium.make(
+            "GAUGE/SlopeSlider-2-wood",
+            render_mode="rgb_array",
+            render_overlay=overlay,
+            **SIZE,
+        )
         env.reset(seed=0)
         for _ in range(8):
             env.step(0)
@@ -147,7 +167,11 @@ def test_environments_draw_the_overlay_on_request_alone() -> None:
         env.close()
     assert changed(pictures[False], pictures[True]).sum() > 20
     envs = gymnasium.make_vec(
-        "GAUGE/SlopeSlider-2-wood", num_envs=2, render_mode="rgb_array", render_overlay=True, **SIZE
+        "GAUGE/SlopeSlider-2-wood",
+        num_envs=2,
+        render_mode="rgb_array",
+        render_overlay=True,
+        **SIZE,
     )
     envs.reset(seed=0)
     for _ in range(8):
@@ -167,12 +191,14 @@ def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
     assert len(overlay.paths) == len(overlay.recorded_paths) == 1
     # The band holds the place along the slope; the drawn reference has it, frame by frame.
     path = reference_path(env.experiment, env.band)
-    assert env.band.project(1e3 * path.places_m.reshape(len(path.places_m), -1)) == pytest.approx(
-        env.band.mean, nan_ok=True
-    )
+    assert env.band.project(
+        1e3 * path.places_m.reshape(len(path.places_m), -1)
+    ) == pytest.approx(env.band.mean, nan_ok=True)
     assert overlay.recorded_m == pytest.approx(path.places_m[5])
     # A mean has no orientation: its ghost turns as the simulated body.
-    assert overlay.ghosts["cube"] == pytest.approx([*path.places_m[5, 0], *env.episode.poses()["cube"][3:]])
+    assert overlay.ghosts["cube"] == pytest.approx(
+        [*path.places_m[5, 0], *env.episode.poses()["cube"][3:]]
+    )
     env.close()
 
 
@@ -182,7 +208,9 @@ def test_a_recorded_toss_turns_its_ghost() -> None:
     for _ in range(12):
         env.step(0)
     ghost = episode_overlay(env.episode).ghosts["cube"]
-    _, turns = shots_of(env.episode.experiment).shot(0, "cube").poses_at(np.array([0.4]))
+    _, turns = (
+        shots_of(env.episode.experiment).shot(0, "cube").poses_at(np.array([0.4]))
+    )
     simulated = env.episode.poses()["cube"]
     env.close()
     assert abs(ghost[3:] @ turns[0].as_quat(scalar_first=True)) == pytest.approx(1.0)
@@ -193,7 +221,9 @@ def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:
     env = GaugeEnv("FoamTwisting-soft")
     env.reset(seed=0)
     overlay = episode_overlay(env.episode)
-    assert overlay.markers_m == pytest.approx(np.array(env.experiment.scene.markers.positions_m), abs=1e-6)
+    assert overlay.markers_m == pytest.approx(
+        np.array(env.experiment.scene.markers.positions_m), abs=1e-6
+    )
     assert not overlay.paths and not overlay.recorded_paths and not overlay.ghosts
     env.close()
 

@@ -23,21 +23,30 @@ ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
 @needs_opengl
 @pytest.mark.parametrize("name", ONE_EACH)
 def test_picture_shows_the_moving_body(name: str) -> None:
-    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=160, height=120)
+    env = gymnasium.make(
+        f"GAUGE/{name}", render_mode="rgb_array", width=160, height=120
+    )
     env.reset(seed=0)
     first = env.render()
     assert first.shape == (120, 160, 3)
     assert first.dtype == np.uint8
     episode = env.unwrapped.episode
-    far = {body: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0]) for body in episode.poses()}
-    without = env.unwrapped._pictures.draw(episode.experiment, {}, poses=far, nodes_m={})
+    far = {
+        body: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0])
+        for body in episode.poses()
+    }
+    without = env.unwrapped._pictures.draw(
+        episode.experiment, {}, poses=far, nodes_m={}
+    )
     assert (np.abs(first.astype(int) - without).max(axis=2) > 25).sum() > 40
     env.close()
 
 
 @needs_opengl
 def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
-    env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", width=160, height=120)
+    env = gymnasium.make(
+        "GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", width=160, height=120
+    )
     env.reset(seed=0)
     first = env.render()
     for _ in range(15):
@@ -49,9 +58,13 @@ def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
 
 
 @needs_opengl
-def test_triton_is_loaded_before_the_first_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_triton_is_loaded_before_the_first_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its LLVM crashes after that of Mesa: with EGL, `render` and then PPO ended in a segmentation fault."""
-    (tmp_path / "triton.py").write_text("import sys\nassert 'mujoco.egl' not in sys.modules\n")
+    (tmp_path / "triton.py").write_text(
+        "import sys\nassert 'mujoco.egl' not in sys.modules\n"
+    )
     code = (
         "import sys, gymnasium, gauge_envs\n"
         "env = gymnasium.make('GAUGE/SlopeSlider-2-wood', render_mode='rgb_array', width=16, height=12)\n"
@@ -90,7 +103,13 @@ def test_missing_opengl_names_the_packages() -> None:
         "try:\n    env.render()\n"
         "except gauge_envs.GaugeError as error:\n    print(type(error).__name__, error)\n"
     )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, env={})
+    run = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={},
+    )
     assert run.stdout.startswith("RenderError")
     assert DEBIAN_PACKAGES in run.stdout
 
@@ -100,9 +119,16 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
     scene = load_experiment("TextileFlinging-satin").scene
     cloth = scene.deformables[0]
     edge = np.linspace(-0.5, 0.5, 11)
-    grid = np.stack(np.meshgrid(edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"), -1)
+    grid = np.stack(
+        np.meshgrid(
+            edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"
+        ),
+        -1,
+    )
     rest = cloth.pose.to_world(grid.reshape(-1, 3))
-    renderer = SceneRenderer(scene, {cloth.name: rest}, 160, 120, materials={cloth.name: "satin"})
+    renderer = SceneRenderer(
+        scene, {cloth.name: rest}, 160, 120, materials={cloth.name: "satin"}
+    )
 
     def terracotta(nodes: np.ndarray) -> np.ndarray:
         picture = renderer.picture({}, {cloth.name: nodes}).astype(int)
@@ -118,21 +144,32 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
 def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     axes = [
-        np.linspace(-0.5 * edge, 0.5 * edge, count) for edge, count in zip(foam.shape.size_m, (4, 4, 9), strict=True)
+        np.linspace(-0.5 * edge, 0.5 * edge, count)
+        for edge, count in zip(foam.shape.size_m, (4, 4, 9), strict=True)
     ]
-    nodes = foam.pose.to_world(np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3))
+    nodes = foam.pose.to_world(
+        np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    )
     corners = foam.pose.to_body(nodes)[Skin(foam, nodes).faces]
     # Divergence theorem: the volume inside a closed surface that is turned outward.
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+    volume = (
+        np.einsum(
+            "ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])
+        ).sum()
+        / 6.0
+    )
     assert volume == pytest.approx(foam.shape.volume_m3, rel=1e-6)
 
 
 def test_sides_of_a_block_are_flat_patches_with_sharp_edges() -> None:
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     axes = [
-        np.linspace(-0.5 * edge, 0.5 * edge, count) for edge, count in zip(foam.shape.size_m, (3, 4, 7), strict=True)
+        np.linspace(-0.5 * edge, 0.5 * edge, count)
+        for edge, count in zip(foam.shape.size_m, (3, 4, 7), strict=True)
     ]
-    nodes = foam.pose.to_world(np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3))
+    nodes = foam.pose.to_world(
+        np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    )
     _, normals = Skin(foam, nodes)._surface(nodes)
     local = foam.pose.rotation.apply(normals, inverse=True)
     assert np.abs(local).max(axis=1) == pytest.approx(1.0)
@@ -140,7 +177,11 @@ def test_sides_of_a_block_are_flat_patches_with_sharp_edges() -> None:
 
 def test_an_irregular_cloud_has_a_closed_surface_too() -> None:
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
-    cloud = np.random.default_rng(0).uniform(-0.5, 0.5, size=(400, 3)) * foam.shape.size_m
+    cloud = (
+        np.random.default_rng(0).uniform(-0.5, 0.5, size=(400, 3)) * foam.shape.size_m
+    )
     faces = Skin(foam, foam.pose.to_world(cloud)).faces
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [0, 2]]]), axis=1)
+    edges = np.sort(
+        np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [0, 2]]]), axis=1
+    )
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()

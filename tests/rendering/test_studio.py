@@ -19,12 +19,17 @@ from gauge_envs.scene.geometry import vector
 SIZE = (320, 240)
 
 
-def start_picture(name: str, **arguments: object) -> tuple[np.ndarray, SceneRenderer, Scene]:
+def start_picture(
+    name: str, **arguments: object
+) -> tuple[np.ndarray, SceneRenderer, Scene]:
     """Return a picture of a start, its closed renderer, which states the camera, and the scene."""
     env = GaugeEnv(name)
     env.reset(seed=0)
     scene = env.experiment.scene
-    looks = {"view": experiment_view(env.experiment), "materials": env.experiment.materials} | arguments
+    looks = {
+        "view": experiment_view(env.experiment),
+        "materials": env.experiment.materials,
+    } | arguments
     renderer = SceneRenderer(scene, env.episode.rest_nodes_m, *SIZE, **looks)
     picture = renderer.picture(env.episode.poses(), env.episode.nodes_m())
     renderer.close()
@@ -32,9 +37,13 @@ def start_picture(name: str, **arguments: object) -> tuple[np.ndarray, SceneRend
     return picture, renderer, scene
 
 
-def at(picture: np.ndarray, renderer: SceneRenderer, points_m: np.ndarray) -> np.ndarray:
+def at(
+    picture: np.ndarray, renderer: SceneRenderer, points_m: np.ndarray
+) -> np.ndarray:
     """Return the colours of a picture at points [m], shape [point_count, 3]."""
-    columns, rows = renderer.camera.pixels(points_m, width=SIZE[0], height=SIZE[1]).T.astype(int)
+    columns, rows = renderer.camera.pixels(
+        points_m, width=SIZE[0], height=SIZE[1]
+    ).T.astype(int)
     return picture[rows, columns].astype(int)
 
 
@@ -55,10 +64,19 @@ def test_ground_is_light_and_meets_the_background_without_a_horizon() -> None:
 def test_the_grid_has_the_stated_pitch(height_m: float) -> None:
     scene = load_experiment("BouncingBall-rubber").scene
     # The ground alone, from straight above.
-    scene = replace(scene, bodies=tuple(body for body in scene.bodies if isinstance(body.shape, Plane)), contacts=())
+    scene = replace(
+        scene,
+        bodies=tuple(body for body in scene.bodies if isinstance(body.shape, Plane)),
+        contacts=(),
+    )
     ground = scene.bodies[0].pose.position_m
     distance = 0.5 * height_m / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
-    view = View(target_m=vector(ground), distance_m=distance, azimuth_deg=90.0, elevation_deg=-89.999)
+    view = View(
+        target_m=vector(ground),
+        distance_m=distance,
+        azimuth_deg=90.0,
+        elevation_deg=-89.999,
+    )
     renderer = SceneRenderer(scene, {}, 600, 600, view=view)
     picture = renderer.picture({}, {}).astype(float)
     renderer.close()
@@ -97,17 +115,28 @@ def test_a_cloth_in_the_surface_of_a_table_does_not_flicker() -> None:
     scene, table = experiment.scene, experiment.scene.body("table")
     cloth = scene.deformables[0]
     edge = np.linspace(-0.5, 0.5, 21)
-    grid = np.stack(np.meshgrid(edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"), -1).reshape(
-        -1, 3
-    )
+    grid = np.stack(
+        np.meshgrid(
+            edge * cloth.size_m[0], edge * cloth.size_m[1], [0.0], indexing="ij"
+        ),
+        -1,
+    ).reshape(-1, 3)
     nodes = cloth.pose.to_world(grid)
     # Exactly in the upper side of the table: without a thickness each pixel would show either of them.
     nodes[:, 2] = table.pose.to_world(table.shape.corners_m)[:, 2].max()
-    renderer = SceneRenderer(scene, {cloth.name: nodes}, *SIZE, materials=experiment.materials)
-    away = {name: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0]) for name in ("cube", "rod")}
+    renderer = SceneRenderer(
+        scene, {cloth.name: nodes}, *SIZE, materials=experiment.materials
+    )
+    away = {
+        name: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0])
+        for name in ("cube", "rod")
+    }
     picture = renderer.picture(away, {cloth.name: nodes})
     renderer.close()
-    inner = nodes[(np.abs(grid) < 0.47 * max(cloth.size_m)).all(axis=1) & (np.abs(grid[:, 1]) < 0.47 * cloth.size_m[1])]
+    inner = nodes[
+        (np.abs(grid) < 0.47 * max(cloth.size_m)).all(axis=1)
+        & (np.abs(grid[:, 1]) < 0.47 * cloth.size_m[1])
+    ]
     colours = at(picture, renderer, inner)
     # Nylon is green and the table is brown.
     assert (colours[:, 1] > colours[:, 0]).all()
@@ -118,7 +147,9 @@ def test_cubes_have_the_colour_of_their_material() -> None:
     colours = {}
     for material in ("wood", "plastic", "metal"):
         picture, renderer, scene = start_picture(f"SlopeSlider-1-{material}")
-        top = np.array([scene.body("cube").pose.position_m]) + np.array([0.0, 0.0, 0.025])
+        top = np.array([scene.body("cube").pose.position_m]) + np.array(
+            [0.0, 0.0, 0.025]
+        )
         colours[material] = at(picture, renderer, top)[0]
     assert colours["wood"][0] - colours["wood"][2] > 50
     assert colours["plastic"].max() < 90
@@ -131,7 +162,9 @@ def test_a_far_string_is_visible_over_its_whole_length() -> None:
     picture, renderer, scene = start_picture("NewtonsCradle-metal")
     joint = scene.joints[2]
     ball = np.array(scene.body(joint.body).pose.position_m)
-    places = np.linspace(0.1, 0.85, 30)[:, None] * (ball - joint.anchor_m) + joint.anchor_m
+    places = (
+        np.linspace(0.1, 0.85, 30)[:, None] * (ball - joint.anchor_m) + joint.anchor_m
+    )
     assert (at(picture, renderer, places).max(axis=1) < 150).all()
 
 
@@ -153,7 +186,13 @@ def test_materials_are_those_of_the_task_file_or_of_the_variant() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["TextileFlinging-leather", "FoamTwisting-hard", "CubeToss-acrylic", "StickStack-soft"]
+    "name",
+    [
+        "TextileFlinging-leather",
+        "FoamTwisting-hard",
+        "CubeToss-acrylic",
+        "StickStack-soft",
+    ],
 )
 def test_every_material_has_a_look_of_its_own(name: str) -> None:
     experiment = load_experiment(name)
@@ -161,4 +200,8 @@ def test_every_material_has_a_look_of_its_own(name: str) -> None:
         look = look_of(body, experiment.materials[body.name])
         assert isinstance(getattr(body, "shape", None), Plane) or look in LOOKS.values()
     dynamic = load_experiment("SlopeSlider-2-wood").scene.body("cube")
-    assert look_of(dynamic, None) == look_of(dynamic, "unobtainium") == USUAL[Motion.DYNAMIC]
+    assert (
+        look_of(dynamic, None)
+        == look_of(dynamic, "unobtainium")
+        == USUAL[Motion.DYNAMIC]
+    )

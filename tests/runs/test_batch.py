@@ -8,7 +8,12 @@ import pytest
 from interruption import interrupt_in_episode
 
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.errors import (
+    ParameterError,
+    ResultFileError,
+    UnknownNameError,
+    UnsupportedSceneError,
+)
 from gauge_envs.runs import pool
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
@@ -50,10 +55,16 @@ def test_a_result_says_all_that_is_needed_to_repeat_it(result):
         "calibrated",
         0,
     )
-    assert (values["outcome"], values["diverged"], values["error"]) == ("finished", False, None)
+    assert (values["outcome"], values["diverged"], values["error"]) == (
+        "finished",
+        False,
+        None,
+    )
     assert (values["frames"], values["sim_s"]) == (19, pytest.approx(0.6))
     assert values["wall_s"] > 0
-    assert {"mujoco", "gauge-envs", "gymnasium", "numpy", "python"} <= values["versions"].keys()
+    assert {"mujoco", "gauge-envs", "gymnasium", "numpy", "python"} <= values[
+        "versions"
+    ].keys()
     assert values["settings"]["timestep_s"] > 0
     assert len(values["task_sha256"]) == 64
     assert values["score"]["grade"] == "trials"
@@ -96,12 +107,16 @@ def test_file_names_differ_between_requests(result):
 
 def test_jobs_at_once_give_the_same_bits_in_the_same_order(tmp_path):
     requests = [RunRequest(name) for name in THREE]
-    alone, shared = (list(run_many(requests, jobs=jobs, out=tmp_path / str(jobs))) for jobs in (1, 2))
+    alone, shared = (
+        list(run_many(requests, jobs=jobs, out=tmp_path / str(jobs))) for jobs in (1, 2)
+    )
     for one, other in zip(alone, shared, strict=True):
         assert one.id == other.id
         np.testing.assert_array_equal(one.trajectory.samples, other.trajectory.samples)
         assert one.score == other.score
-    assert {file.name for file in (tmp_path / "2").iterdir()} == {file.name for file in (tmp_path / "1").iterdir()}
+    assert {file.name for file in (tmp_path / "2").iterdir()} == {
+        file.name for file in (tmp_path / "1").iterdir()
+    }
 
 
 def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monkeypatch):
@@ -113,7 +128,9 @@ def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monke
             workers.append(self)
 
     monkeypatch.setattr(pool, "Worker", Counted)
-    results = run_many([RunRequest(name) for name in (*THREE, SOFT)], jobs=2, out=tmp_path)
+    results = run_many(
+        [RunRequest(name) for name in (*THREE, SOFT)], jobs=2, out=tmp_path
+    )
     assert next(results).error is None
     results.close()
     assert len(workers) == 2
@@ -152,13 +169,22 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
     reset = SimulationMuJoCo.reset
 
     def fails_for_plastic(self, seed):
-        if abs(self.model.body_mass.max() - 0.1469) < 1e-6 or 0.1469 in self.model.body_mass.round(6):
+        if abs(
+            self.model.body_mass.max() - 0.1469
+        ) < 1e-6 or 0.1469 in self.model.body_mass.round(6):
             raise RuntimeError("the engine gave up")
         reset(self, seed)
 
     monkeypatch.setattr(SimulationMuJoCo, "reset", fails_for_plastic)
-    results = list(run_many([RunRequest(name) for name in (SOFT, *THREE)], out=tmp_path))
-    assert [r.outcome.value for r in results] == ["declined", "finished", "failed", "finished"]
+    results = list(
+        run_many([RunRequest(name) for name in (SOFT, *THREE)], out=tmp_path)
+    )
+    assert [r.outcome.value for r in results] == [
+        "declined",
+        "finished",
+        "failed",
+        "finished",
+    ]
     assert "deformable" in results[0].error
     assert results[2].error == "RuntimeError: the engine gave up"
     assert results[2].score.grade == "trials"
@@ -167,7 +193,10 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
 
 def test_a_missing_parameter_set_declines():
     declined, finished = run_many(
-        [RunRequest(name, parameters="effective") for name in ("Turntable-1-wood", "BouncingBall-rubber")]
+        [
+            RunRequest(name, parameters="effective")
+            for name in ("Turntable-1-wood", "BouncingBall-rubber")
+        ]
     )
     assert (declined.outcome, finished.outcome) == (Outcome.DECLINED, Outcome.FINISHED)
     assert "effective" in declined.error
@@ -185,7 +214,11 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
 
     monkeypatch.setattr(SimulationMuJoCo, "body_states", exploding)
     (result,) = run_many([RunRequest(NAME)], out=tmp_path)
-    assert (result.outcome, result.diverged, result.frames < 19) == (Outcome.DIVERGED, True, True)
+    assert (result.outcome, result.diverged, result.frames < 19) == (
+        Outcome.DIVERGED,
+        True,
+        True,
+    )
     assert "not finite" in result.diverged_reason
     assert result.score.rmse is None
     (file,) = tmp_path.iterdir()
@@ -208,12 +241,18 @@ def test_resume_goes_on_after_an_interrupt(tmp_path, monkeypatch, run_count):
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
         interrupt_in_episode(patched, 2)
         list(run_many([RunRequest(name) for name in THREE], out=tmp_path))
-    assert [f.name for f in tmp_path.iterdir()] == ["SlopeSlider-2-wood.mujoco.calibrated.json"]
+    assert [f.name for f in tmp_path.iterdir()] == [
+        "SlopeSlider-2-wood.mujoco.calibrated.json"
+    ]
     run_count.clear()
-    results = list(run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True))
+    results = list(
+        run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True)
+    )
     assert [r.outcome for r in results] == [Outcome.FINISHED] * 3
     assert len(run_count) == 2
-    assert results == list(run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True))
+    assert results == list(
+        run_many([RunRequest(name) for name in THREE], out=tmp_path, resume=True)
+    )
     assert len(run_count) == 2
 
 
@@ -234,7 +273,12 @@ def test_without_resume_everything_runs_again(tmp_path, run_count):
 
 
 @pytest.mark.parametrize(
-    "request_", [{"seed": 1}, {"settings": {"iterations": 50}}, {"parameters": {"cube.friction": 0.3}}]
+    "request_",
+    [
+        {"seed": 1},
+        {"settings": {"iterations": 50}},
+        {"parameters": {"cube.friction": 0.3}},
+    ],
 )
 def test_resume_takes_no_result_of_another_request(tmp_path, run_count, request_):
     list(run_many([RunRequest(NAME)], out=tmp_path))
@@ -249,10 +293,16 @@ def test_resume_takes_no_result_of_another_request(tmp_path, run_count, request_
     [
         ("task_sha256", "0" * 64, "task_sha256 differs"),
         ("seed", 5, "seed differs"),
-        ("versions", {"mujoco": "3.0.0", "gauge-envs": "0.1.0"}, "made with mujoco 3.0.0"),
+        (
+            "versions",
+            {"mujoco": "3.0.0", "gauge-envs": "0.1.0"},
+            "made with mujoco 3.0.0",
+        ),
     ],
 )
-def test_resume_runs_stale_results_again_and_says_so(tmp_path, run_count, key, value, note):
+def test_resume_runs_stale_results_again_and_says_so(
+    tmp_path, run_count, key, value, note
+):
     (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     (file,) = tmp_path.iterdir()
     file.write_text(json.dumps(result.to_dict() | {key: value}))
@@ -278,7 +328,9 @@ def damage(text, kind):
     return {"list": "[]", "empty": ""}.get(kind, json.dumps(values))
 
 
-@pytest.mark.parametrize("kind", ["cut", "empty", "list", "no score", "uneven", "type", "id"])
+@pytest.mark.parametrize(
+    "kind", ["cut", "empty", "list", "no score", "uneven", "type", "id"]
+)
 def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
     (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     (file,) = tmp_path.iterdir()
@@ -288,7 +340,9 @@ def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
         with pytest.raises(ResultFileError, match="not a result file"):
             load_result(file)
         notes = []
-        (again,) = run_many([RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append)
+        (again,) = run_many(
+            [RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append
+        )
         assert again.score == result.score
         assert load_result(file).score == result.score
         aside = tmp_path / (file.name + (".damaged" if count == 1 else ".damaged-2"))
@@ -301,10 +355,17 @@ def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
 
 
 def test_pictures_of_bands_laws_and_nothing(tmp_path, result):
-    others = [run_episode(RunRequest(n)) for n in ("SlopeSlider-1-wood", "SlopeSlider-3-metal")]
+    others = [
+        run_episode(RunRequest(n))
+        for n in ("SlopeSlider-1-wood", "SlopeSlider-3-metal")
+    ]
     varied = run_episode(RunRequest(NAME, parameters={"cube.friction": 0.25}))
     paths = list(save_figures([result, varied, *others], tmp_path / "plots"))
-    assert [p.name for p in paths] == ["SlopeSlider-2-wood.png", "SlopeSlider-1-wood.png", "SlopeSlider-3-metal.png"]
+    assert [p.name for p in paths] == [
+        "SlopeSlider-2-wood.png",
+        "SlopeSlider-1-wood.png",
+        "SlopeSlider-3-metal.png",
+    ]
     assert all(p.stat().st_size > 10_000 for p in paths)
 
 

@@ -25,7 +25,11 @@ from gauge_envs.tools.catalog.listing import list_rows
 from gauge_envs.tools.conformance import words
 from gauge_envs.tools.conformance.words import backends_table
 
-WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
+WOOD, PLASTIC, METAL = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-2-plastic",
+    "SlopeSlider-2-metal",
+)
 
 
 def plain(result: Result) -> str:
@@ -39,7 +43,9 @@ def test_results_have_the_same_bits_in_another_process() -> None:
     assert list(map(plain, here)) == list(map(plain, there))
 
 
-def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     found = []
     for stated in (None, "4"):
         if stated is None:
@@ -59,8 +65,13 @@ def test_engines_that_die_cost_one_episode_each(installed: Callable[..., None]) 
         "hard-exit": "ended its process with exit code 6",
         "exit": "SystemExit: 5",
     }
-    requests = [RunRequest(WOOD, backend="crash"), *(RunRequest(PLASTIC, backend=name) for name in causes)]
-    first, *died, last = run_many([*requests, RunRequest(METAL, backend="crash")], isolate=None)
+    requests = [
+        RunRequest(WOOD, backend="crash"),
+        *(RunRequest(PLASTIC, backend=name) for name in causes),
+    ]
+    first, *died, last = run_many(
+        [*requests, RunRequest(METAL, backend="crash")], isolate=None
+    )
     assert [first.outcome.value, last.outcome.value] == ["finished"] * 2
     for result, cause in zip(died, causes.values(), strict=True):
         assert result.outcome.value == "failed" and cause in str(result.error)
@@ -68,11 +79,18 @@ def test_engines_that_die_cost_one_episode_each(installed: Callable[..., None]) 
 
 def test_an_engine_that_hangs_costs_its_episode(installed: Callable[..., None]) -> None:
     installed("hang")
-    (hung,) = run_many([RunRequest(PLASTIC, backend="hang")], isolate=None, time_limit_s=3.0)
-    assert hung.outcome.value == "failed" and "did not finish within the time limit of 3 s" in str(hung.error)
+    (hung,) = run_many(
+        [RunRequest(PLASTIC, backend="hang")], isolate=None, time_limit_s=3.0
+    )
+    assert (
+        hung.outcome.value == "failed"
+        and "did not finish within the time limit of 3 s" in str(hung.error)
+    )
 
 
-def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(installed: Callable[..., None]) -> None:
+def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(
+    installed: Callable[..., None],
+) -> None:
     installed("crash")
     requests = [RunRequest(variant, backend="crash") for variant in (PLASTIC, METAL)]
     results = list(run_many(requests, isolate=True))
@@ -80,9 +98,13 @@ def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(instal
     assert "signal 11 (segmentation fault)" in str(results[0].error)
 
 
-def test_a_setting_that_json_does_not_have_costs_its_episode(installed: Callable[..., None], tmp_path: Path) -> None:
+def test_a_setting_that_json_does_not_have_costs_its_episode(
+    installed: Callable[..., None], tmp_path: Path
+) -> None:
     installed("no-json")
-    broken, healthy = run_many([RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)], out=tmp_path / "out")
+    broken, healthy = run_many(
+        [RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)], out=tmp_path / "out"
+    )
     assert "backend 'no-json': setting 'pool' is a set" in str(broken.error)
     assert healthy.error is None
 
@@ -104,7 +126,9 @@ def test_lists_name_broken_engines_with_their_cause(
     assert "SystemExit" in errors["at-import"]
 
 
-def check_causes(lacking: dict[str, list[str]], notes: list[str], causes: dict[str, str]) -> None:
+def check_causes(
+    lacking: dict[str, list[str]], notes: list[str], causes: dict[str, str]
+) -> None:
     """Check that a list and its notes name each broken engine with its cause."""
     for name, cause in causes.items():
         assert cause in lacking[name][0]
@@ -112,7 +136,9 @@ def check_causes(lacking: dict[str, list[str]], notes: list[str], causes: dict[s
     assert len(notes) == len(causes)
 
 
-def test_a_list_waits_for_no_engine_that_hangs(installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_list_waits_for_no_engine_that_hangs(
+    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     installed("supports-hang")
     monkeypatch.setattr(listing, "backend_names", lambda: ("mujoco", "supports-hang"))
     monkeypatch.setattr(listing, "QUERY_LIMIT_S", 1.0)
@@ -121,7 +147,9 @@ def test_a_list_waits_for_no_engine_that_hangs(installed: Callable[..., None], m
     assert "time limit of 1 s" in row["backends"]["supports-hang"][0]
 
 
-def test_one_process_asks_broken_engines_too(installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_process_asks_broken_engines_too(
+    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
     causes = {
         "other-name": "the class has the name 'another'",
         "no-backend": "expected a Backend",
@@ -140,10 +168,14 @@ def test_one_process_asks_broken_engines_too(installed: Callable[..., None], mon
             backend(name)
 
 
-def test_settings_are_checked_in_the_other_process(installed: Callable[..., None]) -> None:
+def test_settings_are_checked_in_the_other_process(
+    installed: Callable[..., None],
+) -> None:
     installed("well")
     with pytest.raises(GaugeError, match="MuJoCo setting 'nope'"):
-        check_requests([RunRequest(WOOD, backend="well", settings={"nope": 1})], isolate=None)
+        check_requests(
+            [RunRequest(WOOD, backend="well", settings={"nope": 1})], isolate=None
+        )
 
 
 @pytest.mark.usefixtures("real_children")
@@ -175,7 +207,9 @@ def test_a_worker_in_a_call_ends_with_its_parent() -> None:
         "import os, time; from gauge_envs.runs.isolation import Worker; worker = Worker(); "
         "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 600.0)"
     )
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    ) as parent:
         assert parent.stdout is not None
         worker = int(parent.stdout.readline())
         parent.kill()
@@ -205,7 +239,9 @@ def take_memory(gigabytes: float) -> None:
 def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
     # The message tells the memory limit from the time limit, so a slow machine needs no bound of its own.
     with Worker(120.0, memory_limit_gb=0.5) as worker:
-        with pytest.raises(CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"):
+        with pytest.raises(
+            CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"
+        ):
             worker.call(take_memory, 1.0)
         assert worker.call(os.getpid) > 0
 
@@ -213,7 +249,9 @@ def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
 def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> None:
     installed("greedy")
     requests = [RunRequest(variant, backend="greedy") for variant in (PLASTIC, METAL)]
-    results = list(run_many(requests, isolate=None, time_limit_s=30.0, memory_limit_gb=0.8))
+    results = list(
+        run_many(requests, isolate=None, time_limit_s=30.0, memory_limit_gb=0.8)
+    )
     assert [result.outcome.value for result in results] == ["failed", "finished"]
     assert "memory limit of 0.8 GB" in str(results[0].error)
 

@@ -20,7 +20,15 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 
 KILL_COUNT = 100
-COMMAND = ["run", "SlopeSlider-*", "BouncingBall-rubber", "repeats=2", "--resume", "--json", "--out"]
+COMMAND = [
+    "run",
+    "SlopeSlider-*",
+    "BouncingBall-rubber",
+    "repeats=2",
+    "--resume",
+    "--json",
+    "--out",
+]
 
 
 def run(folder: Path) -> None:
@@ -33,7 +41,9 @@ def run(folder: Path) -> None:
 def contents(folder: Path) -> dict[str, str]:
     """The results of a folder by file name, without the times of their making; each must be complete."""
     return {
-        file.name: json.dumps(replace(load_result(file), wall_s=None, cpu_s=None, created="").to_dict())
+        file.name: json.dumps(
+            replace(load_result(file), wall_s=None, cpu_s=None, created="").to_dict()
+        )
         for file in folder.iterdir()
         if not file.name.startswith(".")
     }
@@ -70,13 +80,20 @@ def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path: Path) -> 
                 assert found.items() <= expected.items()
                 partial += 0 < len(found) < len(expected)
         assert contents(folder) == expected
-    print(f"{kills} kills in {rounds} runs of {duration_s:.1f} s, {partial} of them between results")
+    print(
+        f"{kills} kills in {rounds} runs of {duration_s:.1f} s, {partial} of them between results"
+    )
     assert partial > KILL_COUNT // 10
 
 
 def test_files_that_a_killed_run_left_are_removed_later(tmp_path: Path) -> None:
     old, new, other = (
-        tmp_path / name for name in (".a.json.0123456789abcdef.tmp", ".b.json.0123456789abcdef.tmp", "c")
+        tmp_path / name
+        for name in (
+            ".a.json.0123456789abcdef.tmp",
+            ".b.json.0123456789abcdef.tmp",
+            "c",
+        )
     )
     for file in (old, new, other):
         file.write_text("{")

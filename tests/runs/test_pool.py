@@ -13,7 +13,13 @@ import pytest
 from sweep_workers import HereWorker, mortal_worker
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.runs.pool import Limits, ProcessWorker, TaskQueue, WorkerClosedError, run_tasks
+from gauge_envs.runs.pool import (
+    Limits,
+    ProcessWorker,
+    TaskQueue,
+    WorkerClosedError,
+    run_tasks,
+)
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep.machines import RayWorker
@@ -75,7 +81,9 @@ class Place(HereWorker):
 def test_every_task_is_done_once_on_any_number_of_workers() -> None:
     for count in (1, 2, 5):
         workers = [Place() for _ in range(count)]
-        done = list(run_tasks(steps("a", 20), workers, lambda worker, task: task.number))
+        done = list(
+            run_tasks(steps("a", 20), workers, lambda worker, task: task.number)
+        )
         assert sorted(done) == list(range(20))
         assert all(worker.closed for worker in workers)
 
@@ -123,8 +131,14 @@ def test_a_closed_run_waits_for_what_its_workers_do_and_starts_nothing_more() ->
 
 
 def test_repeats_that_die_together_run_one_by_one() -> None:
-    results = mortal_worker(1).run(RunRequest(WOOD, settings={"timestep_s": 1 / 360}, repeats=3))
-    assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
+    results = mortal_worker(1).run(
+        RunRequest(WOOD, settings={"timestep_s": 1 / 360}, repeats=3)
+    )
+    assert [result.outcome.value for result in results] == [
+        "finished",
+        "failed",
+        "finished",
+    ]
     assert results[1].error == "died"
 
 
@@ -180,7 +194,9 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], ModuleType]:
         module.remote = lambda **options: lambda kind: SimpleNamespace(remote=Actor)
         module.get = get
         module.kill = lambda actor: None
-        module.exceptions = SimpleNamespace(RayError=RayError, RayTaskError=RayTaskError)
+        module.exceptions = SimpleNamespace(
+            RayError=RayError, RayTaskError=RayTaskError
+        )
         monkeypatch.setitem(__import__("sys").modules, "ray", module)
         return module
 
@@ -188,14 +204,23 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], ModuleType]:
 
 
 @pytest.mark.parametrize("losses", [0, 2])
-def test_a_lost_actor_costs_nothing(ray: Callable[[int], ModuleType], losses: int) -> None:
+def test_a_lost_actor_costs_nothing(
+    ray: Callable[[int], ModuleType], losses: int
+) -> None:
     ray(losses)
-    (result,) = RayWorker(Limits()).run(RunRequest(WOOD, settings={"timestep_s": 1 / 360}))
+    (result,) = RayWorker(Limits()).run(
+        RunRequest(WOOD, settings={"timestep_s": 1 / 360})
+    )
     assert result.outcome is Outcome.FINISHED
 
 
-def test_a_request_that_always_loses_its_actor_fails(ray: Callable[[int], ModuleType]) -> None:
+def test_a_request_that_always_loses_its_actor_fails(
+    ray: Callable[[int], ModuleType],
+) -> None:
     ray(3)
     (result,) = RayWorker(Limits()).run(RunRequest(WOOD))
     assert result.outcome is Outcome.FAILED
-    assert result.error == "the Ray actor of the episode ended: the machine is gone, 3 times"
+    assert (
+        result.error
+        == "the Ray actor of the episode ended: the machine is gone, 3 times"
+    )

@@ -11,7 +11,14 @@ import pytest
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.replay import Replay, ReplayError, load_or_replay, replay, replay_path, replayed_experiment
+from gauge_envs.runs.replay import (
+    Replay,
+    ReplayError,
+    load_or_replay,
+    replay,
+    replay_path,
+    replayed_experiment,
+)
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, write_result
@@ -25,7 +32,9 @@ def first_file(folder: Path, request: RunRequest) -> Path:
 
 @pytest.fixture(scope="module")
 def slide_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return first_file(tmp_path_factory.mktemp("results"), RunRequest("SlopeSlider-2-wood"))
+    return first_file(
+        tmp_path_factory.mktemp("results"), RunRequest("SlopeSlider-2-wood")
+    )
 
 
 @pytest.fixture
@@ -43,16 +52,31 @@ def test_poses_are_those_of_the_trajectory(slide: Result) -> None:
     np.testing.assert_allclose(1e3 * made.poses[:, 0, :3], values[::3], atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["Pendulum-metal", "SlopeSlider-3-metal", "BouncingBall-rubber"])
-def test_tethered_driven_and_colliding_bodies_have_the_same_bits(name: str, tmp_path: Path) -> None:
-    request = RunRequest(name, settings={"timestep_s": 1 / 360} if name.startswith("Pendulum") else None)
+@pytest.mark.parametrize(
+    "name", ["Pendulum-metal", "SlopeSlider-3-metal", "BouncingBall-rubber"]
+)
+def test_tethered_driven_and_colliding_bodies_have_the_same_bits(
+    name: str, tmp_path: Path
+) -> None:
+    request = RunRequest(
+        name, settings={"timestep_s": 1 / 360} if name.startswith("Pendulum") else None
+    )
     result = load_result(first_file(tmp_path, request))
     made = replay(result)
     assert made.poses.shape[1] == len(made.bodies)
 
 
 def test_a_jittered_repeat_starts_where_it_started(tmp_path: Path) -> None:
-    list(run_many([RunRequest("SlopeSlider-2-wood", repeats=2, jitter=Jitter(position_m=0.002))], out=tmp_path))
+    list(
+        run_many(
+            [
+                RunRequest(
+                    "SlopeSlider-2-wood", repeats=2, jitter=Jitter(position_m=0.002)
+                )
+            ],
+            out=tmp_path,
+        )
+    )
     results = [load_result(file) for file in sorted(tmp_path.glob("*.json"))]
     starts = [replay(result).poses[0, 0, :3] for result in results]
     assert np.linalg.norm(starts[0] - starts[1]) > 1e-4
@@ -66,7 +90,10 @@ def test_one_bit_of_the_trajectory_is_found(slide: Result) -> None:
     assert value is not None
     samples[40][0] = float(np.nextafter(value, np.inf))
     changed = replace(slide, trajectory=replace(trajectory, samples=samples))
-    with pytest.raises(ReplayError, match=r"differs from the result by up to .* mm; the versions of the engine are"):
+    with pytest.raises(
+        ReplayError,
+        match=r"differs from the result by up to .* mm; the versions of the engine are",
+    ):
         replay(changed)
 
 
@@ -76,8 +103,14 @@ def test_another_setting_is_found(slide: Result) -> None:
 
 
 def test_another_version_is_named(slide: Result) -> None:
-    changed = replace(slide, versions=slide.versions | {"mujoco": "0.1"}, settings_given={"timestep_s": 1 / 900})
-    with pytest.raises(ReplayError, match=r"versions: mujoco 0\.1 in the result, .* installed"):
+    changed = replace(
+        slide,
+        versions=slide.versions | {"mujoco": "0.1"},
+        settings_given={"timestep_s": 1 / 900},
+    )
+    with pytest.raises(
+        ReplayError, match=r"versions: mujoco 0\.1 in the result, .* installed"
+    ):
         replay(changed)
 
 
@@ -90,11 +123,15 @@ def test_a_result_of_another_length_is_found(slide: Result) -> None:
         times_s=trajectory.times_s[:-6],
         samples=trajectory.samples[:-6],
     )
-    with pytest.raises(ReplayError, match=r"109 samples of 3 coordinates, the result has 103 of 3"):
+    with pytest.raises(
+        ReplayError, match=r"109 samples of 3 coordinates, the result has 103 of 3"
+    ):
         replay(replace(slide, trajectory=shorter))
 
 
-def test_an_engine_that_is_not_installed_is_named(slide: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_is_not_installed_is_named(
+    slide: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def missing(name: str) -> dict[str, str]:
         raise MissingExtraError(f"backend {name!r}", "newton", ImportError("newton"))
 
@@ -109,7 +146,13 @@ def test_a_trajectory_file_has_no_replay(slide: Result) -> None:
 
 
 def test_a_model_file_is_no_part_of_the_result(slide: Result) -> None:
-    asset = {"file": "slide.xml", "kind": "model", "sha256": "0" * 64, "edited": True, "changes": []}
+    asset = {
+        "file": "slide.xml",
+        "kind": "model",
+        "sha256": "0" * 64,
+        "edited": True,
+        "changes": [],
+    }
     with pytest.raises(ReplayError, match=r"slide\.xml"):
         replayed_experiment(replace(slide, asset=asset))
 
@@ -121,7 +164,9 @@ def forbidden(result: Result, *, views_per_frame: int | None = None) -> Replay:
     raise AssertionError("the episode ran again")
 
 
-def test_the_file_beside_the_result_spares_the_run(slide_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_beside_the_result_spares_the_run(
+    slide_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     result = load_result(slide_file)
     made = load_or_replay(result, slide_file)
     assert replay_path(slide_file).is_file()

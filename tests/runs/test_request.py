@@ -80,19 +80,38 @@ def test_the_calibrated_experiment_exists_where_the_parameters_are_wrong() -> No
     assert request.calibrated_experiment() == RunRequest(NAME).experiment()
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeSlider-3-wood", "CubeToss-acrylic"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "SlopeSlider-3-wood", "CubeToss-acrylic"]
+)
 def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name: str) -> None:
     changes: dict[str, Any] = {"settings": {"timestep_s": 1 / 3600}}
     if name == "SlopeSlider-2-wood":
-        changes |= {"parameters": {"cube.friction": 0.2}, "marker_proxy": MarkerProxy.NODE, "use_withheld": True}
+        changes |= {
+            "parameters": {"cube.friction": 0.2},
+            "marker_proxy": MarkerProxy.NODE,
+            "use_withheld": True,
+        }
     env = gymnasium.make(f"GAUGE/{name}", **changes)
     env.reset(seed=3)
-    zero, over = np.zeros(env.action_space.shape, dtype=int) if env.action_space.shape else 0, False
+    zero, over = (
+        np.zeros(env.action_space.shape, dtype=int) if env.action_space.shape else 0,
+        False,
+    )
     while not over:
         *_, terminated, truncated, info = env.step(zero)
         over = terminated or truncated
-    mine, its = (one.to_dict() for one in (run_episode(RunRequest(name, seed=3, **changes)), episode_result(env, info)))
-    assert {key for key in mine if mine[key] != its[key]} <= {"wall_s", "cpu_s", "created"}
+    mine, its = (
+        one.to_dict()
+        for one in (
+            run_episode(RunRequest(name, seed=3, **changes)),
+            episode_result(env, info),
+        )
+    )
+    assert {key for key in mine if mine[key] != its[key]} <= {
+        "wall_s",
+        "cpu_s",
+        "created",
+    }
     env.close()
 
 

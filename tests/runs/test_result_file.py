@@ -30,11 +30,19 @@ HOSTILE = "mujoco\n# heading\n![picture](http://a.b/c)\x1b[2J|`:smile:`$\\frac{$
 @pytest.fixture(scope="module")
 def content() -> dict[str, Any]:
     """Content of a valid result file."""
-    return json.loads(json.dumps(run_episode(RunRequest(NAME, backend="mujoco")).to_dict()))
+    return json.loads(
+        json.dumps(run_episode(RunRequest(NAME, backend="mujoco")).to_dict())
+    )
 
 
 def asset(**changes: Any) -> dict[str, Any]:
-    return {"file": "a.usda", "kind": "usd", "sha256": "0" * 64, "edited": True, "changes": []} | changes
+    return {
+        "file": "a.usda",
+        "kind": "usd",
+        "sha256": "0" * 64,
+        "edited": True,
+        "changes": [],
+    } | changes
 
 
 # Key, value that is impossible, and what the error says.
@@ -48,11 +56,23 @@ DAMAGES = [
     ("marker_proxy", "ghost", "marker_proxy is 'ghost'"),
     ("score.grade", "gold", "score.grade is 'gold'"),
     ("trajectory.samples", [], "times but 0 samples"),
-    ("trajectory", {"unit": "mm", "coordinates": ["x"], "times_s": [], "samples": []}, "it has no samples"),
+    (
+        "trajectory",
+        {"unit": "mm", "coordinates": ["x"], "times_s": [], "samples": []},
+        "it has no samples",
+    ),
     ("trajectory", None, "no trajectory"),
     ("id", "GAUGE/../../x", "unknown experiment"),
-    ("trajectory.later_samples", [[1e308] * 3] * 60, "amounts of at most 1e+12 are expected"),
-    ("settings", {"a": functools.reduce(lambda inner, _: [inner], range(200), 0)}, "nested more than 64 deep"),
+    (
+        "trajectory.later_samples",
+        [[1e308] * 3] * 60,
+        "amounts of at most 1e+12 are expected",
+    ),
+    (
+        "settings",
+        {"a": functools.reduce(lambda inner, _: [inner], range(200), 0)},
+        "nested more than 64 deep",
+    ),
 ]
 
 
@@ -77,25 +97,49 @@ def test_one_damaged_file_is_skipped(
         assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
 
 
-def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(content: dict[str, Any], tmp_path: Path) -> None:
+def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(
+    content: dict[str, Any], tmp_path: Path
+) -> None:
     (tmp_path / "a.json").write_text(json.dumps(content | {"jitter": {"trial": 0}}))
     digest = hashlib.sha256(b'{"trial": 0}').hexdigest()[:8]
-    assert result_file_name(load_result(tmp_path / "a.json")) == f"{NAME}.mujoco.calibrated.jitter-{digest}.json"
+    assert (
+        result_file_name(load_result(tmp_path / "a.json"))
+        == f"{NAME}.mujoco.calibrated.jitter-{digest}.json"
+    )
 
 
-def test_a_result_whose_scene_cannot_be_built_is_skipped(content: dict[str, Any], tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text(json.dumps(content | {"parameters": {"ghost.friction": 1.0}}))
+def test_a_result_whose_scene_cannot_be_built_is_skipped(
+    content: dict[str, Any], tmp_path: Path
+) -> None:
+    (tmp_path / "a.json").write_text(
+        json.dumps(content | {"parameters": {"ghost.friction": 1.0}})
+    )
     (tmp_path / "b.json").write_text(json.dumps(content))
     for kind in ("experiments", "compare", "diagnose"):
-        arguments = ["plot", str(tmp_path), "--kind", kind, "--out", str(tmp_path / kind)]
+        arguments = [
+            "plot",
+            str(tmp_path),
+            "--kind",
+            kind,
+            "--out",
+            str(tmp_path / kind),
+        ]
         result = CliRunner(env={"COLUMNS": "400"}).invoke(app, arguments)
         assert result.exit_code == 1
-        assert "a.json: SlopeSlider-2-wood: override 'ghost.friction' names no body" in result.stderr
+        assert (
+            "a.json: SlopeSlider-2-wood: override 'ghost.friction' names no body"
+            in result.stderr
+        )
         assert list((tmp_path / kind).glob("*.png"))
 
 
-def test_the_id_of_an_experiment_file_leads_to_no_other_folder(content: dict[str, Any], tmp_path: Path) -> None:
-    stranger = content | {"asset": asset(kind="experiment", edited=False), "id": "GAUGE/Asset-../../escaped"}
+def test_the_id_of_an_experiment_file_leads_to_no_other_folder(
+    content: dict[str, Any], tmp_path: Path
+) -> None:
+    stranger = content | {
+        "asset": asset(kind="experiment", edited=False),
+        "id": "GAUGE/Asset-../../escaped",
+    }
     file = tmp_path / "a.json"
     file.write_text(json.dumps(stranger))
     with pytest.raises(ResultFileError, match="a name of letters and digits"):
@@ -108,7 +152,11 @@ def hostile(content: dict[str, Any], tmp_path: Path) -> Path:
     folder = tmp_path / "results"
     folder.mkdir()
     for number, name in enumerate(("mujoco", HOSTILE)):
-        changed = content | {"backend": name, "settings_given": {HOSTILE: 1.0}, "versions": {HOSTILE: HOSTILE}}
+        changed = content | {
+            "backend": name,
+            "settings_given": {HOSTILE: 1.0},
+            "versions": {HOSTILE: HOSTILE},
+        }
         (folder / f"{number}.json").write_text(json.dumps(changed))
     return folder
 
@@ -117,24 +165,43 @@ def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
     result = CliRunner().invoke(app, ["compare", str(hostile), "--format", "markdown"])
     assert result.exit_code == 0
     assert not [line for line in result.stdout.splitlines() if line.startswith("#")]
-    assert not re.search(r"(?<!\\)(!\[|\]\()", result.stdout) and "\x1b" not in result.stdout
+    assert (
+        not re.search(r"(?<!\\)(!\[|\]\()", result.stdout)
+        and "\x1b" not in result.stdout
+    )
     for block in result.stdout.split("\n\n"):
-        rows = [line.replace("\\|", "") for line in block.splitlines() if line.startswith("|")]
+        rows = [
+            line.replace("\\|", "")
+            for line in block.splitlines()
+            if line.startswith("|")
+        ]
         assert len({row.count("|") for row in rows}) <= 1
     assert r"\`:smile:\`" in result.stdout
 
 
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
 def test_a_terminal_gets_no_escapes_of_a_file(command: str, hostile: Path) -> None:
-    result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(hostile), "--format", "wide"])
+    result = CliRunner(env={"COLUMNS": "400"}).invoke(
+        app, [command, str(hostile), "--format", "wide"]
+    )
     assert result.exit_code == 0
-    assert "\x1b" not in result.stdout and r"\x1b[2J" in result.stdout and ":smile:" in result.stdout
+    assert (
+        "\x1b" not in result.stdout
+        and r"\x1b[2J" in result.stdout
+        and ":smile:" in result.stdout
+    )
 
 
-def test_styles_of_a_terminal_stay(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_styles_of_a_terminal_stay(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     original: Callable[..., Console] = Console
     monkeypatch.setattr(
-        output, "Console", lambda **options: original(force_terminal=True, color_system="standard", **options)
+        output,
+        "Console",
+        lambda **options: original(
+            force_terminal=True, color_system="standard", **options
+        ),
     )
     output.stdout_console().print("[red]error:[/] a\x1b[2Jb :smile:", highlight=False)
     assert capsys.readouterr().out == "\x1b[31merror:\x1b[0m a\\x1b[2Jb :smile:\n"
@@ -142,6 +209,8 @@ def test_styles_of_a_terminal_stay(monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 def test_a_dollar_sign_starts_no_formula(hostile: Path, tmp_path: Path) -> None:
     for kind in ("experiments", "compare", "diagnose"):
-        result = CliRunner().invoke(app, ["plot", str(hostile), "--kind", kind, "--out", str(tmp_path / kind)])
+        result = CliRunner().invoke(
+            app, ["plot", str(hostile), "--kind", kind, "--out", str(tmp_path / kind)]
+        )
         assert result.exit_code == 0, result.exception
         assert list((tmp_path / kind).glob("*.png"))

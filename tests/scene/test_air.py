@@ -13,7 +13,12 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import Backend, Simulation, Support, backend_names, support_of
 from gauge_envs.backends.base import scene_support
-from gauge_envs.errors import AssetError, MissingExtraError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import (
+    AssetError,
+    MissingExtraError,
+    ParameterError,
+    UnsupportedSceneError,
+)
 from gauge_envs.scene import Air, Scene
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.tools.assets.export import mjcf_text
@@ -21,13 +26,20 @@ from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.usd.writer import to_usd
 
-AIR = Air(density_kg_per_m3=1.2, normal_coefficient=1.1, tangential_coefficient=0.2, lift_coefficient=0.7)
+AIR = Air(
+    density_kg_per_m3=1.2,
+    normal_coefficient=1.1,
+    tangential_coefficient=0.2,
+    lift_coefficient=0.7,
+)
 SATIN = "TextileFlinging-satin"
 
 
 @pytest.mark.parametrize("degrees", range(0, 91, 10))
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_force_on_a_triangle_follows_the_angle_of_incidence(degrees: int, side: float) -> None:
+def test_the_force_on_a_triangle_follows_the_angle_of_incidence(
+    degrees: int, side: float
+) -> None:
     """Drag and lift of a plate that moves along x, which its plane meets at an angle, written with the angle alone."""
     angle, speed, area = math.radians(degrees), 3.0, 0.02
     normal = np.array([math.sin(angle), 0.0, math.cos(angle)])
@@ -35,24 +47,36 @@ def test_the_force_on_a_triangle_follows_the_angle_of_incidence(degrees: int, si
     sine, cosine = math.sin(angle), math.cos(angle)
     drag = 1.1 * sine**3 + 0.2 * cosine**3
     lift = 1.1 * sine**2 * cosine - 0.2 * cosine**2 * sine + 0.7 * sine * cosine
-    assert force == pytest.approx(0.5 * 1.2 * area * speed**2 * np.array([-drag, 0.0, -lift]), abs=1e-15)
+    assert force == pytest.approx(
+        0.5 * 1.2 * area * speed**2 * np.array([-drag, 0.0, -lift]), abs=1e-15
+    )
 
 
 def test_air_that_moves_with_the_cloth_gives_no_force() -> None:
     random = np.random.default_rng(0)
-    areas, speeds, wind = random.normal(size=(50, 3)), random.normal(size=(50, 3)), (0.3, -2.0, 1.0)
+    areas, speeds, wind = (
+        random.normal(size=(50, 3)),
+        random.normal(size=(50, 3)),
+        (0.3, -2.0, 1.0),
+    )
     blown = replace(AIR, wind_m_per_s=wind)
     assert not blown.forces_n(areas, np.tile(wind, (50, 1))).any()
-    assert blown.forces_n(areas, speeds + wind) == pytest.approx(AIR.forces_n(areas, speeds))
+    assert blown.forces_n(areas, speeds + wind) == pytest.approx(
+        AIR.forces_n(areas, speeds)
+    )
 
 
 def test_still_air_takes_energy_and_lift_does_no_work() -> None:
     random = np.random.default_rng(1)
     areas, speeds = random.normal(size=(1000, 3)), random.normal(size=(1000, 3))
     assert (np.einsum("ij,ij->i", AIR.forces_n(areas, speeds), speeds) < 0.0).all()
-    lift = Air(density_kg_per_m3=1.2, normal_coefficient=0.0, lift_coefficient=2.0).forces_n(areas, speeds)
+    lift = Air(
+        density_kg_per_m3=1.2, normal_coefficient=0.0, lift_coefficient=2.0
+    ).forces_n(areas, speeds)
     assert np.linalg.norm(lift, axis=1).min() > 0.0
-    assert np.einsum("ij,ij->i", lift, speeds) == pytest.approx(np.zeros(1000), abs=1e-12)
+    assert np.einsum("ij,ij->i", lift, speeds) == pytest.approx(
+        np.zeros(1000), abs=1e-12
+    )
 
 
 def test_a_triangle_without_area_or_motion_feels_nothing() -> None:
@@ -67,7 +91,9 @@ def test_no_step_overshoots_below_the_stable_speed() -> None:
     stable = air.stable_speed_m_per_s(areal_density_kg_per_m2=density, timestep_s=step)
 
     def after(speed: float) -> float:
-        (force,) = air.forces_n(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, speed]]))
+        (force,) = air.forces_n(
+            np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, speed]])
+        )
         return float(speed + step * force[2] / density)
 
     small = 1e-3 * stable
@@ -97,13 +123,23 @@ def test_wrong_numbers_are_refused(changes: dict[str, Any], reason: str) -> None
 @pytest.mark.parametrize(
     ("name", "overrides", "reason"),
     [
-        ("SlopeSlider-2-wood", {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}, "no cloth"),
+        (
+            "SlopeSlider-2-wood",
+            {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
+            "no cloth",
+        ),
         (SATIN, {"air.density_kg_per_m3": 1.2}, r"air\.normal_coefficient"),
         (SATIN, {"air.viscosity": 1.2}, "known: density_kg_per_m3"),
-        (SATIN, {"air.density_kg_per_m3": -1.2, "air.normal_coefficient": 1.0}, r"air\.density_kg_per_m3"),
+        (
+            SATIN,
+            {"air.density_kg_per_m3": -1.2, "air.normal_coefficient": 1.0},
+            r"air\.density_kg_per_m3",
+        ),
     ],
 )
-def test_wrong_overrides_name_what_is_wrong(name: str, overrides: dict[str, float], reason: str) -> None:
+def test_wrong_overrides_name_what_is_wrong(
+    name: str, overrides: dict[str, float], reason: str
+) -> None:
     with pytest.raises(ParameterError, match=reason):
         load_experiment(name, overrides)
 
@@ -112,15 +148,24 @@ def test_air_is_off_by_default_and_a_parameter_set_of_the_fling() -> None:
     calibrated, experiment = load_experiment(SATIN), load_experiment(SATIN, "air")
     assert calibrated.scene.air is None
     assert experiment.scene.air == Air(
-        density_kg_per_m3=1.204, normal_coefficient=1.17, tangential_coefficient=0.015, lift_coefficient=1.26
+        density_kg_per_m3=1.204,
+        normal_coefficient=1.17,
+        tangential_coefficient=0.015,
+        lift_coefficient=1.26,
     )
     assert replace(experiment.scene, air=None) == calibrated.scene
-    assert list(scene_changes(calibrated.scene, experiment.scene)) == ["scene: air None -> Air"]
+    assert list(scene_changes(calibrated.scene, experiment.scene)) == [
+        "scene: air None -> Air"
+    ]
     assert description(experiment)["air"]["normal_coefficient"] == 1.17
-    windy = load_experiment(SATIN, {**experiment.overrides, "air.wind_m_per_s": [1.0, 0.0, 0.0]}).scene
+    windy = load_experiment(
+        SATIN, {**experiment.overrides, "air.wind_m_per_s": [1.0, 0.0, 0.0]}
+    ).scene
     assert windy.air is not None
     assert windy.air.wind_m_per_s == (1.0, 0.0, 0.0)
-    assert list(scene_changes(experiment.scene, windy)) == ["scene: air.wind_m_per_s (0, 0, 0) -> (1, 0, 0)"]
+    assert list(scene_changes(experiment.scene, windy)) == [
+        "scene: air.wind_m_per_s (0, 0, 0) -> (1, 0, 0)"
+    ]
 
 
 class _Older(Backend):
@@ -167,11 +212,21 @@ def test_a_usd_layer_restores_the_air(tmp_path: Path) -> None:
     ("old", "new", "reason"),
     [
         ("gauge:air:lift_coefficient", "gauge:air:lift", "is no property of air"),
-        ("gauge:air:density_kg_per_m3 = 1.204", "gauge:air:density_kg_per_m3 = -1", "density_kg_per_m3 is -1"),
-        ("custom double gauge:air:normal_coefficient = 1.17", "", "without gauge:air:normal_coefficient"),
+        (
+            "gauge:air:density_kg_per_m3 = 1.204",
+            "gauge:air:density_kg_per_m3 = -1",
+            "density_kg_per_m3 is -1",
+        ),
+        (
+            "custom double gauge:air:normal_coefficient = 1.17",
+            "",
+            "without gauge:air:normal_coefficient",
+        ),
     ],
 )
-def test_wrong_air_in_a_usd_layer_is_named(tmp_path: Path, old: str, new: str, reason: str) -> None:
+def test_wrong_air_in_a_usd_layer_is_named(
+    tmp_path: Path, old: str, new: str, reason: str
+) -> None:
     path = tmp_path / "air.usda"
     to_usd(load_experiment(SATIN, "air").scene, path)
     text = path.read_text(encoding="utf-8")

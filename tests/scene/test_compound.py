@@ -34,7 +34,9 @@ from gauge_envs.tools.sanity.phenomena.foot import foot_scene
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.usd.writer import to_usd
 
-TETRAHEDRON = ConvexUnion(pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),))
+TETRAHEDRON = ConvexUnion(
+    pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),)
+)
 SOLIDS = {
     "box": (Box(size_m=(0.06, 0.04, 0.03)), 0.015),
     "sphere": (Sphere(radius_m=0.02), 0.02),
@@ -47,15 +49,32 @@ SOLIDS = {
 
 ENGINES = [
     pytest.param("mujoco"),
-    pytest.param("newton", marks=pytest.mark.skipif(find_spec("newton") is None, reason="Newton is not installed")),
-    pytest.param("physx", marks=pytest.mark.skipif(find_spec("sapien") is None, reason="SAPIEN is not installed")),
+    pytest.param(
+        "newton",
+        marks=pytest.mark.skipif(
+            find_spec("newton") is None, reason="Newton is not installed"
+        ),
+    ),
+    pytest.param(
+        "physx",
+        marks=pytest.mark.skipif(
+            find_spec("sapien") is None, reason="SAPIEN is not installed"
+        ),
+    ),
 ]
 
 
 def foot_of(kind: str) -> FootGeometry:
     solid, height = SOLIDS[kind]
     part = Part(shape=solid, pose=Pose(position_m=(0.0, 0.0, height)))
-    return FootGeometry(name=kind, geoms=kind, parts=(part,), load_kg=1.0, robot_mass_kg=4.0, foot_count=4)
+    return FootGeometry(
+        name=kind,
+        geoms=kind,
+        parts=(part,),
+        load_kg=1.0,
+        robot_mass_kg=4.0,
+        foot_count=4,
+    )
 
 
 def compiled(scene: Scene) -> mujoco.MjModel:
@@ -70,24 +89,36 @@ def test_mass_properties_are_those_of_the_model(kind: str) -> None:
         Part(shape=Sphere(radius_m=0.03), pose=Pose(position_m=(-0.1, 0.05, 0.0))),
     )
     shape = Compound(parts=parts)
-    foot = FootGeometry(name="", geoms="", parts=parts, load_kg=0.5, robot_mass_kg=2.0, foot_count=4)
+    foot = FootGeometry(
+        name="", geoms="", parts=parts, load_kg=0.5, robot_mass_kg=2.0, foot_count=4
+    )
     model = compiled(foot_scene(foot, friction=0.3))
     centre, inertia = mass_properties(foot.shape, foot.mass_kg)
     body = model.body("foot")
     assert body.mass[0] == pytest.approx(2.0)
     np.testing.assert_allclose(centre, body.ipos, atol=1e-9)
     axes = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
-    np.testing.assert_allclose(inertia, axes @ np.diag(body.inertia) @ axes.T, rtol=1e-6, atol=1e-9)
-    assert shape.volume_m3 == pytest.approx(SOLIDS[kind][0].volume_m3 + 4.0 / 3.0 * np.pi * 0.03**3)
+    np.testing.assert_allclose(
+        inertia, axes @ np.diag(body.inertia) @ axes.T, rtol=1e-6, atol=1e-9
+    )
+    assert shape.volume_m3 == pytest.approx(
+        SOLIDS[kind][0].volume_m3 + 4.0 / 3.0 * np.pi * 0.03**3
+    )
 
 
 def test_two_balls_on_a_rod_without_mass() -> None:
     ball = Sphere(radius_m=0.02)
-    shape = Compound(parts=tuple(Part(shape=ball, pose=Pose(position_m=(x, 0.0, 0.0))) for x in (-0.1, 0.3)))
+    shape = Compound(
+        parts=tuple(
+            Part(shape=ball, pose=Pose(position_m=(x, 0.0, 0.0))) for x in (-0.1, 0.3)
+        )
+    )
     centre, inertia = mass_properties(shape, 6.0)
     np.testing.assert_allclose(centre, [0.1, 0.0, 0.0], atol=1e-12)
     own = 0.4 * 6.0 * 0.02**2
-    np.testing.assert_allclose(inertia, np.diag([own, own + 6.0 * 0.2**2, own + 6.0 * 0.2**2]), atol=1e-12)
+    np.testing.assert_allclose(
+        inertia, np.diag([own, own + 6.0 * 0.2**2, own + 6.0 * 0.2**2]), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("kind", SOLIDS)
@@ -102,9 +133,17 @@ def test_feet_carry_the_same_load_whatever_their_form(kind: str) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[] if kind in ("capsule", "ellipsoid") else pytest.mark.slow) for kind in SOLIDS]
+    "kind",
+    [
+        pytest.param(
+            kind, marks=[] if kind in ("capsule", "ellipsoid") else pytest.mark.slow
+        )
+        for kind in SOLIDS
+    ],
 )
-def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(engine: str, kind: str) -> None:
+def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(
+    engine: str, kind: str
+) -> None:
     scene = foot_scene(foot_of(kind), friction=0.3, slope_deg=30.0, seconds=0.3)
     support = backend(engine).supports(scene)
     if not support:
@@ -114,28 +153,44 @@ def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(engine: str, kind: st
     simulation = backend(engine).build(scene, {})
     try:
         simulation.reset(0)
-        places = np.vstack([np.zeros(3), simulation.sample_positions(["foot"], 54, 1 / 180)[:, 0]])
+        places = np.vstack(
+            [np.zeros(3), simulation.sample_positions(["foot"], 54, 1 / 180)[:, 0]]
+        )
     finally:
         simulation.close()
     along = scene.body("ground").pose.rotation.apply(places, inverse=True)
     law = GRAVITY_M_PER_S2 * (np.sin(np.radians(30.0)) - 0.3 * np.cos(np.radians(30.0)))
-    assert fitted_acceleration(np.arange(55) / 180.0, along[:, 0]) == pytest.approx(law, rel=0.02)
+    assert fitted_acceleration(np.arange(55) / 180.0, along[:, 0]) == pytest.approx(
+        law, rel=0.02
+    )
     assert np.abs(along[:, 1:]).max() < 1e-3
 
 
 @pytest.mark.parametrize("engine", ["drake", "pybullet", "rapier"])
 def test_engines_without_compounds_decline_them(engine: str) -> None:
-    if find_spec({"drake": "pydrake", "pybullet": "pybullet", "rapier": "rapier3d"}[engine]) is None:
+    if (
+        find_spec(
+            {"drake": "pydrake", "pybullet": "pybullet", "rapier": "rapier3d"}[engine]
+        )
+        is None
+    ):
         pytest.skip(f"{engine} is not installed")
-    missing = backend(engine).supports(foot_scene(foot_of("sphere"), friction=0.3)).missing
+    missing = (
+        backend(engine).supports(foot_scene(foot_of("sphere"), friction=0.3)).missing
+    )
     assert any("compound of solids" in reason for reason in missing)
 
 
 def test_the_inverse_weight_of_dynamic_bodies_is_scaled() -> None:
     scene = foot_scene(foot_of("sphere"), friction=0.3)
-    plain, softer = (build_model(scene, settings_for(scene, {"inverse_weight_scale": s}))[1] for s in (1.0, 5.0))
+    plain, softer = (
+        build_model(scene, settings_for(scene, {"inverse_weight_scale": s}))[1]
+        for s in (1.0, 5.0)
+    )
     foot = plain.body("foot").id
-    np.testing.assert_allclose(softer.body_invweight0[foot], 5.0 * plain.body_invweight0[foot])
+    np.testing.assert_allclose(
+        softer.body_invweight0[foot], 5.0 * plain.body_invweight0[foot]
+    )
     assert plain.body_invweight0[foot, 0] == pytest.approx(1.0 / 4.0)
 
 

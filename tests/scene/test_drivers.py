@@ -13,8 +13,12 @@ from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidPr
 
 def profiles() -> list:
     return [
-        TrapezoidProfile(start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6),
-        TrapezoidProfile(start_s=0.0, duration_s=1.0, accelerate_s=0.0, brake_s=0.5, amount=0.6),
+        TrapezoidProfile(
+            start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
+        ),
+        TrapezoidProfile(
+            start_s=0.0, duration_s=1.0, accelerate_s=0.0, brake_s=0.5, amount=0.6
+        ),
         CosineProfile(start_s=0.1, duration_s=1.35, amount=-0.6),
         SampledProfile(times_s=(0.0, 0.3, 0.5, 1.2), values=(0.0, 0.1, 0.4, 0.35)),
     ]
@@ -34,7 +38,9 @@ def test_rate_is_the_derivative_and_stays_below_its_bound(profile) -> None:
 
 
 def test_trapezoid_ends_are_exact() -> None:
-    profile = TrapezoidProfile(start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6)
+    profile = TrapezoidProfile(
+        start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
+    )
     assert profile.value(0.2) == 0.0
     assert profile.value(1.2) == pytest.approx(-0.6)
     assert profile.value(5.0) == pytest.approx(-0.6)
@@ -52,12 +58,16 @@ def test_cosine_peaks_in_the_middle() -> None:
     shift=st.floats(-0.5, 0.5),
     time_s=st.floats(0.0, 2.0),
 )
-def test_state_is_consistent_between_pose_and_velocity(amount: float, shift: float, time_s: float) -> None:
+def test_state_is_consistent_between_pose_and_velocity(
+    amount: float, shift: float, time_s: float
+) -> None:
     driver = Driver(
         body="b",
         motions=(
             DriverMotion(
-                kind="translate", axis=(1.0, 0.0, 0.0), profiles=(CosineProfile(start_s=0, duration_s=2, amount=shift),)
+                kind="translate",
+                axis=(1.0, 0.0, 0.0),
+                profiles=(CosineProfile(start_s=0, duration_s=2, amount=shift),),
             ),
             DriverMotion(
                 kind="rotate",
@@ -73,7 +83,10 @@ def test_state_is_consistent_between_pose_and_velocity(amount: float, shift: flo
     _, velocity = driver.state(start, time_s)
     before, after = driver.pose(start, time_s - step), driver.pose(start, time_s + step)
     linear = np.subtract(after.position_m, before.position_m) / (2 * step)
-    expected = [*linear, *(after.rotation * before.rotation.inv()).as_rotvec() / (2 * step)]
+    expected = [
+        *linear,
+        *(after.rotation * before.rotation.inv()).as_rotvec() / (2 * step),
+    ]
     # The profile is flat outside its two seconds, so the difference is one-sided at the ends, where it is at rest.
     assert velocity == pytest.approx(expected, abs=1e-3)
 
@@ -88,7 +101,9 @@ def test_rotation_about_a_point_keeps_the_distance() -> None:
     driver = Driver(body="b", motions=(motion,), provenance="video")
     start = Pose(position_m=(0.0, 0.0, 0.0))
     end = driver.pose(start, 2.0)
-    assert np.linalg.norm(np.subtract(end.position_m, motion.point_m)) == pytest.approx(0.038)
+    assert np.linalg.norm(np.subtract(end.position_m, motion.point_m)) == pytest.approx(
+        0.038
+    )
     # Positive turn about +y takes +z towards +x: the +x end of a board goes down.
     assert end.position_m[0] == pytest.approx(0.038 * np.sin(np.radians(33.2)))
     assert end.to_world(np.array([0.25, 0.0, 0.0]))[2] < 0.0
@@ -98,9 +113,13 @@ def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z() -> None:
     pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (90.0, 0.0, 90.0))
     assert pose.to_world(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
     assert pose.to_world(np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0])
-    assert pose.to_body(pose.to_world(np.array([0.1, 0.2, 0.3]))) == pytest.approx([0.1, 0.2, 0.3])
+    assert pose.to_body(pose.to_world(np.array([0.1, 0.2, 0.3]))) == pytest.approx(
+        [0.1, 0.2, 0.3]
+    )
 
 
 def test_samples_may_be_subnormal_numbers() -> None:
-    profile = SampledProfile(times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313))
+    profile = SampledProfile(
+        times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313)
+    )
     assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)

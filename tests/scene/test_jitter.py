@@ -27,10 +27,17 @@ from gauge_envs.scene.jitter import JITTER_FORMAT, jittered
 STILL = Jitter(position_m=0.0, angle_rad=0.0)
 
 
-def starts(name: str, body: str, jitter: Jitter, count: int = 2000) -> tuple[np.ndarray, Scene]:
+def starts(
+    name: str, body: str, jitter: Jitter, count: int = 2000
+) -> tuple[np.ndarray, Scene]:
     """Start positions of a body over seeds [m], shape [count, 3], and the scene."""
     scene = load_experiment(name).scene
-    return np.array([jittered(scene, jitter, seed=k).body(body).pose.position_m for k in range(count)]), scene
+    return np.array(
+        [
+            jittered(scene, jitter, seed=k).body(body).pose.position_m
+            for k in range(count)
+        ]
+    ), scene
 
 
 def test_a_cube_on_a_slope_slides_and_turns_on_it() -> None:
@@ -40,7 +47,9 @@ def test_a_cube_on_a_slope_slides_and_turns_on_it() -> None:
     # The cube's z is the slope's normal.
     assert np.abs(moved[:, 2]).max() < 1e-12
     assert moved[:, :2].std(axis=0) == pytest.approx([1e-3, 1e-3], rel=0.05)
-    turned = [jittered(scene, Jitter(), seed=k).body("cube").pose.rotation for k in range(500)]
+    turned = [
+        jittered(scene, Jitter(), seed=k).body("cube").pose.rotation for k in range(500)
+    ]
     angles = np.array([(start.rotation.inv() * one).as_rotvec() for one in turned])
     assert np.abs(angles[:, :2]).max() < 1e-9
     assert angles[:, 2].std() == pytest.approx(math.radians(0.5), rel=0.1)
@@ -55,8 +64,13 @@ def test_a_hinged_ball_turns_about_its_hinge() -> None:
     positions, scene = starts("Pendulum-metal", "ball", Jitter(), count=200)
     hinge = scene.joints[0]
     start = np.asarray(scene.body("ball").pose.position_m)
-    arms, arm = positions - np.asarray(hinge.anchor_m), start - np.asarray(hinge.anchor_m)
-    assert np.linalg.norm(arms, axis=1) == pytest.approx(np.full(200, np.linalg.norm(arm)), abs=1e-12)
+    arms, arm = (
+        positions - np.asarray(hinge.anchor_m),
+        start - np.asarray(hinge.anchor_m),
+    )
+    assert np.linalg.norm(arms, axis=1) == pytest.approx(
+        np.full(200, np.linalg.norm(arm)), abs=1e-12
+    )
     assert np.ptp(arms @ np.asarray(hinge.axis)) < 1e-12
     assert np.linalg.norm(arms - arm, axis=1).max() > 1e-3
 
@@ -65,8 +79,12 @@ def test_a_hinged_ball_turns_about_its_hinge() -> None:
 def test_a_tether_stays_tight() -> None:
     positions, scene = starts("WallBreaking-wood", "ball", Jitter(), count=50)
     tether = next(joint for joint in scene.joints if joint.body == "ball")
-    start = np.linalg.norm(np.asarray(scene.body("ball").pose.position_m) - tether.anchor_m)
-    assert np.linalg.norm(positions - tether.anchor_m, axis=1) == pytest.approx(np.full(50, start), abs=1e-12)
+    start = np.linalg.norm(
+        np.asarray(scene.body("ball").pose.position_m) - tether.anchor_m
+    )
+    assert np.linalg.norm(positions - tether.anchor_m, axis=1) == pytest.approx(
+        np.full(50, start), abs=1e-12
+    )
 
 
 def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane() -> None:
@@ -74,10 +92,18 @@ def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane() -> None:
     other = jittered(scene, Jitter(), seed=1)
     assert other.bodies == scene.bodies
     cloth, moved = scene.deformables[0], other.deformables[0]
-    assert moved != cloth and moved.pose.position_m[2] == pytest.approx(cloth.pose.position_m[2], abs=1e-12)
+    assert moved != cloth and moved.pose.position_m[2] == pytest.approx(
+        cloth.pose.position_m[2], abs=1e-12
+    )
     turntable = load_experiment("Turntable-1-wood").scene
-    kept = [body for body in jittered(turntable, Jitter(), seed=3).bodies if body.motion is not Motion.DYNAMIC]
-    assert kept == [body for body in turntable.bodies if body.motion is not Motion.DYNAMIC]
+    kept = [
+        body
+        for body in jittered(turntable, Jitter(), seed=3).bodies
+        if body.motion is not Motion.DYNAMIC
+    ]
+    assert kept == [
+        body for body in turntable.bodies if body.motion is not Motion.DYNAMIC
+    ]
 
 
 def test_a_seed_gives_the_same_start_and_another_one_another() -> None:
@@ -97,12 +123,19 @@ def test_a_seed_gives_the_same_start_and_another_one_another() -> None:
         ("Pendulum-metal", "ball", [0.162, 0.0, 294.643]),
     ],
 )
-def test_another_way_to_draw_starts_needs_another_format(name: str, body: str, moved_um: list[float]) -> None:
+def test_another_way_to_draw_starts_needs_another_format(
+    name: str, body: str, moved_um: list[float]
+) -> None:
     """The keys of sweeps hold the format: with the same one, old repeats would count as those of the new way."""
     assert JITTER_FORMAT == 2
     scene = load_experiment(name).scene
-    start, moved = scene.body(body).pose, jittered(scene, Jitter(), seed=0).body(body).pose
-    assert 1e6 * (np.subtract(moved.position_m, start.position_m)) == pytest.approx(moved_um, abs=2e-3)
+    start, moved = (
+        scene.body(body).pose,
+        jittered(scene, Jitter(), seed=0).body(body).pose,
+    )
+    assert 1e6 * (np.subtract(moved.position_m, start.position_m)) == pytest.approx(
+        moved_um, abs=2e-3
+    )
 
 
 def test_nothing_to_jitter_is_said() -> None:
@@ -118,7 +151,9 @@ def test_impossible_scatter_is_refused(values: dict[str, float]) -> None:
 
 def test_repeats_without_scatter_are_the_single_run() -> None:
     single = run_episode(RunRequest("Turntable-2-metal"))
-    for result in run_episodes(RunRequest("Turntable-2-metal", repeats=3, jitter=STILL)):
+    for result in run_episodes(
+        RunRequest("Turntable-2-metal", repeats=3, jitter=STILL)
+    ):
         assert result.trajectory == single.trajectory
         assert result.score == single.score
 
@@ -133,7 +168,10 @@ def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
     assert 0.05 < errors.std() < 2.0
     assert abs(errors.mean() - single) < 2.0
     assert (
-        run_episodes(RunRequest("SlopeSlider-2-metal", jitter=Jitter(), seed=12))[0].trajectory == results[2].trajectory
+        run_episodes(RunRequest("SlopeSlider-2-metal", jitter=Jitter(), seed=12))[
+            0
+        ].trajectory
+        == results[2].trajectory
     )
 
 
@@ -141,7 +179,12 @@ def test_one_world_that_diverges_leaves_the_others() -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     worlds = backend("mujoco").build_worlds([experiment.scene] * 2)
     episodes = [
-        Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
+        Episode(
+            experiment,
+            world,
+            band=reference_band(experiment),
+            marker_proxy=MarkerProxy.NODE,
+        )
         for world in worlds.worlds
     ]
     lockstep = EpisodesOneByOne(episodes, worlds)
@@ -160,7 +203,14 @@ def test_repeats_are_files_of_their_own_and_resume(tmp_path) -> None:
     assert len(list(tmp_path.glob("*.json"))) == 3
     again = list(run_many(requests, out=tmp_path, resume=True))
     assert [one.created for one in again] == [one.created for one in first]
-    assert next(iter(run_many([RunRequest("SlopeSlider-1-wood")], resume=True, out=tmp_path))).jitter == {}
+    assert (
+        next(
+            iter(
+                run_many([RunRequest("SlopeSlider-1-wood")], resume=True, out=tmp_path)
+            )
+        ).jitter
+        == {}
+    )
     assert len(list(tmp_path.glob("*.json"))) == 4
 
 
@@ -175,7 +225,9 @@ def test_reset_with_jitter_and_back() -> None:
     start, _ = env.reset(seed=3)
     moved, _ = env.reset(seed=3, options={"jitter": True})
     scene = jittered(load_experiment("SlopeSlider-2-wood").scene, Jitter(), seed=3)
-    assert moved["bodies"][0, :3] == pytest.approx(scene.body("cube").pose.position_m, abs=1e-12)
+    assert moved["bodies"][0, :3] == pytest.approx(
+        scene.body("cube").pose.position_m, abs=1e-12
+    )
     assert np.linalg.norm(moved["bodies"] - start["bodies"]) > 1e-5
     back, _ = env.reset(seed=3)
     assert (back["bodies"] == start["bodies"]).all()
@@ -192,7 +244,9 @@ def test_other_options_are_refused(options: dict) -> None:
 def test_jittered_scenes_do_not_start_inside_each_other() -> None:
     """The mean penetration at the first frame must not push a body up: no contact energy is added by jitter."""
     for seed in range(5):
-        scene = jittered(load_experiment("SlopeSlider-1-wood").scene, Jitter(), seed=seed)
+        scene = jittered(
+            load_experiment("SlopeSlider-1-wood").scene, Jitter(), seed=seed
+        )
         simulation = backend("mujoco").build(scene)
         simulation.reset(0)
         simulation.advance(1 / 30)
@@ -202,7 +256,10 @@ def test_jittered_scenes_do_not_start_inside_each_other() -> None:
 
 def gaps_mm(scene: Scene, first: str, second: str) -> float:
     """Gap between two convex bodies along the best separating face [mm], negative where they overlap."""
-    corners = [scene.body(name).pose.to_world(scene.body(name).shape.corners_m) for name in (first, second)]
+    corners = [
+        scene.body(name).pose.to_world(scene.body(name).shape.corners_m)
+        for name in (first, second)
+    ]
     hulls = [ConvexHull(points).equations for points in corners]
     return 1e3 * max(
         (points @ hull[:, :3].T + hull[:, 3]).min(axis=0).max()
@@ -214,7 +271,9 @@ def gaps_mm(scene: Scene, first: str, second: str) -> float:
 def test_a_tetrahedron_on_a_seam_keeps_its_contact(name: str) -> None:
     positions, scene = starts(name, "teh", Jitter(), count=500)
     # The face that cuts the corner of a cube off makes equal angles with its edges.
-    normal = np.array([1.0, 0.0, 0.0]) * math.sqrt(2.0 / 3.0) + np.array([0.0, 0.0, 1.0]) / math.sqrt(3.0)
+    normal = np.array([1.0, 0.0, 0.0]) * math.sqrt(2.0 / 3.0) + np.array(
+        [0.0, 0.0, 1.0]
+    ) / math.sqrt(3.0)
     moved = positions - np.asarray(scene.body("teh").pose.position_m)
     assert np.abs(moved @ normal).max() < 1e-12
     along = np.array([[0.0, 1.0, 0.0], np.cross([0.0, 1.0, 0.0], normal)])
@@ -228,10 +287,23 @@ def test_a_tetrahedron_on_a_seam_keeps_its_contact(name: str) -> None:
 def test_bricks_that_touch_move_as_one() -> None:
     scene = load_experiment("WallBreaking-wood").scene
     bricks = [body.name for body in scene.bodies if body.name.startswith("brick")]
-    other = jittered(scene, Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.1), seed=4)
-    turns = [(scene.body(one).pose.rotation.inv() * other.body(one).pose.rotation).magnitude() for one in bricks]
-    assert turns == pytest.approx(np.full(len(bricks), turns[0]), abs=1e-9) and turns[0] > 1e-4
-    before, after = (np.array([one.body(name).pose.position_m for name in bricks]) for one in (scene, other))
+    other = jittered(
+        scene, Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.1), seed=4
+    )
+    turns = [
+        (
+            scene.body(one).pose.rotation.inv() * other.body(one).pose.rotation
+        ).magnitude()
+        for one in bricks
+    ]
+    assert (
+        turns == pytest.approx(np.full(len(bricks), turns[0]), abs=1e-9)
+        and turns[0] > 1e-4
+    )
+    before, after = (
+        np.array([one.body(name).pose.position_m for name in bricks])
+        for one in (scene, other)
+    )
     assert pdist(after) == pytest.approx(pdist(before), abs=1e-12)
     assert after[:, 2] == pytest.approx(before[:, 2], abs=1e-12)
     # A rigid motion: the velocity between two bricks is across the line between them.
@@ -243,20 +315,33 @@ def test_bricks_that_touch_move_as_one() -> None:
 
 def test_a_body_in_a_corner_moves_along_it_and_does_not_turn() -> None:
     scene = replace(load_experiment("SlopeSlider-2-wood").scene, drivers=())
-    floor = replace(scene.body("board"), shape=Plane(), pose=Pose(position_m=(0.0, 0.0, 0.0)))
-    wall = replace(floor, name="wall", pose=Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0)))
+    floor = replace(
+        scene.body("board"), shape=Plane(), pose=Pose(position_m=(0.0, 0.0, 0.0))
+    )
+    wall = replace(
+        floor, name="wall", pose=Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
+    )
     size_m = scene.body("cube").shape.size_m
-    cube = replace(scene.body("cube"), pose=Pose(position_m=(0.5 * size_m[0], 0.0, 0.5 * size_m[2])))
+    cube = replace(
+        scene.body("cube"),
+        pose=Pose(position_m=(0.5 * size_m[0], 0.0, 0.5 * size_m[2])),
+    )
     contact = replace(scene.contacts[0], first=("cube",), second=("board", "wall"))
     corner = replace(scene, bodies=(cube, floor, wall), contacts=(contact,))
-    moved = [jittered(corner, Jitter(), seed=seed).body("cube").pose for seed in range(200)]
+    moved = [
+        jittered(corner, Jitter(), seed=seed).body("cube").pose for seed in range(200)
+    ]
     shifts = np.array([pose.position_m for pose in moved]) - cube.pose.position_m
     assert np.abs(shifts[:, [0, 2]]).max() < 1e-15
     assert shifts[:, 1].std() == pytest.approx(1e-3, rel=0.15)
-    assert all(pose.rotation.approx_equal(cube.pose.rotation, atol=1e-12) for pose in moved)
+    assert all(
+        pose.rotation.approx_equal(cube.pose.rotation, atol=1e-12) for pose in moved
+    )
 
 
 def test_a_start_off_the_seam_is_scored_against_the_calibrated_law() -> None:
     results = run_episodes(RunRequest("SlopeContact-wood", repeats=4))
-    assert [(result.outcome, result.score.grade) for result in results] == [("finished", "law")] * 4
+    assert [(result.outcome, result.score.grade) for result in results] == [
+        ("finished", "law")
+    ] * 4
     assert max(result.score.rmse for result in results) < 5.0

@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from gauge_envs.scene import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Plane, Pose, Sphere
+from gauge_envs.scene import (
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Part,
+    Plane,
+    Pose,
+    Sphere,
+)
 
 BOX = Box(size_m=(0.2, 0.1, 0.05))
 PIECE = tuple(map(tuple, np.add(BOX.corners_m, [0.3, 0.0, 0.0]).tolist()))
@@ -16,8 +27,13 @@ SHAPES = {
     "pieces": ConvexUnion(pieces_m=(PIECE, tuple(map(tuple, BOX.corners_m.tolist())))),
     "compound": Compound(
         parts=(
-            Part(shape=Capsule(radius_m=0.05, length_m=0.2), pose=Pose(position_m=(0.0, 0.0, 0.5))),
-            Part(shape=BOX, pose=Pose.from_euler_deg((0.2, 0.0, 0.0), (0.0, 90.0, 0.0))),
+            Part(
+                shape=Capsule(radius_m=0.05, length_m=0.2),
+                pose=Pose(position_m=(0.0, 0.0, 0.5)),
+            ),
+            Part(
+                shape=BOX, pose=Pose.from_euler_deg((0.2, 0.0, 0.0), (0.0, 90.0, 0.0))
+            ),
         )
     ),
 }

@@ -39,14 +39,24 @@ from gauge_envs.scene.meshes import mass_properties
 LEANING = Pose.from_euler_deg((0.2, 0.1, 1.0), (50.0, -20.0, 70.0))
 BRICK = Box(size_m=(0.1, 0.06, 0.03))
 CORNERED = ConvexUnion(
-    pieces_m=(tuple((x, y, z) for x, y, z in np.add(BRICK.corners_m, (0.05, 0.03, 0.015)).tolist()),)
+    pieces_m=(
+        tuple(
+            (x, y, z)
+            for x, y, z in np.add(BRICK.corners_m, (0.05, 0.03, 0.015)).tolist()
+        ),
+    )
 )
 RAMP_DEG = 30.0
 LINEAR, ANGULAR = (1.2, -0.8, 0.5), (2.0, 5.0, -3.0)
 
 ENGINES = [
     "mujoco",
-    pytest.param("newton", marks=pytest.mark.skipif(find_spec("newton") is None, reason="extra 'newton' is absent")),
+    pytest.param(
+        "newton",
+        marks=pytest.mark.skipif(
+            find_spec("newton") is None, reason="extra 'newton' is absent"
+        ),
+    ),
 ]
 
 LIMITS_AT_REST = (8.24598124091428, 0.3507884532818548, 6.499120753303273)
@@ -69,10 +79,22 @@ def thrown(shape: Box | Sphere | ConvexUnion = BRICK, **changes: object) -> Rigi
 def ramp_scene(friction: float) -> Scene:
     """A box that slides down a leaning plane for 1 s."""
     lean = Pose.from_euler_deg((0.0, 0.0, 0.0), (RAMP_DEG, 0.0, 0.0))
-    plane = RigidBody(name="ramp", shape=Plane(), motion=Motion.FIXED, pose=lean, mass_kg=1.0)
-    above = replace(lean, position_m=tuple(lean.rotation.apply((0.0, 0.0, 0.015)).tolist()))
-    box = RigidBody(name="box", shape=BRICK, motion=Motion.DYNAMIC, pose=above, mass_kg=0.4)
-    contact = Contact(first=("box",), second=("ramp",), friction=friction, restitution=0.0, mode=ContactMode.SUSTAINED)
+    plane = RigidBody(
+        name="ramp", shape=Plane(), motion=Motion.FIXED, pose=lean, mass_kg=1.0
+    )
+    above = replace(
+        lean, position_m=tuple(lean.rotation.apply((0.0, 0.0, 0.015)).tolist())
+    )
+    box = RigidBody(
+        name="box", shape=BRICK, motion=Motion.DYNAMIC, pose=above, mass_kg=0.4
+    )
+    contact = Contact(
+        first=("box",),
+        second=("ramp",),
+        friction=friction,
+        restitution=0.0,
+        mode=ContactMode.SUSTAINED,
+    )
     return Scene(bodies=(plane, box), contacts=(contact,), duration_s=1.0)
 
 
@@ -85,7 +107,9 @@ def flight(body: RigidBody, **changes: object) -> Scene:
 
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
 def test_only_dynamic_bodies_start_with_velocity(motion: Motion) -> None:
-    with pytest.raises(ParameterError, match=f"'thrown' is {motion.value} and has a start velocity"):
+    with pytest.raises(
+        ParameterError, match=f"'thrown' is {motion.value} and has a start velocity"
+    ):
         flight(thrown(motion=motion))
 
 
@@ -100,14 +124,24 @@ HINGE = Hinge(body="thrown", anchor_m=(0.2, 0.1, 1.3), axis=(0.0, 1.0, 0.0))
 
 @pytest.mark.parametrize(
     ("linear", "angular"),
-    [((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)), ((-0.6, 0.0, 0.0), (0.0, 2.0, 0.1)), ((-0.6, 0.1, 0.0), (0.0, 2.0, 0.0))],
+    [
+        ((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)),
+        ((-0.6, 0.0, 0.0), (0.0, 2.0, 0.1)),
+        ((-0.6, 0.1, 0.0), (0.0, 2.0, 0.0)),
+    ],
 )
 def test_a_hinged_body_rotates_about_its_hinge(
     linear: tuple[float, float, float], angular: tuple[float, float, float]
 ) -> None:
-    accepted = thrown(linear_velocity_m_per_s=(-0.6, 0.0, 0.0), angular_velocity_rad_per_s=(0.0, 2.0, 0.0))
+    accepted = thrown(
+        linear_velocity_m_per_s=(-0.6, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 2.0, 0.0),
+    )
     flight(accepted, joints=(HINGE,))
-    with pytest.raises(ParameterError, match=r"does not rotate the body about its hinge.*linear velocity \(-0\.6"):
+    with pytest.raises(
+        ParameterError,
+        match=r"does not rotate the body about its hinge.*linear velocity \(-0\.6",
+    ):
         flight(
             thrown(linear_velocity_m_per_s=linear, angular_velocity_rad_per_s=angular),
             joints=(HINGE,),
@@ -115,9 +149,20 @@ def test_a_hinged_body_rotates_about_its_hinge(
 
 
 def test_what_is_attached_to_a_deformable_body_starts_at_rest() -> None:
-    rope = Rope(name="rope", pose=LEANING, length_m=0.5, radius_m=0.004, mass_kg=0.02, young_modulus_pa=1e8)
-    ends = (Attachment(deformable="rope", region=Region(axis="x", side="low"), to="thrown"),)
-    with pytest.raises(ParameterError, match="'thrown' has a start velocity and is attached"):
+    rope = Rope(
+        name="rope",
+        pose=LEANING,
+        length_m=0.5,
+        radius_m=0.004,
+        mass_kg=0.02,
+        young_modulus_pa=1e8,
+    )
+    ends = (
+        Attachment(deformable="rope", region=Region(axis="x", side="low"), to="thrown"),
+    )
+    with pytest.raises(
+        ParameterError, match="'thrown' has a start velocity and is attached"
+    ):
         flight(thrown(), deformables=(rope,), attachments=ends)
 
 
@@ -128,14 +173,19 @@ def kinetic_energy_j(body: RigidBody) -> float:
     centre, inertia = mass_properties(body.shape, body.mass_kg)
     spin = body.pose.rotation.apply(body.angular_velocity_rad_per_s, inverse=True)
     linear = np.add(
-        body.linear_velocity_m_per_s, np.cross(body.angular_velocity_rad_per_s, LEANING.rotation.apply(centre))
+        body.linear_velocity_m_per_s,
+        np.cross(body.angular_velocity_rad_per_s, LEANING.rotation.apply(centre)),
     )
     return float(0.5 * body.mass_kg * linear @ linear + 0.5 * spin @ inertia @ spin)
 
 
 @pytest.mark.parametrize("shape", [BRICK, CORNERED])
 def test_limits_leave_room_for_a_fast_start(shape: Box | ConvexUnion) -> None:
-    body = thrown(shape, linear_velocity_m_per_s=(0.0, 40.0, 30.0), angular_velocity_rad_per_s=(0.0, 90.0, 0.0))
+    body = thrown(
+        shape,
+        linear_velocity_m_per_s=(0.0, 40.0, 30.0),
+        angular_velocity_rad_per_s=(0.0, 90.0, 0.0),
+    )
     # Without gravity only the start gives energy.
     scene = flight(body, gravity_m_per_s2=0.0)
     assert scene.speed_limit_m_per_s > 50.0
@@ -143,7 +193,10 @@ def test_limits_leave_room_for_a_fast_start(shape: Box | ConvexUnion) -> None:
     assert scene.distance_limit_m > 50.0 * scene.duration_s
     simulation = backend("mujoco").build(scene)
     simulation.advance(scene.duration_s)
-    assert np.linalg.norm(simulation.body_states(["thrown"])[0, :3]) < scene.distance_limit_m
+    assert (
+        np.linalg.norm(simulation.body_states(["thrown"])[0, :3])
+        < scene.distance_limit_m
+    )
 
 
 def test_a_body_that_is_thrown_down_stays_above_the_lowest_height() -> None:
@@ -161,15 +214,26 @@ def test_a_body_may_slide_down_a_leaning_plane(friction: float) -> None:
     for _ in range(round(ramp.duration_s * 180)):
         simulation.advance(1 / 180)
         assert bounds.fault(simulation.body_states(["box"])) is None
-    fallen_m = ramp.body("box").pose.position_m[2] - simulation.body_states(["box"])[0, 2]
+    fallen_m = (
+        ramp.body("box").pose.position_m[2] - simulation.body_states(["box"])[0, 2]
+    )
     lean = math.radians(RAMP_DEG)
-    expected = 0.5 * GRAVITY_M_PER_S2 * (math.sin(lean) - friction * math.cos(lean)) * ramp.duration_s**2
+    expected = (
+        0.5
+        * GRAVITY_M_PER_S2
+        * (math.sin(lean) - friction * math.cos(lean))
+        * ramp.duration_s**2
+    )
     assert fallen_m == pytest.approx(expected * math.sin(lean), rel=0.01)
 
 
 def test_limits_of_a_scene_at_rest_are_unchanged() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
-    limits = (scene.speed_limit_m_per_s, scene.kinetic_energy_limit_j, scene.distance_limit_m)
+    limits = (
+        scene.speed_limit_m_per_s,
+        scene.kinetic_energy_limit_j,
+        scene.distance_limit_m,
+    )
     # The last digit depends on the processor.
     assert limits == pytest.approx(LIMITS_AT_REST, rel=1e-15)
 
@@ -179,8 +243,12 @@ def test_limits_of_a_scene_at_rest_are_unchanged() -> None:
 
 def test_a_tilted_scene_has_tilted_velocities() -> None:
     scene = tilted(flight(thrown()), (0.0, 0.0, 0.5 * math.pi), (1.0, 2.0, 3.0))
-    assert scene.body("thrown").linear_velocity_m_per_s == pytest.approx((0.8, 1.2, 0.5))
-    assert scene.body("thrown").angular_velocity_rad_per_s == pytest.approx((-5.0, 2.0, -3.0))
+    assert scene.body("thrown").linear_velocity_m_per_s == pytest.approx(
+        (0.8, 1.2, 0.5)
+    )
+    assert scene.body("thrown").angular_velocity_rad_per_s == pytest.approx(
+        (-5.0, 2.0, -3.0)
+    )
 
 
 def test_differences_name_the_velocities() -> None:
@@ -195,7 +263,12 @@ def test_differences_name_the_velocities() -> None:
 
 def velocities(scene: Scene, jitter: Jitter, count: int = 500) -> np.ndarray:
     bodies = [jittered(scene, jitter, seed=seed).bodies[0] for seed in range(count)]
-    return np.array([[body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s] for body in bodies])
+    return np.array(
+        [
+            [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
+            for body in bodies
+        ]
+    )
 
 
 PUSHES = Jitter(velocity_m_per_s=0.2, angular_velocity_rad_per_s=0.5)
@@ -204,11 +277,16 @@ PUSHES = Jitter(velocity_m_per_s=0.2, angular_velocity_rad_per_s=0.5)
 def test_a_ball_gets_a_velocity_in_all_directions_beside_its_own() -> None:
     drawn = velocities(flight(thrown(Sphere(radius_m=0.03))), PUSHES, count=2000)
     assert drawn.mean(axis=0) == pytest.approx(np.array([LINEAR, ANGULAR]), abs=0.05)
-    assert drawn.std(axis=0) == pytest.approx(np.array([[0.2] * 3, [0.5] * 3]), rel=0.07)
+    assert drawn.std(axis=0) == pytest.approx(
+        np.array([[0.2] * 3, [0.5] * 3]), rel=0.07
+    )
 
 
 def test_a_brick_stays_on_its_face() -> None:
-    rest = thrown(linear_velocity_m_per_s=(0.0, 0.0, 0.0), angular_velocity_rad_per_s=(0.0, 0.0, 0.0))
+    rest = thrown(
+        linear_velocity_m_per_s=(0.0, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
+    )
     drawn = velocities(flight(rest), PUSHES)
     normal = face_normal(LEANING)
     assert np.abs(drawn[:, 0] @ normal).max() < 1e-12
@@ -217,12 +295,19 @@ def test_a_brick_stays_on_its_face() -> None:
 
 
 def test_hinged_bodies_get_a_rate_and_tethers_stay_tight() -> None:
-    moving = thrown(linear_velocity_m_per_s=(-0.6, 0.0, 0.0), angular_velocity_rad_per_s=(0.0, 2.0, 0.0))
+    moving = thrown(
+        linear_velocity_m_per_s=(-0.6, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 2.0, 0.0),
+    )
     # The scene would refuse a velocity that does not fit the hinge.
     rates = velocities(flight(moving, joints=(HINGE,)), PUSHES)[:, 1, 1]
     assert rates.std() == pytest.approx(math.hypot(0.5, 0.2 / 0.3), rel=0.1)
     tether = Tether(body="thrown", anchor_m=(0.2, 0.1, 1.3), length_m=0.3)
-    resting = replace(moving, linear_velocity_m_per_s=(0.0, 0.0, 0.0), angular_velocity_rad_per_s=(0.0, 0.0, 0.0))
+    resting = replace(
+        moving,
+        linear_velocity_m_per_s=(0.0, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
+    )
     for seed in range(50):
         body = jittered(flight(resting, joints=(tether,)), PUSHES, seed=seed).bodies[0]
         arm = np.subtract(body.pose.position_m, tether.anchor_m)
@@ -233,8 +318,12 @@ def test_hinged_bodies_get_a_rate_and_tethers_stay_tight() -> None:
 def test_poses_do_not_depend_on_drawn_velocities() -> None:
     scene = load_experiment("NewtonsCradle-metal").scene
     for seed in range(3):
-        still, pushed = (jittered(scene, jitter, seed=seed) for jitter in (Jitter(), PUSHES))
-        assert [body.pose for body in still.bodies] == [body.pose for body in pushed.bodies]
+        still, pushed = (
+            jittered(scene, jitter, seed=seed) for jitter in (Jitter(), PUSHES)
+        )
+        assert [body.pose for body in still.bodies] == [
+            body.pose for body in pushed.bodies
+        ]
         assert all(body.starts_at_rest for body in still.bodies)
         assert not any(body.starts_at_rest for body in pushed.dynamic_bodies)
 
@@ -256,36 +345,57 @@ def test_an_engine_starts_and_restarts_with_the_velocities(engine: str) -> None:
         linear_velocity_m_per_s=(-0.6, 0.0, 0.0),
         angular_velocity_rad_per_s=(0.0, 2.0, 0.0),
     )
-    scene = Scene(bodies=(thrown(CORNERED), bob), joints=(replace(HINGE, body="bob"),), duration_s=0.5)
+    scene = Scene(
+        bodies=(thrown(CORNERED), bob),
+        joints=(replace(HINGE, body="bob"),),
+        duration_s=0.5,
+    )
     simulation = backend(engine).build(scene)
     expected = np.array([[*LINEAR, *ANGULAR], [-0.6, 0.0, 0.0, 0.0, 2.0, 0.0]])
     for _ in range(2):
-        assert simulation.body_states(["thrown", "bob"])[:, 7:] == pytest.approx(expected, abs=1e-6)
+        assert simulation.body_states(["thrown", "bob"])[:, 7:] == pytest.approx(
+            expected, abs=1e-6
+        )
         simulation.advance(0.1)
-        assert np.abs(simulation.body_states(["thrown", "bob"])[:, 7:] - expected).max() > 0.1
+        assert (
+            np.abs(simulation.body_states(["thrown", "bob"])[:, 7:] - expected).max()
+            > 0.1
+        )
         simulation.reset(0)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_worlds_differ_in_their_start_velocities(engine: str) -> None:
-    scenes = [flight(thrown(linear_velocity_m_per_s=(speed, 0.0, 0.0))) for speed in (0.5, -2.0)]
+    scenes = [
+        flight(thrown(linear_velocity_m_per_s=(speed, 0.0, 0.0)))
+        for speed in (0.5, -2.0)
+    ]
     worlds = backend(engine).build_worlds(scenes)
     worlds.reset(0)
     worlds.advance(0.5)
-    moved = [world.body_states(["thrown"])[0, 0] - LEANING.position_m[0] for world in worlds.worlds]
+    moved = [
+        world.body_states(["thrown"])[0, 0] - LEANING.position_m[0]
+        for world in worlds.worlds
+    ]
     assert moved == pytest.approx([0.25, -1.0], abs=1e-4)
 
 
-@pytest.mark.parametrize("name", ["TextileBending-rayon", "CantileverBeam-soft", "RopeWinding-rubber"])
+@pytest.mark.parametrize(
+    "name", ["TextileBending-rayon", "CantileverBeam-soft", "RopeWinding-rubber"]
+)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_thrown_ball_flies_beside_deformable_bodies(engine: str, name: str) -> None:
     """Deformable bodies have solvers of their own, which take the start velocities too."""
     scene = load_experiment(name).scene
     ball = thrown(Sphere(radius_m=0.03), pose=Pose(position_m=(3.0, 3.0, 3.0)))
-    scene = replace(scene, bodies=(*scene.bodies, ball), contacts=(), gravity_m_per_s2=0.0)
+    scene = replace(
+        scene, bodies=(*scene.bodies, ball), contacts=(), gravity_m_per_s2=0.0
+    )
     simulation = backend(engine).build(scene)
     for _ in range(2):
-        assert simulation.body_states(["thrown"])[0, 7:] == pytest.approx([*LINEAR, *ANGULAR], abs=1e-6)
+        assert simulation.body_states(["thrown"])[0, 7:] == pytest.approx(
+            [*LINEAR, *ANGULAR], abs=1e-6
+        )
         for _ in range(2):
             simulation.advance(1 / 180)
         moved = simulation.body_states(["thrown"])[0, :3] - 3.0

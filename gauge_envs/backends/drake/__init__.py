@@ -8,7 +8,11 @@ from typing import Any
 
 from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.drake.settings import settings_for
-from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
+from gauge_envs.backends.shared.bundled import (
+    BundledBackend,
+    declined_compounds,
+    first_of,
+)
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.scene import Scene
 
@@ -34,14 +38,21 @@ class BackendDrake(BundledBackend):
     packages = ("drake",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
+        {
+            name: {"preset": name}
+            for name in ("tamsi", "sap", "similar", "point", "out_of_box")
+        }
     )
     corrections = (
         "the dissipation of a contact is derived from the restitution, of which Drake has no coefficient",
         "a string is a spring that this package computes",
         "dry friction of a joint is an actuator that brakes with a largest torque",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+    features = JOINT_FEATURES | {
+        Feature.BODY_HINGES,
+        Feature.STATED_INERTIA,
+        Feature.BACKLASH,
+    }
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""
@@ -52,7 +63,9 @@ class BackendDrake(BundledBackend):
         for reason, names in subjects.items():
             yield f"{first_of(names)} is deformable: {reason}"
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsDrake`."""
         from gauge_envs.backends.drake.simulation import SimulationDrake
 

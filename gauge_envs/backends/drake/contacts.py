@@ -54,7 +54,9 @@ class ContactConstants:
     dissipation_s_per_m: float
 
 
-def contact_constants(scene: Scene, contact: Contact, settings: SettingsDrake) -> ContactConstants:
+def contact_constants(
+    scene: Scene, contact: Contact, settings: SettingsDrake
+) -> ContactConstants:
     """Return the constants of a contact of the scene.
 
     Impacts against bodies that are not dynamic are taken as vertical: gravity reduces their rebound, and the
@@ -72,8 +74,12 @@ def contact_constants(scene: Scene, contact: Contact, settings: SettingsDrake) -
     dynamic = {body.name for body in scene.dynamic_bodies}
     has_support = not dynamic.issuperset({*contact.first, *contact.second})
     weight = scene.gravity_m_per_s2 * step_s / speed if has_support else 0.0
-    law: ImpactLaw = "relaxation" if settings.approximation == "sap" else "hunt_crossley"
-    rate, dissipation = impact_constants(law, contact.restitution, settings.impact_rate, weight)
+    law: ImpactLaw = (
+        "relaxation" if settings.approximation == "sap" else "hunt_crossley"
+    )
+    rate, dissipation = impact_constants(
+        law, contact.restitution, settings.impact_rate, weight
+    )
     return ContactConstants(
         friction=contact.friction,
         frequency_rad_per_s=rate / step_s,
@@ -82,7 +88,9 @@ def contact_constants(scene: Scene, contact: Contact, settings: SettingsDrake) -
     )
 
 
-def rebound(law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0) -> NDArray[np.float64]:
+def rebound(
+    law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0
+) -> NDArray[np.float64]:
     """Return the ratio of outgoing to incoming speed at the surface for each phase, shape [phase_count].
 
     Args:
@@ -106,23 +114,34 @@ def rebound(law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0
         leaving |= depth <= 0.0
         if leaving.all():
             break
-    return np.where(leaving, np.sqrt(speed**2 - 2.0 * weight * np.minimum(depth, 0.0)), 0.0)
+    return np.where(
+        leaving, np.sqrt(speed**2 - 2.0 * weight * np.minimum(depth, 0.0)), 0.0
+    )
 
 
 def _hunt_crossley(
-    depth: NDArray[np.float64], speed: NDArray[np.float64], stiffness: float, dissipation: float
+    depth: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    stiffness: float,
+    dissipation: float,
 ) -> NDArray[np.float64]:
     """Return the speed v that solves v = v0 + k (x - v) (1 - d v) where both factors are positive, else v0."""
     linear = 1.0 + stiffness * (1.0 + dissipation * depth)
     constant = speed + stiffness * depth
     # The smaller root of k d v^2 - (1 + k + k d x) v + v0 + k x = 0 makes both factors positive.
-    root = np.sqrt(np.maximum(linear**2 - 4.0 * stiffness * dissipation * constant, 0.0))
+    root = np.sqrt(
+        np.maximum(linear**2 - 4.0 * stiffness * dissipation * constant, 0.0)
+    )
     after = 2.0 * constant / (linear + root)
-    return np.where((depth > after) & (dissipation * after < 1.0), np.maximum(after, speed), speed)
+    return np.where(
+        (depth > after) & (dissipation * after < 1.0), np.maximum(after, speed), speed
+    )
 
 
 @lru_cache(maxsize=256)
-def impact_constants(law: ImpactLaw, restitution: float, rate: float, weight: float = 0.0) -> tuple[float, float]:
+def impact_constants(
+    law: ImpactLaw, restitution: float, rate: float, weight: float = 0.0
+) -> tuple[float, float]:
     """Return the rate and the dissipation with which a contact has a coefficient of restitution, the mean of phases.
 
     The rate is that given, unless the scheme alone dissipates more. Then it is reduced until a contact without
@@ -145,7 +164,14 @@ def impact_constants(law: ImpactLaw, restitution: float, rate: float, weight: fl
         reached = min(restitution, 0.999)
         lowest = 2e-4
         if float(rebound(law, rate, 0.0).mean()) < reached:
-            rate = float(brentq(lambda slow: float(rebound(law, slow, 0.0).mean()) - reached, lowest, rate, xtol=1e-9))
+            rate = float(
+                brentq(
+                    lambda slow: float(rebound(law, slow, 0.0).mean()) - reached,
+                    lowest,
+                    rate,
+                    xtol=1e-9,
+                )
+            )
         return rate, 0.0
     largest = 1.0
     while excess(largest) > 0.0:

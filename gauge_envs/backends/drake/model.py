@@ -9,7 +9,12 @@ from typing import Any
 import numpy as np
 import pydrake.geometry as geometry
 from numpy.typing import NDArray
-from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, HydroelasticContactRepresentation
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometryId,
+    GeometrySet,
+    HydroelasticContactRepresentation,
+)
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
@@ -17,7 +22,13 @@ from pydrake.multibody.plant import (
     CoulombFriction,
     DiscreteContactApproximation,
 )
-from pydrake.multibody.tree import FixedOffsetFrame, PdControllerGains, RevoluteJoint, RotationalInertia, SpatialInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PdControllerGains,
+    RevoluteJoint,
+    RotationalInertia,
+    SpatialInertia,
+)
 from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
@@ -25,7 +36,12 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import BRAKE_RATE_RAD_PER_S, PlayHinge, joint_motors, joint_rate_rad_per_s
+from gauge_envs.backends.shared.joints import (
+    BRAKE_RATE_RAD_PER_S,
+    PlayHinge,
+    joint_motors,
+    joint_rate_rad_per_s,
+)
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -47,7 +63,12 @@ from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo
 
-APPROXIMATIONS = {"tamsi": "kTamsi", "sap": "kSap", "similar": "kSimilar", "lagged": "kLagged"}
+APPROXIMATIONS = {
+    "tamsi": "kTamsi",
+    "sap": "kSap",
+    "similar": "kSimilar",
+    "lagged": "kLagged",
+}
 SURFACES = {
     "polygon": HydroelasticContactRepresentation.kPolygon,
     "triangle": HydroelasticContactRepresentation.kTriangle,
@@ -93,7 +114,9 @@ class Model:
 
 def rigid_transform(pose: Pose) -> RigidTransform:
     """Return a pose as Drake's transform."""
-    return RigidTransform(RotationMatrix(pose.rotation.as_matrix()), np.asarray(pose.position_m))
+    return RigidTransform(
+        RotationMatrix(pose.rotation.as_matrix()), np.asarray(pose.position_m)
+    )
 
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:
@@ -102,37 +125,61 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, settings.timestep_s)
     plant.SetUseSampledOutputPorts(False)
     plant.set_contact_model(
-        ContactModel.kPoint if settings.contact_model == "point" else ContactModel.kHydroelasticWithFallback
+        ContactModel.kPoint
+        if settings.contact_model == "point"
+        else ContactModel.kHydroelasticWithFallback
     )
     plant.set_discrete_contact_approximation(_approximation(settings.approximation))
     plant.set_contact_surface_representation(SURFACES[settings.surface])
     plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
     plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
-    asked = {"timestep_s": settings.timestep_s, "near_rigid_threshold": settings.near_rigid_threshold}
-    kept = {"timestep_s": plant.time_step(), "near_rigid_threshold": plant.get_sap_near_rigid_threshold()}
+    asked = {
+        "timestep_s": settings.timestep_s,
+        "near_rigid_threshold": settings.near_rigid_threshold,
+    }
+    kept = {
+        "timestep_s": plant.time_step(),
+        "near_rigid_threshold": plant.get_sap_near_rigid_threshold(),
+    }
     asked["approximation"] = _approximation(settings.approximation)
-    check_kept("Drake", asked, kept | {"approximation": plant.get_discrete_contact_approximation()})
-    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scene.gravity_m_per_s2])
+    check_kept(
+        "Drake",
+        asked,
+        kept | {"approximation": plant.get_discrete_contact_approximation()},
+    )
+    plant.mutable_gravity_field().set_gravity_vector(
+        [0.0, 0.0, -scene.gravity_m_per_s2]
+    )
     free, driven = plant.AddModelInstance("free"), plant.AddModelInstance("driven")
     plant.set_gravity_enabled(driven, False)
 
-    driven_mass_kg = settings.driven_mass_ratio * sum(body.mass_kg for body in scene.dynamic_bodies)
+    driven_mass_kg = settings.driven_mass_ratio * sum(
+        body.mass_kg for body in scene.dynamic_bodies
+    )
     bodies = {}
     for body in scene.bodies:
         if body.motion is Motion.DYNAMIC:
             centre, tensor = body_mass_properties(body)
             (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
             moments = RotationalInertia(Ixx=xx, Iyy=yy, Izz=zz, Ixy=xy, Ixz=xz, Iyz=yz)
-            inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, moments)
+            inertia = SpatialInertia.MakeFromCentralInertia(
+                body.mass_kg, centre, moments
+            )
             bodies[body.name] = plant.AddRigidBody(body.name, free, inertia)
         elif body.motion is Motion.KINEMATIC:
             reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
-            inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m))
+            inertia = SpatialInertia.SolidSphereWithMass(
+                driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m)
+            )
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
     hinges = hinges_by_body(scene)
-    actuators = {name: _add_hinge(plant, scene, bodies, name, hinge) for name, hinge in hinges.items()}
+    actuators = {
+        name: _add_hinge(plant, scene, bodies, name, hinge)
+        for name, hinge in hinges.items()
+    }
     if settings.approximation == "tamsi" and any(
-        plant.get_joint_actuator(index).has_controller() for index in plant.GetJointActuatorIndices()
+        plant.get_joint_actuator(index).has_controller()
+        for index in plant.GetJointActuatorIndices()
     ):
         raise UnsupportedSceneError(
             "Drake's approximation 'tamsi' leaves out controllers of joints, which are servos and dry friction here: "
@@ -144,11 +191,22 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     diagram = builder.Build()
     motors = [(actuators[one.body], one.sign) for one in joint_motors(scene)]
     start = _start(plant, scene, bodies, hinges)
-    return Model(diagram=diagram, plant=plant, bodies=bodies, free=free, motors=motors, start=start)
+    return Model(
+        diagram=diagram,
+        plant=plant,
+        bodies=bodies,
+        free=free,
+        motors=motors,
+        start=start,
+    )
 
 
 def _approximation(name: str) -> DiscreteContactApproximation:
-    known = {key: value for key, value in APPROXIMATIONS.items() if hasattr(DiscreteContactApproximation, value)}
+    known = {
+        key: value
+        for key, value in APPROXIMATIONS.items()
+        if hasattr(DiscreteContactApproximation, value)
+    }
     if name not in known:
         raise ParameterError(
             f"Drake setting 'approximation' is {name!r}, which Drake {version('drake')} does not have: "
@@ -157,36 +215,65 @@ def _approximation(name: str) -> DiscreteContactApproximation:
     return getattr(DiscreteContactApproximation, known[name])
 
 
-def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hinge: Hinge | BodyHinge) -> Any:
+def _add_hinge(
+    plant: Any,
+    scene: Scene,
+    bodies: dict[str, Any],
+    name: str,
+    hinge: Hinge | BodyHinge,
+) -> Any:
     """Add the hinge of a body, about the z axes of two frames at its anchor, and return the actuator of its motor.
 
     Dry friction is an actuator that brakes, and whose largest torque is the friction.
     """
-    anchor = RigidTransform(RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2), np.asarray(hinge.anchor_m))
+    anchor = RigidTransform(
+        RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2),
+        np.asarray(hinge.anchor_m),
+    )
     parent = other_end(hinge, name) if isinstance(hinge, BodyHinge) else None
     frames = []
     for one in (parent, name):
-        place = anchor if one is None else rigid_transform(scene.body(one).pose).inverse() @ anchor
+        place = (
+            anchor
+            if one is None
+            else rigid_transform(scene.body(one).pose).inverse() @ anchor
+        )
         holder = plant.world_body() if one is None else bodies[one]
-        frames.append(plant.AddFrame(FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)))
+        frames.append(
+            plant.AddFrame(
+                FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)
+            )
+        )
     damping = hinge.dynamics.viscous_friction_n_m_s_per_rad
     stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else np.inf
-    joint = plant.AddJoint(RevoluteJoint(name, *frames, [0, 0, 1], -stop, stop, damping))
-    dry, armature, motor = hinge.dynamics.dry_friction_n_m, hinge.dynamics.armature_kg_m2, hinge.motor
+    joint = plant.AddJoint(
+        RevoluteJoint(name, *frames, [0, 0, 1], -stop, stop, damping)
+    )
+    dry, armature, motor = (
+        hinge.dynamics.dry_friction_n_m,
+        hinge.dynamics.armature_kg_m2,
+        hinge.motor,
+    )
     if dry:
         brake = plant.AddJointActuator(f"{name}/brake", joint, dry)
-        brake.set_controller_gains(PdControllerGains(p=0.0, d=dry / BRAKE_RATE_RAD_PER_S))
+        brake.set_controller_gains(
+            PdControllerGains(p=0.0, d=dry / BRAKE_RATE_RAD_PER_S)
+        )
     if not armature and motor is None:
         return None
     actuator = plant.AddJointActuator(name, joint)
     actuator.set_default_rotor_inertia(armature)
     if isinstance(motor, Servo):
-        actuator.set_controller_gains(PdControllerGains(p=motor.kp_n_m_per_rad, d=motor.kv_n_m_s_per_rad))
+        actuator.set_controller_gains(
+            PdControllerGains(p=motor.kp_n_m_per_rad, d=motor.kv_n_m_s_per_rad)
+        )
         actuator.set_effort_limit(motor.torque_limit_n_m or np.inf)
     return actuator
 
 
-def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake) -> Groups:
+def _add_geometries(
+    plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake
+) -> Groups:
     """Add the shapes of all bodies, once for each group of contacts, so that every pair has its own constants."""
     contacts: dict[ContactConstants, list[Contact]] = defaultdict(list)
     for contact in scene.contacts:
@@ -194,18 +281,33 @@ def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: 
     groups: Groups = []
     for index, (constants, members) in enumerate(contacts.items()):
         geometries: dict[str, list[GeometryId]] = {}
-        for name in dict.fromkeys(name for contact in members for name in (*contact.first, *contact.second)):
+        for name in dict.fromkeys(
+            name for contact in members for name in (*contact.first, *contact.second)
+        ):
             body = scene.body(name)
             frame = bodies.get(name, plant.world_body())
-            place = rigid_transform(body.pose) if body.motion is Motion.FIXED else RigidTransform()
+            place = (
+                rigid_transform(body.pose)
+                if body.motion is Motion.FIXED
+                else RigidTransform()
+            )
             parts = [(place @ RigidTransform(), shape) for shape in _shapes(body.shape)]
             if settings.contact_model == "point" and body.motion is not Motion.FIXED:
                 # Tiny spheres at the vertices of a polyhedron are further contact points.
-                corners = np.unique(body.shape.corners_m, axis=0) if isinstance(body.shape, Box | ConvexUnion) else ()
-                parts += [(place @ RigidTransform(one), geometry.Sphere(CORNER_RADIUS_M)) for one in corners]
+                corners = (
+                    np.unique(body.shape.corners_m, axis=0)
+                    if isinstance(body.shape, Box | ConvexUnion)
+                    else ()
+                )
+                parts += [
+                    (place @ RigidTransform(one), geometry.Sphere(CORNER_RADIUS_M))
+                    for one in corners
+                ]
             properties = _proximity_properties(body, constants, settings)
             geometries[name] = [
-                plant.RegisterCollisionGeometry(frame, pose, shape, f"{name}/{index}/{number}", properties)
+                plant.RegisterCollisionGeometry(
+                    frame, pose, shape, f"{name}/{index}/{number}", properties
+                )
                 for number, (pose, shape) in enumerate(parts)
             ]
         groups.append((members, geometries))
@@ -215,7 +317,9 @@ def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: 
 def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
     """Let the pairs of each contact collide and no others."""
     manager = scene_graph.collision_filter_manager()
-    everything = [one for _, geometries in groups for ids in geometries.values() for one in ids]
+    everything = [
+        one for _, geometries in groups for ids in geometries.values() for one in ids
+    ]
     manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
     for contacts, geometries in groups:
         partners: dict[str, list[GeometryId]] = defaultdict(list)
@@ -224,11 +328,16 @@ def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
                 partners[first].extend(geometries[second])
         for first, others in partners.items():
             ours = GeometrySet(geometries[first])
-            manager.Apply(CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others)))
+            manager.Apply(
+                CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others))
+            )
 
 
 def _start(
-    plant: Any, scene: Scene, bodies: dict[str, Any], hinges: Mapping[str, Hinge | BodyHinge]
+    plant: Any,
+    scene: Scene,
+    bodies: dict[str, Any],
+    hinges: Mapping[str, Hinge | BodyHinge],
 ) -> NDArray[np.float64]:
     state = np.zeros(plant.num_multibody_states())
     offset = plant.num_positions()
@@ -243,7 +352,10 @@ def _start(
         first = added.floating_positions_start()
         state[first : first + 7] = [*body.pose.quaternion, *body.pose.position_m]
         first = offset + added.floating_velocities_start_in_v()
-        state[first : first + 6] = [*body.angular_velocity_rad_per_s, *body.linear_velocity_m_per_s]
+        state[first : first + 6] = [
+            *body.angular_velocity_rad_per_s,
+            *body.linear_velocity_m_per_s,
+        ]
     return state
 
 
@@ -260,9 +372,14 @@ def _shapes(shape: Shape) -> list[geometry.Shape]:
         return [geometry.Cylinder(shape.radius_m, shape.length_m)]
     if isinstance(shape, Plane):
         return [geometry.HalfSpace()]
-    assert isinstance(shape, ConvexUnion), "compounds are declined by BackendDrake.unsupported"
+    assert isinstance(shape, ConvexUnion), (
+        "compounds are declined by BackendDrake.unsupported"
+    )
     pieces = (np.asarray(piece).T for piece in shape.pieces_m)
-    return [geometry.Convex(points=points, label=f"piece-{number}") for number, points in enumerate(pieces)]
+    return [
+        geometry.Convex(points=points, label=f"piece-{number}")
+        for number, points in enumerate(pieces)
+    ]
 
 
 def _proximity_properties(
@@ -279,19 +396,28 @@ def _proximity_properties(
     if settings.contact_model == "point" and isinstance(body.shape, Box | ConvexUnion):
         stiffness /= POINTS_PER_FACE
     geometry.AddContactMaterial(
-        properties, dissipation=constants.dissipation_s_per_m, point_stiffness=stiffness, friction=friction
+        properties,
+        dissipation=constants.dissipation_s_per_m,
+        point_stiffness=stiffness,
+        friction=friction,
     )
     # Relaxation times of the two bodies of a pair add up.
     properties.AddProperty("material", "relaxation_time", 0.5 * constants.relaxation_s)
     # Spheres touch others in one point, so they collide by point contact.
     if settings.contact_model == "hydroelastic" and not isinstance(body.shape, Sphere):
         # Drake meshes boxes and convex solids exactly, so the edge length only counts for cylinders.
-        edge_m = 2.0 * np.pi * body.shape.radius_m / CYLINDER_SIDES if isinstance(body.shape, Cylinder) else 1.0
+        edge_m = (
+            2.0 * np.pi * body.shape.radius_m / CYLINDER_SIDES
+            if isinstance(body.shape, Cylinder)
+            else 1.0
+        )
         if body.motion is Motion.DYNAMIC:
             depth_m = inner_radius_m(body.shape)
             # The face of a slab of this depth has this stiffness.
             area_m2 = 0.5 * body.shape.volume_m3 / depth_m
-            geometry.AddCompliantHydroelasticProperties(edge_m, stiffness * depth_m / area_m2, properties)
+            geometry.AddCompliantHydroelasticProperties(
+                edge_m, stiffness * depth_m / area_m2, properties
+            )
         else:
             geometry.AddRigidHydroelasticProperties(edge_m, properties)
     return properties

@@ -13,7 +13,16 @@ from pydantic import Field
 
 from gauge_envs.backends.settings import SteppedSettings, load_presets, resolve_settings
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
-from gauge_envs.scene import Box, ContactMode, ConvexUnion, Cylinder, Motion, Plane, Scene, Sphere
+from gauge_envs.scene import (
+    Box,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Motion,
+    Plane,
+    Scene,
+    Sphere,
+)
 
 
 class SettingsDrake(SteppedSettings):
@@ -68,11 +77,17 @@ LARGE_STACK = 20
 """Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""
 
 
-def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsDrake:
+def settings_for(
+    scene: Scene, changes: Mapping[str, Any] | None = None
+) -> SettingsDrake:
     """Return the settings of a scene: its preset with a user's changes."""
-    settings = resolve_settings("Drake", PRESETS, preset=_preset_name(scene), changes=changes)
+    settings = resolve_settings(
+        "Drake", PRESETS, preset=_preset_name(scene), changes=changes
+    )
     if settings.impact_speed_m_per_s is None:
-        return settings.model_copy(update={"impact_speed_m_per_s": impact_speed_m_per_s(scene)})
+        return settings.model_copy(
+            update={"impact_speed_m_per_s": impact_speed_m_per_s(scene)}
+        )
     return settings
 
 
@@ -85,7 +100,11 @@ def _preset_name(scene: Scene) -> str:
     if all(isinstance(shape, Sphere) for shape in shapes):
         if scene.has_impact_chain:
             return "impact_chain"
-        return "impact" if any(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
+        return (
+            "impact"
+            if any(contact.mode is ContactMode.IMPACT for contact in scene.contacts)
+            else "default"
+        )
     if any(isinstance(shape, Cylinder) for shape in shapes):
         return "rolling"
     return "corners" if _strikes_planes_alone(scene) else "default"
@@ -96,8 +115,15 @@ def _strikes_planes_alone(scene: Scene) -> bool:
     for contact in scene.contacts:
         for pair in scene.colliding_pairs(contact):
             first, second = (scene.body(name) for name in pair)
-            body, other = (second, first) if isinstance(first.shape, Plane) else (first, second)
-            is_polyhedron = isinstance(body.shape, Box | ConvexUnion) and body.motion is Motion.DYNAMIC
-            if contact.mode is not ContactMode.IMPACT or not (is_polyhedron and isinstance(other.shape, Plane)):
+            body, other = (
+                (second, first) if isinstance(first.shape, Plane) else (first, second)
+            )
+            is_polyhedron = (
+                isinstance(body.shape, Box | ConvexUnion)
+                and body.motion is Motion.DYNAMIC
+            )
+            if contact.mode is not ContactMode.IMPACT or not (
+                is_polyhedron and isinstance(other.shape, Plane)
+            ):
                 return False
     return True

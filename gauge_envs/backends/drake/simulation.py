@@ -39,11 +39,16 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
         # Where the state has the pose and the velocity of bodies without hinges.
         self._rows = {
-            name: (body.floating_positions_start(), plant.num_positions() + body.floating_velocities_start_in_v())
+            name: (
+                body.floating_positions_start(),
+                plant.num_positions() + body.floating_velocities_start_in_v(),
+            )
             for name, body in self._model.bodies.items()
             if name not in hinges_by_body(scene)
         }
-        self._centres = {body.name: body_mass_properties(body)[0] for body in scene.dynamic_bodies}
+        self._centres = {
+            body.name: body_mass_properties(body)[0] for body in scene.dynamic_bodies
+        }
         self.reset(0)
 
     def reset(self, seed: int) -> None:
@@ -71,7 +76,13 @@ class SimulationDrake(PlacedWorld, Simulation):
         self.placed[name] = body_state(pose, velocity)
         self.placed[name][3:7] /= np.linalg.norm(pose.quaternion)
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
         self._motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._place(body, pose, velocity)
@@ -85,11 +96,18 @@ class SimulationDrake(PlacedWorld, Simulation):
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
         plant = self._model.plant
-        torques, angles = np.zeros(plant.num_actuators()), np.zeros(2 * plant.num_actuators())
+        torques, angles = (
+            np.zeros(plant.num_actuators()),
+            np.zeros(2 * plant.num_actuators()),
+        )
         for (actuator, sign), value in zip(self._model.motors, values, strict=True):
-            (angles if actuator.has_controller() else torques)[actuator.input_start()] = sign * value
+            (angles if actuator.has_controller() else torques)[
+                actuator.input_start()
+            ] = sign * value
         plant.get_actuation_input_port().FixValue(self._plant_context, torques)
-        plant.get_desired_state_input_port(self._model.free).FixValue(self._plant_context, angles)
+        plant.get_desired_state_input_port(self._model.free).FixValue(
+            self._plant_context, angles
+        )
 
     def advance(self, seconds: float) -> None:
         """Step the plant; driven bodies start each step at their pose, with their mean velocity in the step."""
@@ -99,7 +117,9 @@ class SimulationDrake(PlacedWorld, Simulation):
             if self._tethers:
                 self._apply_forces()
             values = self._model.diagram.EvalUniquePeriodicDiscreteUpdate(self._context)
-            self._state = np.array(values.value(0) if values.num_groups() > 1 else values.value())
+            self._state = np.array(
+                values.value(0) if values.num_groups() > 1 else values.value()
+            )
             self._context.SetDiscreteState(self._state)
         # Driven bodies rest at the end of their interval until they are driven again; what Drake made of them is read.
         for name, motion in self._motions.items():
@@ -115,15 +135,27 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._context.SetDiscreteState(self._state)
 
     def _apply_forces(self) -> None:
-        forces = [self._force(name, self._centres[name], wrench) for name, wrench in self._wrenches.items()]
+        forces = [
+            self._force(name, self._centres[name], wrench)
+            for name, wrench in self._wrenches.items()
+        ]
         for tether in self._tethers:
-            state, mass_kg = self._free_state(tether.body), self._scene.body(tether.body).mass_kg
+            state, mass_kg = (
+                self._free_state(tether.body),
+                self._scene.body(tether.body).mass_kg,
+            )
             pull = tether_pull(tether, state, mass_kg, self._tether_rate / self._step_s)
             if pull is not None:
-                forces.append(self._force(tether.body, np.zeros(3), np.concatenate([pull, np.zeros(3)])))
+                forces.append(
+                    self._force(
+                        tether.body, np.zeros(3), np.concatenate([pull, np.zeros(3)])
+                    )
+                )
         self._forces.FixValue(self._plant_context, forces)
 
-    def _force(self, name: str, place_m: NDArray[np.float64], wrench: NDArray[np.float64]) -> Any:
+    def _force(
+        self, name: str, place_m: NDArray[np.float64], wrench: NDArray[np.float64]
+    ) -> Any:
         force = ExternallyAppliedSpatialForce()
         force.body_index = self._model.bodies[name].index()
         force.p_BoBq_B = place_m
@@ -132,30 +164,53 @@ class SimulationDrake(PlacedWorld, Simulation):
 
     def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
         """Return poses and velocities of dynamic and driven bodies in Drake, rows of shape [13]."""
-        return [self._free_state(name) if name in self._rows else self._hinged_state(name) for name in names]
+        return [
+            self._free_state(name) if name in self._rows else self._hinged_state(name)
+            for name in names
+        ]
 
     def _free_state(self, name: str) -> NDArray[np.float64]:
         position, velocity = self._rows[name]
         quaternion, place = np.split(self._state[position : position + 7], [4])
         angular, linear = np.split(self._state[velocity : velocity + 6], 2)
-        return np.concatenate([place, quaternion / np.linalg.norm(quaternion), linear, angular])
+        return np.concatenate(
+            [place, quaternion / np.linalg.norm(quaternion), linear, angular]
+        )
 
     def _hinged_state(self, name: str) -> NDArray[np.float64]:
         body = self._model.bodies[name]
         pose = self._model.plant.EvalBodyPoseInWorld(self._plant_context, body)
-        velocity = self._model.plant.EvalBodySpatialVelocityInWorld(self._plant_context, body)
+        velocity = self._model.plant.EvalBodySpatialVelocityInWorld(
+            self._plant_context, body
+        )
         quaternion = pose.rotation().ToQuaternion().wxyz()
-        return np.concatenate([pose.translation(), quaternion, velocity.translational(), velocity.rotational()])
+        return np.concatenate(
+            [
+                pose.translation(),
+                quaternion,
+                velocity.translational(),
+                velocity.rotational(),
+            ]
+        )
 
     def state(self) -> Any:
         """Return the plant's state, the driven motions, the states of placed bodies and the applied wrenches."""
-        return self._state.copy(), dict(self._motions), dict(self.placed), dict(self._wrenches)
+        return (
+            self._state.copy(),
+            dict(self._motions),
+            dict(self.placed),
+            dict(self._wrenches),
+        )
 
     def restore(self, state: Any) -> None:
         """Restore a state."""
         values, motions, placed, wrenches = state
         self._state = values.copy()
-        self._motions, self.placed, self._wrenches = dict(motions), dict(placed), dict(wrenches)
+        self._motions, self.placed, self._wrenches = (
+            dict(motions),
+            dict(placed),
+            dict(wrenches),
+        )
         self._load()
 
     def close(self) -> None:

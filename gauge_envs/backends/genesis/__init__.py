@@ -50,14 +50,18 @@ class BackendGenesis(BundledBackend):
         """Yield one sentence for each feature of a scene that Genesis does not support."""
         return unsupported_features(scene, settings_for(scene))
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver."""
         chosen = _checked(scene, settings)
         from gauge_envs.backends.genesis.simulation import SimulationGenesis
 
         return SimulationGenesis(with_rotors(scene), chosen)
 
-    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    def build_worlds(
+        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
+    ) -> Worlds:
         """Build scenes as environments of one Genesis scene, which advance in the same step.
 
         Scenes with deformable bodies, and scenes that differ in more than start poses, advance one after another.

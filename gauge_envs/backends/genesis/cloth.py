@@ -55,7 +55,13 @@ class _Sheet:
         attached: Attachment of each held particle, by index.
     """
 
-    def __init__(self, cloth: Cloth, attachments: Sequence[RigidAttachment], settings: SettingsPBD, cell_m: float):
+    def __init__(
+        self,
+        cloth: Cloth,
+        attachments: Sequence[RigidAttachment],
+        settings: SettingsPBD,
+        cell_m: float,
+    ):
         self.cloth = cloth
         self.grid = ClothGrid(cloth, cell_m)
         self.rest_m = self.grid.rest_m
@@ -67,7 +73,10 @@ class _Sheet:
     @property
     def particles(self) -> slice:
         """Its particles in the solver."""
-        return slice(self.entity._particle_start, self.entity._particle_start + self.entity.n_particles)
+        return slice(
+            self.entity._particle_start,
+            self.entity._particle_start + self.entity.n_particles,
+        )
 
     def add(self, scene: Any, folder: Path) -> None:
         """Add the entity to a scene that is not built."""
@@ -84,12 +93,16 @@ class _Sheet:
             air_resistance=settings.air_resistance,
         )
         path = folder / f"{self.cloth.name}.obj"
-        trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False).export(path, digits=17)
+        trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False).export(
+            path, digits=17
+        )
         is_grid = settings.mesh == "grid"
         from genesis.engine.mesh import Mesh
 
         with replaced(Mesh, remesh=(lambda *_, **__: None) if is_grid else Mesh.remesh):
-            self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
+            self.entity = scene.add_entity(
+                material=material, morph=gs.morphs.Mesh(file=str(path))
+            )
         if not is_grid:
             self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
             self.attached = self._held_by_place()
@@ -97,7 +110,9 @@ class _Sheet:
         springs = grid_springs(self.grid)
         ends = self.grid.plane_m[springs]
         self.entity._edges = springs.astype(gs.np_int)
-        self.entity._edges_len_rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).astype(gs.np_float)
+        self.entity._edges_len_rest = np.linalg.norm(
+            ends[:, 1] - ends[:, 0], axis=1
+        ).astype(gs.np_float)
         self.entity._particles = self.rest_m.astype(gs.np_float)
         self.attached = attached_vertices(self.grid, self.cloth, self.attachments)
 
@@ -127,7 +142,10 @@ class _Sheet:
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
-        lag = inverse_masses(self.masses_kg(), self.attached)[springs].sum(axis=1) * self._settings.timestep_s**2
+        lag = (
+            inverse_masses(self.masses_kg(), self.attached)[springs].sum(axis=1)
+            * self._settings.timestep_s**2
+        )
         compliances = 1.0 / grid_stiffnesses(self.cloth, self.grid, springs) - lag
         if np.any(compliances <= 0.0):
             raise ParameterError(
@@ -145,10 +163,17 @@ class ClothPart(DeformablePart):
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
         super().__init__(scene, settings, [cloth.name for cloth in cloths])
         self._settings = settings
-        self._cell_m = settings.cell_m or (cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M)
-        self._size_m = settings.particle_size_m or max(cloth.thickness_m for cloth in cloths)
+        self._cell_m = settings.cell_m or (
+            cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M
+        )
+        self._size_m = settings.particle_size_m or max(
+            cloth.thickness_m for cloth in cloths
+        )
         self._sheets = {
-            cloth.name: _Sheet(cloth, rigid_attachments(scene, cloth.name), settings, self._cell_m) for cloth in cloths
+            cloth.name: _Sheet(
+                cloth, rigid_attachments(scene, cloth.name), settings, self._cell_m
+            )
+            for cloth in cloths
         }
 
     def scene_options(self) -> dict[str, Any]:
@@ -158,7 +183,9 @@ class ClothPart(DeformablePart):
         hash_cell_m = max(1.25 * self._size_m, self._cell_m)
         return {
             "pbd_options": gs.options.PBDOptions(
-                particle_size=settings.cell_m if settings.mesh == "remeshed" else self._size_m,
+                particle_size=settings.cell_m
+                if settings.mesh == "remeshed"
+                else self._size_m,
                 hash_grid_cell_size=hash_cell_m,
                 hash_grid_res=(HASH_CELLS * hash_cell_m,) * 3,
                 max_stretch_solver_iterations=settings.stretch_iterations,
@@ -167,7 +194,9 @@ class ClothPart(DeformablePart):
                 upper_bound=tuple((points.max(axis=0) + ROOM_M).tolist()),
             ),
             # Genesis cannot couple particles with bodies that have no geoms.
-            "coupler_options": gs.options.LegacyCouplerOptions(rigid_pbd=bool(self.touches())),
+            "coupler_options": gs.options.LegacyCouplerOptions(
+                rigid_pbd=bool(self.touches())
+            ),
         }
 
     def add(self, scene: Any) -> None:
@@ -190,13 +219,21 @@ class ClothPart(DeformablePart):
         solver.edges_info.stretch_compliance.from_numpy(compliances.astype(gs.np_float))
         self._kernels = kernels = PBDKernels(scene)
         if settings.exact_hinges and solver.n_inner_edges:
-            bend = [np.full(s.entity.n_inner_edges, 1.0 / s.cloth.bend_stiffness_n_m_per_rad) for s in sheets]
+            bend = [
+                np.full(
+                    s.entity.n_inner_edges, 1.0 / s.cloth.bend_stiffness_n_m_per_rad
+                )
+                for s in sheets
+            ]
             kernels.set_compliance(np.concatenate(bend))
             _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
         if settings.body_friction and self.touches():
             self._add_friction(scene)
         cloths = set(self.names)
-        touch = any(cloths & {*contact.first} and cloths & {*contact.second} for contact in self._scene.contacts)
+        touch = any(
+            cloths & {*contact.first} and cloths & {*contact.second}
+            for contact in self._scene.contacts
+        )
         if settings.self_contact == "scene" and not touch:
             # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
@@ -204,9 +241,14 @@ class ClothPart(DeformablePart):
             if sheet.attached:
                 sheet.entity.fix_particles(np.array(list(sheet.attached)))
             for attachment in sheet.attachments:
-                rows = np.array([index for index, by in sheet.attached.items() if by is attachment], dtype=np.intp)
+                rows = np.array(
+                    [index for index, by in sheet.attached.items() if by is attachment],
+                    dtype=np.intp,
+                )
                 if attachment.motion is Motion.KINEMATIC:
-                    self.pin(attachment, sheet.particles.start + rows, sheet.rest_m[rows])
+                    self.pin(
+                        attachment, sheet.particles.start + rows, sheet.rest_m[rows]
+                    )
         self._start = self.state()
 
     def _add_friction(self, scene: Any) -> None:
@@ -221,12 +263,21 @@ class ClothPart(DeformablePart):
         def collide_and_rub(**arguments: Any) -> None:
             kernels.keep()
             collide(**arguments)
-            kernels.rub(*(arguments[name] for name in ("geoms_state", "geoms_info", "links_state", "sdf_info")))
+            kernels.rub(
+                *(
+                    arguments[name]
+                    for name in ("geoms_state", "geoms_info", "links_state", "sdf_info")
+                )
+            )
 
         coupler.kernel_pbd_rigid_collide = collide_and_rub
 
     def plan(
-        self, rows: NDArray[np.int32], motion: DrivenMotion, path_m: NDArray[Any], times_s: NDArray[Any]
+        self,
+        rows: NDArray[np.int32],
+        motion: DrivenMotion,
+        path_m: NDArray[Any],
+        times_s: NDArray[Any],
     ) -> tuple[NDArray[Any], ...]:
         """Place the particles, and return the velocities that take them along with their body in each step."""
         self._kernels.place(rows, contiguous(path_m[0]))

@@ -96,7 +96,9 @@ class Layer:
     accepts: int = 0
 
 
-def layers_of_bodies(scene: Scene, settings: SettingsGenesis) -> dict[str, dict[Constants, Layer]]:
+def layers_of_bodies(
+    scene: Scene, settings: SettingsGenesis
+) -> dict[str, dict[Constants, Layer]]:
     """Return the geoms that each body needs, by name, as its constants of contacts and their collision bits."""
     bodies = {body.name for body in scene.bodies}
     found: dict[str, dict[Constants, Layer]] = {}
@@ -118,14 +120,25 @@ def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
 
 
 def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
-    solref, impedance = (settings.sustained_timeconst_s, settings.sustained_dampratio), settings.sustained_impedance
+    solref, impedance = (
+        (settings.sustained_timeconst_s, settings.sustained_dampratio),
+        settings.sustained_impedance,
+    )
     if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
         speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
         weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
-        solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
-    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE), (contact.torsion_m, contact.rolling_m))
+        solref, impedance = (
+            (1.0 / (damping * frequency), damping),
+            (*(settings.impact_impedance,) * 2, 0.001),
+        )
+    return Constants(
+        contact.friction,
+        solref,
+        (*impedance, *IMPEDANCE_SHAPE),
+        (contact.torsion_m, contact.rolling_m),
+    )
 
 
 @cache
@@ -149,11 +162,21 @@ def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
     # `gauge list` asks also where Genesis is absent, and the import takes a tenth of a second.
     from scipy.optimize import brentq
 
-    return float(brentq(lambda ratio: _mean_rebound(ratio, steps, weight) - restitution, least, greatest, xtol=1e-10))
+    return float(
+        brentq(
+            lambda ratio: _mean_rebound(ratio, steps, weight) - restitution,
+            least,
+            greatest,
+            xtol=1e-10,
+        )
+    )
 
 
 def _mean_rebound(damping: float, steps: int, weight: float) -> float:
-    phases = [rebound(damping, steps, (index + 0.5) / PHASES, weight) for index in range(PHASES)]
+    phases = [
+        rebound(damping, steps, (index + 0.5) / PHASES, weight)
+        for index in range(PHASES)
+    ]
     return sum(phases) / PHASES
 
 
@@ -214,7 +237,10 @@ def body_label(index: int) -> str:
 
 
 def document(
-    scene: Scene, settings: SettingsGenesis, coupled: Mapping[str, float] | None = None, margin_m: float = 0.0
+    scene: Scene,
+    settings: SettingsGenesis,
+    coupled: Mapping[str, float] | None = None,
+    margin_m: float = 0.0,
 ) -> str:
     """Return the document.
 
@@ -233,51 +259,100 @@ def document(
     # Bodies that hang on others are inside them, so they come after them.
     hanging = [name for name, hinge in hinges.items() if isinstance(hinge, BodyHinge)]
     places = [body.name for body in scene.bodies]
-    for body in (*(body for body in scene.bodies if body.name not in hanging), *map(scene.body, hanging)):
+    for body in (
+        *(body for body in scene.bodies if body.name not in hanging),
+        *map(scene.body, hanging),
+    ):
         parent, pose, index = world, body.pose, places.index(body.name)
         if body.motion is not Motion.FIXED:
             hinge = hinges.get(body.name)
-            on = scene.body(other_end(hinge, body.name)) if isinstance(hinge, BodyHinge) else None
-            parent, pose = _add_body(elements[on.name] if on else world, index, body, hinge, on, settings), ORIGIN
+            on = (
+                scene.body(other_end(hinge, body.name))
+                if isinstance(hinge, BodyHinge)
+                else None
+            )
+            parent, pose = (
+                _add_body(
+                    elements[on.name] if on else world, index, body, hinge, on, settings
+                ),
+                ORIGIN,
+            )
             elements[body.name] = parent
         copies = list(layers.get(body.name, {}).items())
         friction = (coupled or {}).get(body.name)
         if friction is not None:
-            inert = Constants(max(friction, MIN_FRICTION), (settings.sustained_timeconst_s, 1.0), (0.9, 0.95, 0.001))
+            inert = Constants(
+                max(friction, MIN_FRICTION),
+                (settings.sustained_timeconst_s, 1.0),
+                (0.9, 0.95, 0.001),
+            )
             coupling = (inert, Layer(accepts=COUPLED_BIT))
             if margin_m > 0.0 and isinstance(body.shape, Box | Sphere | Cylinder):
-                _add_geoms(parent, asset, index, replace(body, shape=_enlarged(body.shape, margin_m)), pose, [coupling])
+                _add_geoms(
+                    parent,
+                    asset,
+                    index,
+                    replace(body, shape=_enlarged(body.shape, margin_m)),
+                    pose,
+                    [coupling],
+                )
             else:
                 copies.insert(0, coupling)
         _add_geoms(parent, asset, index, body, pose, copies)
-    servos = [(name, hinge.motor) for name, hinge in hinges.items() if isinstance(hinge.motor, Servo)]
+    servos = [
+        (name, hinge.motor)
+        for name, hinge in hinges.items()
+        if isinstance(hinge.motor, Servo)
+    ]
     actuators = _add(root, "actuator") if servos else root
     for name, servo in servos:
         limit = servo.torque_limit_n_m
-        limits = {} if limit is None else {"forcelimited": "true", "forcerange": (-limit, limit)}
+        limits = (
+            {}
+            if limit is None
+            else {"forcelimited": "true", "forcerange": (-limit, limit)}
+        )
         gains = {"kp": servo.kp_n_m_per_rad, "kv": servo.kv_n_m_s_per_rad}
-        _add(actuators, "position", joint=body_label(places.index(name)), **gains, **limits)
+        _add(
+            actuators,
+            "position",
+            joint=body_label(places.index(name)),
+            **gains,
+            **limits,
+        )
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _enlarged(shape: Box | Sphere | Cylinder, margin_m: float) -> Box | Sphere | Cylinder:
+def _enlarged(
+    shape: Box | Sphere | Cylinder, margin_m: float
+) -> Box | Sphere | Cylinder:
     """Return a shape whose surface is farther outside [m]."""
     if isinstance(shape, Box):
         x, y, z = (edge + 2.0 * margin_m for edge in shape.size_m)
         return Box(size_m=(x, y, z))
     if isinstance(shape, Sphere):
         return Sphere(radius_m=shape.radius_m + margin_m)
-    return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
+    return Cylinder(
+        radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m
+    )
 
 
-def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+def _add(
+    parent: ElementTree.Element, tag: str, **attributes: Any
+) -> ElementTree.Element:
     """Add an element, whose numbers have all their digits, and return it."""
 
     def text(value: Any) -> str:
         is_text = isinstance(value, str | int)
-        return str(value) if is_text else " ".join(repr(float(number)) for number in np.ravel(value))
+        return (
+            str(value)
+            if is_text
+            else " ".join(repr(float(number)) for number in np.ravel(value))
+        )
 
-    return ElementTree.SubElement(parent, tag, {name: text(value) for name, value in attributes.items()})
+    return ElementTree.SubElement(
+        parent, tag, {name: text(value) for name, value in attributes.items()}
+    )
 
 
 def _add_body(
@@ -293,20 +368,34 @@ def _add_body(
     if hinge is None:
         pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M))
     place = pose.relative_to(on.pose) if on else pose
-    element = _add(world, "body", name=label, pos=place.position_m, quat=place.quaternion)
+    element = _add(
+        world, "body", name=label, pos=place.position_m, quat=place.quaternion
+    )
     if hinge is None:
         _add(element, "freejoint", name=label)
     else:
-        anchor, axis = pose.to_body(np.asarray(hinge.anchor_m)), pose.rotation.inv().apply(hinge.axis)
-        terms: dict[str, Any] = {"armature": settings.hinge_armature_kg_m2 + hinge.dynamics.armature_kg_m2}
+        anchor, axis = (
+            pose.to_body(np.asarray(hinge.anchor_m)),
+            pose.rotation.inv().apply(hinge.axis),
+        )
+        terms: dict[str, Any] = {
+            "armature": settings.hinge_armature_kg_m2 + hinge.dynamics.armature_kg_m2
+        }
         if hinge.dynamics.viscous_friction_n_m_s_per_rad:
             terms["damping"] = hinge.dynamics.viscous_friction_n_m_s_per_rad
         # Genesis solves dry friction with the impedance of the joint's limits.
-        stiff = {"solreflimit": (2.0 * settings.timestep_s, 1.0), "solimplimit": (0.9999, 0.9999, 0.001)}
+        stiff = {
+            "solreflimit": (2.0 * settings.timestep_s, 1.0),
+            "solimplimit": (0.9999, 0.9999, 0.001),
+        }
         if hinge.dynamics.dry_friction_n_m:
             terms |= {"frictionloss": hinge.dynamics.dry_friction_n_m, **stiff}
         if isinstance(hinge, PlayHinge):
-            terms |= {"limited": "true", "range": (-hinge.stop_rad, hinge.stop_rad), **stiff}
+            terms |= {
+                "limited": "true",
+                "range": (-hinge.stop_rad, hinge.stop_rad),
+                **stiff,
+            }
         _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, **terms)
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
@@ -316,7 +405,13 @@ def _add_body(
         mass_kg = body.mass_kg
         centre_m, inertia = body_mass_properties(body)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    _add(element, "inertial", pos=centre_m, mass=mass_kg, fullinertia=[inertia[place] for place in order])
+    _add(
+        element,
+        "inertial",
+        pos=centre_m,
+        mass=mass_kg,
+        fullinertia=[inertia[place] for place in order],
+    )
     return element
 
 
@@ -335,7 +430,10 @@ def _add_geoms(
 ) -> None:
     shapes = [_primitive(body.shape)]
     if isinstance(body.shape, ConvexUnion):
-        labels = [f"{body_label(index)}/{number}" for number in range(len(body.shape.pieces_m))]
+        labels = [
+            f"{body_label(index)}/{number}"
+            for number in range(len(body.shape.pieces_m))
+        ]
         shapes = [{"type": "mesh", "mesh": label} for label in labels]
         for label, piece in zip(labels, body.shape.pieces_m, strict=True):
             _add(asset, "mesh", name=label, vertex=piece)

@@ -81,7 +81,9 @@ class _Row(ABC):
         """Return the nodes [m], shape [node_count, 3], given what the solver moves [m], shape [count, 3]."""
 
     @abstractmethod
-    def reader(self, points_m: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(
+        self, points_m: NDArray[np.float64]
+    ) -> Callable[[NDArray[np.float64]], Any]:
         """Return a function of what the solver moves that returns the positions of material points [m]."""
 
 
@@ -91,7 +93,9 @@ class SoftPart(DeformablePart):
     Material in a grip moves rigidly and is not simulated.
     """
 
-    def __init__(self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]) -> None:
+    def __init__(
+        self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]
+    ) -> None:
         self._rows = {name: row for row in rows for name in row.soft_row.names}
         self._softness_m = settings.contact_softness_m
         super().__init__(scene, settings, list(self._rows))
@@ -100,14 +104,20 @@ class SoftPart(DeformablePart):
         """Set how rigid bodies act on the velocities of nodes and of a grid; they have no restitution."""
         super().add(scene)
         for geom, friction in coupled_geoms(scene, self._scene, self.touches()):
-            geom._coup_friction, geom._coup_restitution, geom._coup_softness = friction, 0.0, self._softness_m
+            geom._coup_friction, geom._coup_restitution, geom._coup_softness = (
+                friction,
+                0.0,
+                self._softness_m,
+            )
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a body's nodes [m], shape [node_count, 3]; bonded faces belong to both bodies."""
         row = self._rows[name]
         return row.nodes_m(self._moved(row))[row.nodes_of[name]]
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points; see `World.track`."""
         row = self._rows[name]
         read = row.reader(row.soft_row.checked(np.asarray(points_m, dtype=np.float64)))
@@ -137,7 +147,9 @@ class _FEMRow(_Row):
         """Return the nodes of the mesh."""
         return positions_m
 
-    def reader(self, points_m: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(
+        self, points_m: NDArray[np.float64]
+    ) -> Callable[[NDArray[np.float64]], Any]:
         """Return a function that interpolates linearly in each tetrahedron, as the elements do."""
         corners, weights = self.mesh.weights(points_m)
         return lambda positions: np.einsum("pk,pki->pi", weights, positions[corners])
@@ -147,12 +159,17 @@ class _FEMRow(_Row):
         gs = engine()
         block = self.soft_row.blocks[0]
         path = folder / f"{block.body.name}.obj"
-        trimesh.Trimesh(self.mesh.points_m, self.mesh.surface(), process=False).export(path, digits=17)
+        trimesh.Trimesh(self.mesh.points_m, self.mesh.surface(), process=False).export(
+            path, digits=17
+        )
         from genesis.utils import element
 
         # Genesis takes the elements of the mesh instead of making its own.
         made = (self.mesh.points_m.copy(), self.mesh.tetrahedra.copy())
-        given = {"mesh_to_elements": lambda *_, **__: made, "split_all_surface_tets": lambda *mesh: mesh}
+        given = {
+            "mesh_to_elements": lambda *_, **__: made,
+            "split_all_surface_tets": lambda *mesh: mesh,
+        }
         with replaced(element, **given):
             return scene.add_entity(
                 material=gs.materials.FEM.Elastic(
@@ -170,7 +187,9 @@ class FEMPart(SoftPart):
 
     def __init__(self, scene: Scene, settings: SettingsFEM) -> None:
         self._settings = settings
-        self._unique = [_FEMRow(row, settings.cell_m or SOFT_CELL_M) for row in soft_rows(scene)]
+        self._unique = [
+            _FEMRow(row, settings.cell_m or SOFT_CELL_M) for row in soft_rows(scene)
+        ]
         super().__init__(scene, settings, self._unique)
 
     def scene_options(self) -> dict[str, Any]:
@@ -187,7 +206,9 @@ class FEMPart(SoftPart):
                 damping_alpha=settings.damping_alpha_per_s,
                 damping_beta=settings.damping_beta_s,
             ),
-            "coupler_options": gs.options.LegacyCouplerOptions(rigid_fem=bool(self.touches())),
+            "coupler_options": gs.options.LegacyCouplerOptions(
+                rigid_fem=bool(self.touches())
+            ),
         }
 
     def touch_margin_m(self) -> float:
@@ -211,8 +232,14 @@ class FEMPart(SoftPart):
         for row, entity in zip(self._unique, self._entities, strict=True):
             row.start = entity.v_start
             blocks = row.soft_row.blocks
-            materials.append(np.array([lame_constants(block.body) for block in blocks])[row.mesh.blocks])
-            masses.append(row.mesh.masses_kg([block.density_kg_per_m3 for block in blocks]))
+            materials.append(
+                np.array([lame_constants(block.body) for block in blocks])[
+                    row.mesh.blocks
+                ]
+            )
+            masses.append(
+                row.mesh.masses_kg([block.density_kg_per_m3 for block in blocks])
+            )
             for attachment, nodes in row.soft_row.gripped(row.mesh.points_m):
                 places_m = row.mesh.points_m[nodes]
                 entity.set_vertex_constraints(nodes, places_m.astype(gs.np_float))
@@ -229,11 +256,17 @@ class FEMPart(SoftPart):
             (nodes.mass_over_dt2, mass / step_s**2),
         ):
             field.from_numpy(values.astype(gs.np_float))
-        points = np.concatenate([row.mesh.points_m for row in self._unique]).astype(gs.np_float)
+        points = np.concatenate([row.mesh.points_m for row in self._unique]).astype(
+            gs.np_float
+        )
         self._start = points, np.zeros_like(points)
 
     def plan(
-        self, rows: NDArray[np.int32], motion: DrivenMotion, path_m: NDArray[Any], times_s: NDArray[Any]
+        self,
+        rows: NDArray[np.int32],
+        motion: DrivenMotion,
+        path_m: NDArray[Any],
+        times_s: NDArray[Any],
     ) -> tuple[NDArray[Any], ...]:
         """Return where held nodes are at the end of each step."""
         return (path_m[1:],)
@@ -267,18 +300,30 @@ class _MPMRow(_Row):
         grips: Attachment of each end, and its gripped points at the start [m].
     """
 
-    def __init__(self, soft_row: SoftRow, voxel_m: float, points_per_edge: float) -> None:
+    def __init__(
+        self, soft_row: SoftRow, voxel_m: float, points_per_edge: float
+    ) -> None:
         self.soft_row = soft_row
         spacing_m = voxel_m / points_per_edge
-        clouds = [points_in_box_m(block.low_m, block.high_m, spacing_m) for block in soft_row.blocks]
+        clouds = [
+            points_in_box_m(block.low_m, block.high_m, spacing_m)
+            for block in soft_row.blocks
+        ]
         self.points_m = np.concatenate([points for points, _ in clouds])
-        self.blocks = np.concatenate([np.full(len(points), index) for index, (points, _) in enumerate(clouds)])
-        self.volumes_m3 = np.array([float(np.prod(cell_m)) for _, cell_m in clouds])[self.blocks]
+        self.blocks = np.concatenate(
+            [np.full(len(points), index) for index, (points, _) in enumerate(clouds)]
+        )
+        self.volumes_m3 = np.array([float(np.prod(cell_m)) for _, cell_m in clouds])[
+            self.blocks
+        ]
         self.grips = [
-            (attachment, self._grip_m(side, voxel_m, spacing_m)) for side, attachment in soft_row.ends.items()
+            (attachment, self._grip_m(side, voxel_m, spacing_m))
+            for side, attachment in soft_row.ends.items()
         ]
         # Free points come first.
-        self.all_m = np.concatenate([self.points_m, *(points for _, points in self.grips)])
+        self.all_m = np.concatenate(
+            [self.points_m, *(points for _, points in self.grips)]
+        )
         self.count = len(self.all_m)
         # A grid of places in the free material, its surface included.
         nodes_m = grid_points(*grid_lines_m(soft_row.blocks, soft_row.axis, voxel_m))
@@ -289,7 +334,9 @@ class _MPMRow(_Row):
         """Return the nodes, interpolated between the points."""
         return np.asarray(self._node_weights @ positions_m)
 
-    def reader(self, points_m: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(
+        self, points_m: NDArray[np.float64]
+    ) -> Callable[[NDArray[np.float64]], Any]:
         """Return a function that takes a weighted mean of the nearest points, exact for linear deformation."""
         weights = self._weights(points_m)
         return lambda positions: weights @ positions
@@ -298,7 +345,10 @@ class _MPMRow(_Row):
         """Return the weights of all points in each node; nodes at a grip follow its points alone."""
         weights = self._weights(nodes_m).tolil()
         first = len(self.points_m)
-        gripped = {id(attachment): nodes for attachment, nodes in self.soft_row.gripped(nodes_m)}
+        gripped = {
+            id(attachment): nodes
+            for attachment, nodes in self.soft_row.gripped(nodes_m)
+        }
         for attachment, points in self.grips:
             nodes = gripped[id(attachment)]
             rows = _affine(nodes_m[nodes]) @ np.linalg.pinv(_affine(points))
@@ -312,9 +362,14 @@ class _MPMRow(_Row):
         """Return the weights of the row's points at some places [m], shape [place_count, count]."""
         nearest, weights = linear_weights(self.all_m, points_m)
         rows = np.repeat(np.arange(len(points_m)), weights.shape[1])
-        return csr_matrix((weights.ravel(), (rows, nearest.ravel())), shape=(len(points_m), self.count))
+        return csr_matrix(
+            (weights.ravel(), (rows, nearest.ravel())),
+            shape=(len(points_m), self.count),
+        )
 
-    def _grip_m(self, side: str, voxel_m: float, spacing_m: float) -> NDArray[np.float64]:
+    def _grip_m(
+        self, side: str, voxel_m: float, spacing_m: float
+    ) -> NDArray[np.float64]:
         """Return the points of a grip [m], shape [count, 3]: layers of the cross-section behind the grid plane."""
         row = self.soft_row
         block = row.blocks[0 if side == "low" else -1]
@@ -325,7 +380,9 @@ class _MPMRow(_Row):
         section = points_in_box_m(low_m, high_m, spacing_m)[0]
         layers = []
         for layer in GRIP_LAYERS:
-            section[:, row.axis] = plane + (-layer if side == "low" else layer) * voxel_m
+            section[:, row.axis] = (
+                plane + (-layer if side == "low" else layer) * voxel_m
+            )
             layers.append(section.copy())
         return np.concatenate(layers)
 
@@ -341,11 +398,16 @@ class MPMPart(SoftPart):
         self._settings = settings
         rows = soft_rows(scene)
         self.voxel_m = fitted_voxel_m(rows, settings.cell_m or VOXEL_M)
-        self._unique = [_MPMRow(row, self.voxel_m, settings.points_per_voxel_edge) for row in rows]
+        self._unique = [
+            _MPMRow(row, self.voxel_m, settings.points_per_voxel_edge) for row in rows
+        ]
         super().__init__(scene, settings, self._unique)
         # Genesis has one volume for all points; masses and moduli are scaled to that of each.
         self._volume_m3 = float(self._unique[0].volumes_m3[0])
-        self._walls_m: tuple[NDArray[Any], NDArray[Any]] = (np.full(3, -np.inf), np.full(3, np.inf))
+        self._walls_m: tuple[NDArray[Any], NDArray[Any]] = (
+            np.full(3, -np.inf),
+            np.full(3, np.inf),
+        )
 
     def scene_options(self) -> dict[str, Any]:
         """Return the options of the MPM solver and of the coupling."""
@@ -358,7 +420,9 @@ class MPMPart(SoftPart):
                 lower_bound=tuple((points.min(axis=0) - ROOM_M).tolist()),
                 upper_bound=tuple((points.max(axis=0) + ROOM_M).tolist()),
             ),
-            "coupler_options": gs.options.LegacyCouplerOptions(rigid_mpm=bool(self.touches())),
+            "coupler_options": gs.options.LegacyCouplerOptions(
+                rigid_mpm=bool(self.touches())
+            ),
         }
 
     def add(self, scene: Any) -> None:
@@ -368,12 +432,26 @@ class MPMPart(SoftPart):
             for index, block in enumerate(row.soft_row.blocks):
                 chosen = row.blocks == index
                 share = float(row.volumes_m3[chosen][0]) / self._volume_m3
-                self._add_points(scene, block.body, int(chosen.sum()), block.density_kg_per_m3 * share, share)
+                self._add_points(
+                    scene,
+                    block.body,
+                    int(chosen.sum()),
+                    block.density_kg_per_m3 * share,
+                    share,
+                )
             for _, points in row.grips:
                 block = row.soft_row.blocks[0]
-                self._add_points(scene, block.body, len(points), GRIP_MASS_RATIO * block.density_kg_per_m3, 1.0)
+                self._add_points(
+                    scene,
+                    block.body,
+                    len(points),
+                    GRIP_MASS_RATIO * block.density_kg_per_m3,
+                    1.0,
+                )
 
-    def _add_points(self, scene: Any, body: SoftBody, count: int, density: float, share: float) -> None:
+    def _add_points(
+        self, scene: Any, body: SoftBody, count: int, density: float, share: float
+    ) -> None:
         gs = engine()
         mu, lame = lame_constants(body)
         scene.add_entity(
@@ -405,18 +483,31 @@ class MPMPart(SoftPart):
                 self.pin(attachment, np.arange(first, first + len(points)), points)
                 first += len(points)
             start += row.count
-        positions = np.concatenate([row.all_m for row in self._unique]).astype(gs.np_float)
+        positions = np.concatenate([row.all_m for row in self._unique]).astype(
+            gs.np_float
+        )
         matrices = np.zeros((len(positions), 3, 3), dtype=gs.np_float)
-        self._start = positions, np.zeros_like(positions), matrices, matrices + np.eye(3, dtype=gs.np_float)
+        self._start = (
+            positions,
+            np.zeros_like(positions),
+            matrices,
+            matrices + np.eye(3, dtype=gs.np_float),
+        )
 
     def plan(
-        self, rows: NDArray[np.int32], motion: DrivenMotion, path_m: NDArray[Any], times_s: NDArray[Any]
+        self,
+        rows: NDArray[np.int32],
+        motion: DrivenMotion,
+        path_m: NDArray[Any],
+        times_s: NDArray[Any],
     ) -> tuple[NDArray[Any], ...]:
         """Return where gripped points are, and the velocity and spin that take them along with their body."""
         step_s = self._settings.timestep_s
         # Genesis adds the weight to the velocity of the grid, grips included.
         weight = np.array([0.0, 0.0, self._scene.gravity_m_per_s2 * step_s])
-        spin = motion.velocity[3:] + motion.acceleration[3:] * (times_s[:-1, None] + 0.5 * step_s)
+        spin = motion.velocity[3:] + motion.acceleration[3:] * (
+            times_s[:-1, None] + 0.5 * step_s
+        )
         return path_m[:-1], np.diff(path_m, axis=0) / step_s + weight, spin
 
     def fault(self) -> str | None:

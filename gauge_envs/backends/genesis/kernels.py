@@ -49,7 +49,9 @@ class FEMKernels:
         """Set where held nodes are at the end of the next step [m], shapes [count] and [count, 3]."""
         for row in range(nodes.shape[0]):
             for i in qd.static(range(3)):
-                self.fem.vertex_constraints[nodes[row], 0].target_pos[i] = targets[row, i]
+                self.fem.vertex_constraints[nodes[row], 0].target_pos[i] = targets[
+                    row, i
+                ]
 
 
 @qd.data_oriented
@@ -123,7 +125,12 @@ class MPMKernels:
                 self.mpm.particles[0, p, 0].vel[i] = velocities[row, i]
             self.mpm.particles[0, p, 0].F = qd.Matrix.identity(gs.qd_float, 3)
             self.mpm.particles[0, p, 0].C = qd.Matrix(
-                [[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]], dt=gs.qd_float
+                [
+                    [0.0, -spin[2], spin[1]],
+                    [spin[2], 0.0, -spin[0]],
+                    [-spin[1], spin[0], 0.0],
+                ],
+                dt=gs.qd_float,
             )
 
 
@@ -142,7 +149,9 @@ class PBDKernels:
         self.particle_count = self.pbd.n_particles
         self.shapes = ((self.particle_count, 3),) * 2
         self.compliance = qd.field(dtype=gs.qd_float, shape=(max(1, self.hinge_count),))
-        self.before = qd.Vector.field(3, dtype=gs.qd_float, shape=(self.particle_count,))
+        self.before = qd.Vector.field(
+            3, dtype=gs.qd_float, shape=(self.particle_count,)
+        )
         self.friction = qd.field(dtype=gs.qd_float, shape=(max(1, self.rigid.n_geoms),))
 
     def set_compliance(self, values: NDArray[np.float64]) -> None:
@@ -193,11 +202,17 @@ class PBDKernels:
         for i in range(self.hinge_count):
             start = self.pbd.particles[self.pbd.inner_edges_info[i].v1, 0].pos
             edge = self.pbd.particles[self.pbd.inner_edges_info[i].v2, 0].pos - start
-            first = edge.cross(self.pbd.particles[self.pbd.inner_edges_info[i].v3, 0].pos - start)
-            second = edge.cross(self.pbd.particles[self.pbd.inner_edges_info[i].v4, 0].pos - start)
+            first = edge.cross(
+                self.pbd.particles[self.pbd.inner_edges_info[i].v3, 0].pos - start
+            )
+            second = edge.cross(
+                self.pbd.particles[self.pbd.inner_edges_info[i].v4, 0].pos - start
+            )
             cosine = first.dot(second) / (first.norm(gs.EPS) * second.norm(gs.EPS))
             squared_sine = qd.max(1.0 - cosine * cosine, SINE_FLOOR)
-            self.pbd.inner_edges_info[i].bending_compliance = squared_sine * self.compliance[i]
+            self.pbd.inner_edges_info[i].bending_compliance = (
+                squared_sine * self.compliance[i]
+            )
 
     @qd.kernel
     def keep(self):
@@ -207,7 +222,11 @@ class PBDKernels:
 
     @qd.kernel
     def rub(
-        self, geoms_state: qd.template(), geoms_info: qd.template(), links_state: qd.template(), sdf_info: qd.template()
+        self,
+        geoms_state: qd.template(),
+        geoms_info: qd.template(),
+        links_state: qd.template(),
+        sdf_info: qd.template(),
     ):
         """Apply Coulomb's friction to particles that were moved out of rigid bodies, as far as they were moved."""
         for p in range(self.particle_count):
@@ -219,19 +238,30 @@ class PBDKernels:
                 least = 1e10
                 for g in range(self.rigid.n_geoms):
                     if geoms_info.needs_coup[g]:
-                        gap = sdf.sdf_func_world(g, 0, after, geoms_state, geoms_info, sdf_info)
+                        gap = sdf.sdf_func_world(
+                            g, 0, after, geoms_state, geoms_info, sdf_info
+                        )
                         if gap < least:
                             least = gap
                             touched = g
                 if touched >= 0:
                     normal = push / depth
                     carried = self.rigid._func_vel_at_point(
-                        pos_world=after, link_idx=geoms_info.link_idx[touched], i_b=0, links_state=links_state
+                        pos_world=after,
+                        link_idx=geoms_info.link_idx[touched],
+                        i_b=0,
+                        links_state=links_state,
                     )
-                    slip = after - self.pbd.particles_reordered[p, 0].ipos - carried * self.pbd._substep_dt
+                    slip = (
+                        after
+                        - self.pbd.particles_reordered[p, 0].ipos
+                        - carried * self.pbd._substep_dt
+                    )
                     slip -= normal * normal.dot(slip)
                     length = slip.norm()
                     if length > 0.0:
                         share = qd.min(1.0, self.friction[touched] * depth / length)
                         self.pbd.particles_reordered[p, 0].pos = after - share * slip
-                        self.pbd.particles_reordered[p, 0].vel -= share * slip / self.pbd._substep_dt
+                        self.pbd.particles_reordered[p, 0].vel -= (
+                            share * slip / self.pbd._substep_dt
+                        )

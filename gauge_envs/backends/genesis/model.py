@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.parts import DeformablePart
-from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
+from gauge_envs.backends.genesis.settings import (
+    SettingsFEM,
+    SettingsGenesis,
+    SettingsMPM,
+    SettingsPBD,
+)
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import PlayHinge, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
@@ -61,13 +66,23 @@ _IDLE: list[Model] = []
 """The last model that was returned, which the next simulation of such a scene uses again."""
 
 
-def model_key(scene: Scene, settings: SettingsGenesis, world_count: int = 1) -> tuple[Any, ...]:
+def model_key(
+    scene: Scene, settings: SettingsGenesis, world_count: int = 1
+) -> tuple[Any, ...]:
     """Return what determines the model of a rigid scene."""
     names = tuple(body.name for body in scene.bodies)
-    return (document(scene, settings), names, settings, scene.gravity_m_per_s2, world_count)
+    return (
+        document(scene, settings),
+        names,
+        settings,
+        scene.gravity_m_per_s2,
+        world_count,
+    )
 
 
-def borrow_model(scene: Scene, settings: SettingsGenesis, world_count: int = 1) -> Model:
+def borrow_model(
+    scene: Scene, settings: SettingsGenesis, world_count: int = 1
+) -> Model:
     """Return a model of a scene, the one that was last returned if it fits."""
     key = model_key(scene, settings, world_count)
     if not scene.deformables and _IDLE and _IDLE[0].key == key:
@@ -92,19 +107,29 @@ def forget_models() -> None:
     gc.collect()
 
 
-def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], world_count: int) -> Model:
+def _new_model(
+    scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], world_count: int
+) -> Model:
     lease = EngineLease(settings.precision)
     gs = engine()
     part = _part(scene, settings)
     of_contacts = [(one.torsion_m, one.rolling_m) for one in scene.contacts]
-    turning = dict(zip(("torsion_m", "rolling_m"), np.max([(0.0, 0.0), *of_contacts], axis=0).tolist(), strict=True))
+    turning = dict(
+        zip(
+            ("torsion_m", "rolling_m"),
+            np.max([(0.0, 0.0), *of_contacts], axis=0).tolist(),
+            strict=True,
+        )
+    )
     if any(turning.values()):
         # The key of Genesis 1.4's cache of MJCF geoms lacks these two: a scene would get those of an earlier one.
         gs.utils.cache.clear_caches()
     with patient("building a scene"):
         built = gs.Scene(
             show_viewer=False,
-            sim_options=gs.options.SimOptions(dt=settings.timestep_s, gravity=(0.0, 0.0, -scene.gravity_m_per_s2)),
+            sim_options=gs.options.SimOptions(
+                dt=settings.timestep_s, gravity=(0.0, 0.0, -scene.gravity_m_per_s2)
+            ),
             rigid_options=_rigid_options(scene, settings, any(turning.values())),
             **part.scene_options() if part else {},
         )
@@ -117,11 +142,19 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
     solver = built.sim.rigid_solver
     if solver.is_active and solver.constraint_solver is not None:
         inner = solver.constraint_solver
-        kept = {"tolerance": inner.tolerance, "line_search_iterations": inner.ls_iterations, "timestep_s": built.sim.dt}
+        kept = {
+            "tolerance": inner.tolerance,
+            "line_search_iterations": inner.ls_iterations,
+            "timestep_s": built.sim.dt,
+        }
         check_kept("Genesis", settings.model_dump(), kept)
     if any(turning.values()):
         read = (solver.get_geoms_friction_torsional, solver.get_geoms_friction_rolling)
-        check_kept("Genesis", turning, {name: float(one().max()) for name, one in zip(turning, read, strict=True)})
+        check_kept(
+            "Genesis",
+            turning,
+            {name: float(one().max()) for name, one in zip(turning, read, strict=True)},
+        )
     return Model(
         key=key,
         lease=lease,
@@ -154,7 +187,9 @@ def _part(scene: Scene, settings: SettingsGenesis) -> DeformablePart | None:
     return None
 
 
-def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, part: DeformablePart | None) -> Any:
+def _add_bodies(
+    built: Any, scene: Scene, settings: SettingsGenesis, part: DeformablePart | None
+) -> Any:
     if not scene.bodies:
         return None
     gs = engine()
@@ -178,12 +213,17 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     gs = engine()
     layers = layers_of_bodies(scene, settings)
     collides = bool(layers) or bool(scene.deformables)
-    pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
+    pieces = sum(
+        len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers
+    )
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
         disable_constraint=not collides
-        and not any(hinge.dynamics.dry_friction_n_m or isinstance(hinge, PlayHinge) for hinge in scene.hinges),
+        and not any(
+            hinge.dynamics.dry_friction_n_m or isinstance(hinge, PlayHinge)
+            for hinge in scene.hinges
+        ),
         integrator=getattr(gs.integrator, settings.integrator),
         constraint_solver=getattr(gs.constraint_solver, settings.constraint_solver),
         iterations=settings.iterations,
@@ -205,7 +245,9 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     )
 
 
-def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def start_coordinates(
+    scene: Scene, model: Model
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)
@@ -216,8 +258,14 @@ def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], 
         if name in hinges:
             velocities[link.dof_start] = joint_rate_rad_per_s(scene, name, hinges[name])
             continue
-        coordinates[link.q_start : link.q_start + 7] = [*body.pose.position_m, *body.pose.quaternion]
+        coordinates[link.q_start : link.q_start + 7] = [
+            *body.pose.position_m,
+            *body.pose.quaternion,
+        ]
         # Genesis's angular velocity is in the body frame.
         turned = body.pose.rotation.inv().apply(angular)
-        velocities[link.dof_start : link.dof_start + 6] = [*body.linear_velocity_m_per_s, *turned]
+        velocities[link.dof_start : link.dof_start + 6] = [
+            *body.linear_velocity_m_per_s,
+            *turned,
+        ]
     return coordinates, velocities

@@ -32,14 +32,18 @@ class DeformablePart(ABC):
         names: Names of the bodies.
     """
 
-    def __init__(self, scene: Scene, settings: SettingsGenesis, names: Sequence[str]) -> None:
+    def __init__(
+        self, scene: Scene, settings: SettingsGenesis, names: Sequence[str]
+    ) -> None:
         self.names = tuple(names)
         self._scene = scene
         # `finish` sets the kernels, which read and write the arrays of a state and hold nodes, and the start.
         self._kernels: Any = None
         self._start: State = ()
         self._interval_s = settings.drive_interval_s
-        self._pins: list[tuple[RigidAttachment, NDArray[np.int32], NDArray[np.float64]]] = []
+        self._pins: list[
+            tuple[RigidAttachment, NDArray[np.int32], NDArray[np.float64]]
+        ] = []
         self._planned: list[tuple[NDArray[np.int32], list[NDArray[Any]]]] = []
 
     @abstractmethod
@@ -74,10 +78,18 @@ class DeformablePart(ABC):
     def finish(self, scene: Any) -> None:
         """Complete the bodies after the scene was built: fix particles, keep the start state."""
 
-    def pin(self, attachment: RigidAttachment, rows: Any, points_m: NDArray[np.float64]) -> None:
+    def pin(
+        self, attachment: RigidAttachment, rows: Any, points_m: NDArray[np.float64]
+    ) -> None:
         """Let nodes of the solver, given by their rows and start positions [m], move with a rigid body."""
         if len(rows):
-            self._pins.append((attachment, np.asarray(rows, dtype=np.int32), attachment.pose.to_body(points_m)))
+            self._pins.append(
+                (
+                    attachment,
+                    np.asarray(rows, dtype=np.int32),
+                    attachment.pose.to_body(points_m),
+                )
+            )
 
     def prescribe(self, motions: Motions, time_s: float, step_s: float) -> None:
         """Move the held nodes before a step.
@@ -92,8 +104,14 @@ class DeformablePart(ABC):
             self._planned = []
             for attachment, rows, places in self._pins:
                 is_driven = attachment.motion is Motion.KINEMATIC
-                motion = motions[attachment.body] if is_driven else DrivenMotion(attachment.pose)
-                arrays = self.plan(rows, motion, driven_places(motion, places, times), times)
+                motion = (
+                    motions[attachment.body]
+                    if is_driven
+                    else DrivenMotion(attachment.pose)
+                )
+                arrays = self.plan(
+                    rows, motion, driven_places(motion, places, times), times
+                )
                 self._planned.append((rows, [contiguous(array) for array in arrays]))
         step = round(time_s / step_s)
         for rows, planned in self._planned:
@@ -101,7 +119,11 @@ class DeformablePart(ABC):
 
     @abstractmethod
     def plan(
-        self, rows: NDArray[np.int32], motion: DrivenMotion, path_m: NDArray[Any], times_s: NDArray[Any]
+        self,
+        rows: NDArray[np.int32],
+        motion: DrivenMotion,
+        path_m: NDArray[Any],
+        times_s: NDArray[Any],
     ) -> tuple[NDArray[Any], ...]:
         """Return what the kernel `hold` takes of held nodes in each step of an interval.
 
@@ -116,7 +138,9 @@ class DeformablePart(ABC):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a body's nodes [m], shape [node_count, 3]."""
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points; see `World.track`."""
         return None
 
@@ -126,7 +150,9 @@ class DeformablePart(ABC):
 
     def state(self) -> State:
         """Return a snapshot that can be pickled: positions [m], velocities [m/s] and what else the solver has."""
-        state = tuple(np.empty(shape, dtype=engine().np_float) for shape in self._kernels.shapes)
+        state = tuple(
+            np.empty(shape, dtype=engine().np_float) for shape in self._kernels.shapes
+        )
         self._kernels.read(*state)
         return state
 
@@ -149,7 +175,9 @@ def contiguous(array: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(array, dtype=engine().np_float)
 
 
-def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> Iterator[tuple[Any, float]]:
+def coupled_geoms(
+    built: Any, scene: Scene, touches: Mapping[str, float]
+) -> Iterator[tuple[Any, float]]:
     """Yield the geoms that collide with deformable bodies, with their friction.
 
     Args:
@@ -158,7 +186,9 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> Ite
         touches: Friction of the bodies that touch deformable bodies, by name.
     """
     found: list[tuple[Any, float]] = []
-    geoms = [geom for geom in built.sim.rigid_solver.geoms if geom.conaffinity == COUPLED_BIT]
+    geoms = [
+        geom for geom in built.sim.rigid_solver.geoms if geom.conaffinity == COUPLED_BIT
+    ]
     # All fixed bodies are geoms of one link, in the order of the document.
     fixed = iter([geom for geom in geoms if not geom.link.name.startswith("body")])
     for index, body in enumerate(scene.bodies):
@@ -171,11 +201,15 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> Ite
             of_body = [geom for geom in geoms if geom.link.name == body_label(index)]
         found += [(geom, touches[body.name]) for geom in of_body]
     if len(found) != len(geoms):
-        raise BackendError(f"Genesis made {len(geoms)} coupled geoms of {list(touches)}: check the bodies' shapes")
+        raise BackendError(
+            f"Genesis made {len(geoms)} coupled geoms of {list(touches)}: check the bodies' shapes"
+        )
     yield from found
 
 
-def driven_places(motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[Any]) -> NDArray[Any]:
+def driven_places(
+    motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[Any]
+) -> NDArray[Any]:
     """Return the world positions of places on a driven body at several times [m], shape [time_count, place_count, 3].
 
     Args:

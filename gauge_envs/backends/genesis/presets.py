@@ -8,14 +8,29 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gauge_envs.backends.genesis.document import is_frictionless, unsupported_contacts
-from gauge_envs.backends.genesis.settings import PRESETS, SOFT_PRESETS, SettingsGenesis, pbd_presets, soft_presets
+from gauge_envs.backends.genesis.settings import (
+    PRESETS,
+    SOFT_PRESETS,
+    SettingsGenesis,
+    pbd_presets,
+    soft_presets,
+)
 from gauge_envs.backends.settings import resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
 from gauge_envs.backends.shared.bundled import declined_hinges, first_of
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, ContactMode, Hinge, Motion, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    Cloth,
+    ContactMode,
+    Hinge,
+    Motion,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.hinged import hinge_trees
 
 FRICTIONLESS_IMPRATIO = 1e-9
@@ -31,18 +46,32 @@ def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
         return pbd_presets(scene)
     if any(isinstance(body, SoftBody) for body in scene.deformables):
         return soft_presets(scene)
-    return {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)} if scene.deformables else PRESETS
+    return (
+        {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)}
+        if scene.deformables
+        else PRESETS
+    )
 
 
-def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsGenesis:
+def settings_for(
+    scene: Scene, changes: Mapping[str, Any] | None = None
+) -> SettingsGenesis:
     """Return the settings of a scene: its preset with a user's changes."""
     presets = presets_for(scene)
     if isinstance(changes, Mapping):
         _check_kind(changes.get("preset"), presets)
-    settings = resolve_settings("Genesis", presets, preset=_preset_name(scene), changes=changes)
+    settings = resolve_settings(
+        "Genesis", presets, preset=_preset_name(scene), changes=changes
+    )
     if settings.impact_speed_m_per_s is None:
-        settings = settings.model_copy(update={"impact_speed_m_per_s": float(f"{impact_speed_m_per_s(scene):.2g}")})
-    if "impratio" not in (changes or {}) and settings.friction_cone == "elliptic" and is_frictionless(scene):
+        settings = settings.model_copy(
+            update={"impact_speed_m_per_s": float(f"{impact_speed_m_per_s(scene):.2g}")}
+        )
+    if (
+        "impratio" not in (changes or {})
+        and settings.friction_cone == "elliptic"
+        and is_frictionless(scene)
+    ):
         return settings.model_copy(update={"impratio": FRICTIONLESS_IMPRATIO})
     return settings
 
@@ -51,7 +80,10 @@ def _check_kind(name: object, presets: Mapping[str, SettingsGenesis]) -> None:
     """Raise an error if a preset exists, but only for scenes of another kind."""
     if name in presets:
         return
-    for kind, others in (("rigid bodies alone", tuple(PRESETS)), ("soft bodies", SOFT_PRESETS)):
+    for kind, others in (
+        ("rigid bodies alone", tuple(PRESETS)),
+        ("soft bodies", SOFT_PRESETS),
+    ):
         if name in others:
             raise UnsupportedSceneError(
                 f"Genesis preset {name!r} is for scenes with {kind}; presets of this scene: {', '.join(presets)}"
@@ -67,7 +99,11 @@ def _preset_name(scene: Scene) -> str:
         return "stack"
     if scene.has_impact_chain:
         return "impact_chain"
-    return "impact" if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
+    return (
+        "impact"
+        if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts)
+        else "default"
+    )
 
 
 def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
@@ -80,7 +116,9 @@ def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[st
             yield f"{joint.body!r} hangs on a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
             break
     for tree in hinge_trees(scene.body_hinges):
-        if not {name for hinge in tree for name in (hinge.first, hinge.second)} & {*scene.hung}:
+        if not {name for hinge in tree for name in (hinge.first, hinge.second)} & {
+            *scene.hung
+        }:
             yield f"{tree[0].first!r} and {tree[0].second!r} are free, and this backend joins bodies on the world only"
     yield from unsupported_contacts(scene, settings)
     yield from unsupported_deformables(scene)

@@ -53,7 +53,9 @@ class SettingsGenesis(SteppedSettings):
     """
 
     precision: Literal[32, 64] = 64
-    integrator: Literal["approximate_implicitfast", "implicitfast", "Euler"] = "approximate_implicitfast"
+    integrator: Literal["approximate_implicitfast", "implicitfast", "Euler"] = (
+        "approximate_implicitfast"
+    )
     constraint_solver: Literal["Newton", "CG"] = "Newton"
     iterations: int = Field(default=100, ge=1)
     tolerance: float = Field(default=1e-10, gt=0.0)
@@ -80,11 +82,17 @@ class SettingsGenesis(SteppedSettings):
     @model_validator(mode="after")
     def _cone_fits(self) -> SettingsGenesis:
         if self.friction_cone == "pyramidal" and self.contact_resolution == "signorini":
-            raise ValueError("contact_resolution must be 'convex' with friction_cone 'pyramidal'")
+            raise ValueError(
+                "contact_resolution must be 'convex' with friction_cone 'pyramidal'"
+            )
         if self.friction_cone == "elliptic" and self.noslip_iterations:
-            raise ValueError("noslip_iterations must be 0 with friction_cone 'elliptic'")
+            raise ValueError(
+                "noslip_iterations must be 0 with friction_cone 'elliptic'"
+            )
         if self.constraint_solver == "CG" and self.contact_resolution == "signorini":
-            raise ValueError("contact_resolution must be 'convex' with constraint_solver 'CG'")
+            raise ValueError(
+                "contact_resolution must be 'convex' with constraint_solver 'CG'"
+            )
         return self
 
 
@@ -153,7 +161,10 @@ class SettingsMPM(SettingsGenesis):
 def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene with soft bodies, by name."""
     bodies = [body for body in scene.deformables if isinstance(body, SoftBody)]
-    steps = ceil(DRIVE_INTERVAL_S / min(longest_mpm_timestep_s(body, VOXEL_M) for body in bodies) - 1e-9)
+    steps = ceil(
+        DRIVE_INTERVAL_S / min(longest_mpm_timestep_s(body, VOXEL_M) for body in bodies)
+        - 1e-9
+    )
     # Genesis's defaults: 64 voxels per metre and points of 10 mm. Its default step of 10 ms does not divide the drive
     # interval, and one step in each interval is the longest that does.
     out_of_box = SettingsMPM(
@@ -167,7 +178,9 @@ def soft_presets(scene: Scene) -> Mapping[str, SettingsGenesis]:
         "default": SettingsFEM(preset="default", timestep_s=1 / 900),
         "mpm": SettingsMPM(preset="mpm", timestep_s=DRIVE_INTERVAL_S / steps),
         # The paper states 900 Hz, and that all other settings are defaults.
-        "paper": out_of_box.model_copy(update={"preset": "paper", "timestep_s": 1 / 900}),
+        "paper": out_of_box.model_copy(
+            update={"preset": "paper", "timestep_s": 1 / 900}
+        ),
         "out_of_box": out_of_box,
     }
 
@@ -240,8 +253,13 @@ class SettingsPBD(SettingsGenesis):
 
     @model_validator(mode="after")
     def _stiffness_fits(self) -> SettingsPBD:
-        if self.stiffness == "effective" and (self.stretch_iterations, self.stretch_relaxation) != (1, 1.0):
-            raise ValueError("must be 'nominal' unless stretch_iterations and stretch_relaxation are 1")
+        if self.stiffness == "effective" and (
+            self.stretch_iterations,
+            self.stretch_relaxation,
+        ) != (1, 1.0):
+            raise ValueError(
+                "must be 'nominal' unless stretch_iterations and stretch_relaxation are 1"
+            )
         if self.stiffness == "effective" and self.mesh == "remeshed":
             raise ValueError("must be 'nominal' with mesh 'remeshed'")
         return self
@@ -293,7 +311,10 @@ def cloth_cell_m(scene: Scene) -> float:
     }
     shapes = [rigid[name].shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
-    return max(FINEST_CELL_M, min([CLOTH_CELL_M, *(CELL_PER_RADIUS * radius for radius in radii)]))
+    return max(
+        FINEST_CELL_M,
+        min([CLOTH_CELL_M, *(CELL_PER_RADIUS * radius for radius in radii)]),
+    )
 
 
 # --- springs ----------------------------------------------------------------------------------------------------------
@@ -320,10 +341,14 @@ def grid_springs(grid: ClothGrid) -> NDArray[np.intp]:
         (index[:-1, :-1], index[1:, 1:]),
         (index[1:, :-1], index[:-1, 1:]),
     )
-    return np.concatenate([np.stack([first.ravel(), second.ravel()], axis=-1) for first, second in pairs])
+    return np.concatenate(
+        [np.stack([first.ravel(), second.ravel()], axis=-1) for first, second in pairs]
+    )
 
 
-def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: NDArray[np.intp]) -> NDArray[np.float64]:
+def grid_stiffnesses(
+    cloth: Cloth, grid: ClothGrid, springs: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Return the stiffness of each spring [N/m]; those on the border of the cloth belong to half a cell.
 
     Args:
@@ -344,11 +369,15 @@ def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: NDArray[np.intp]) -
         stiffnesses[rows] = along * width / cell[axis]
     crossing = (step > 1e-9 * min(cell)).all(axis=1)
     # On a square cell this is the diagonal's stiffness; on others it keeps the shear stiffness.
-    stiffnesses[crossing] = diagonal * (cell[0] ** 2 + cell[1] ** 2) / (2.0 * cell[0] * cell[1])
+    stiffnesses[crossing] = (
+        diagonal * (cell[0] ** 2 + cell[1] ** 2) / (2.0 * cell[0] * cell[1])
+    )
     return stiffnesses
 
 
-def inverse_masses(masses_kg: NDArray[np.float64], fixed: Collection[int]) -> NDArray[np.float64]:
+def inverse_masses(
+    masses_kg: NDArray[np.float64], fixed: Collection[int]
+) -> NDArray[np.float64]:
     """Return the inverse masses of particles [1/kg], 0 for fixed ones.
 
     Args:

@@ -11,11 +11,22 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.genesis.document import reach_m
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.model import Model, borrow_model, return_model, start_coordinates
+from gauge_envs.backends.genesis.model import (
+    Model,
+    borrow_model,
+    return_model,
+    start_coordinates,
+)
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.joints import joint_motors
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states, tether_pull
+from gauge_envs.backends.shared.rigid import (
+    DrivenMotion,
+    PlacedWorld,
+    body_state,
+    placed_states,
+    tether_pull,
+)
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether
@@ -63,7 +74,11 @@ class _WorldGenesis(PlacedWorld):
         self.start = start_coordinates(scene, lent.model)
         self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
         self._motors = [
-            (isinstance(one.motor, Servo), lent.model.links[one.body].dof_start, one.sign)
+            (
+                isinstance(one.motor, Servo),
+                lent.model.links[one.body].dof_start,
+                one.sign,
+            )
             for one in joint_motors(scene)
         ]
 
@@ -77,36 +92,61 @@ class _WorldGenesis(PlacedWorld):
                 self.driven[body.name] = DrivenMotion(body.pose)
                 self._prescribe(body.name)
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Put a driven body where its interval starts, and give it the force that accelerates it."""
         self.driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self.placed[body] = body_state(pose, velocity)
         self._prescribe(body)
 
     def _prescribe(self, name: str) -> None:
-        motion, solver, settings = self.driven[name], self._lent.model.solver, self._lent.settings
+        motion, solver, settings = (
+            self.driven[name],
+            self._lent.model.solver,
+            self._lent.settings,
+        )
         link = self._lent.model.links[name]
         # Genesis moves a body by its new velocity times the step: half a step earlier, the mean is exact.
         twist = motion.velocity - 0.5 * motion.acceleration * settings.timestep_s
         to_body = motion.start.rotation.inv()
         mass = settings.kinematic_mass_kg
-        force = mass * (motion.acceleration[:3] + np.array([0.0, 0.0, self._scene.gravity_m_per_s2]))
+        force = mass * (
+            motion.acceleration[:3] + np.array([0.0, 0.0, self._scene.gravity_m_per_s2])
+        )
         # The inertia is that of a sphere, so the torque has the direction of the acceleration.
-        torque = mass * reach_m(self._scene.body(name)) ** 2 * to_body.apply(motion.acceleration[3:])
+        torque = (
+            mass
+            * reach_m(self._scene.body(name)) ** 2
+            * to_body.apply(motion.acceleration[3:])
+        )
         coordinates = range(link.q_start, link.q_start + 7)
         freedoms = range(link.dof_start, link.dof_start + 6)
         world = [self._index]
         solver.set_qpos(
-            np.array([[*motion.start.position_m, *motion.start.quaternion]]), coordinates, world, skip_forward=True
+            np.array([[*motion.start.position_m, *motion.start.quaternion]]),
+            coordinates,
+            world,
+            skip_forward=True,
         )
-        solver.set_dofs_velocity(np.array([[*twist[:3], *to_body.apply(twist[3:])]]), freedoms, world)
+        solver.set_dofs_velocity(
+            np.array([[*twist[:3], *to_body.apply(twist[3:])]]), freedoms, world
+        )
         solver.control_dofs_force(np.array([[*force, *torque]]), freedoms, world)
 
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
         solver = self._lent.model.solver
-        for (is_servo, freedom, sign), value in zip(self._motors, values.tolist(), strict=True):
-            control = solver.control_dofs_position if is_servo else solver.control_dofs_force
+        for (is_servo, freedom, sign), value in zip(
+            self._motors, values.tolist(), strict=True
+        ):
+            control = (
+                solver.control_dofs_position if is_servo else solver.control_dofs_force
+            )
             control(np.array([[sign * value]]), [freedom], [self._index])
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
@@ -115,7 +155,11 @@ class _WorldGenesis(PlacedWorld):
 
     def apply_forces(self) -> None:
         """Apply wrenches and the pulls of strings during the next step; Genesis forgets them after it."""
-        solver, links, world = self._lent.model.solver, self._lent.model.links, [self._index]
+        solver, links, world = (
+            self._lent.model.solver,
+            self._lent.model.links,
+            [self._index],
+        )
         frequency = self._lent.settings.tether_rate / self._lent.settings.timestep_s
         for name, wrench in self.wrenches.items():
             solver.apply_links_external_wrench(
@@ -126,17 +170,32 @@ class _WorldGenesis(PlacedWorld):
                 ref=engine().link_ref_frame.link_COM,
             )
         for tether in self._tethers:
-            state, mass_kg = self.body_states([tether.body])[0], self._scene.body(tether.body).mass_kg
+            state, mass_kg = (
+                self.body_states([tether.body])[0],
+                self._scene.body(tether.body).mass_kg,
+            )
             force = tether_pull(tether, state, mass_kg, frequency)
             if force is not None:
-                solver.apply_links_external_wrench(force[None, None, :], None, [links[tether.body].idx], world)
+                solver.apply_links_external_wrench(
+                    force[None, None, :], None, [links[tether.body].idx], world
+                )
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
-        solver, links = self._lent.model.solver, [self._lent.model.links[name].idx for name in names]
-        read = (solver.get_links_pos, solver.get_links_quat, solver.get_links_vel, solver.get_links_ang)
+        solver, links = (
+            self._lent.model.solver,
+            [self._lent.model.links[name].idx for name in names],
+        )
+        read = (
+            solver.get_links_pos,
+            solver.get_links_quat,
+            solver.get_links_vel,
+            solver.get_links_ang,
+        )
         columns = [one(links, [self._index]).numpy()[0] for one in read]
-        states: NDArray[np.float64] = np.concatenate(columns, axis=-1).astype(np.float64)
+        states: NDArray[np.float64] = np.concatenate(columns, axis=-1).astype(
+            np.float64
+        )
         states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1, keepdims=True)
         return states
 
@@ -148,7 +207,9 @@ def _reset(lent: _Lent, worlds: Sequence[_WorldGenesis]) -> None:
         model.solver.__setstate__(model.fresh)
         if model.links:
             model.solver.set_qpos(np.array([world.start[0] for world in worlds]))
-            model.solver.set_dofs_velocity(np.array([world.start[1] for world in worlds]))
+            model.solver.set_dofs_velocity(
+                np.array([world.start[1] for world in worlds])
+            )
     for world in worlds:
         world.begin()
     if model.part is not None:
@@ -168,7 +229,9 @@ def _advance(lent: _Lent, worlds: Sequence[_WorldGenesis], seconds: float) -> No
         except engine().GenesisException as error:
             raise BackendError(f"Genesis stopped: {error}") from error
     for world in worlds:
-        world.placed |= {name: motion.state_at(seconds) for name, motion in world.driven.items()}
+        world.placed |= {
+            name: motion.state_at(seconds) for name, motion in world.driven.items()
+        }
 
 
 class SimulationGenesis(_WorldGenesis, Simulation):
@@ -176,7 +239,9 @@ class SimulationGenesis(_WorldGenesis, Simulation):
 
     def __init__(self, scene: Scene, settings: SettingsGenesis) -> None:
         super().__init__(scene, _Lent([scene], settings), 0)
-        self._origin = StateOrigin(f"genesis {version('genesis-world')}", self.settings, scene)
+        self._origin = StateOrigin(
+            f"genesis {version('genesis-world')}", self.settings, scene
+        )
         self.reset(0)
 
     def _part(self, name: str) -> DeformablePart:
@@ -202,7 +267,9 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._part(name).nodes(name)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points; see `World.track`."""
         return self._part(name).track(name, points_m)
 
@@ -211,7 +278,12 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         model = self._lent.model
         rigid = None if model.fresh is None else model.solver.__getstate__()
         inputs = (self.driven, self.placed, self.wrenches)
-        return self._origin.state((*copy.deepcopy((rigid, inputs)), model.part.state() if model.part else None))
+        return self._origin.state(
+            (
+                *copy.deepcopy((rigid, inputs)),
+                model.part.state() if model.part else None,
+            )
+        )
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
@@ -240,7 +312,8 @@ class WorldsGenesis(Worlds):
     def __init__(self, scenes: Sequence[Scene], settings: SettingsGenesis) -> None:
         self._lent = _Lent(scenes, settings)
         self.worlds: Sequence[_WorldGenesis] = [
-            _WorldGenesis(scene, self._lent, index) for index, scene in enumerate(scenes)
+            _WorldGenesis(scene, self._lent, index)
+            for index, scene in enumerate(scenes)
         ]
         self.reset(0)
 

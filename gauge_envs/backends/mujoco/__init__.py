@@ -33,14 +33,20 @@ class BackendMuJoCo(BundledBackend):
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(flex_constants)
     file_suffixes = (".xml",)
-    corrections = ("the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",)
+    corrections = (
+        "the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",
+    )
     features = frozenset(Feature)
     configurations = MappingProxyType(
         {
             "PGS": {"solver": "PGS"},
             "CG": {"solver": "CG"},
             # Its own step of 2 ms does not divide the drive interval.
-            "out_of_box": {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
+            "out_of_box": {
+                "preset": "out_of_box",
+                "timestep_s": 1 / 540,
+                "drive_interval_s": 1 / 180,
+            },
         }
     )
     worlds_mix_constants = True
@@ -50,7 +56,9 @@ class BackendMuJoCo(BundledBackend):
         yield from without_deformables(scene)
         yield from unsupported_features(scene)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
         for reason in without_deformables(scene):
             raise UnsupportedSceneError(reason)
@@ -64,7 +72,9 @@ class BackendMuJoCo(BundledBackend):
         """Read an MJCF file, through the instrument that reads them."""
         return model_files(self.name).read_model(path, scene, self.build(scene))
 
-    def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
+    def build_file(
+        self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> SimulationMuJoCo:
         """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
         if settings:
             raise ParameterError(

@@ -18,7 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, collide_with_nothing, flex_table
+from gauge_envs.backends.mujoco.flex import (
+    FlexPart,
+    Points,
+    collide_with_nothing,
+    flex_table,
+)
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.errors import ParameterError
@@ -46,22 +51,32 @@ class ClothPartMuJoCo(FlexPart):
         points: Its vertices.
     """
 
-    def __init__(self, cloth: Cloth, flex: mujoco.MjsFlex, grid: ClothGrid, points: Points) -> None:
+    def __init__(
+        self, cloth: Cloth, flex: mujoco.MjsFlex, grid: ClothGrid, points: Points
+    ) -> None:
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = self.flex.id
-        membrane = _membrane(self.grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
-        stiffness = flex_table(model, "flex_stiffness", flex).reshape(-1, STIFFNESS_PER_TRIANGLE)
+        membrane = _membrane(
+            self.grid,
+            self.cloth.stretch_stiffness_n_per_m,
+            self.cloth.shear_stiffness_n_per_m,
+        )
+        stiffness = flex_table(model, "flex_stiffness", flex).reshape(
+            -1, STIFFNESS_PER_TRIANGLE
+        )
         stiffness[: len(membrane), :6] = membrane
 
         edge = model.flex_edgeadr[flex]
         edge_count = model.flex_edgenum[flex]
         ends_m = self.grid.plane_m[model.flex_edge[edge : edge + edge_count]]
         is_diagonal = (np.abs(ends_m[:, 1] - ends_m[:, 0]) > 1e-9).all(axis=1)
-        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)[:edge_count]
+        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)[
+            :edge_count
+        ]
         forms[is_diagonal] *= _diagonal_weight(*self.grid.cell_m)
 
 
@@ -100,7 +115,9 @@ def add_cloth(
     attached = attached_vertices(grid, cloth, attachments)
     rest = grid.rest_m
     names = [f"{cloth.name}/{index}" for index in range(len(rest))]
-    for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
+    for index, mass in enumerate(
+        cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()
+    ):
         if index in attached:
             continue
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
@@ -118,10 +135,14 @@ def add_cloth(
     flex.elem = grid.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
     # MuJoCo derives both stiffnesses from one solid plate; this plate has the stretch and the bending of the fabric.
-    flex.thickness = sqrt(12.0 * bending_stiffness_n_m / cloth.stretch_stiffness_n_per_m)
+    flex.thickness = sqrt(
+        12.0 * bending_stiffness_n_m / cloth.stretch_stiffness_n_per_m
+    )
     flex.young = cloth.stretch_stiffness_n_per_m / flex.thickness
     flex.poisson = 0.0
-    flex.radius = 0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m
+    flex.radius = (
+        0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m
+    )
     collide_with_nothing(flex)
     return ClothPartMuJoCo(cloth, flex, grid, points)
 
@@ -139,7 +160,9 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
     return max(0.0, 2.0 - ratio**2) / (ratio + 1.0 / ratio) ** 2
 
 
-def _membrane(grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
+def _membrane(
+    grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float
+) -> NDArray[np.float64]:
     """Return MuJoCo's stiffness of each triangle for diag(stretch, stretch, shear), shape [triangle_count, 6]."""
     corners_m = grid.plane_m[grid.triangles]
     edges_m = corners_m[:, [2, 0, 1]] - corners_m[:, [1, 2, 0]]
@@ -168,7 +191,9 @@ class FoldWatch:
     rest e, which brings two nearer by 2 |e| at most.
     """
 
-    def __init__(self, part: ClothPartMuJoCo, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(
+        self, part: ClothPartMuJoCo, model: mujoco.MjModel, data: mujoco.MjData
+    ) -> None:
         self._part, self._model, self._data = part, model, data
         # Elements of flat cloth that share no vertex are 0.7 of a cell apart.
         self._apart_m = 0.65 * min(part.grid.cell_m) - 2.0 * part.flex.radius
@@ -180,7 +205,9 @@ class FoldWatch:
         soon = places + self._part.points.velocities() * seconds
         limit_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
         if self._seen_m is None or _rest_m(self._seen_m, soon) >= limit_m:
-            self._seen_m = places if _rest_m(places, soon) < limit_m and self._is_apart() else None
+            self._seen_m = (
+                places if _rest_m(places, soon) < limit_m and self._is_apart() else None
+            )
         return self._seen_m is not None
 
     def _is_apart(self) -> bool:
@@ -188,7 +215,12 @@ class FoldWatch:
         model, data, flex = self._model, self._data, self._part.flex.id
         radius = float(model.flex_radius[flex])
         model.flex_radius[flex] = radius + 0.5 * self._apart_m
-        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_flex, mujoco.mj_collision):
+        for stage in (
+            mujoco.mj_kinematics,
+            mujoco.mj_comPos,
+            mujoco.mj_flex,
+            mujoco.mj_collision,
+        ):
             stage(model, data)
         model.flex_radius[flex] = radius
         return not data.ncon
@@ -240,7 +272,9 @@ class AirOnCloth:
         """Return the forces on the triangles in the current state [N], shape [triangle_count, 3]."""
         places = self._points.positions()
         corner = places[self._first]
-        areas = 0.5 * _cross(places[self._second] - corner, places[self._third] - corner)
+        areas = 0.5 * _cross(
+            places[self._second] - corner, places[self._third] - corner
+        )
         return self._air.forces_n(areas, self._to_triangles @ self._points.velocities())
 
     def apply(self) -> None:
@@ -248,7 +282,9 @@ class AirOnCloth:
         self._forces[self._points.dofs] = self._to_free @ self.triangle_forces_n()
 
 
-def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float) -> None:
+def check_air_step(
+    scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float
+) -> None:
     """Raise an error if the explicit forces of the air could overshoot in a step.
 
     Args:
@@ -260,7 +296,9 @@ def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float
     fastest = scene.speed_limit_m_per_s + float(np.linalg.norm(scene.air.wind_m_per_s))
     for part in parts:
         density = part.cloth.areal_density_kg_per_m2
-        stable = scene.air.stable_speed_m_per_s(areal_density_kg_per_m2=density, timestep_s=timestep_s)
+        stable = scene.air.stable_speed_m_per_s(
+            areal_density_kg_per_m2=density, timestep_s=timestep_s
+        )
         if fastest > stable:
             raise ParameterError(
                 f"air on cloth {part.name!r}: steps of {timestep_s:.3g} s are stable up to {stable:.3g} m/s relative "
@@ -269,9 +307,13 @@ def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float
             )
 
 
-def _cross(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return cross products, shape [count, 3]; `numpy.cross` takes three times as long on short arrays."""
     product = np.empty_like(first)
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        np.subtract(first[:, i] * second[:, j], first[:, j] * second[:, i], out=product[:, axis])
+        np.subtract(
+            first[:, i] * second[:, j], first[:, j] * second[:, i], out=product[:, axis]
+        )
     return product

@@ -45,7 +45,11 @@ class ContactConstants:
         del values["solreffriction"]
         _, sliding, torsional, rolling, _ = self.friction
         # MuJoCo adds the margins and the gaps of the two geoms, so each geom gets half.
-        values |= {"friction": [sliding, torsional, rolling], "margin": 0.5 * self.margin, "gap": 0.5 * self.gap}
+        values |= {
+            "friction": [sliding, torsional, rolling],
+            "margin": 0.5 * self.margin,
+            "gap": 0.5 * self.gap,
+        }
         for key, value in values.items():
             setattr(geom, key, value)
 
@@ -53,7 +57,11 @@ class ContactConstants:
 def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactConstants:
     """Return the constants of a contact between rigid bodies."""
     recipe: dict[str, Any] = {"solreffriction": (0.0, 0.0), "margin": 0.0, "gap": 0.0}
-    recipe |= _sustained(settings) if contact.mode is ContactMode.SUSTAINED else _impact(contact, settings)
+    recipe |= (
+        _sustained(settings)
+        if contact.mode is ContactMode.SUSTAINED
+        else _impact(contact, settings)
+    )
     if settings.contact_solref is not None:
         # The tangential constants of the recipe only fit its own normal direction.
         recipe["solreffriction"] = (0.0, 0.0)
@@ -63,7 +71,9 @@ def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactCons
     # A contact without friction has no tangential constraints, which is exact and cheap.
     least = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
     condim = max(settings.condim or 3, least) if friction[0] > 0.0 else 1
-    return ContactConstants(condim=condim, friction=friction, **recipe | given_constants(settings))
+    return ContactConstants(
+        condim=condim, friction=friction, **recipe | given_constants(settings)
+    )
 
 
 def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
@@ -80,12 +90,24 @@ def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
 def _friction(contact: Contact, settings: SettingsMuJoCo) -> tuple[float, ...]:
     if settings.o_friction is not None:
         return settings.o_friction
-    sliding, rolling = settings.friction_scale * contact.friction, contact.rolling_m or settings.rolling_friction_m
-    return (sliding, sliding, contact.torsion_m or settings.torsional_friction_m, rolling, rolling)
+    sliding, rolling = (
+        settings.friction_scale * contact.friction,
+        contact.rolling_m or settings.rolling_friction_m,
+    )
+    return (
+        sliding,
+        sliding,
+        contact.torsion_m or settings.torsional_friction_m,
+        rolling,
+        rolling,
+    )
 
 
 def _sustained(settings: SettingsMuJoCo) -> dict[str, Any]:
-    return {"solref": settings.sustained_solref, "solimp": (*settings.sustained_solimp, *IMPEDANCE_SHAPE)}
+    return {
+        "solref": settings.sustained_solref,
+        "solimp": (*settings.sustained_solimp, *IMPEDANCE_SHAPE),
+    }
 
 
 def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:
@@ -96,7 +118,10 @@ def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:
     """
     step = settings.timestep_s
     constants: dict[str, Any] = {
-        "solref": (-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step),
+        "solref": (
+            -settings.impact_stiffness / step**2,
+            -(1.0 + contact.restitution) / step,
+        ),
         "solimp": (*settings.impact_solimp, *IMPEDANCE_SHAPE),
     }
     if settings.cone == "elliptic":

@@ -6,12 +6,24 @@ from itertools import product
 import mujoco
 
 from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
-from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
+from gauge_envs.backends.mujoco.contacts import (
+    IMPEDANCE_SHAPE,
+    contact_constants,
+    given_constants,
+)
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
-from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, ROPE_CELL_M, SettingsMuJoCo
+from gauge_envs.backends.mujoco.settings import (
+    CLOTH_CELL_M,
+    ROPE_CELL_M,
+    SettingsMuJoCo,
+)
 from gauge_envs.backends.mujoco.soft import add_soft
-from gauge_envs.backends.shared.attachments import attachment_problems, bonded_soft_bodies, rigid_attachments
+from gauge_envs.backends.shared.attachments import (
+    attachment_problems,
+    bonded_soft_bodies,
+    rigid_attachments,
+)
 from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
@@ -20,7 +32,9 @@ Geoms = Mapping[str, Sequence[mujoco.MjsGeom]]
 """Geoms of each rigid body in the editable model, by name."""
 
 
-def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
+def add_deformables(
+    spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo
+) -> dict[str, FlexPart]:
     """Add all deformable bodies to an editable model that contains the rigid bodies.
 
     Returns:
@@ -30,7 +44,9 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     for body in scene.deformables:
         attachments = rigid_attachments(scene, body.name)
         if isinstance(body, Cloth):
-            touches_itself = any(body.name in {*c.first} & {*c.second} for c in scene.contacts)
+            touches_itself = any(
+                body.name in {*c.first} & {*c.second} for c in scene.contacts
+            )
             parts[body.name] = add_cloth(
                 spec,
                 body,
@@ -39,15 +55,26 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
                 bending_stiffness_n_m=plate_bending_stiffness(
                     hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad
                 ),
-                contact_radius_m=settings.cloth_fold_radius_m if touches_itself else None,
+                contact_radius_m=settings.cloth_fold_radius_m
+                if touches_itself
+                else None,
             )
         elif isinstance(body, Rope):
             cell_m = settings.cell_m or ROPE_CELL_M
-            parts[body.name] = add_rope(spec, body, attachments=attachments, cell_m=cell_m)
+            parts[body.name] = add_rope(
+                spec, body, attachments=attachments, cell_m=cell_m
+            )
         elif not isinstance(body, SoftBody):
-            parts[body.name] = add_rod(spec, body, attachments=attachments, cell_m=settings.cell_m)
+            parts[body.name] = add_rod(
+                spec, body, attachments=attachments, cell_m=settings.cell_m
+            )
     for soft_row in soft_rows(scene):
-        part = add_soft(spec, soft_row, grip_mass_kg=settings.kinematic_mass_kg, cell_m=settings.cell_m)
+        part = add_soft(
+            spec,
+            soft_row,
+            grip_mass_kg=settings.kinematic_mass_kg,
+            cell_m=settings.cell_m,
+        )
         parts |= dict.fromkeys(soft_row.names, part)
     return parts
 
@@ -59,7 +86,13 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
 
 
 def add_flex_contact(
-    scene: Scene, contact: Contact, parts: Mapping[str, FlexPart], geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
+    scene: Scene,
+    contact: Contact,
+    parts: Mapping[str, FlexPart],
+    geoms: Geoms,
+    settings: SettingsMuJoCo,
+    *,
+    bit: int,
 ) -> None:
     """Let the deformable bodies of a contact collide through MuJoCo's broad phase.
 
@@ -73,20 +106,29 @@ def add_flex_contact(
     rigid = [geom for name in _rigid_names(scene, contact) for geom in geoms[name]]
     for name in _deformable_names(scene, contact):
         part = parts[name]
-        colliders = part.geoms if isinstance(part, LinePartMuJoCo) and part.geoms else [part.flex]
+        colliders = (
+            part.geoms
+            if isinstance(part, LinePartMuJoCo) and part.geoms
+            else [part.flex]
+        )
         for collider in colliders:
             collider.contype |= bit
         if isinstance(part, ClothPartMuJoCo):
             part.flex.solref = list(settings.cloth_solref)
             part.flex.solimp = _cloth_solimp(part, settings)
-        for collider, (key, value) in product(colliders, given_constants(settings).items()):
+        for collider, (key, value) in product(
+            colliders, given_constants(settings).items()
+        ):
             setattr(collider, key, value)
         carries_friction = contact.friction == _flex_friction(scene, name)
         for carrier in colliders if carries_friction else rigid:
             carrier.condim = constants.condim
             carrier.friction = [sliding, torsional, rolling]
             carrier.priority = 1 if carries_friction else 2
-            carrier.solref, carrier.solimp = list(colliders[0].solref), list(colliders[0].solimp)
+            carrier.solref, carrier.solimp = (
+                list(colliders[0].solref),
+                list(colliders[0].solimp),
+            )
         if name in contact.first and name in contact.second:
             part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
             # MuJoCo silently skips self-contact unless the flex both offers and accepts the same bit.
@@ -98,8 +140,12 @@ def add_flex_contact(
 def _cloth_solimp(part: ClothPartMuJoCo, settings: SettingsMuJoCo) -> list[float]:
     if settings.cloth_solimp is not None:
         return [*settings.cloth_solimp, *IMPEDANCE_SHAPE]
-    assert settings.cloth_softness_m2_per_kg is not None, "the settings validator checks this"
-    impedance = 1.0 / (1.0 + settings.cloth_softness_m2_per_kg * part.cloth.areal_density_kg_per_m2)
+    assert settings.cloth_softness_m2_per_kg is not None, (
+        "the settings validator checks this"
+    )
+    impedance = 1.0 / (
+        1.0 + settings.cloth_softness_m2_per_kg * part.cloth.areal_density_kg_per_m2
+    )
     # The width has no effect, because the impedance is constant in depth.
     return [impedance, impedance, 0.001, *IMPEDANCE_SHAPE]
 
@@ -111,7 +157,11 @@ def _deformable_names(scene: Scene, contact: Contact) -> set[str]:
 def _rigid_names(scene: Scene, contact: Contact) -> set[str]:
     """Return the rigid bodies that collide with the deformable bodies of a contact."""
     # A body does not collide with what it is attached to: they would touch all along the seam.
-    seams = {a.to for a in scene.attachments if a.deformable in (*contact.first, *contact.second)}
+    seams = {
+        a.to
+        for a in scene.attachments
+        if a.deformable in (*contact.first, *contact.second)
+    }
     return {*contact.first, *contact.second} - _deformable_names(scene, contact) - seams
 
 
@@ -120,7 +170,9 @@ def _flex_friction(scene: Scene, name: str) -> float:
     groups = [{body.name for body in bodies} for bodies in bonded_soft_bodies(scene)]
     members = next((group for group in groups if name in group), {name})
     touching = [c for c in scene.contacts if members & {*c.first, *c.second}]
-    return next((c for c in touching if members & {*c.first} & {*c.second}), touching[0]).friction
+    return next(
+        (c for c in touching if members & {*c.first} & {*c.second}), touching[0]
+    ).friction
 
 
 def _frictions_in_conflict(scene: Scene) -> Iterator[str]:
@@ -132,6 +184,10 @@ def _frictions_in_conflict(scene: Scene) -> Iterator[str]:
         if len(soft) > 1:
             yield f"{sorted(soft)} touch each other and other bodies with different friction: make it equal"
         for name in sorted(_rigid_names(scene, contact)):
-            touching = [c for c in scene.contacts if name in _rigid_names(scene, c) and _deformable_names(scene, c)]
+            touching = [
+                c
+                for c in scene.contacts
+                if name in _rigid_names(scene, c) and _deformable_names(scene, c)
+            ]
             if len({c.friction for c in touching}) > 1:
                 yield f"{name!r} touches deformable bodies with several frictions, and so do these bodies: use one"

@@ -34,7 +34,9 @@ def flex_constants(fabric: Fabric) -> FabricConstants:
     """
     stretch = fabric.stretch_stiffness_n_per_m
     shear = fabric.shear_stiffness_n_per_m
-    plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad)
+    plate = plate_bending_stiffness(
+        hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad
+    )
     thickness = math.sqrt(12.0 * plate * (1.0 - POISSON**2) / stretch)
     constants = {
         "young": stretch / thickness,

@@ -27,12 +27,18 @@ class Points:
     """
 
     def __init__(
-        self, names: Sequence[str], rest_m: NDArray[np.float64], attached: Mapping[int, RigidAttachment]
+        self,
+        names: Sequence[str],
+        rest_m: NDArray[np.float64],
+        attached: Mapping[int, RigidAttachment],
     ) -> None:
         self._names = list(names)
         self._rest_m = rest_m
         self._attached = dict(attached)
-        self.free = np.array([index for index in range(len(rest_m)) if index not in self._attached], dtype=np.intp)
+        self.free = np.array(
+            [index for index in range(len(rest_m)) if index not in self._attached],
+            dtype=np.intp,
+        )
 
     def carriers(self) -> tuple[list[str], list[float]]:
         """Return each point's body, and the positions of all points in the frames of their bodies [m], in a row."""
@@ -114,7 +120,9 @@ class FlexPart:
 
     node_indices: Mapping[str, NDArray[np.intp]] = MappingProxyType({})
 
-    def __init__(self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points) -> None:
+    def __init__(
+        self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points
+    ) -> None:
         self.name, self.flex = flex.name, flex
         self.rest_m = rest_m
         self.points = points
@@ -131,7 +139,9 @@ class FlexPart:
         return self.points.positions()
 
 
-def make_firm(flex: mujoco.MjsFlex, solref: tuple[float, ...], solimp: tuple[float, ...]) -> None:
+def make_firm(
+    flex: mujoco.MjsFlex, solref: tuple[float, ...], solimp: tuple[float, ...]
+) -> None:
     """Let a flex collide with nothing yet, with constants that hold for every contact that it gets."""
     collide_with_nothing(flex)
     # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
@@ -155,4 +165,8 @@ def flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.floa
     """
     addresses, values = getattr(model, f"{table}adr").tolist(), getattr(model, table)
     start = addresses[index]
-    return values[start : min((a for a in addresses if a > start), default=len(values))] if start >= 0 else values[:0]
+    return (
+        values[start : min((a for a in addresses if a > start), default=len(values))]
+        if start >= 0
+        else values[:0]
+    )

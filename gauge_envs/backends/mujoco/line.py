@@ -12,7 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
-from gauge_envs.backends.shared.attachments import RigidAttachment, attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import (
+    RigidAttachment,
+    attached_ends,
+    points_on_axis,
+)
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
@@ -37,7 +41,11 @@ class LinePartMuJoCo(FlexPart):
     """
 
     def __init__(
-        self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points, geoms: Sequence[mujoco.MjsGeom] = ()
+        self,
+        flex: mujoco.MjsFlex,
+        rest_m: NDArray[np.float64],
+        points: Points,
+        geoms: Sequence[mujoco.MjsGeom] = (),
     ) -> None:
         super().__init__(flex, rest_m, points)
         self.geoms = list(geoms)
@@ -50,9 +58,13 @@ class LinePartMuJoCo(FlexPart):
         axis = span_m / length_m
         count = len(self.rest_m) - 1
         # Distances from the start along the line, in segments.
-        places = (np.asarray(points_m, dtype=np.float64) - start_m) @ axis / length_m * count
+        places = (
+            (np.asarray(points_m, dtype=np.float64) - start_m) @ axis / length_m * count
+        )
         if not np.all((places > -1e-3) & (places < count + 1e-3)):
-            raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
+            raise ShapeError(
+                f"a point lies beyond an end of {self.name!r}: track points within its length"
+            )
         segment = np.clip(np.floor(places).astype(int), 0, count - 1)
         share = (places - segment)[:, None]
         offsets_m = points_m - (start_m + (places * length_m / count)[:, None] * axis)
@@ -71,13 +83,22 @@ class LinePartMuJoCo(FlexPart):
             normals = np.cross(axis, tangents)
             cosine = tangents @ axis
             along = np.sum(normals * offsets_m, axis=1) / (1.0 + cosine)
-            return centres_m + cosine[:, None] * offsets_m + np.cross(normals, offsets_m) + along[:, None] * normals
+            return (
+                centres_m
+                + cosine[:, None] * offsets_m
+                + np.cross(normals, offsets_m)
+                + along[:, None] * normals
+            )
 
         return read
 
 
 def add_rope(
-    spec: mujoco.MjSpec, rope: Rope, *, attachments: Sequence[RigidAttachment], cell_m: float = ROPE_CELL_M
+    spec: mujoco.MjSpec,
+    rope: Rope,
+    *,
+    attachments: Sequence[RigidAttachment],
+    cell_m: float = ROPE_CELL_M,
 ) -> LinePartMuJoCo:
     """Add a rope without contacts.
 
@@ -91,7 +112,9 @@ def add_rope(
     count = max(2, round(rope.length_m / cell_m))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
-    attached = {0 if side == "low" else count: attachment for side, attachment in ends.items()}
+    attached = {
+        0 if side == "low" else count: attachment for side, attachment in ends.items()
+    }
     return LinePartMuJoCo(flex, rest_m, _hold(spec, flex, rest_m, attached))
 
 
@@ -119,7 +142,11 @@ def add_rod(
     low, high = -0.5 * rod.length_m, 0.5 * rod.length_m
     low += ends["low"].region.depth_m if "low" in ends else 0.0
     high -= ends["high"].region.depth_m if "high" in ends else 0.0
-    count = ROD_SEGMENTS if cell_m is None else max(4, round((high - low) / cell_m + 0.5 * len(ends)))
+    count = (
+        ROD_SEGMENTS
+        if cell_m is None
+        else max(4, round((high - low) / cell_m + 0.5 * len(ends)))
+    )
     segment = (high - low) / (count - 0.5 * len(ends))
     start = low - 0.5 * segment if "low" in ends else low
     rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
@@ -127,7 +154,9 @@ def add_rod(
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
     attached: dict[int, RigidAttachment] = {}
     for side, attachment in ends.items():
-        attached |= dict.fromkeys([0, 1] if side == "low" else [count - 1, count], attachment)
+        attached |= dict.fromkeys(
+            [0, 1] if side == "low" else [count - 1, count], attachment
+        )
     points = _hold(spec, flex, rest_m, attached)
     geoms = []
     for index, name in enumerate(flex.vertbody):
@@ -150,7 +179,9 @@ def add_rod(
     return LinePartMuJoCo(flex, rest_m, points, geoms)
 
 
-def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float) -> mujoco.MjsFlex:
+def _add_flex(
+    spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float
+) -> mujoco.MjsFlex:
     """Add a chain of point bodies with slide joints along the world axes; the end bodies have half the mass."""
     count = len(rest_m) - 1
     flex = spec.worldbody.make_flex(
@@ -171,13 +202,18 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
         body.ipos = [0.0, 0.0, 0.0]
         body.mass = mass_kg / count * (0.5 if index in (0, count) else 1.0)
     make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
-    edges = next(equality for equality in spec.equalities if equality.name1 == line.name)
+    edges = next(
+        equality for equality in spec.equalities if equality.name1 == line.name
+    )
     edges.solref, edges.solimp = list(EDGE_SOLREF), list(EDGE_SOLIMP)
     return flex
 
 
 def _hold(
-    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], attached: Mapping[int, RigidAttachment]
+    spec: mujoco.MjSpec,
+    flex: mujoco.MjsFlex,
+    rest_m: NDArray[np.float64],
+    attached: Mapping[int, RigidAttachment],
 ) -> Points:
     """Replace the bodies of attached nodes by points of the rigid bodies that hold them."""
     points = Points(list(flex.vertbody), rest_m, attached)

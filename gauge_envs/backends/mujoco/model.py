@@ -8,7 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.contacts import contact_constants
-from gauge_envs.backends.mujoco.deformables import Geoms, add_deformables, add_flex_contact
+from gauge_envs.backends.mujoco.deformables import (
+    Geoms,
+    add_deformables,
+    add_flex_contact,
+)
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
@@ -31,7 +35,12 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import joint_sign, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import (
+    joint_sign,
+    other_end,
+    parent_hinges,
+    start_rate_rad_per_s,
+)
 from gauge_envs.scene.meshes import body_mass_properties, prism
 from gauge_envs.scene.motors import Servo
 
@@ -54,8 +63,15 @@ INTEGRATORS = constants_of(
         "discrete": "mjINT_DISCRETE",
     },
 )
-CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
-SOLVERS = {"PGS": mujoco.mjtSolver.mjSOL_PGS, "CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
+CONES = {
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+}
+SOLVERS = {
+    "PGS": mujoco.mjtSolver.mjSOL_PGS,
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+}
 DISABLE_FLAGS = {
     "warmstart": mujoco.mjtDisableBit.mjDSBL_WARMSTART,
     "refsafe": mujoco.mjtDisableBit.mjDSBL_REFSAFE,
@@ -66,7 +82,12 @@ DISABLE_FLAGS = {
 }
 """MuJoCo's disable bit of each setting that is on by default."""
 ENABLE_FLAGS = constants_of(
-    "mjtEnableBit", {"diagexact": "mjENBL_DIAGEXACT", "sleep": "mjENBL_SLEEP", "speculative": "mjENBL_SPECULATIVE"}
+    "mjtEnableBit",
+    {
+        "diagexact": "mjENBL_DIAGEXACT",
+        "sleep": "mjENBL_SLEEP",
+        "speculative": "mjENBL_SPECULATIVE",
+    },
 )
 """MuJoCo's enable bit of each setting that is off by default."""
 SAME_NAME_OPTIONS = (
@@ -85,7 +106,10 @@ SAME_NAME_OPTIONS = (
 
 
 def add_geoms(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape | Capsule | Ellipsoid
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    name: str,
+    shape: Shape | Capsule | Ellipsoid,
 ) -> list[mujoco.MjsGeom]:
     """Add a shape to a body as geoms without contacts; a concave solid becomes one mesh per convex piece."""
     geoms = []
@@ -100,7 +124,13 @@ def add_geoms(
             points = np.asarray(piece)
             mesh = spec.add_mesh(name=f"{name}/{index}", uservert=points.ravel())
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
-            geoms.append(body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, name=f"{name}/{index}"))
+            geoms.append(
+                body.add_geom(
+                    type=mujoco.mjtGeom.mjGEOM_MESH,
+                    meshname=mesh.name,
+                    name=f"{name}/{index}",
+                )
+            )
     else:
         kind, size = _primitive(shape)
         geoms.append(body.add_geom(type=kind, size=size, name=name))
@@ -110,22 +140,34 @@ def add_geoms(
     return geoms
 
 
-def _primitive(shape: Shape | Capsule | Ellipsoid) -> tuple[mujoco.mjtGeom, list[float]]:
+def _primitive(
+    shape: Shape | Capsule | Ellipsoid,
+) -> tuple[mujoco.mjtGeom, list[float]]:
     """Return MuJoCo's type and size of a simple shape."""
     if isinstance(shape, Box):
         return mujoco.mjtGeom.mjGEOM_BOX, [0.5 * edge for edge in shape.size_m]
     if isinstance(shape, Sphere):
         return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
     if isinstance(shape, Cylinder):
-        return mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        return mujoco.mjtGeom.mjGEOM_CYLINDER, [
+            shape.radius_m,
+            0.5 * shape.length_m,
+            0.0,
+        ]
     if isinstance(shape, Capsule):
-        return mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+        return mujoco.mjtGeom.mjGEOM_CAPSULE, [
+            shape.radius_m,
+            0.5 * shape.length_m,
+            0.0,
+        ]
     if isinstance(shape, Ellipsoid):
         return mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
     return mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
 
 
-def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
+def build_model(
+    scene: Scene, settings: SettingsMuJoCo
+) -> tuple[mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
     """Compile a scene.
 
     Bodies keep their names; a dynamic or driven body has a hinge or a free joint of the same name. A driven body is a
@@ -159,7 +201,9 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
         model = spec.compile()
     except ValueError as error:
         reason = str(error).removeprefix("Error: ")
-        raise ParameterError(f"MuJoCo cannot build the scene with these settings: {reason}") from error
+        raise ParameterError(
+            f"MuJoCo cannot build the scene with these settings: {reason}"
+        ) from error
     velocities = start_velocities(scene, model)
     if velocities.any():
         spec.add_key(name=START_KEY, qvel=velocities)
@@ -191,7 +235,9 @@ def parents_first(scene: Scene) -> list[RigidBody]:
     return [*free, *(scene.body(name) for name in hanging)]
 
 
-def start_rates(scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None) -> NDArray[np.float64]:
+def start_rates(
+    scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None
+) -> NDArray[np.float64]:
     """Return the velocity of a body's joint at the start.
 
     Returns:
@@ -200,13 +246,19 @@ def start_rates(scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None) 
     """
     angular = np.array(body.angular_velocity_rad_per_s)
     if isinstance(hinge, BodyHinge):
-        return np.array([start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))])
+        return np.array(
+            [start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))]
+        )
     if hinge is not None:
         return np.array([angular @ hinge.axis])
-    return np.concatenate([body.linear_velocity_m_per_s, rotated_back(body.pose.quaternion, angular)])
+    return np.concatenate(
+        [body.linear_velocity_m_per_s, rotated_back(body.pose.quaternion, angular)]
+    )
 
 
-def rotated_back(quaternion: Sequence[float], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotated_back(
+    quaternion: Sequence[float], vector: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return a world vector, shape [3], in the body frame of an orientation w, x, y, z."""
     inverse, rotated = np.empty(4), np.empty(3)
     mujoco.mju_negQuat(inverse, np.asarray(quaternion))
@@ -240,14 +292,22 @@ def _collision_shape(body: RigidBody) -> Shape:
 
 
 def _add_body(
-    spec: mujoco.MjSpec, scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None, settings: SettingsMuJoCo
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    body: RigidBody,
+    hinge: Hinge | BodyHinge | None,
+    settings: SettingsMuJoCo,
 ) -> list[mujoco.MjsGeom]:
     if isinstance(hinge, BodyHinge):
         parent = other_end(hinge, body.name)
         pose = body.pose.relative_to(scene.body(parent).pose)
-        frame = spec.body(parent).add_body(name=body.name, pos=pose.position_m, quat=pose.quaternion)
+        frame = spec.body(parent).add_body(
+            name=body.name, pos=pose.position_m, quat=pose.quaternion
+        )
     else:
-        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion)
+        frame = spec.worldbody.add_body(
+            name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion
+        )
     geoms = add_geoms(spec, frame, body.name, _collision_shape(body))
     if body.motion is Motion.FIXED:
         return geoms
@@ -276,7 +336,12 @@ def _add_body(
     return geoms
 
 
-def _add_hinge(frame: mujoco.MjsBody, body: RigidBody, hinge: Hinge | BodyHinge, settings: SettingsMuJoCo) -> None:
+def _add_hinge(
+    frame: mujoco.MjsBody,
+    body: RigidBody,
+    hinge: Hinge | BodyHinge,
+    settings: SettingsMuJoCo,
+) -> None:
     """Add the joint of a hinged body, which has the name of the body."""
     joint = frame.add_joint(
         type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -294,9 +359,17 @@ def _add_hinge(frame: mujoco.MjsBody, body: RigidBody, hinge: Hinge | BodyHinge,
         joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
     if hinge.dynamics.backlash_rad:
         stop = 0.5 * hinge.dynamics.backlash_rad
-        play = frame.add_joint(name=f"{body.name}/play", pos=joint.pos, axis=joint.axis, range=[-stop, stop])
+        play = frame.add_joint(
+            name=f"{body.name}/play",
+            pos=joint.pos,
+            axis=joint.axis,
+            range=[-stop, stop],
+        )
         play.type, play.limited = joint.type, mujoco.mjtLimited.mjLIMITED_TRUE
-        play.solimp_limit, play.solref_limit = STIFF_IMPEDANCE, [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+        play.solimp_limit, play.solref_limit = (
+            STIFF_IMPEDANCE,
+            [max(2.0 * settings.timestep_s, 1e-3), 1.0],
+        )
 
 
 def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
@@ -306,7 +379,11 @@ def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
     return [
         volume
         for part in shape.parts
-        for volume in (_volumes_m3(part.shape) if isinstance(part.shape, ConvexUnion) else [part.shape.volume_m3])
+        for volume in (
+            _volumes_m3(part.shape)
+            if isinstance(part.shape, ConvexUnion)
+            else [part.shape.volume_m3]
+        )
     ]
 
 
@@ -321,7 +398,9 @@ def _add_motors(spec: mujoco.MjSpec, hinges: Mapping[str, Hinge | BodyHinge]) ->
         motor = hinge.motor
         if motor is None:
             continue
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator = spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
         actuator.gear[0] = joint_sign(hinge, name)
         if isinstance(motor, Servo):
             actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -345,7 +424,13 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
 
 
 def _add_contact(
-    spec: mujoco.MjSpec, scene: Scene, contact: Contact, geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    contact: Contact,
+    geoms: Geoms,
+    settings: SettingsMuJoCo,
+    *,
+    bit: int,
 ) -> None:
     constants = contact_constants(contact, settings)
     pairs = list(scene.colliding_pairs(contact))
@@ -363,4 +448,6 @@ def _add_contact(
         return
     for first, second in pairs:
         for one, other in product(geoms[first], geoms[second]):
-            constants.put_on_pair(spec.add_pair(geomname1=one.name, geomname2=other.name))
+            constants.put_on_pair(
+                spec.add_pair(geomname1=one.name, geomname2=other.name)
+            )

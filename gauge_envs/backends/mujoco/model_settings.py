@@ -13,7 +13,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.model import CONES, DISABLE_FLAGS, ENABLE_FLAGS, INTEGRATORS, SAME_NAME_OPTIONS, SOLVERS
+from gauge_envs.backends.mujoco.model import (
+    CONES,
+    DISABLE_FLAGS,
+    ENABLE_FLAGS,
+    INTEGRATORS,
+    SAME_NAME_OPTIONS,
+    SOLVERS,
+)
 from gauge_envs.backends.mujoco.settings import PRESETS
 
 COLUMNS: Mapping[str, slice] = {
@@ -65,7 +72,9 @@ class ContactPairs:
 def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
     """Return all pairs of geoms that can collide, explicit ones included, with their constants."""
     moves = can_move(model)
-    explicit = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1)
+    explicit = np.sort(
+        np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1
+    )
     explicit_rows = np.flatnonzero(moves[explicit].any(axis=1))
     explicit = explicit[explicit_rows]
     # An explicit pair replaces the implicit one.
@@ -73,7 +82,12 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
     implicit = _implicit_pairs(model)
     implicit = implicit[[tuple(row) not in explicit_pairs for row in implicit.tolist()]]
 
-    constants = np.vstack([_mixed_constants(model, *implicit.T), _explicit_constants(model, explicit_rows)])
+    constants = np.vstack(
+        [
+            _mixed_constants(model, *implicit.T),
+            _explicit_constants(model, explicit_rows),
+        ]
+    )
     if overrides_contacts(model):
         _override(model, constants)
     friction = constants[:, COLUMNS["friction"]]
@@ -108,14 +122,19 @@ def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
         parents = model.body_weldid[model.body_parentid[roots]]
         related = (parents[first] == roots[second]) | (parents[second] == roots[first])
         keep &= ~(related & (roots[first] != 0) & (roots[second] != 0))
-    low, high = np.minimum(bodies[first], bodies[second]), np.maximum(bodies[first], bodies[second])
+    low, high = (
+        np.minimum(bodies[first], bodies[second]),
+        np.maximum(bodies[first], bodies[second]),
+    )
     keep &= ~np.isin((low.astype(np.int64) << 16) + high, model.exclude_signature)
     ground = np.isin(model.geom_type, GROUND_TYPES)
     keep &= ~(ground[first] & ground[second])
     return np.column_stack([first[keep], second[keep]])
 
 
-def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
+def _mixed_constants(
+    model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Return constants of pairs, mixed from those of their geoms, shape [pair_count, 17]."""
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
@@ -144,22 +163,33 @@ def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDA
     table[:, COLUMNS["solref"]] = np.where(is_standard[:, None], mixed(solref), direct)
     table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
     # Margins and gaps add up for all priorities.
-    table[:, COLUMNS["margin"].start] = model.geom_margin[first] + model.geom_margin[second]
+    table[:, COLUMNS["margin"].start] = (
+        model.geom_margin[first] + model.geom_margin[second]
+    )
     table[:, COLUMNS["gap"].start] = model.geom_gap[first] + model.geom_gap[second]
     return table
 
 
-def _share(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _share(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
     both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
     alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
     return np.where(both, first / np.where(both, first + second, 1.0), alone)
 
 
-def _explicit_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+def _explicit_constants(
+    model: mujoco.MjModel, rows: NDArray[np.intp]
+) -> NDArray[np.float64]:
     """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
-        *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),
+        *(
+            model.pair_dim[:, None],
+            model.pair_friction,
+            model.pair_solref,
+            model.pair_solreffriction,
+        ),
         *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
     )
     return np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
@@ -191,8 +221,12 @@ def option_settings(model: mujoco.MjModel) -> dict[str, Any]:
         "solver": _name(SOLVERS, option.solver),
     }
     values |= {name: getattr(option, name) for name in SAME_NAME_OPTIONS}
-    values |= {name: not option.disableflags & bit for name, bit in DISABLE_FLAGS.items()}
-    return values | {name: bool(option.enableflags & bit) for name, bit in ENABLE_FLAGS.items()}
+    values |= {
+        name: not option.disableflags & bit for name, bit in DISABLE_FLAGS.items()
+    }
+    return values | {
+        name: bool(option.enableflags & bit) for name, bit in ENABLE_FLAGS.items()
+    }
 
 
 def overrides_contacts(model: mujoco.MjModel) -> bool:
@@ -200,7 +234,9 @@ def overrides_contacts(model: mujoco.MjModel) -> bool:
     return bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def effective_constants(model: mujoco.MjModel, constants: NDArray[np.float64]) -> NDArray[np.float64]:
+def effective_constants(
+    model: mujoco.MjModel, constants: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return contact constants with zeros for those that `contact_settings` does not use.
 
     These are constants without effect in the model. Sliding friction is another one, unless the model overrides it,
@@ -222,7 +258,9 @@ def effective_constants(model: mujoco.MjModel, constants: NDArray[np.float64]) -
     return effective
 
 
-def contact_settings(model: mujoco.MjModel, constants: NDArray[np.float64]) -> dict[str, Any]:
+def contact_settings(
+    model: mujoco.MjModel, constants: NDArray[np.float64]
+) -> dict[str, Any]:
     """Return the settings that give every contact a pair's constants, without those at their defaults.
 
     Args:
@@ -231,8 +269,14 @@ def contact_settings(model: mujoco.MjModel, constants: NDArray[np.float64]) -> d
     """
     values = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
     dimension = int(constants[0])
-    settings: dict[str, Any] = {"contact_solref": values["solref"], "contact_solimp": values["solimp"]}
-    if any(values["solreffriction"]) and model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC:
+    settings: dict[str, Any] = {
+        "contact_solref": values["solref"],
+        "contact_solimp": values["solimp"],
+    }
+    if (
+        any(values["solreffriction"])
+        and model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    ):
         settings["contact_solreffriction"] = values["solreffriction"]
     for name in ("margin", "gap"):
         if any(values[name]):
@@ -256,4 +300,6 @@ def default_contact_settings() -> dict[str, Any]:
 
 def _name(known: Mapping[str, Any], value: int) -> str:
     """Return MuJoCo's name of an option, or its number if this package does not name it."""
-    return next((name for name, constant in known.items() if constant == value), str(value))
+    return next(
+        (name for name, constant in known.items() if constant == value), str(value)
+    )

@@ -12,7 +12,13 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
-from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, read_presets, resolve_settings
+from gauge_envs.backends.settings import (
+    Native,
+    SteppedSettings,
+    load_presets,
+    read_presets,
+    resolve_settings,
+)
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
@@ -20,7 +26,9 @@ from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 def _in_one_format(solref: tuple[float, float]) -> tuple[float, float]:
     """Raise an error for a mixture of both formats, which MuJoCo replaces by its default with a mere log message."""
     if (solref[0] > 0.0) != (solref[1] > 0.0):
-        raise ValueError("both numbers must be positive (time constant, damping ratio) or neither (direct format)")
+        raise ValueError(
+            "both numbers must be positive (time constant, damping ratio) or neither (direct format)"
+        )
     return solref
 
 
@@ -101,7 +109,9 @@ class SettingsMuJoCo(SteppedSettings):
             over the area of the vertex, for every density and cell size. None if `cloth_solimp` is given.
     """
 
-    integrator: Literal["Euler", "RK4", "implicit", "implicitfast", "discrete"] = "implicitfast"
+    integrator: Literal["Euler", "RK4", "implicit", "implicitfast", "discrete"] = (
+        "implicitfast"
+    )
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
     impratio: float = Field(default=10.0, gt=0.0)
     solver: Literal["PGS", "CG", "Newton"] = "Newton"
@@ -149,8 +159,12 @@ class SettingsMuJoCo(SteppedSettings):
     @classmethod
     def _one_of_two(cls, softness: float | None, info: ValidationInfo) -> float | None:
         # An invalid `cloth_solimp` is not in the data; its own error is reported first.
-        if "cloth_solimp" in info.data and (softness is None) == (info.data["cloth_solimp"] is None):
-            raise ValueError("either this or cloth_solimp must be given, and the other must be None")
+        if "cloth_solimp" in info.data and (softness is None) == (
+            info.data["cloth_solimp"] is None
+        ):
+            raise ValueError(
+                "either this or cloth_solimp must be given, and the other must be None"
+            )
         return softness
 
 
@@ -183,7 +197,11 @@ def _preset_name(scene: Scene) -> str:
     if scene.deformables:
         cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
         if cloths:
-            touched = [set(c.first) | set(c.second) for c in scene.contacts if cloths & {*c.first, *c.second}]
+            touched = [
+                set(c.first) | set(c.second)
+                for c in scene.contacts
+                if cloths & {*c.first, *c.second}
+            ]
             folds = any(cloths & set(c.first) & set(c.second) for c in scene.contacts)
             bodies = set().union(*touched) - cloths
             if folds and bodies:
@@ -194,7 +212,11 @@ def _preset_name(scene: Scene) -> str:
         if any(isinstance(body, SoftBody) for body in scene.deformables):
             return "soft"
         # A rope is a chain of constraints without elasticity, so it needs the short time step of contacts.
-        return "rod" if any(isinstance(body, Rod) for body in scene.deformables) else "contact"
+        return (
+            "rod"
+            if any(isinstance(body, Rod) for body in scene.deformables)
+            else "contact"
+        )
     if not scene.contacts:
         return "contact_free"
     if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
@@ -206,15 +228,31 @@ def _training_preset(scene: Scene) -> SettingsMuJoCo:
     name = _preset_name(scene)
     kind = "rope" if any(isinstance(body, Rope) for body in scene.deformables) else name
     kind = "soft_touched" if kind == "soft" and scene.contacts else kind
-    return PRESETS[name].model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[kind])
+    return PRESETS[name].model_copy(
+        update={"preset": TRAINING} | TRAINING_CHANGES[kind]
+    )
 
 
-def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
+def settings_for(
+    scene: Scene, overrides: Mapping[str, Any] | None = None
+) -> SettingsMuJoCo:
     """Return the settings of a scene: its preset with the user's overrides."""
     presets = PRESETS | {TRAINING: _training_preset(scene)}
-    settings = resolve_settings("MuJoCo", presets, preset=_preset_name(scene), changes=overrides)
+    settings = resolve_settings(
+        "MuJoCo", presets, preset=_preset_name(scene), changes=overrides
+    )
     check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
-        check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)
+        check_cells(
+            "MuJoCo",
+            scene,
+            settings.cell_m,
+            node_limit=NODE_LIMIT,
+            soft_nodes_per_edge=2,
+        )
     default = common_cell_m(scene, {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M})
-    return settings if settings.cell_m is not None else settings.model_copy(update={"cell_m": default})
+    return (
+        settings
+        if settings.cell_m is not None
+        else settings.model_copy(update={"cell_m": default})
+    )

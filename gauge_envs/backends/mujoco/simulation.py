@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, FoldWatch, check_air_step
+from gauge_envs.backends.mujoco.cloth import (
+    AirOnCloth,
+    ClothPartMuJoCo,
+    FoldWatch,
+    check_air_step,
+)
 from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
@@ -28,7 +33,9 @@ BAD_STATES = {
 }
 """Quantity of each warning after which MuJoCo puts the state back to its start."""
 
-NO_CLOCK = ctypes.cast(ctypes.pythonapi.PyFloat_GetMin, ctypes.CFUNCTYPE(ctypes.c_double))
+NO_CLOCK = ctypes.cast(
+    ctypes.pythonapi.PyFloat_GetMin, ctypes.CFUNCTYPE(ctypes.c_double)
+)
 """A function of C that returns a constant. In Python MuJoCo reads a clock dozens of times in each step, for the timers
 of `MjData`: a fifth to a third of a step of a few rigid bodies (studies/cost)."""
 
@@ -71,18 +78,34 @@ class SimulationMuJoCo(Simulation):
         self._timestep_s = float(settings["timestep_s"])
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
-            cloth = [part for part in parts.values() if isinstance(part, ClothPartMuJoCo)]
+            cloth = [
+                part for part in parts.values() if isinstance(part, ClothPartMuJoCo)
+            ]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         # A scene in which a cloth touches nothing but itself.
-        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        touching = {
+            name
+            for contact in scene.contacts
+            for name in (*contact.first, *contact.second)
+        }
         lone = parts.get(*touching) if len(touching) == 1 else None
-        self._folds = FoldWatch(lone, model, self.data) if isinstance(lone, ClothPartMuJoCo) else None
-        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._folds = (
+            FoldWatch(lone, model, self.data)
+            if isinstance(lone, ClothPartMuJoCo)
+            else None
+        )
+        self._state_size = mujoco.mj_stateSize(
+            model, mujoco.mjtState.mjSTATE_INTEGRATION
+        )
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
-        actuators = {id(hinge): model.actuator(name).id for name, hinge in hinges_by_body(scene).items() if hinge.motor}
+        actuators = {
+            id(hinge): model.actuator(name).id
+            for name, hinge in hinges_by_body(scene).items()
+            if hinge.motor
+        }
         self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
         self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
@@ -95,13 +118,26 @@ class SimulationMuJoCo(Simulation):
         mujoco.mj_resetData(self.model, self.data)
         self.data.qvel[:] = self._start_velocities
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         if body not in self._driven:
             # Views of MuJoCo's arrays with the pose, velocity, force and mass of the body.
             index = self.model.body(body).id
-            force, mass_kg = self.data.xfrc_applied[index], self.model.body_mass[index : index + 1]
-            self._driven[body] = (*free_joint_views(self.model, self.data, body), force, mass_kg)
+            force, mass_kg = (
+                self.data.xfrc_applied[index],
+                self.model.body_mass[index : index + 1],
+            )
+            self._driven[body] = (
+                *free_joint_views(self.model, self.data, body),
+                force,
+                mass_kg,
+            )
         place, speed, force, mass_kg = self._driven[body]
         place[:3] = pose.position_m
         place[3:] = pose.quaternion
@@ -137,7 +173,9 @@ class SimulationMuJoCo(Simulation):
 
     def _steps(self, count: int) -> None:
         if not self._air:
-            has_clock = mujoco.get_mjcb_time() is not None  # of the user, or of another thread that is in this method
+            has_clock = (
+                mujoco.get_mjcb_time() is not None
+            )  # of the user, or of another thread that is in this method
             if not has_clock:
                 mujoco.set_mjcb_time(NO_CLOCK)
             try:
@@ -163,7 +201,9 @@ class SimulationMuJoCo(Simulation):
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         return self._reader(names).states()
 
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample_positions(
+        self, names: Sequence[str], count: int, interval_s: float
+    ) -> NDArray[np.float64]:
         """Advance and return positions; see `Simulation.sample_positions`."""
         positions = np.empty((count, len(names), 3))
         read = self._reader(names).read_positions
@@ -182,24 +222,38 @@ class SimulationMuJoCo(Simulation):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
         part = self._parts[name]
-        return part.nodes()[part.node_indices[name]] if name in part.node_indices else part.nodes()
+        return (
+            part.nodes()[part.node_indices[name]]
+            if name in part.node_indices
+            else part.nodes()
+        )
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
         part = self._parts[name]
-        return part.track(points_m) if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo) else None
+        return (
+            part.track(points_m)
+            if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo)
+            else None
+        )
 
     def state(self) -> Snapshot:
         """Return MuJoCo's integration state, shape [state_size], with its origin."""
         state = np.empty(self._state_size)
-        mujoco.mj_getState(self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_getState(
+            self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION
+        )
         return self._origin.state(state)
 
     def restore(self, state: Snapshot) -> None:
         """Restore an integration state."""
         values = self._origin.values(state)
         self._warning_counts[:] = 0
-        mujoco.mj_setState(self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_setState(
+            self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION
+        )
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""
@@ -216,10 +270,19 @@ class _StateReader(Protocol):
     def read_positions(self, out: NDArray[np.float64]) -> None: ...
 
 
-def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> _StateReader:
+def _reader(
+    scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
+) -> _StateReader:
     hinges = hinges_by_body(scene)
-    if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
-        return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)
+    if all(
+        scene.body(name).motion is not Motion.FIXED and name not in hinges
+        for name in names
+    ):
+        return (
+            _OneFreeBody(model, data, names[0])
+            if len(names) == 1
+            else _FreeBodies(model, data, names)
+        )
     hinge = hinges.get(names[0]) if len(names) == 1 else None
     if isinstance(hinge, Hinge) and not hinge.dynamics.backlash_rad:
         return _OneHingedBody(scene, model, data, hinge)
@@ -253,7 +316,9 @@ class _OneFreeBody:
 class _FreeBodies:
     """Several free bodies, read from qpos and qvel by index arrays."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
+    ) -> None:
         self._qpos = data.qpos
         self._qvel = data.qvel
         joints = [model.joint(name).id for name in names]
@@ -277,7 +342,9 @@ class _FreeBodies:
 class _AnyBodies:
     """Free, hinged and fixed bodies, read through MuJoCo's kinematics."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
+    ) -> None:
         self._model = model
         self._data = data
         ids = [model.body(name).id for name in names]
@@ -291,8 +358,12 @@ class _AnyBodies:
         mujoco.mj_comVel(self._model, self._data)
         states = np.empty((len(self._bodies), 13))
         velocity = self._velocity
-        for state, (index, position, quaternion) in zip(states, self._bodies, strict=True):
-            mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0)
+        for state, (index, position, quaternion) in zip(
+            states, self._bodies, strict=True
+        ):
+            mujoco.mj_objectVelocity(
+                self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0
+            )
             state[:3] = position
             state[3:7] = quaternion
             state[7:10] = velocity[3:]
@@ -309,14 +380,18 @@ class _AnyBodies:
 class _OneHingedBody(_AnyBodies):
     """A single hinged body; evaluating its circle is faster than MuJoCo's kinematics."""
 
-    def __init__(self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge) -> None:
+    def __init__(
+        self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge
+    ) -> None:
         super().__init__(model, data, (hinge.body,))
         address = int(model.joint(hinge.body).qposadr[0])
         self._angle = data.qpos[address : address + 1]
         axis = np.asarray(hinge.axis)
         arm = np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
         along = axis * (axis @ arm)
-        self._circle = np.column_stack([hinge.anchor_m + along, arm - along, np.cross(axis, arm)]).tolist()
+        self._circle = np.column_stack(
+            [hinge.anchor_m + along, arm - along, np.cross(axis, arm)]
+        ).tolist()
 
     def read_positions(self, out: NDArray[np.float64]) -> None:
         """Write the position of the body to `out`, shape [1, 3]."""

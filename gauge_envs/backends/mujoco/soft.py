@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, free_joint_views, make_firm, rotation_matrix
+from gauge_envs.backends.mujoco.flex import (
+    FlexPart,
+    Points,
+    free_joint_views,
+    make_firm,
+    rotation_matrix,
+)
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
@@ -88,7 +94,11 @@ class Grip:
         turning = np.cross(spin, arms_m)
         # The mass and all moments of inertia of a driven body are the same number.
         acceleration = self._force / self._mass_kg
-        node_acceleration = acceleration[:3] + np.cross(acceleration[3:], arms_m) + np.cross(spin, turning)
+        node_acceleration = (
+            acceleration[:3]
+            + np.cross(acceleration[3:], arms_m)
+            + np.cross(spin, turning)
+        )
         self._data.qpos[self._addresses] = self._pose[:3] + arms_m - self._rest_m
         self._data.qvel[self._freedoms] = self._velocity[:3] + turning
         self._data.xfrc_applied[self._nodes, :3] = self._masses_kg * node_acceleration
@@ -127,11 +137,15 @@ class SoftPartMuJoCo(FlexPart):
         """Write the stiffness of each cell's material."""
         cells = self._lattice.cells
         start = int(model.flex_stiffnessadr[self.flex.id])
-        matrices = model.flex_stiffness[start : start + np.prod(cells) * 81 * 81].reshape(*cells, -1)
+        matrices = model.flex_stiffness[
+            start : start + np.prod(cells) * 81 * 81
+        ].reshape(*cells, -1)
         along = np.moveaxis(matrices, self._lattice.axis, 0)
         first = 0
         for block, count in zip(self._soft_row.blocks, self._layers, strict=True):
-            along[first : first + count] = _cell_stiffness(self._lattice.cell_m, block.body)
+            along[first : first + count] = _cell_stiffness(
+                self._lattice.cell_m, block.body
+            )
             first += count
         # Recompute the constants that MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -148,7 +162,9 @@ class SoftPartMuJoCo(FlexPart):
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of material points by the shape functions of the elements; see `World.track`."""
-        weights = self._lattice.weights(self._soft_row.checked(np.asarray(points_m, dtype=np.float64)))
+        weights = self._lattice.weights(
+            self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
+        )
         return lambda: weights @ self.points.positions()
 
 
@@ -164,19 +180,28 @@ class _Lattice:
     """
 
     def __init__(
-        self, low_m: NDArray[np.float64], high_m: NDArray[np.float64], cells: tuple[int, ...], axis: int
+        self,
+        low_m: NDArray[np.float64],
+        high_m: NDArray[np.float64],
+        cells: tuple[int, ...],
+        axis: int,
     ) -> None:
         self.cells = cells
         self.axis = axis
         self._low_m = low_m
         self.cell_m = (high_m - low_m) / cells
-        self.subdivisions = tuple(max(2, ceil(edge / POINT_SPACING_M - 1e-6)) for edge in self.cell_m)
+        self.subdivisions = tuple(
+            max(2, ceil(edge / POINT_SPACING_M - 1e-6)) for edge in self.cell_m
+        )
         self.shape = tuple(2 * count + 1 for count in cells)
         self.rest_m = self.grid_m((2, 2, 2))
 
     def grid_m(self, subdivisions: tuple[int, ...]) -> NDArray[np.float64]:
         """Return a regular grid of positions [m], z fastest, with the given intervals in each cell."""
-        steps = [np.arange(n * part + 1) / part for n, part in zip(self.cells, subdivisions, strict=True)]
+        steps = [
+            np.arange(n * part + 1) / part
+            for n, part in zip(self.cells, subdivisions, strict=True)
+        ]
         return self._low_m + self.cell_m * grid_points(*steps)
 
     def node_masses(self, cell_kg: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -189,7 +214,9 @@ class _Lattice:
         simpson = np.array([1.0, 4.0, 1.0]) / 6.0
         share = np.einsum("i,j,k->ijk", simpson, simpson, simpson)
         for cell in np.ndindex(*self.cells):
-            masses[tuple(slice(2 * index, 2 * index + 3) for index in cell)] += cell_kg[cell[self.axis]] * share
+            masses[tuple(slice(2 * index, 2 * index + 3) for index in cell)] += (
+                cell_kg[cell[self.axis]] * share
+            )
         return masses.ravel()
 
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
@@ -198,17 +225,29 @@ class _Lattice:
         cells = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
         x = places - cells
         # Quadratic Lagrange polynomials with nodes at 0, 1/2 and 1, shape [point_count, axis, 3].
-        shapes = np.stack([(2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1)], axis=-1)
+        shapes = np.stack(
+            [(2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1)], axis=-1
+        )
         # The shape function of a node is the product of those along x, y and z.
         values = np.einsum("pi,pj,pk->pijk", *np.moveaxis(shapes, 1, 0)).reshape(-1, 27)
         steps = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)))
-        nodes = np.ravel_multi_index(tuple(2 * cells.T[:, :, None] + steps[:, None]), self.shape)
+        nodes = np.ravel_multi_index(
+            tuple(2 * cells.T[:, :, None] + steps[:, None]), self.shape
+        )
         starts = 27 * np.arange(len(points_m) + 1)
-        return csr_matrix((values.ravel(), nodes.ravel(), starts), shape=(len(points_m), len(self.rest_m)))
+        return csr_matrix(
+            (values.ravel(), nodes.ravel(), starts),
+            shape=(len(points_m), len(self.rest_m)),
+        )
 
 
 def add_soft(
-    spec: mujoco.MjSpec, soft_row: SoftRow, *, grip_mass_kg: float, cell_m: float | None = None, damping_s: float = 1e-4
+    spec: mujoco.MjSpec,
+    soft_row: SoftRow,
+    *,
+    grip_mass_kg: float,
+    cell_m: float | None = None,
+    damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
     """Add a soft body or a soft row without contacts.
 
@@ -219,10 +258,20 @@ def add_soft(
         cell_m: Largest edge of a cell [m]; None gives each body `LONE_CELLS` or `BONDED_CELLS` along and across.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
-    axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
+    axis, blocks, low_m, high_m = (
+        soft_row.axis,
+        soft_row.blocks,
+        soft_row.low_m,
+        soft_row.high_m,
+    )
     each = _cells_of_a_block(blocks, axis, cell_m)
     layers = _layers_of_blocks(blocks, axis, each[axis])
-    lattice = _Lattice(low_m, high_m, tuple(sum(layers) if i == axis else n for i, n in enumerate(each)), axis)
+    lattice = _Lattice(
+        low_m,
+        high_m,
+        tuple(sum(layers) if i == axis else n for i, n in enumerate(each)),
+        axis,
+    )
 
     name = blocks[0].body.name
     flex = spec.worldbody.make_flex(
@@ -231,20 +280,32 @@ def add_soft(
         dim=3,
         dof="quadratic",
         cellcount=list(lattice.cells),
-        count=[n * part + 1 for n, part in zip(lattice.cells, lattice.subdivisions, strict=True)],
+        count=[
+            n * part + 1
+            for n, part in zip(lattice.cells, lattice.subdivisions, strict=True)
+        ],
         spacing=(lattice.cell_m / lattice.subdivisions).tolist(),
         pos=(0.5 * (low_m + high_m)).tolist(),
         radius=SKIN_M,
     )
     # `complete` writes the stiffness of each cell; these two values only make MuJoCo reserve the memory.
-    flex.young, flex.poisson = blocks[0].body.young_modulus_pa, blocks[0].body.poisson_ratio
+    flex.young, flex.poisson = (
+        blocks[0].body.young_modulus_pa,
+        blocks[0].body.poisson_ratio,
+    )
     flex.damping = damping_s
     make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
 
     densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
-    for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
+    for node, mass in zip(
+        flex.nodebody,
+        lattice.node_masses(densities * np.prod(lattice.cell_m)),
+        strict=True,
+    ):
         spec.body(node).mass = mass
-    sections = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
+    sections = np.moveaxis(
+        np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0
+    )
     attached: dict[int, RigidAttachment] = {}
     grips = []
     for side, attachment in soft_row.ends.items():
@@ -252,7 +313,9 @@ def add_soft(
         if attachment.motion is Motion.FIXED:
             attached |= dict.fromkeys(section, attachment)
         else:
-            grips.append(Grip(attachment.body, [flex.nodebody[index] for index in section]))
+            grips.append(
+                Grip(attachment.body, [flex.nodebody[index] for index in section])
+            )
             for name in grips[-1].names:
                 spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
         _add_gripped_material(spec, flex, soft_row, side)
@@ -262,7 +325,9 @@ def add_soft(
     return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips)
 
 
-def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) -> tuple[int, ...]:
+def _cells_of_a_block(
+    blocks: Sequence[Block], axis: int, cell_m: float | None
+) -> tuple[int, ...]:
     """Return the number of cells of each block along x, y and z."""
     if cell_m is None:
         along, across = LONE_CELLS if len(blocks) == 1 else BONDED_CELLS
@@ -272,7 +337,9 @@ def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) 
     return tuple(max(1, ceil(edge / cell_m - 1e-6)) for edge in edges)
 
 
-def _layers_of_blocks(blocks: Sequence[Block], axis: int, layer_count: int) -> tuple[int, ...]:
+def _layers_of_blocks(
+    blocks: Sequence[Block], axis: int, layer_count: int
+) -> tuple[int, ...]:
     """Return the number of layers of cells of each block along the row; the cells of a row are all equally long.
 
     Args:
@@ -296,14 +363,25 @@ def _layers_of_blocks(blocks: Sequence[Block], axis: int, layer_count: int) -> t
     )
 
 
-def _add_gripped_material(spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str) -> None:
+def _add_gripped_material(
+    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str
+) -> None:
     """Add a massless box without contacts that shows the material in a grip."""
-    attachment, axis, low_m, high_m = soft_row.ends[side], soft_row.axis, soft_row.low_m, soft_row.high_m
+    attachment, axis, low_m, high_m = (
+        soft_row.ends[side],
+        soft_row.axis,
+        soft_row.low_m,
+        soft_row.high_m,
+    )
     if attachment.region.depth_m == 0.0:
         return
     centre, size = 0.5 * (low_m + high_m), high_m - low_m
     size[axis] = attachment.region.depth_m
-    centre[axis] = low_m[axis] - 0.5 * size[axis] if side == "low" else high_m[axis] + 0.5 * size[axis]
+    centre[axis] = (
+        low_m[axis] - 0.5 * size[axis]
+        if side == "low"
+        else high_m[axis] + 0.5 * size[axis]
+    )
     spec.body(attachment.body).add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
         size=(0.5 * size).tolist(),
@@ -321,7 +399,13 @@ def _cell_stiffness(size_m: NDArray[np.float64], body: SoftBody) -> NDArray[np.f
     spec = mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     flex = spec.worldbody.make_flex(
-        "cell", type="grid", dim=3, dof="quadratic", cellcount=[1, 1, 1], count=[2, 2, 2], spacing=size_m.tolist()
+        "cell",
+        type="grid",
+        dim=3,
+        dof="quadratic",
+        cellcount=[1, 1, 1],
+        count=[2, 2, 2],
+        spacing=size_m.tolist(),
     )
     flex.young, flex.poisson = body.young_modulus_pa, body.poisson_ratio
     flex.damping = 1.0

@@ -42,9 +42,18 @@ class Feature:
 
 FEATURES = (
     Feature(
-        setting="integrator", value="discrete", enumeration="mjtIntegrator", constant="mjINT_DISCRETE", since="3.13"
+        setting="integrator",
+        value="discrete",
+        enumeration="mjtIntegrator",
+        constant="mjINT_DISCRETE",
+        since="3.13",
     ),
-    Feature(setting="speculative", enumeration="mjtEnableBit", constant="mjENBL_SPECULATIVE", since="4.0"),
+    Feature(
+        setting="speculative",
+        enumeration="mjtEnableBit",
+        constant="mjENBL_SPECULATIVE",
+        since="4.0",
+    ),
 )
 
 
@@ -56,12 +65,20 @@ def constants_of(enumeration: str, names: Mapping[str, str]) -> dict[str, Any]:
         names: Name of the constant, by the name that this package gives it.
     """
     found = getattr(mujoco, enumeration)
-    return {name: getattr(found, constant) for name, constant in names.items() if hasattr(found, constant)}
+    return {
+        name: getattr(found, constant)
+        for name, constant in names.items()
+        if hasattr(found, constant)
+    }
 
 
 def without_absent(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings without those that the installed version lacks: they are not in force."""
-    absent = {feature.setting for feature in FEATURES if feature.value is None and not feature.is_installed}
+    absent = {
+        feature.setting
+        for feature in FEATURES
+        if feature.value is None and not feature.is_installed
+    }
     return {name: value for name, value in settings.items() if name not in absent}
 
 
@@ -91,7 +108,11 @@ def without_deformables(scene: Scene) -> Iterator[str]:
     """Yield the reason why the installed version is not used for the deformable bodies of a scene."""
     if scene.deformables and int(mujoco.__version__.split(".")[0]) < DEFORMABLES_SINCE:
         names = ", ".join(repr(body.name) for body in scene.deformables[:3])
-        more = "" if len(scene.deformables) <= 3 else f" and {len(scene.deformables) - 3} more"
+        more = (
+            ""
+            if len(scene.deformables) <= 3
+            else f" and {len(scene.deformables) - 3} more"
+        )
         yield (
             f"deformable bodies ({names}{more}) need MuJoCo {DEFORMABLES_SINCE}, whose constants for them differ from "
             f"those of the installed MuJoCo {mujoco.__version__}: install mujoco>={DEFORMABLES_SINCE}"

@@ -21,7 +21,11 @@ from gauge_envs.backends.newton.settings import (
     SettingsVBD,
     settings_for,
 )
-from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.attachments import (
+    attached_ends,
+    attachment_problems,
+    rigid_attachments,
+)
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
@@ -45,7 +49,9 @@ class BackendNewton(BundledBackend):
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(vbd_constants)
-    configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
+    configurations = MappingProxyType(
+        {"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}}
+    )
     corrections = (
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
@@ -59,14 +65,18 @@ class BackendNewton(BundledBackend):
         """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
         return _unsupported_features(scene, settings_for(scene))
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of the settings class of the preset's solver."""
         chosen = _checked(scene, settings)
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
         return SimulationNewton(with_rotors(scene), chosen)
 
-    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    def build_worlds(
+        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
+    ) -> Worlds:
         """Build scenes as worlds of one model, which advance in the same step."""
         chosen = _checked(scenes[0], settings)
         from gauge_envs.backends.newton.simulation import WorldsNewton
@@ -98,11 +108,14 @@ def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
     fits = {
         SettingsMuJoCoWarp: not scene.deformables,
         SettingsVBD: bool(scene.deformables) and not has_lines,
-        SettingsLines: has_lines and all(isinstance(body, Rope | Rod) for body in scene.deformables),
+        SettingsLines: has_lines
+        and all(isinstance(body, Rope | Rod) for body in scene.deformables),
         SettingsMPM: bool(scene.deformables) and not has_cloth and not has_lines,
     }
     if not fits[type(settings)]:
-        kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
+        kinds = sorted({type(body).__name__ for body in scene.deformables}) or [
+            "rigid bodies alone"
+        ]
         raise UnsupportedSceneError(
             f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
             "here: choose another preset"
@@ -129,16 +142,24 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
 
 def _unsupported_lines(scene: Scene) -> Iterator[str]:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-    others = [body.name for body in scene.deformables if not isinstance(body, Rope | Rod)]
+    others = [
+        body.name for body in scene.deformables if not isinstance(body, Rope | Rod)
+    ]
     names = {line.name for line in lines}
     if lines and others:
         yield f"{lines[0].name!r} is beside {others[0]!r}: this backend builds ropes and rods with rigid bodies only"
     for attachment in scene.attachments:
-        if {attachment.deformable, attachment.to} & names and attachment.to not in {body.name for body in scene.bodies}:
+        if {attachment.deformable, attachment.to} & names and attachment.to not in {
+            body.name for body in scene.bodies
+        }:
             yield f"{attachment.deformable!r} is attached to {attachment.to!r}, which is not a rigid body"
     for contact in scene.contacts:
         touching = names & {*contact.first, *contact.second}
-        if touching and contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT:
+        if (
+            touching
+            and contact.restitution > 0.0
+            and contact.mode is ContactMode.IMPACT
+        ):
             yield f"{min(touching)!r} rebounds: Newton's vertex block descent has no restitution"
     for line in lines:
         try:
@@ -155,7 +176,11 @@ def _unsupported_solids(scene: Scene) -> Iterator[str]:
         yield f"{name!r} is hinged beside deformable bodies, which this backend does not support"
     for contact in scene.contacts:
         for first, second in scene.colliding_pairs(contact):
-            if contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT and not {first, second} & soft:
+            if (
+                contact.restitution > 0.0
+                and contact.mode is ContactMode.IMPACT
+                and not {first, second} & soft
+            ):
                 yield f"{first!r} rebounds from {second!r}: Newton's vertex block descent has no restitution"
     yield from attachment_problems(scene, not_to_dynamic=Cloth)
     cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}

@@ -47,7 +47,9 @@ class ShapeConstants:
     rolling_m: float = 0.0
 
 
-def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -> ShapeConstants:
+def _constants(
+    contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp
+) -> ShapeConstants:
     """Return the constants of a contact.
 
     Args:
@@ -65,23 +67,36 @@ def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -
         )
     if contact.mode is ContactMode.SUSTAINED:
         return ShapeConstants(
-            contact.friction, settings.sustained_solref, settings.sustained_solimp, FRICTION_AS_NORMAL
+            contact.friction,
+            settings.sustained_solref,
+            settings.sustained_solimp,
+            FRICTION_AS_NORMAL,
         )
     # One step changes the normal velocity v to -e v, as in the MuJoCo backend. Friction must stop the tangential motion
     # instead. That needs a damping of 1/h, which Newton computes as a gain times the inverse mass of the bodies.
     step, width = settings.timestep_s, settings.impact_solimp[1]
     solref = (-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step)
     share = (1.0 - width) / settings.impratio + width
-    gain = width / step * mass_kg / share if settings.cone == "elliptic" else FRICTION_AS_NORMAL
+    gain = (
+        width / step * mass_kg / share
+        if settings.cone == "elliptic"
+        else FRICTION_AS_NORMAL
+    )
     return ShapeConstants(contact.friction, solref, settings.impact_solimp, gain)
 
 
-def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset[str], ShapeConstants]:
+def pair_constants(
+    scene: Scene, settings: SettingsMuJoCoWarp
+) -> dict[frozenset[str], ShapeConstants]:
     """Return the constants of each colliding pair of bodies."""
     inverse_masses = {body.name: 1.0 / body.mass_kg for body in scene.dynamic_bodies}
     return {
         frozenset(pair): replace(
-            _constants(contact, 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair), settings),
+            _constants(
+                contact,
+                1.0 / sum(inverse_masses.get(name, 0.0) for name in pair),
+                settings,
+            ),
             torsion_m=contact.torsion_m,
             rolling_m=contact.rolling_m,
         )
@@ -90,7 +105,9 @@ def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset
     }
 
 
-def carried_constants(pairs: dict[frozenset[str], ShapeConstants]) -> dict[str, ShapeConstants]:
+def carried_constants(
+    pairs: dict[frozenset[str], ShapeConstants],
+) -> dict[str, ShapeConstants]:
     """Return the constants of each body whose contacts all have the same; such a body carries them with priority."""
     found: dict[str, set[ShapeConstants]] = {}
     for pair, constants in pairs.items():
@@ -148,7 +165,9 @@ def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts
     )
 
 
-def unsupported_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterator[str]:
+def unsupported_surface_contacts(
+    scene: Scene, *, per_body: bool = False
+) -> Iterator[str]:
     """Yield one sentence for each contact that VBD does not support; arguments as in `surface_contacts`."""
     try:
         pairs = _pairs(scene)
@@ -175,7 +194,9 @@ def _partial_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
     """
     soft, met = _soft_bodies(scene), _met(scene)
     among = {name: touching for name, touching in met.items() if name in soft}
-    if among and (set(among) != soft or any(touching != soft for touching in among.values())):
+    if among and (
+        set(among) != soft or any(touching != soft for touching in among.values())
+    ):
         yield f"of {', '.join(sorted(soft))}, some touch each other or themselves and some do not"
     for name, touching in met.items():
         if not per_body and name not in soft and touching != soft:
@@ -183,7 +204,9 @@ def _partial_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
 
 
 def _soft_bodies(scene: Scene) -> frozenset[str]:
-    return frozenset(body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody))
+    return frozenset(
+        body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody)
+    )
 
 
 def _met(scene: Scene) -> dict[str, frozenset[str]]:
@@ -195,9 +218,14 @@ def _met(scene: Scene) -> dict[str, frozenset[str]]:
     seams = {(a.deformable, a.to) for a in scene.attachments if a.to not in soft}
     met: dict[str, frozenset[str]] = {}
     for contact in scene.contacts:
-        for group, others in ((contact.first, contact.second), (contact.second, contact.first)):
+        for group, others in (
+            (contact.first, contact.second),
+            (contact.second, contact.first),
+        ):
             for name in others:
-                touching = {one for one in group if one in soft and (one, name) not in seams}
+                touching = {
+                    one for one in group if one in soft and (one, name) not in seams
+                }
                 met[name] = met.get(name, frozenset()) | touching
     return {name: touching for name, touching in met.items() if touching}
 
@@ -211,9 +239,13 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
     for contact in scene.contacts:
         for first in contact.first:
             for second in contact.second:
-                if not {first, second} & moving or (first == second and first not in soft | lines):
+                if not {first, second} & moving or (
+                    first == second and first not in soft | lines
+                ):
                     continue
-                low, high = sorted(PARTICLES if name in soft else name for name in (first, second))
+                low, high = sorted(
+                    PARTICLES if name in soft else name for name in (first, second)
+                )
                 if found.setdefault((low, high), contact.friction) != contact.friction:
                     raise UnsupportedSceneError(
                         f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
@@ -226,5 +258,7 @@ def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:
     """Return the coefficient of each side, the least-squares solution of log a + log b = 2 log(pair friction)."""
     names = sorted({name for pair in pairs for name in pair})
     sums = 2.0 * np.log(np.maximum(list(pairs.values()), FRICTION_FLOOR))
-    logs = values_of_sums(names, dict(zip(pairs, sums.tolist(), strict=True)), lowest=-np.inf)
+    logs = values_of_sums(
+        names, dict(zip(pairs, sums.tolist(), strict=True)), lowest=-np.inf
+    )
     return {name: float(np.exp(value)) for name, value in logs.items()}

@@ -49,7 +49,11 @@ def vbd_constants(fabric: Fabric) -> FabricConstants:
         engine="newton",
         fabric=fabric,
         constants=constants,
-        units={"tri_ke": "N/m", "tri_ka": "N/m", "edge_ke_times_mean_edge_length": "N m/rad"},
+        units={
+            "tri_ke": "N/m",
+            "tri_ka": "N/m",
+            "edge_ke_times_mean_edge_length": "N m/rad",
+        },
         stretch_stiffness_n_per_m=4.0 * shear * (lame + shear) / (lame + 2.0 * shear),
         shear_stiffness_n_per_m=shear,
         snippet=SNIPPET.format(density=fabric.areal_density_kg_per_m2, **constants),

@@ -30,7 +30,9 @@ def prescribe(
     if angle > 0.0:
         rotation = wp.quat_from_axis_angle(rotation_vector / angle, angle)
     position = wp.transform_get_translation(start[i]) + wp.spatial_top(displacement)
-    body_q[body[i]] = wp.transform(position, rotation * wp.transform_get_rotation(start[i]))
+    body_q[body[i]] = wp.transform(
+        position, rotation * wp.transform_get_rotation(start[i])
+    )
     body_qd[body[i]] = velocity[i] + t * acceleration[i]
 
 
@@ -129,7 +131,9 @@ def record(
         states[frame, n, b, 10 + k] = wp.float64(v[3 + k])
     states[frame, n, b, 3] = wp.float64(q[6])
     # Newton's velocity is that of the centre of mass.
-    turned = wp.normalize(wp.quatd(wp.float64(q[3]), wp.float64(q[4]), wp.float64(q[5]), wp.float64(q[6])))
+    turned = wp.normalize(
+        wp.quatd(wp.float64(q[3]), wp.float64(q[4]), wp.float64(q[5]), wp.float64(q[6]))
+    )
     spin = wp.vec3d(wp.float64(v[3]), wp.float64(v[4]), wp.float64(v[5]))
     turning = wp.cross(spin, wp.quat_rotate(turned, centre[i]))
     for k in range(3):

@@ -23,16 +23,30 @@ from gauge_envs.backends.newton.parts import Part, Reader
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.settings import ROD_SEGMENTS, ROPE_CELL_M, SettingsLines
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.backends.shared.attachments import LINE_AXIS, RigidAttachment, attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import (
+    LINE_AXIS,
+    RigidAttachment,
+    attached_ends,
+    points_on_axis,
+)
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
-ROTATION_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
+ROTATION_TO_AXIS = {
+    "x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]),
+    "z": Rotation.identity(),
+}
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
 
-STIFFNESSES = ("stretch_stiffness", "bend_stiffness", "bend_damping", "twist_stiffness", "twist_damping")
+STIFFNESSES = (
+    "stretch_stiffness",
+    "bend_stiffness",
+    "bend_damping",
+    "twist_stiffness",
+    "twist_damping",
+)
 """Newton's names of the stiffnesses and dampings of a rod joint."""
 
 CLEAR_RADII = 2.5
@@ -91,7 +105,9 @@ class LinePartNewton(Part):
         places = (self.rest_m - self.rest_m[0]) @ axis
         along = (points - self.rest_m[0]) @ axis
         if not np.all((along > -1e-5) & (along < places[-1] + 1e-5)):
-            raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
+            raise ShapeError(
+                f"a point lies beyond an end of {self.name!r}: track points within its length"
+            )
         low = np.clip(np.searchsorted(places, along) - 1, 0, len(places) - 2)
         share = ((along - places[low]) / (places[low + 1] - places[low]))[:, None]
         offsets = points - self.rest_m[0] - along[:, None] * axis
@@ -109,7 +125,9 @@ class LinePartNewton(Part):
     def _nodes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         anchors = [anchor for pair in self.anchors for anchor in pair]
         at = poses[[anchor.body for anchor in anchors]]
-        points = at[:, :3] + Rotation.from_quat(at[:, 3:]).apply([anchor.place_m for anchor in anchors])
+        points = at[:, :3] + Rotation.from_quat(at[:, 3:]).apply(
+            [anchor.place_m for anchor in anchors]
+        )
         return np.asarray(points.reshape(-1, 2, 3).mean(axis=1))
 
     def _rotations(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -154,24 +172,35 @@ def add_line(
     """
     ends = attached_ends(line, attachments)
     # The ends of the free length, as signed distances from the middle of the line.
-    low_m, depth_m = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
+    low_m, depth_m = (
+        ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high")
+    )
     low_m, high_m = low_m - 0.5 * line.length_m, 0.5 * line.length_m - depth_m
     segments = _segment_count(line, attachments, settings)
     length_m = (high_m - low_m) / segments
     nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
     rotation = line.pose.rotation * ROTATION_TO_AXIS[LINE_AXIS[type(line)]]
     fixed = {
-        0 if side == "low" else segments - 1 for side, attachment in ends.items() if bodies[attachment.body] == WORLD
+        0 if side == "low" else segments - 1
+        for side, attachment in ends.items()
+        if bodies[attachment.body] == WORLD
     }
     links = _add_segments(builder, line, nodes_m, rotation, length_m, fixed)
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
     for one, other in combinations(range(segments), 2):
-        if not touches_itself or (other - one - 1) * length_m < CLEAR_RADII * line.radius_m:
+        if (
+            not touches_itself
+            or (other - one - 1) * length_m < CLEAR_RADII * line.radius_m
+        ):
             builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
 
     half = 0.5 * length_m
-    low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links]
-    high = [_Anchor(body=link, place_m=(0.0, 0.0, half), start=rotation) for link in links]
+    low = [
+        _Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links
+    ]
+    high = [
+        _Anchor(body=link, place_m=(0.0, 0.0, half), start=rotation) for link in links
+    ]
     first = _anchor_on(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
     last = _anchor_on(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
@@ -202,18 +231,26 @@ def add_line(
     )
 
 
-def _segment_count(line: Rope | Rod, attachments: Sequence[RigidAttachment], settings: SettingsLines) -> int:
+def _segment_count(
+    line: Rope | Rod, attachments: Sequence[RigidAttachment], settings: SettingsLines
+) -> int:
     """Return the number of segments outside the grips."""
     if isinstance(line, Rope):
         return max(2, round(line.length_m / (settings.cell_m or ROPE_CELL_M)))
     if settings.cell_m is None:
         return ROD_SEGMENTS
-    free_m = line.length_m - sum(attachment.region.depth_m for attachment in attachments)
+    free_m = line.length_m - sum(
+        attachment.region.depth_m for attachment in attachments
+    )
     return max(2, round(free_m / settings.cell_m))
 
 
 def _stiffness(
-    line: Rope | Rod, length_m: float, segments: int, settings: SettingsLines, load_n: float
+    line: Rope | Rod,
+    length_m: float,
+    segments: int,
+    settings: SettingsLines,
+    load_n: float,
 ) -> dict[str, float]:
     """Return the stiffness and damping of the joints of a line, times their length: E A, E I and G J of a rod.
 
@@ -221,18 +258,31 @@ def _stiffness(
     """
     if isinstance(line, Rope):
         largest_n_per_m = load_n * segments / (settings.rope_strain * line.length_m)
-        return dict.fromkeys(STIFFNESSES, 0.0) | {"stretch_stiffness": largest_n_per_m * length_m}
+        return dict.fromkeys(STIFFNESSES, 0.0) | {
+            "stretch_stiffness": largest_n_per_m * length_m
+        }
     area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
     bend = line.young_modulus_pa * inertia
     # J is twice I, and G is E / (2 + 2 nu).
     twist = line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio)
-    stretch = min(line.young_modulus_pa * area, settings.rod_joint_stiffness_n_per_m * length_m)
+    stretch = min(
+        line.young_modulus_pa * area, settings.rod_joint_stiffness_n_per_m * length_m
+    )
     damping_s = settings.rod_damping_s
-    return dict(zip(STIFFNESSES, (stretch, bend, damping_s * bend, twist, damping_s * twist), strict=True))
+    return dict(
+        zip(
+            STIFFNESSES,
+            (stretch, bend, damping_s * bend, twist, damping_s * twist),
+            strict=True,
+        )
+    )
 
 
 def _gripped_tip(
-    line: Rope | Rod, side: str, ends: Mapping[str, RigidAttachment], bodies: Mapping[str, int]
+    line: Rope | Rod,
+    side: str,
+    ends: Mapping[str, RigidAttachment],
+    bodies: Mapping[str, int],
 ) -> tuple[NDArray[np.float64], list[tuple[_Anchor, _Anchor]]]:
     """Return the node at a gripped end of the line: its position [m], shape [0 or 1, 3], and its anchors.
 
@@ -240,22 +290,32 @@ def _gripped_tip(
     """
     if side not in ends or ends[side].region.depth_m == 0.0:
         return np.zeros((0, 3)), []
-    place_m = points_on_axis(line, np.array([-0.5 if side == "low" else 0.5]) * line.length_m)
+    place_m = points_on_axis(
+        line, np.array([-0.5 if side == "low" else 0.5]) * line.length_m
+    )
     tip = _anchor_on(ends[side], bodies, place_m[0])
     return place_m, [(tip, tip)]
 
 
 def _poses(state: newton.State) -> NDArray[np.float64]:
     """Return the poses of all bodies, shape [body_count + 1, 7]; the last row, index -1, is the world."""
-    return np.vstack([state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
+    return np.vstack(
+        [state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]]
+    )
 
 
-def _anchor_on(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
+def _anchor_on(
+    attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]
+) -> _Anchor:
     """Return the point of the rigid body that holds an end."""
     index = bodies[attachment.body]
     if index == WORLD:
         return _Anchor(body=index, place_m=vector(point_m), start=Rotation.identity())
-    return _Anchor(body=index, place_m=vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
+    return _Anchor(
+        body=index,
+        place_m=vector(attachment.pose.to_body(point_m)),
+        start=attachment.pose.rotation,
+    )
 
 
 def _add_segments(
@@ -268,13 +328,25 @@ def _add_segments(
 ) -> list[int]:
     """Add a body between each two nodes; those at a fixed end have a rod joint to the world."""
     mass = line.mass_kg * length_m / line.length_m
-    _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
-    given = {"mass": mass, "inertia": wp.mat33(inertia), "lock_inertia": True, "label": line.name}
+    _, inertia = mass_properties(
+        Cylinder(radius_m=line.radius_m, length_m=length_m), mass
+    )
+    given = {
+        "mass": mass,
+        "inertia": wp.mat33(inertia),
+        "lock_inertia": True,
+        "label": line.name,
+    }
     links = []
     for index, centre_m in enumerate(0.5 * (nodes_m[:-1] + nodes_m[1:])):
         # `add_body` also adds a free joint to the world, which must not be beside a rod joint to the world.
         add = builder.add_link if index in fixed else builder.add_body
-        links.append(add(xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)), **given))
+        links.append(
+            add(
+                xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)),
+                **given,
+            )
+        )
     return links
 
 
@@ -291,10 +363,14 @@ def _add_capsules(
     for index, link in enumerate(links):
         # What the round end of a free end takes of the segment.
         low_m = line.radius_m if index == 0 and "low" not in ends else 0.0
-        high_m = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
+        high_m = (
+            line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
+        )
         shape = builder.add_shape_capsule(
             link,
-            xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low_m - high_m)), wp.quat_identity()),
+            xform=wp.transform(
+                wp.vec3(0.0, 0.0, 0.5 * (low_m - high_m)), wp.quat_identity()
+            ),
             radius=line.radius_m,
             half_height=max(0.5 * (length_m - low_m - high_m), 0.0),
             cfg=newton.ModelBuilder.ShapeConfig(density=0.0),

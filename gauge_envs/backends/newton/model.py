@@ -33,7 +33,16 @@ from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts, passing_pairs
 from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.backends.shared.soft_rows import soft_rows
-from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Motion, Pose, Rod, Rope, Scene, Vector
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Cloth,
+    Motion,
+    Pose,
+    Rod,
+    Rope,
+    Scene,
+    Vector,
+)
 from gauge_envs.scene.geometry import vector
 
 
@@ -52,7 +61,9 @@ class WorldLayout:
     rigid: RigidIndex
     origin_m: Vector = (0.0, 0.0, 0.0)
     parts: dict[str, Part] = field(default_factory=dict)
-    passing: NDArray[np.intp] = field(default_factory=lambda: np.zeros((0, 2), dtype=np.intp))
+    passing: NDArray[np.intp] = field(
+        default_factory=lambda: np.zeros((0, 2), dtype=np.intp)
+    )
 
     def nodes(self, name: str, state: newton.State) -> NDArray[np.float64]:
         """Return the world positions of a deformable body's nodes in a state [m], shape [node_count, 3]."""
@@ -61,7 +72,9 @@ class WorldLayout:
         return nodes[part.node_indices[name]] if name in part.node_indices else nodes
 
 
-def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Stepper, list[WorldLayout]]:
+def build_model(
+    scenes: Sequence[Scene], settings: SettingsNewton
+) -> tuple[Stepper, list[WorldLayout]]:
     """Build one model with a world for each scene, and record the step of its solver.
 
     Args:
@@ -89,7 +102,9 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
     passing = np.concatenate([layout.passing for layout in layouts])
     if len(passing):
         # StepperVBD needs an inactive particle that replaces those of excluded pairs.
-        builder.add_particle(pos=(0.0, 0.0, 0.0), vel=(0.0, 0.0, 0.0), mass=0.0, flags=0)
+        builder.add_particle(
+            pos=(0.0, 0.0, 0.0), vel=(0.0, 0.0, 0.0), mass=0.0, flags=0
+        )
     if isinstance(settings, SettingsVBD | SettingsLines):
         builder.color(include_bending=True)
     model = builder.finalize(device=settings.device)
@@ -99,11 +114,18 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
         for body in scene.bodies
         if body.motion is Motion.KINEMATIC
     ]
-    pins = [pin for layout in layouts for part in dict.fromkeys(layout.parts.values()) for pin in part.pins]
+    pins = [
+        pin
+        for layout in layouts
+        for part in dict.fromkeys(layout.parts.values())
+        for pin in part.pins
+    ]
     if isinstance(settings, SettingsMuJoCoWarp):
         stepper: Stepper = StepperMuJoCo(model, driven=driven, settings=settings)
     elif isinstance(settings, SettingsMPM):
-        stepper = StepperMPM(model, driven=driven, pins=pins, voxel_m=voxel_m, settings=settings)
+        stepper = StepperMPM(
+            model, driven=driven, pins=pins, voxel_m=voxel_m, settings=settings
+        )
     else:
         assert isinstance(settings, SettingsVBD | SettingsLines)
         stepper = StepperVBD(
@@ -119,7 +141,9 @@ def build_model(scenes: Sequence[Scene], settings: SettingsNewton) -> tuple[Step
     return stepper, layouts
 
 
-def _add_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton, voxel_m: float) -> WorldLayout:
+def _add_scene(
+    builder: newton.ModelBuilder, scene: Scene, settings: SettingsNewton, voxel_m: float
+) -> WorldLayout:
     if isinstance(settings, SettingsLines):
         return _add_line_scene(builder, scene, settings)
     if isinstance(settings, SettingsMuJoCoWarp):
@@ -128,14 +152,22 @@ def _add_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNew
         add_contacts(builder, scene, rigid, settings, solids)
         add_strings(builder, scene, rigid, settings)
         return WorldLayout(rigid=rigid)
-    layout = WorldLayout(rigid=add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0)))
+    layout = WorldLayout(
+        rigid=add_bodies(
+            builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0)
+        )
+    )
     if isinstance(settings, SettingsVBD):
         return _with_particles(builder, scene, settings, layout)
     assert isinstance(settings, SettingsMPM)
     spacing_m = voxel_m / settings.points_per_voxel_edge
     for row in soft_rows(scene):
         soft = add_soft_mpm(
-            builder, row, indices=layout.rigid.bodies, spacing_m=spacing_m, damping_s=settings.soft_damping_s
+            builder,
+            row,
+            indices=layout.rigid.bodies,
+            spacing_m=spacing_m,
+            damping_s=settings.soft_damping_s,
         )
         layout.parts.update(dict.fromkeys(soft.names, soft))
     apply_contacts(surface_contacts(scene), builder, layout.rigid.shapes)
@@ -143,7 +175,10 @@ def _add_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNew
 
 
 def _with_particles(
-    builder: newton.ModelBuilder, scene: Scene, settings: SettingsVBD, layout: WorldLayout
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    settings: SettingsVBD,
+    layout: WorldLayout,
 ) -> WorldLayout:
     """Add cloth and soft bodies for vertex block descent to a scene whose rigid bodies exist."""
     rigid = layout.rigid
@@ -151,25 +186,41 @@ def _with_particles(
     for body in scene.deformables:
         if isinstance(body, Cloth):
             attachments = rigid_attachments(scene, body.name)
-            cloth = add_cloth(builder, body, attachments=attachments, bodies=rigid.bodies, settings=settings)
+            cloth = add_cloth(
+                builder,
+                body,
+                attachments=attachments,
+                bodies=rigid.bodies,
+                settings=settings,
+            )
             layout.parts[body.name] = cloth
-            particles[body.name] = np.arange(cloth.particles.start, cloth.particles.stop)
+            particles[body.name] = np.arange(
+                cloth.particles.start, cloth.particles.stop
+            )
     for soft_row in soft_rows(scene):
         soft = add_soft(builder, soft_row, indices=rigid.bodies, settings=settings)
         layout.parts.update(dict.fromkeys(soft.names, soft))
         particles |= {name: soft.block_particles(name) for name in soft.names}
-        rigid.shapes.update(soft.add_block_shapes(builder, settings.soft_contact_radius_m))
+        rigid.shapes.update(
+            soft.add_block_shapes(builder, settings.soft_contact_radius_m)
+        )
     contacts = surface_contacts(scene, per_body=_collides_per_body(settings))
     apply_contacts(contacts, builder, rigid.shapes)
     keep_apart(builder, scene, rigid)
     return replace(layout, passing=passing_pairs(contacts, particles, rigid.shapes))
 
 
-def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsLines) -> WorldLayout:
+def _add_line_scene(
+    builder: newton.ModelBuilder, scene: Scene, settings: SettingsLines
+) -> WorldLayout:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-    x, y, z = origin_m = vector(np.mean([line.pose.position_m for line in lines], axis=0))
+    x, y, z = origin_m = vector(
+        np.mean([line.pose.position_m for line in lines], axis=0)
+    )
     near = _moved(scene, (-x, -y, -z))
-    rigid = add_bodies(builder, near, config=newton.ModelBuilder.ShapeConfig(density=0.0))
+    rigid = add_bodies(
+        builder, near, config=newton.ModelBuilder.ShapeConfig(density=0.0)
+    )
     layout = WorldLayout(rigid=rigid, origin_m=origin_m)
     for line in (body for body in near.deformables if isinstance(body, Rope | Rod)):
         part = layout.parts[line.name] = add_line(
@@ -179,7 +230,9 @@ def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: Settin
             bodies=rigid.bodies,
             settings=settings,
             load_n=_load_n(scene, line),
-            touches_itself=any({line.name} <= {*c.first} & {*c.second} for c in scene.contacts),
+            touches_itself=any(
+                {line.name} <= {*c.first} & {*c.second} for c in scene.contacts
+            ),
         )
         rigid.shapes[line.name] = list(part.shapes)
     apply_contacts(surface_contacts(scene), builder, rigid.shapes)
@@ -189,8 +242,15 @@ def _add_line_scene(builder: newton.ModelBuilder, scene: Scene, settings: Settin
 
 def _load_n(scene: Scene, line: Rope | Rod) -> float:
     """Return the weight of a line and of the heaviest dynamic body at its ends, at standard gravity [N]."""
-    attached = {attachment.to for attachment in scene.attachments if attachment.deformable == line.name}
-    heaviest_kg = max((body.mass_kg for body in scene.dynamic_bodies if body.name in attached), default=0.0)
+    attached = {
+        attachment.to
+        for attachment in scene.attachments
+        if attachment.deformable == line.name
+    }
+    heaviest_kg = max(
+        (body.mass_kg for body in scene.dynamic_bodies if body.name in attached),
+        default=0.0,
+    )
     return GRAVITY_M_PER_S2 * (line.mass_kg + heaviest_kg)
 
 
@@ -206,9 +266,16 @@ def _moved(scene: Scene, displacement_m: Vector) -> Scene:
     return replace(
         scene,
         bodies=tuple(replace(body, pose=moved(body.pose)) for body in scene.bodies),
-        deformables=tuple(replace(body, pose=moved(body.pose)) for body in scene.deformables),
-        joints=tuple(replace(joint, anchor_m=shifted(joint.anchor_m)) for joint in scene.joints),
-        body_hinges=tuple(replace(hinge, anchor_m=shifted(hinge.anchor_m)) for hinge in scene.body_hinges),
+        deformables=tuple(
+            replace(body, pose=moved(body.pose)) for body in scene.deformables
+        ),
+        joints=tuple(
+            replace(joint, anchor_m=shifted(joint.anchor_m)) for joint in scene.joints
+        ),
+        body_hinges=tuple(
+            replace(hinge, anchor_m=shifted(hinge.anchor_m))
+            for hinge in scene.body_hinges
+        ),
     )
 
 
@@ -217,10 +284,15 @@ def _collides_per_body(settings: SettingsVBD | SettingsLines) -> bool:
     return isinstance(settings, SettingsVBD) and not settings.full_surface
 
 
-def _contact_stiffness_n_per_m(scene: Scene, settings: SettingsVBD | SettingsLines) -> float:
+def _contact_stiffness_n_per_m(
+    scene: Scene, settings: SettingsVBD | SettingsLines
+) -> float:
     if isinstance(settings, SettingsLines):
         lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
         return max(_load_n(scene, line) / settings.contact_depth_m for line in lines)
     cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-    stiffnesses = (settings.contact_per_stretch * cloth.stretch_stiffness_n_per_m for cloth in cloths)
+    stiffnesses = (
+        settings.contact_per_stretch * cloth.stretch_stiffness_n_per_m
+        for cloth in cloths
+    )
     return max(stiffnesses, default=settings.soft_contact_stiffness_n_per_m)

@@ -16,10 +16,20 @@ import warp as wp
 from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.parts import Pin, PinnedParticles, Reader, SoftRowPart, pins_of
+from gauge_envs.backends.newton.parts import (
+    Pin,
+    PinnedParticles,
+    Reader,
+    SoftRowPart,
+    pins_of,
+)
 from gauge_envs.backends.newton.settings import VOXEL_M, SettingsMPM
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights, points_in_box_m
+from gauge_envs.backends.shared.soft_rows import (
+    SoftRow,
+    linear_weights,
+    points_in_box_m,
+)
 from gauge_envs.scene import SoftBody
 
 GRIPPED_SIZE = 0.3
@@ -71,7 +81,9 @@ class SoftPartMPM(SoftRowPart):
         start: int,
         pins: Sequence[Pin],
     ) -> None:
-        super().__init__(soft_row, free_m, slice(start, start + len(free_m) + len(gripped_m)), pins)
+        super().__init__(
+            soft_row, free_m, slice(start, start + len(free_m) + len(gripped_m)), pins
+        )
         self._points_m = np.concatenate([free_m, gripped_m])
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
@@ -82,7 +94,9 @@ class SoftPartMPM(SoftRowPart):
         """Return a reader of material points: weighted means of the nearest particles, exact for linear deformation."""
         points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         nearest, weights = linear_weights(self._points_m, points)
-        return lambda state: np.asarray(np.einsum("pk,pki->pi", weights, self.positions(state)[nearest]))
+        return lambda state: np.asarray(
+            np.einsum("pk,pki->pi", weights, self.positions(state)[nearest])
+        )
 
 
 def add_soft_mpm(
@@ -109,7 +123,9 @@ def add_soft_mpm(
     free: list[NDArray[np.float64]] = []
     for block in soft_row.blocks:
         points, cell_m = points_in_box_m(block.low_m, block.high_m, spacing_m)
-        _add_points(builder, points, cell_m, block.body, block.density_kg_per_m3, damping_s)
+        _add_points(
+            builder, points, cell_m, block.body, block.density_kg_per_m3, damping_s
+        )
         free.append(points)
     gripped: list[NDArray[np.float64]] = [np.zeros((0, 3))]
     pins: list[Pin] = []
@@ -126,7 +142,9 @@ def add_soft_mpm(
         _add_points(builder, points, cell_m, block.body, 0.0, damping_s)
         gripped.append(points)
         pins += pins_of(attachment, indices, range(first, first + len(points)), points)
-    return SoftPartMPM(soft_row, np.concatenate(free), np.concatenate(gripped), start=start, pins=pins)
+    return SoftPartMPM(
+        soft_row, np.concatenate(free), np.concatenate(gripped), start=start, pins=pins
+    )
 
 
 def _add_points(
@@ -143,7 +161,10 @@ def _add_points(
         vel=[wp.vec3(0.0, 0.0, 0.0)] * count,
         mass=[density_kg_per_m3 * volume_m3] * count,
         # The solver treats a point as a cube with edges of twice its radius. A gripped point must stay in its voxel.
-        radius=[0.5 * volume_m3 ** (1 / 3) * (1.0 if density_kg_per_m3 else GRIPPED_SIZE)] * count,
+        radius=[
+            0.5 * volume_m3 ** (1 / 3) * (1.0 if density_kg_per_m3 else GRIPPED_SIZE)
+        ]
+        * count,
         custom_attributes={
             "mpm:young_modulus": [body.young_modulus_pa] * count,
             "mpm:poisson_ratio": [body.poisson_ratio] * count,
@@ -175,7 +196,13 @@ class StepperMPM(Stepper):
     """
 
     def __init__(
-        self, model: newton.Model, *, driven: Sequence[int], pins: Sequence[Pin], voxel_m: float, settings: SettingsMPM
+        self,
+        model: newton.Model,
+        *,
+        driven: Sequence[int],
+        pins: Sequence[Pin],
+        voxel_m: float,
+        settings: SettingsMPM,
     ) -> None:
         config = SolverImplicitMPM.Config(
             voxel_size=voxel_m,
@@ -191,7 +218,12 @@ class StepperMPM(Stepper):
             air_drag=0.0,
             separate_worlds=model.world_count > 1,
         )
-        super().__init__(model, SolverImplicitMPM(model, config), driven=driven, timestep_s=settings.timestep_s)
+        super().__init__(
+            model,
+            SolverImplicitMPM(model, config),
+            driven=driven,
+            timestep_s=settings.timestep_s,
+        )
         self._pinned = PinnedParticles(pins, model.device)
 
     def record(self) -> None:
@@ -218,6 +250,10 @@ class StepperMPM(Stepper):
         found: list[wp.array] = []
         for state in self._states:
             found += [state.particle_q, state.particle_qd]
-            found += [array for array in vars(state.mpm).values() if isinstance(array, wp.array)]
+            found += [
+                array
+                for array in vars(state.mpm).values()
+                if isinstance(array, wp.array)
+            ]
             found += [state.body_q, state.body_qd] if self.model.body_count else []
         return [*found, self._elapsed, self._start, self._velocity, self._acceleration]

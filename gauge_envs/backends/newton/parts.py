@@ -61,7 +61,10 @@ class Pin:
 
 
 def pins_of(
-    attachment: RigidAttachment, bodies: Mapping[str, int], particles: Iterable[int], points_m: NDArray[np.float64]
+    attachment: RigidAttachment,
+    bodies: Mapping[str, int],
+    particles: Iterable[int],
+    points_m: NDArray[np.float64],
 ) -> Iterator[Pin]:
     """Yield the pins of attached particles, if the body that holds them is kinematic.
 
@@ -72,8 +75,12 @@ def pins_of(
         points_m: Their positions at the start [m], shape [particle_count, 3].
     """
     if attachment.motion is Motion.KINEMATIC:
-        for particle, (x, y, z) in zip(particles, attachment.pose.to_body(points_m).tolist(), strict=True):
-            yield Pin(particle=int(particle), body=bodies[attachment.body], place_m=(x, y, z))
+        for particle, (x, y, z) in zip(
+            particles, attachment.pose.to_body(points_m).tolist(), strict=True
+        ):
+            yield Pin(
+                particle=int(particle), body=bodies[attachment.body], place_m=(x, y, z)
+            )
 
 
 class PinnedParticles:
@@ -98,14 +105,26 @@ class PinnedParticles:
         """Move the particles to their positions on bodies."""
         self._launch(hold, [body_q], [particle_q])
 
-    def carry(self, state: newton.State, after: newton.State, timestep_s: float) -> None:
+    def carry(
+        self, state: newton.State, after: newton.State, timestep_s: float
+    ) -> None:
         """Move the particles to their positions before a step, with the velocities that lead to those after it."""
         outputs = [state.particle_q, state.particle_qd, state.mpm.particle_qd_grad]
-        self._launch(carry, [state.body_q, after.body_q, after.body_qd, timestep_s], outputs)
+        self._launch(
+            carry, [state.body_q, after.body_q, after.body_qd, timestep_s], outputs
+        )
 
-    def _launch(self, kernel: wp.Kernel, inputs: list[Any], outputs: list[wp.array]) -> None:
+    def _launch(
+        self, kernel: wp.Kernel, inputs: list[Any], outputs: list[wp.array]
+    ) -> None:
         if self._count:
-            wp.launch(kernel, dim=self._count, inputs=[*self._inputs, *inputs], outputs=outputs, device=self._device)
+            wp.launch(
+                kernel,
+                dim=self._count,
+                inputs=[*self._inputs, *inputs],
+                outputs=outputs,
+                device=self._device,
+            )
 
 
 class Part(ABC):
@@ -163,7 +182,13 @@ class SoftRowPart(ParticlePart):
 
     names: tuple[str, ...]
 
-    def __init__(self, soft_row: SoftRow, rest_m: NDArray[np.float64], particles: slice, pins: Sequence[Pin]) -> None:
+    def __init__(
+        self,
+        soft_row: SoftRow,
+        rest_m: NDArray[np.float64],
+        particles: slice,
+        pins: Sequence[Pin],
+    ) -> None:
         self._soft_row = soft_row
         self.names = soft_row.names
         self.rest_m = rest_m
@@ -236,7 +261,9 @@ def add_cloth(
     builder.particle_mass[start : start + len(masses)] = masses.tolist()
     pins: list[Pin] = []
     for attachment in attachments:
-        rows = np.array([index for index, by in attached.items() if by is attachment], dtype=np.intp)
+        rows = np.array(
+            [index for index, by in attached.items() if by is attachment], dtype=np.intp
+        )
         pins += pins_of(attachment, bodies, start + rows, grid.rest_m[rows])
     return ClothPartNewton(grid, start, pins)
 
@@ -260,10 +287,15 @@ class _Solid:
         self.block, self.body = block, body
         self.grid_m = grid_points(*grid_lines_m([block], 0, cell_m))
 
-    def moved(self, state: newton.State, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def moved(
+        self, state: newton.State, points_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Return the positions in a state of points given at the start [m], both of shape [point_count, 3]."""
         pose = state.body_q.numpy()[self.body].astype(np.float64)
-        return Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m) + pose[:3]
+        return (
+            Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m)
+            + pose[:3]
+        )
 
 
 class SoftPartNewton(SoftRowPart):
@@ -281,22 +313,40 @@ class SoftPartNewton(SoftRowPart):
     """
 
     def __init__(
-        self, soft_row: SoftRow, mesh: TetrahedralMesh, *, start: int, pins: Sequence[Pin], solids: Sequence[_Solid]
+        self,
+        soft_row: SoftRow,
+        mesh: TetrahedralMesh,
+        *,
+        start: int,
+        pins: Sequence[Pin],
+        solids: Sequence[_Solid],
     ) -> None:
         rest_m = np.concatenate([mesh.points_m, *(solid.grid_m for solid in solids)])
-        super().__init__(soft_row, rest_m, slice(start, start + len(mesh.points_m)), pins)
+        super().__init__(
+            soft_row, rest_m, slice(start, start + len(mesh.points_m)), pins
+        )
         self._mesh, self._solids = mesh, solids
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
         """Return the positions of the particles and of the points in rigid blocks; see `Part.nodes`."""
-        return np.concatenate([self.positions(state), *(solid.moved(state, solid.grid_m) for solid in self._solids)])
+        return np.concatenate(
+            [
+                self.positions(state),
+                *(solid.moved(state, solid.grid_m) for solid in self._solids),
+            ]
+        )
 
     def block_particles(self, name: str) -> NDArray[np.intp]:
         """Return the model's particles of a body; bonded faces belong to both, and a rigid block has only these."""
         nodes = self.node_indices[name]
-        return self.particles.start + nodes[nodes < self.particles.stop - self.particles.start]
+        return (
+            self.particles.start
+            + nodes[nodes < self.particles.stop - self.particles.start]
+        )
 
-    def add_block_shapes(self, builder: newton.ModelBuilder, margin_m: float) -> dict[str, list[int]]:
+    def add_block_shapes(
+        self, builder: newton.ModelBuilder, margin_m: float
+    ) -> dict[str, list[int]]:
         """Add collision shapes for the rigid blocks to a builder, and return the model's indices by name of the block.
 
         Args:
@@ -306,8 +356,15 @@ class SoftPartNewton(SoftRowPart):
         config = newton.ModelBuilder.ShapeConfig(density=0.0, margin=margin_m)
         shapes = {}
         for solid in self._solids:
-            name, (x, y, z) = solid.block.body.name, (0.5 * (solid.block.high_m - solid.block.low_m)).tolist()
-            shapes[name] = [builder.add_shape_box(solid.body, hx=x, hy=y, hz=z, label=name, cfg=config)]
+            name, (x, y, z) = (
+                solid.block.body.name,
+                (0.5 * (solid.block.high_m - solid.block.low_m)).tolist(),
+            )
+            shapes[name] = [
+                builder.add_shape_box(
+                    solid.body, hx=x, hy=y, hz=z, label=name, cfg=config
+                )
+            ]
         return shapes
 
     def track(self, points_m: ArrayLike) -> Reader:
@@ -326,7 +383,11 @@ class SoftPartNewton(SoftRowPart):
 
 
 def add_soft(
-    builder: newton.ModelBuilder, soft_row: SoftRow, *, indices: Mapping[str, int], settings: SettingsVBD
+    builder: newton.ModelBuilder,
+    soft_row: SoftRow,
+    *,
+    indices: Mapping[str, int],
+    settings: SettingsVBD,
 ) -> SoftPartNewton:
     """Add a soft body or a soft row.
 
@@ -347,7 +408,8 @@ def add_soft(
     stiff = [
         block
         for block in soft_row.blocks
-        if block.body.young_modulus_pa >= settings.soft_rigid_ratio * softest and block not in gripped
+        if block.body.young_modulus_pa >= settings.soft_rigid_ratio * softest
+        and block not in gripped
     ]
     mesh = TetrahedralMesh.of(soft_row, stiff, cell_m)
     start = builder.particle_count
@@ -365,18 +427,37 @@ def add_soft(
         flags=flags.tolist(),
     )
     materials = [lame_constants(block.body) for block in soft_row.blocks]
-    for corners, block in zip((start + mesh.tetrahedra).tolist(), mesh.blocks.tolist(), strict=True):
+    for corners, block in zip(
+        (start + mesh.tetrahedra).tolist(), mesh.blocks.tolist(), strict=True
+    ):
         mu, lame = materials[block]
         # Newton's viscous stress is 4 k_damp times the rate of Green's strain.
-        builder.add_tetrahedron(*corners, k_mu=mu, k_lambda=lame, k_damp=0.5 * mu * settings.soft_damping_s)
+        builder.add_tetrahedron(
+            *corners, k_mu=mu, k_lambda=lame, k_damp=0.5 * mu * settings.soft_damping_s
+        )
     for corners in (start + mesh.surface()).tolist():
         # A membrane without stiffness, for contacts only.
-        builder.add_triangle(*corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0)
-    solids = [_Solid(block, _add_rigid(builder, block, soft_row.axis, start, mesh.points_m), cell_m) for block in stiff]
+        builder.add_triangle(
+            *corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0
+        )
+    solids = [
+        _Solid(
+            block,
+            _add_rigid(builder, block, soft_row.axis, start, mesh.points_m),
+            cell_m,
+        )
+        for block in stiff
+    ]
     return SoftPartNewton(soft_row, mesh, start=start, pins=pins, solids=solids)
 
 
-def _add_rigid(builder: newton.ModelBuilder, block: Block, axis: int, start: int, points_m: NDArray[np.float64]) -> int:
+def _add_rigid(
+    builder: newton.ModelBuilder,
+    block: Block,
+    axis: int,
+    start: int,
+    points_m: NDArray[np.float64],
+) -> int:
     """Add a block as a rigid body, bond the nodes on its two faces to it, and return its index."""
     size_m = block.high_m - block.low_m
     _, inertia = mass_properties(Box(size_m=vector(size_m)), block.body.mass_kg)
@@ -390,5 +471,7 @@ def _add_rigid(builder: newton.ModelBuilder, block: Block, axis: int, start: int
     for face_m in (block.low_m[axis], block.high_m[axis]):
         for node in np.flatnonzero(np.abs(points_m[:, axis] - face_m) < TOLERANCE_M):
             place = wp.vec3(*(points_m[node] - block.centre_m))
-            builder.add_attachment_particle_body(start + int(node), body, body_point=place, stiffness=inf)
+            builder.add_attachment_particle_body(
+                start + int(node), body, body_point=place, stiffness=inf
+            )
     return body

@@ -21,7 +21,9 @@ def project(
         value = wp.float64(0.0)
         for b in range(row.shape[0]):
             for k in range(3):
-                value += projection[c, 3 * b + k] * (wp.float64(1e3) * positions_m[s, n, row[b], k])
+                value += projection[c, 3 * b + k] * (
+                    wp.float64(1e3) * positions_m[s, n, row[b], k]
+                )
         projected[s, n, c] = value
         missing = missing or wp.isnan(value)
     if missing:
@@ -74,7 +76,9 @@ def align(
     best = zero
     for t in range(mean.shape[0]):
         for c in range(mean.shape[1]):
-            apart = (projected[wp.clamp(t * samples_per_frame, 0, end), n, c] - mean[t, c]) * known[t, c]
+            apart = (
+                projected[wp.clamp(t * samples_per_frame, 0, end), n, c] - mean[t, c]
+            ) * known[t, c]
             best += apart * apart
     found = zero
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
@@ -96,7 +100,9 @@ def align(
             share = zero
             if change_change > zero:
                 share = wp.clamp(-here_change / change_change, zero, wp.float64(1.0))
-            distance = here_here + share * (wp.float64(2.0) * here_change + share * change_change)
+            distance = here_here + share * (
+                wp.float64(2.0) * here_change + share * change_change
+            )
             if distance < best and (sign > 0 or least <= -(first + 1)):
                 best = distance
                 found = wp.float64(sign) * (wp.float64(first) + share)
@@ -139,7 +145,9 @@ def find_suspects(
         if frame >= later:
             for s in range(samples_per_frame):
                 for k in range(3):
-                    within = within and wp.isfinite(positions_m[before * samples_per_frame + 1 + s, n, b, k])
+                    within = within and wp.isfinite(
+                        positions_m[before * samples_per_frame + 1 + s, n, b, k]
+                    )
     within = within and (energy <= energies_j[n] * (wp.float64(1.0) - wp.float64(1e-9)))
     if not within:
         wp.atomic_min(first, n, frame)

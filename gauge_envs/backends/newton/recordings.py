@@ -10,7 +10,12 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Recording, RecordingKernels, RigidLimits
-from gauge_envs.backends.newton.recording_kernels import align, compare, find_suspects, project
+from gauge_envs.backends.newton.recording_kernels import (
+    align,
+    compare,
+    find_suspects,
+    project,
+)
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
@@ -33,7 +38,9 @@ def device_array(array: Any) -> wp.array:
         array = wp.from_dlpack(array)
     # A kernel would read halves of numbers.
     if array.dtype is not wp.float64:
-        raise ShapeError(f"positions are of type {array.dtype.__name__}, expected 64-bit floats")
+        raise ShapeError(
+            f"positions are of type {array.dtype.__name__}, expected 64-bit floats"
+        )
     return array
 
 
@@ -60,13 +67,17 @@ class WarpKernels(RecordingKernels):
         known = np.isfinite(mean)
         last_known = SAMPLES_PER_FRAME * int(np.flatnonzero(known.any(axis=1))[-1])
         with wp.ScopedDevice(positions.device):
-            counts = wp.array(np.minimum(sample_counts, sample_count).astype(np.int32), dtype=wp.int32)
+            counts = wp.array(
+                np.minimum(sample_counts, sample_count).astype(np.int32), dtype=wp.int32
+            )
             target = wp.array(np.where(known, mean, 0.0), dtype=wp.float64)
             weight = wp.array(known.astype(np.float64), dtype=wp.float64)
             row = wp.array(np.asarray(rows, dtype=np.int32), dtype=wp.int32)
             coordinates = wp.array(projection, dtype=wp.float64)
             last = wp.full(world_count, sample_count - 1, dtype=wp.int32)
-            projected = wp.empty((sample_count, world_count, len(projection)), dtype=wp.float64)
+            projected = wp.empty(
+                (sample_count, world_count, len(projection)), dtype=wp.float64
+            )
             wp.launch(
                 project,
                 dim=projected.shape[:2],
@@ -85,7 +96,15 @@ class WarpKernels(RecordingKernels):
             wp.launch(
                 align,
                 dim=world_count,
-                inputs=[projected, target, weight, SAMPLES_PER_FRAME, last_known, shift_limit, last],
+                inputs=[
+                    projected,
+                    target,
+                    weight,
+                    SAMPLES_PER_FRAME,
+                    last_known,
+                    shift_limit,
+                    last,
+                ],
                 outputs=[shifts, shifted],
             )
             return squares.numpy(), shifts.numpy(), shifted.numpy()
@@ -97,7 +116,12 @@ class WarpKernels(RecordingKernels):
         states = device_array(recording.states)
         positions = device_array(recording.positions_m)
         frame_count, world_count = states.shape[:2]
-        values = (limits.masses_kg, limits.distances_m, limits.speeds_m_per_s, limits.energies_j)
+        values = (
+            limits.masses_kg,
+            limits.distances_m,
+            limits.speeds_m_per_s,
+            limits.energies_j,
+        )
         with wp.ScopedDevice(states.device):
             first = wp.full(world_count, frame_count, dtype=wp.int32)
             limit_arrays = [wp.array(value, dtype=wp.float64) for value in values]

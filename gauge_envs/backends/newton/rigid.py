@@ -32,9 +32,17 @@ from gauge_envs.backends.newton.contacts import (
 )
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
-from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
+from gauge_envs.backends.newton.stepper import (
+    Stepper,
+    collision_pipeline,
+    warp_transform,
+)
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import PlayHinge, joint_motors, joint_rate_rad_per_s
+from gauge_envs.backends.shared.joints import (
+    PlayHinge,
+    joint_motors,
+    joint_rate_rad_per_s,
+)
 from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
     BodyHinge,
@@ -80,7 +88,9 @@ SOLIMP_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
 STIFF_FRICTION = {
-    "mujoco:solimpfriction": wp.types.vector(5, wp.float32)(0.9999, 0.9999, 0.001, *SOLIMP_SHAPE),
+    "mujoco:solimpfriction": wp.types.vector(5, wp.float32)(
+        0.9999, 0.9999, 0.001, *SOLIMP_SHAPE
+    ),
     "mujoco:solreffriction": wp.vec2(1e-3, 1.0),
 }
 """Impedance of dry friction in joints: with the default of 0.9, a joint that it holds creeps by a degree in a second.
@@ -126,7 +136,11 @@ class RigidIndex:
 
 
 def add_bodies(
-    builder: newton.ModelBuilder, scene: Scene, *, config: newton.ModelBuilder.ShapeConfig, solids: Solids = "exact"
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    *,
+    config: newton.ModelBuilder.ShapeConfig,
+    solids: Solids = "exact",
 ) -> RigidIndex:
     """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
 
@@ -154,14 +168,21 @@ def add_bodies(
         elif name in hinges:
             place = _add_articulation(builder, scene, (name,), hinges)[name]
         else:
-            place = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body))
+            place = builder.add_body(
+                is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body)
+            )
             if not body.starts_at_rest:
                 _set_velocity(builder, place, body)
                 builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
-        index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, solids)
+        index.shapes[name] = _add_shapes(
+            builder, body, {"body": place, "cfg": config}, solids
+        )
     for one in joint_motors(scene):
-        is_servo, joint = isinstance(one.motor, Servo), builder.joint_child.index(index.bodies[one.body])
+        is_servo, joint = (
+            isinstance(one.motor, Servo),
+            builder.joint_child.index(index.bodies[one.body]),
+        )
         starts = builder.joint_q_start if is_servo else builder.joint_qd_start
         index.motors.append((is_servo, starts[joint], one.sign))
     return index
@@ -181,7 +202,10 @@ def _link_arguments(body: RigidBody) -> dict[str, Any]:
 
 
 def _add_articulation(
-    builder: newton.ModelBuilder, scene: Scene, names: Sequence[str], hinges: Mapping[str, Hinge | BodyHinge]
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    names: Sequence[str],
+    hinges: Mapping[str, Hinge | BodyHinge],
 ) -> dict[str, int]:
     """Add bodies on hinges as one articulation, in which a body without a hinge is free; return their indices by name.
 
@@ -204,7 +228,10 @@ def _add_articulation(
         parent, in_parent = WORLD, anchor
         if isinstance(hinge, BodyHinge):
             other = scene.body(other_end(hinge, name))
-            parent, in_parent = places[other.name], wp.transform_inverse(warp_transform(other.pose)) * anchor
+            parent, in_parent = (
+                places[other.name],
+                wp.transform_inverse(warp_transform(other.pose)) * anchor,
+            )
         stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else None
         joint = builder.add_joint_revolute(
             parent,
@@ -218,7 +245,11 @@ def _add_articulation(
             label=name,
             limit_lower=stop and -stop,
             limit_upper=stop,
-            custom_attributes=STIFF_STOPS if stop else STIFF_FRICTION if hinge.dynamics.dry_friction_n_m else {},
+            custom_attributes=STIFF_STOPS
+            if stop
+            else STIFF_FRICTION
+            if hinge.dynamics.dry_friction_n_m
+            else {},
             **_servo_arguments(hinge.motor),
         )
         joints.append(joint)
@@ -231,20 +262,33 @@ def _servo_arguments(motor: Motor | None) -> dict[str, Any]:
     """Return the arguments of a joint with a servo; those of others are Newton's."""
     if not isinstance(motor, Servo):
         return {}
-    limit = {} if motor.torque_limit_n_m is None else {"effort_limit": motor.torque_limit_n_m}
+    limit = (
+        {}
+        if motor.torque_limit_n_m is None
+        else {"effort_limit": motor.torque_limit_n_m}
+    )
     gains = {"target_ke": motor.kp_n_m_per_rad, "target_kd": motor.kv_n_m_s_per_rad}
     return {"actuator_mode": newton.JointTargetMode.POSITION, **gains, **limit}
 
 
 def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:
     """Write the start velocity of a body; Newton's linear velocity is that of the centre of mass."""
-    velocity = [*centre_velocity(body, body_mass_properties(body)[0]).tolist(), *body.angular_velocity_rad_per_s]
+    velocity = [
+        *centre_velocity(body, body_mass_properties(body)[0]).tolist(),
+        *body.angular_velocity_rad_per_s,
+    ]
     builder.body_qd[index] = wp.spatial_vector(*velocity)
 
 
-def _add_shapes(builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], solids: Solids) -> list[int]:
+def _add_shapes(
+    builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], solids: Solids
+) -> list[int]:
     """Add the shapes of a body with given arguments, and return their indices."""
-    frame = warp_transform(body.pose) if body.motion is Motion.FIXED else wp.transform_identity()
+    frame = (
+        warp_transform(body.pose)
+        if body.motion is Motion.FIXED
+        else wp.transform_identity()
+    )
     parts: list[tuple[str, wp.transform, _Solid]]
     if isinstance(body.shape, Compound):
         parts = [
@@ -256,19 +300,29 @@ def _add_shapes(builder: newton.ModelBuilder, body: RigidBody, given: dict[str, 
     rolls = body.motion is Motion.DYNAMIC
     added: list[int] = []
     for label, place, shape in parts:
-        added += _add_solid(builder, label, shape, given | {"xform": place}, solids=solids, rolls=rolls)
+        added += _add_solid(
+            builder, label, shape, given | {"xform": place}, solids=solids, rolls=rolls
+        )
     return added
 
 
 def _add_solid(
-    builder: newton.ModelBuilder, label: str, shape: _Solid, given: dict[str, Any], *, solids: Solids, rolls: bool
+    builder: newton.ModelBuilder,
+    label: str,
+    shape: _Solid,
+    given: dict[str, Any],
+    *,
+    solids: Solids,
+    rolls: bool,
 ) -> list[int]:
     if isinstance(shape, Plane):
         return [builder.add_shape_plane(width=0.0, length=0.0, label=label, **given)]
     pieces = _pieces_m(shape, solids, rolls=rolls)
     if pieces:
         return [
-            builder.add_shape_convex_hull(mesh=_hull(np.asarray(piece)), label=f"{label}/{number}", **given)
+            builder.add_shape_convex_hull(
+                mesh=_hull(np.asarray(piece)), label=f"{label}/{number}", **given
+            )
             for number, piece in enumerate(pieces)
         ]
     if isinstance(shape, Box):
@@ -280,20 +334,37 @@ def _add_solid(
         x, y, z = shape.radii_m
         return [builder.add_shape_ellipsoid(rx=x, ry=y, rz=z, label=label, **given)]
     assert isinstance(shape, Cylinder | Capsule)
-    add = builder.add_shape_cylinder if isinstance(shape, Cylinder) else builder.add_shape_capsule
-    return [add(radius=shape.radius_m, half_height=0.5 * shape.length_m, label=label, **given)]
+    add = (
+        builder.add_shape_cylinder
+        if isinstance(shape, Cylinder)
+        else builder.add_shape_capsule
+    )
+    return [
+        add(
+            radius=shape.radius_m,
+            half_height=0.5 * shape.length_m,
+            label=label,
+            **given,
+        )
+    ]
 
 
 def _pieces_m(shape: _Solid, solids: Solids, *, rolls: bool) -> Sequence[ArrayLike]:
     """Return the vertices of the convex pieces of a solid [m], each [vertex_count, 3]; none for a primitive shape."""
     if isinstance(shape, ConvexUnion):
         return shape.pieces_m
-    if isinstance(shape, Cylinder) and (solids == "meshes" or (solids == "prisms" and not rolls)):
+    if isinstance(shape, Cylinder) and (
+        solids == "meshes" or (solids == "prisms" and not rolls)
+    ):
         return prism(shape).pieces_m
     if solids == "meshes" and isinstance(shape, Box):
         return [shape.corners_m]
     if solids == "meshes" and isinstance(shape, Sphere):
-        return [trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS, radius=shape.radius_m).vertices]
+        return [
+            trimesh.creation.icosphere(
+                subdivisions=SPHERE_SUBDIVISIONS, radius=shape.radius_m
+            ).vertices
+        ]
     return []
 
 
@@ -303,7 +374,10 @@ def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:
 
 
 def keep_apart(
-    builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, layers: Mapping[frozenset[str], Layer] | None = None
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    index: RigidIndex,
+    layers: Mapping[frozenset[str], Layer] | None = None,
 ) -> None:
     """Exclude collisions between all shapes that have no contact in the scene.
 
@@ -318,8 +392,16 @@ def keep_apart(
     for contact in scene.contacts:
         for first, second in scene.colliding_pairs(contact):
             shapes = layers.get(frozenset((first, second)), index.shapes)
-            meeting |= {frozenset(pair) for pair in product(shapes.get(first, ()), shapes.get(second, ()))}
-    every = {shape for layer in (index.shapes, *layers.values()) for shapes in layer.values() for shape in shapes}
+            meeting |= {
+                frozenset(pair)
+                for pair in product(shapes.get(first, ()), shapes.get(second, ()))
+            }
+    every = {
+        shape
+        for layer in (index.shapes, *layers.values())
+        for shapes in layer.values()
+        for shape in shapes
+    }
     for pair in combinations(sorted(every), 2):
         if frozenset(pair) not in meeting:
             builder.add_shape_collision_filter_pair(*pair)
@@ -331,12 +413,21 @@ def keep_apart(
 def shape_config() -> newton.ModelBuilder.ShapeConfig:
     """Return the constants of a shape before `add_contacts`; its density is zero because masses are given."""
     return newton.ModelBuilder.ShapeConfig(
-        density=0.0, gap=CONTACT_GAP_M, mu=NO_FRICTION, mu_torsional=0.0, mu_rolling=0.0, kf=FRICTION_AS_NORMAL
+        density=0.0,
+        gap=CONTACT_GAP_M,
+        mu=NO_FRICTION,
+        mu_torsional=0.0,
+        mu_rolling=0.0,
+        kf=FRICTION_AS_NORMAL,
     )
 
 
 def add_contacts(
-    builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp, solids: Solids
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    index: RigidIndex,
+    settings: SettingsMuJoCoWarp,
+    solids: Solids,
 ) -> None:
     """Write the contact constants of shapes, and exclude all collisions without a contact in the scene.
 
@@ -351,7 +442,9 @@ def add_contacts(
         for name in () if pair & set(carried) else sorted(pair):
             if (name, constants) not in copies:
                 given = {"body": index.bodies[name], "cfg": shape_config()}
-                copies[name, constants] = _add_shapes(builder, scene.body(name), given, solids)
+                copies[name, constants] = _add_shapes(
+                    builder, scene.body(name), given, solids
+                )
                 shapes.append((constants, copies[name, constants]))
             layers.setdefault(pair, {})[name] = copies[name, constants]
     keeps_material = settings.newton_material and settings.contact_solref is None
@@ -361,27 +454,49 @@ def add_contacts(
     keep_apart(builder, scene, index, layers)
 
 
-def add_strings(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
+def add_strings(
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    index: RigidIndex,
+    settings: SettingsMuJoCoWarp,
+) -> None:
     """Add each string as a spatial tendon of limited length, as stiff as a step allows."""
     for joint in scene.joints:
         if isinstance(joint, Tether):
-            anchor = builder.add_site(WORLD, xform=wp.transform(wp.vec3(*joint.anchor_m), wp.quat_identity()))
+            anchor = builder.add_site(
+                WORLD, xform=wp.transform(wp.vec3(*joint.anchor_m), wp.quat_identity())
+            )
             mujoco.add_tendon_spatial(
                 builder,
-                [mujoco.TendonWrapSite(anchor), mujoco.TendonWrapSite(builder.add_site(index.bodies[joint.body]))],
+                [
+                    mujoco.TendonWrapSite(anchor),
+                    mujoco.TendonWrapSite(builder.add_site(index.bodies[joint.body])),
+                ],
                 limited=True,
                 limit_range=(0.0, joint.length_m),
-                solref_limit=(max(2.0 * settings.timestep_s, STRING_TIME_CONSTANT_S), 1.0),
+                solref_limit=(
+                    max(2.0 * settings.timestep_s, STRING_TIME_CONSTANT_S),
+                    1.0,
+                ),
                 solimp_limit=(0.9999, 0.9999, *DEFAULT_SOLIMP[2:]),
             )
 
 
-def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
+def _carry(
+    builder: newton.ModelBuilder,
+    shape: int,
+    constants: ShapeConstants,
+    *,
+    newton_material: bool,
+) -> None:
     builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
     builder.shape_material_mu_torsional[shape] = constants.torsion_m
     builder.shape_material_mu_rolling[shape] = constants.rolling_m
     dimension = 6 if constants.rolling_m else 4 if constants.torsion_m else 3
-    attributes: dict[str, Any] = {"condim": dimension if constants.friction > 0.0 else 1, "geom_priority": 1}
+    attributes: dict[str, Any] = {
+        "condim": dimension if constants.friction > 0.0 else 1,
+        "geom_priority": 1,
+    }
     if newton_material:
         builder.shape_material_kf[shape] = newton.ModelBuilder.ShapeConfig().kf
     else:
@@ -389,7 +504,9 @@ def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, 
         attributes |= {
             "solref": wp.vec2(*constants.solref),
             "solref_mode": SOLREF_AS_GIVEN,
-            "geom_solimp": wp.types.vector(5, wp.float32)(*(*constants.solimp, *SOLIMP_SHAPE)[:5]),
+            "geom_solimp": wp.types.vector(5, wp.float32)(
+                *(*constants.solimp, *SOLIMP_SHAPE)[:5]
+            ),
         }
     for key, value in attributes.items():
         attribute = builder.custom_attributes[f"mujoco:{key}"]
@@ -405,12 +522,22 @@ class StepperMuJoCo(Stepper):
         settings: Settings of the solver.
     """
 
-    def __init__(self, model: newton.Model, *, driven: Sequence[int], settings: SettingsMuJoCoWarp) -> None:
+    def __init__(
+        self,
+        model: newton.Model,
+        *,
+        driven: Sequence[int],
+        settings: SettingsMuJoCoWarp,
+    ) -> None:
         pair_count = model.shape_contact_pair_count // model.world_count
-        strings = model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
+        strings = (
+            model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
+        )
         with warnings.catch_warnings():
             # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
-            warnings.filterwarnings("ignore", message="MuJoCo dependency version mismatch")
+            warnings.filterwarnings(
+                "ignore", message="MuJoCo dependency version mismatch"
+            )
             solver = SolverMuJoCo(
                 model,
                 solver="newton",
@@ -425,23 +552,36 @@ class StepperMuJoCo(Stepper):
                 use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
                 disable_contacts=not pair_count,
                 nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
-                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) + strings
+                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count
+                + ROWS_PER_WELD * len(driven)
+                + strings
                 or None,
             )
         option = solver.mjw_model.opt
-        kept = {"iterations": option.iterations, "line_search_iterations": option.ls_iterations}
-        kept |= {"tolerance": option.tolerance.numpy()[0], "impratio": option.impratio_invsqrt.numpy()[0] ** -2}
+        kept = {
+            "iterations": option.iterations,
+            "line_search_iterations": option.ls_iterations,
+        }
+        kept |= {
+            "tolerance": option.tolerance.numpy()[0],
+            "impratio": option.impratio_invsqrt.numpy()[0] ** -2,
+        }
         check_kept("Newton", settings.model_dump(), kept)
         has_pipeline = pair_count and not settings.mujoco_contacts
         self._pipeline = collision_pipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
-        joints = {body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())}
+        joints = {
+            body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())
+        }
         starts = [model.joint_q_start.numpy(), model.joint_qd_start.numpy()]
         with wp.ScopedDevice(model.device):
             self._coordinates, self._freedoms = (
-                wp.array(np.array([start[joints[body]] for body in driven], dtype=np.int32), dtype=wp.int32)
+                wp.array(
+                    np.array([start[joints[body]] for body in driven], dtype=np.int32),
+                    dtype=wp.int32,
+                )
                 for start in starts
             )
 
@@ -459,7 +599,13 @@ class StepperMuJoCo(Stepper):
             wp.launch(
                 bodies_to_joints,
                 dim=len(self._rows),
-                inputs=[self._driven, self._coordinates, self._freedoms, state.body_q, state.body_qd],
+                inputs=[
+                    self._driven,
+                    self._coordinates,
+                    self._freedoms,
+                    state.body_q,
+                    state.body_qd,
+                ],
                 outputs=[state.joint_q, state.joint_qd],
                 device=self.model.device,
             )

@@ -13,7 +13,12 @@ import numpy as np
 from pydantic import Field
 
 from gauge_envs.backends.newton.fabrics import vbd_constants
-from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import (
+    Native,
+    SteppedSettings,
+    read_presets,
+    resolve_settings,
+)
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
@@ -67,7 +72,9 @@ class SettingsMuJoCoWarp(SettingsNewton):
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
     impratio: float = Field(default=10.0, gt=0.0)
     iterations: int = Field(default=100, ge=1)
-    line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(default=50, ge=1)
+    line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(
+        default=50, ge=1
+    )
     tolerance: float = Field(default=1e-6, ge=1e-6)
     sustained_solref: tuple[float, float] = (0.005, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
@@ -75,7 +82,9 @@ class SettingsMuJoCoWarp(SettingsNewton):
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
     contact_solref: Annotated[tuple[float, float] | None, Native("solref")] = None
-    contact_solimp: Annotated[tuple[float, float, float, float, float] | None, Native("solimp")] = None
+    contact_solimp: Annotated[
+        tuple[float, float, float, float, float] | None, Native("solimp")
+    ] = None
     contact_kf_n_s_per_m: Annotated[float | None, Native("kf")] = None
     mujoco_contacts: bool = False
     meshes: bool = False
@@ -202,12 +211,16 @@ KINDS: dict[str, type[SettingsNewton]] = {
 """Settings of each solver, by the `kind` of a preset."""
 
 PAPER_PRESETS = {
-    body: KINDS[values.pop("kind")](preset=PAPER, **values) for body, values in read_presets(__file__, "paper").items()
+    body: KINDS[values.pop("kind")](preset=PAPER, **values)
+    for body, values in read_presets(__file__, "paper").items()
 }
 """Settings of preset `paper` for each kind of scene."""
 
 PRESETS = {
-    **{name: KINDS[values.pop("kind")](preset=name, **values) for name, values in read_presets(__file__).items()},
+    **{
+        name: KINDS[values.pop("kind")](preset=name, **values)
+        for name, values in read_presets(__file__).items()
+    },
     PAPER: PAPER_PRESETS["rigid"],
 }
 
@@ -252,7 +265,11 @@ def _preset_name(scene: Scene) -> str:
     if any(isinstance(body, Cloth) for body in scene.deformables):
         return _cloth_preset(scene)
     if any(isinstance(body, SoftBody) for body in scene.deformables):
-        return "soft_row" if any(len(bodies) > 1 for bodies in bonded_soft_bodies(scene)) else "soft"
+        return (
+            "soft_row"
+            if any(len(bodies) > 1 for bodies in bonded_soft_bodies(scene))
+            else "soft"
+        )
     if any(isinstance(body, Rope) for body in scene.deformables):
         return "rope"
     if any(isinstance(body, Rod) for body in scene.deformables):
@@ -266,7 +283,12 @@ def _cloth_preset(scene: Scene) -> str:
     cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
     seams = {attachment.to for attachment in scene.attachments}
     touched = (
-        {name for c in scene.contacts if cloths & {*c.first, *c.second} for name in (*c.first, *c.second)}
+        {
+            name
+            for c in scene.contacts
+            if cloths & {*c.first, *c.second}
+            for name in (*c.first, *c.second)
+        }
         - cloths
         - seams
     )
@@ -274,7 +296,9 @@ def _cloth_preset(scene: Scene) -> str:
     if any(body.motion is Motion.DYNAMIC for body in bodies):
         return "cloth_loaded"
     narrow = any(
-        float(np.ptp(b.shape.corners_m, axis=0).min()) < CLOTH_CELL_M for b in bodies if b.motion is Motion.KINEMATIC
+        float(np.ptp(b.shape.corners_m, axis=0).min()) < CLOTH_CELL_M
+        for b in bodies
+        if b.motion is Motion.KINEMATIC
     )
     return "cloth_probed" if narrow else "cloth"
 
@@ -292,42 +316,75 @@ def _paper_preset(scene: Scene) -> SettingsNewton:
     return PAPER_PRESETS["volumetric" if scene.deformables else "rigid"]
 
 
-def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsNewton:
+def settings_for(
+    scene: Scene, changes: Mapping[str, Any] | None = None
+) -> SettingsNewton:
     """Return the settings of a scene: its preset with a user's changes.
 
     A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
     halved until the iterations are enough, unless the changes define it.
     """
     values = PRESETS[_preset_name(scene)]
-    training = values.model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[values.preset])
+    training = values.model_copy(
+        update={"preset": TRAINING} | TRAINING_CHANGES[values.preset]
+    )
     is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
-    presets = PRESETS | {TRAINING: training} | ({PAPER: _paper_preset(scene)} if is_paper else {})
+    presets = (
+        PRESETS
+        | {TRAINING: training}
+        | ({PAPER: _paper_preset(scene)} if is_paper else {})
+    )
     settings = _with_cells(
-        resolve_settings("Newton", presets, preset=_preset_name(scene), changes=changes),
+        resolve_settings(
+            "Newton", presets, preset=_preset_name(scene), changes=changes
+        ),
         scene,
         is_given=(changes or {}).get("cell_m") is not None,
     )
-    if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration and "timestep_s" not in (changes or {}):
+    if (
+        isinstance(settings, SettingsVBD)
+        and settings.starts_from_acceleration
+        and "timestep_s" not in (changes or {})
+    ):
         cell_m, iterations = settings.cell_m or CLOTH_CELL_M, settings.iterations
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-        limits = (longest_timestep_s(cloth, cell_m=cell_m, iterations=iterations) for cloth in cloths)
+        limits = (
+            longest_timestep_s(cloth, cell_m=cell_m, iterations=iterations)
+            for cloth in cloths
+        )
         longest_s = min(limits, default=settings.timestep_s)
         while settings.timestep_s > longest_s:
-            settings = settings.model_copy(update={"timestep_s": 0.5 * settings.timestep_s})
+            settings = settings.model_copy(
+                update={"timestep_s": 0.5 * settings.timestep_s}
+            )
     return settings
 
 
-def _with_cells(settings: SettingsNewton, scene: Scene, *, is_given: bool) -> SettingsNewton:
+def _with_cells(
+    settings: SettingsNewton, scene: Scene, *, is_given: bool
+) -> SettingsNewton:
     """Return the settings with the default size of cells if none was given, after a check of a given one."""
     if not isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM):
         return settings
     if settings.cell_m is None:
         defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
-        cell_m = VOXEL_M if isinstance(settings, SettingsMPM) else common_cell_m(scene, defaults)
+        cell_m = (
+            VOXEL_M
+            if isinstance(settings, SettingsMPM)
+            else common_cell_m(scene, defaults)
+        )
         return settings.model_copy(update={"cell_m": cell_m})
     if is_given:
-        points = settings.points_per_voxel_edge if isinstance(settings, SettingsMPM) else 1
-        check_cells("Newton", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=points)
+        points = (
+            settings.points_per_voxel_edge if isinstance(settings, SettingsMPM) else 1
+        )
+        check_cells(
+            "Newton",
+            scene,
+            settings.cell_m,
+            node_limit=NODE_LIMIT,
+            soft_nodes_per_edge=points,
+        )
     return settings
 
 
@@ -342,4 +399,6 @@ def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float
     along_x, along_y = ClothGrid(cloth, cell_m).cell_m
     gradients = 2.0 * (along_x / along_y + along_y / along_x)
     mass = cloth.areal_density_kg_per_m2 * along_x * along_y
-    return float(np.sqrt(iterations / ITERATIONS_PER_RATIO * mass / (gradients * modulus)))
+    return float(
+        np.sqrt(iterations / ITERATIONS_PER_RATIO * mass / (gradients * modulus))
+    )

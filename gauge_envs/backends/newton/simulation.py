@@ -25,13 +25,25 @@ from gauge_envs.scene import Motion, Pose, Scene
 class _WorldNewton(PlacedWorld):
     """One world of a Newton model."""
 
-    def __init__(self, scene: Scene, layout: WorldLayout, stepper: Stepper, settings: SettingsNewton) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        layout: WorldLayout,
+        stepper: Stepper,
+        settings: SettingsNewton,
+    ) -> None:
         self.settings = settings.model_dump(mode="json")
         self._layout = layout
         self._stepper = stepper
         self.placed = placed_states(scene)
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
         near_m = np.subtract(pose.position_m, self._layout.origin_m)
         motion = np.concatenate([near_m, pose.quaternion, velocity, acceleration])
@@ -47,7 +59,9 @@ class _WorldNewton(PlacedWorld):
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities in single precision, shape [len(names), 13]."""
-        states = self._stepper.body_states([self._layout.rigid.bodies[name] for name in names])
+        states = self._stepper.body_states(
+            [self._layout.rigid.bodies[name] for name in names]
+        )
         states[:, :3] += self._layout.origin_m
         return states
 
@@ -55,7 +69,9 @@ class _WorldNewton(PlacedWorld):
         """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
         return self._layout.nodes(name, self._stepper.now)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points, or None for cloth; see `World.track`."""
         origin_m = self._layout.origin_m
         read = self._layout.parts[name].track(points_m - np.asarray(origin_m))
@@ -117,9 +133,13 @@ class Recorder:
         with wp.ScopedDevice(self._device):
             self._index = wp.array(bodies.astype(np.int32), dtype=wp.int32)
             self._origins = wp.array(origins_m, dtype=wp.vec3d)
-            self._centres = wp.array(stepper.model.body_com.numpy().astype(np.float64), dtype=wp.vec3d)
+            self._centres = wp.array(
+                stepper.model.body_com.numpy().astype(np.float64), dtype=wp.vec3d
+            )
             sample_count = (frame_count - 1) * samples + 1
-            self._positions = wp.zeros((sample_count, *bodies.shape, 3), dtype=wp.float64)
+            self._positions = wp.zeros(
+                (sample_count, *bodies.shape, 3), dtype=wp.float64
+            )
             self._states = wp.zeros((frame_count, *bodies.shape, 13), dtype=wp.float64)
 
     def fits(self, bodies: NDArray[np.intp], frame_count: int, samples: int) -> bool:
@@ -138,13 +158,22 @@ class Recorder:
             self._stepper.advance(interval_s)
             self._record(sample)
         return Recording(
-            device=str(self._device), positions_m=self._positions, states=self._states, kernels=WarpKernels()
+            device=str(self._device),
+            positions_m=self._positions,
+            states=self._states,
+            kernels=WarpKernels(),
         )
 
     def _record(self, sample: int) -> None:
         state = self._stepper.now
         frame, rest = divmod(sample, self._samples)
-        bodies = (self._index, self._origins, self._centres, state.body_q, state.body_qd)
+        bodies = (
+            self._index,
+            self._origins,
+            self._centres,
+            state.body_q,
+            state.body_qd,
+        )
         wp.launch(
             record,
             dim=self._bodies.shape,
@@ -162,11 +191,17 @@ class WorldsNewton(Worlds):
     def __init__(self, scenes: Sequence[Scene], settings: SettingsNewton) -> None:
         self._stepper, layouts = build_model(scenes, settings)
         self.worlds = [
-            _WorldNewton(scene, layout, self._stepper, settings) for scene, layout in zip(scenes, layouts, strict=True)
+            _WorldNewton(scene, layout, self._stepper, settings)
+            for scene, layout in zip(scenes, layouts, strict=True)
         ]
-        moving = [body.name for body in scenes[0].bodies if body.motion is not Motion.FIXED]
+        moving = [
+            body.name for body in scenes[0].bodies if body.motion is not Motion.FIXED
+        ]
         self._bodies = {
-            name: np.array([layout.rigid.bodies[name] for layout in layouts], dtype=np.intp) for name in moving
+            name: np.array(
+                [layout.rigid.bodies[name] for layout in layouts], dtype=np.intp
+            )
+            for name in moving
         }
         self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
         self._layouts = layouts
@@ -184,7 +219,9 @@ class WorldsNewton(Worlds):
         """Step the model, which contains all worlds."""
         self._stepper.advance(seconds)
 
-    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+    def drive(
+        self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> None:
         """Prescribe a kinematic body in some worlds; see `Worlds.drive`."""
         near = motions.copy()
         near[:, :3] -= self._origins_m[numbers, 0]
@@ -208,7 +245,9 @@ class WorldsNewton(Worlds):
         """Return poses and velocities of bodies in all worlds, with one copy from the device."""
         if not self._all_move(names):
             return super().body_states(names)
-        states = self._stepper.body_states(self._indices(names)).reshape(len(self.worlds), len(names), 13)
+        states = self._stepper.body_states(self._indices(names)).reshape(
+            len(self.worlds), len(names), 13
+        )
         states[:, :, :3] += self._origins_m
         return states
 
@@ -216,15 +255,27 @@ class WorldsNewton(Worlds):
         """Return positions of bodies in all worlds, with one copy from the device."""
         if not self._all_move(names):
             return super().body_positions(names)
-        positions = self._stepper.body_positions(self._indices(names)).reshape(len(self.worlds), len(names), 3)
+        positions = self._stepper.body_positions(self._indices(names)).reshape(
+            len(self.worlds), len(names), 3
+        )
         return positions + self._origins_m
 
-    def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
+    def record(
+        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
+    ) -> Recording:
         """Advance all worlds and record them in Warp arrays of the model's device; see `Worlds.record`."""
         bodies = np.column_stack([self._bodies[name] for name in names])
-        if self._recorder is None or not self._recorder.fits(bodies, frame_count, samples):
+        if self._recorder is None or not self._recorder.fits(
+            bodies, frame_count, samples
+        ):
             origins_m = self._origins_m[:, 0]
-            self._recorder = Recorder(self._stepper, bodies, origins_m, frame_count=frame_count, samples=samples)
+            self._recorder = Recorder(
+                self._stepper,
+                bodies,
+                origins_m,
+                frame_count=frame_count,
+                samples=samples,
+            )
         return self._recorder.run(interval_s)
 
     def _all_move(self, names: Sequence[str]) -> bool:

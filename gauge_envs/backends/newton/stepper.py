@@ -27,7 +27,9 @@ WARM_UP_STEPS = 2
 """Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
 
 _shared = {
-    name: cache(factory) for name, factory in vars(narrow_phase).items() if name.startswith("create_narrow_phase_")
+    name: cache(factory)
+    for name, factory in vars(narrow_phase).items()
+    if name.startswith("create_narrow_phase_")
 }
 """Newton's factories of kernels, which depend on their arguments alone, with one kernel for all pipelines."""
 
@@ -64,13 +66,22 @@ class Stepper(ABC):
         timestep_s: Time step of the solver [s].
     """
 
-    def __init__(self, model: newton.Model, solver: Any, *, driven: Sequence[int], timestep_s: float) -> None:
+    def __init__(
+        self,
+        model: newton.Model,
+        solver: Any,
+        *,
+        driven: Sequence[int],
+        timestep_s: float,
+    ) -> None:
         self.model = model
         self.solver = solver
         self.timestep_s = timestep_s
         self._states = (model.state(), model.state())
         self._control = model.control()
-        self._centres_m = model.body_com.numpy() if model.body_count else np.zeros((0, 3))
+        self._centres_m = (
+            model.body_com.numpy() if model.body_count else np.zeros((0, 3))
+        )
         self._rows = {body: row for row, body in enumerate(driven)}
         count = len(driven)
         with wp.ScopedDevice(model.device):
@@ -79,7 +90,9 @@ class Stepper(ABC):
             self._velocity = wp.zeros(count, dtype=wp.spatial_vector)
             self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
             body_q = model.body_q.numpy() if model.body_count else np.zeros((0, 7))
-            self._start = wp.array(body_q[list(driven)].reshape(count, 7), dtype=wp.transform)
+            self._start = wp.array(
+                body_q[list(driven)].reshape(count, 7), dtype=wp.transform
+            )
         # The next `advance` sends all collected drives to the device at once, in the rows of `Worlds.drive`.
         self._commands = np.zeros((count, 19))
         self._has_command = np.zeros(count, dtype=np.bool_)
@@ -103,7 +116,10 @@ class Stepper(ABC):
                 self._step(state, after)
             self._graphs.append(capture.graph)
         # Arrays that the solver allocated during the warm-up are zero at the start.
-        self._first = [first.get(id(array), np.zeros_like(array.numpy())) for array in self._arrays()]
+        self._first = [
+            first.get(id(array), np.zeros_like(array.numpy()))
+            for array in self._arrays()
+        ]
         self.reset()
         # The start stays on the device: 4096 worlds of a sliding cube have 55 MB, which a reset need not send.
         self._first = [wp.clone(array) for array in self._arrays()]
@@ -128,7 +144,9 @@ class Stepper(ABC):
             size, rest = divmod(len(first), world_count)
             if size and not rest:
                 values = array.numpy()
-                values[world * size : (world + 1) * size] = first[world * size : (world + 1) * size]
+                values[world * size : (world + 1) * size] = first[
+                    world * size : (world + 1) * size
+                ]
                 array.assign(values)
 
     def drive(self, bodies: NDArray[np.intp], motions: NDArray[np.float64]) -> None:
@@ -147,17 +165,24 @@ class Stepper(ABC):
             f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
         )
 
-    def command(self, motors: Sequence[tuple[bool, int, float]], values: NDArray[np.float64]) -> None:
+    def command(
+        self, motors: Sequence[tuple[bool, int, float]], values: NDArray[np.float64]
+    ) -> None:
         """Set what motors follow from the next step on.
 
         Args:
             motors: As in `RigidIndex.motors`.
             values: As in `World.command`.
         """
-        for is_servo, array in ((True, self._control.joint_target_q), (False, self._control.joint_f)):
+        for is_servo, array in (
+            (True, self._control.joint_target_q),
+            (False, self._control.joint_f),
+        ):
             chosen = [
                 (index, sign * value)
-                for (kind, index, sign), value in zip(motors, values.tolist(), strict=True)
+                for (kind, index, sign), value in zip(
+                    motors, values.tolist(), strict=True
+                )
                 if kind is is_servo
             ]
             if chosen:
@@ -182,7 +207,9 @@ class Stepper(ABC):
         self._elapsed.assign(elapsed)
         # Warp's quaternions are x, y, z, w.
         columns = ([0, 1, 2, 4, 5, 6, 3], [*range(7, 13)], [*range(13, 19)])
-        for array, chosen in zip((self._start, self._velocity, self._acceleration), columns, strict=True):
+        for array, chosen in zip(
+            (self._start, self._velocity, self._acceleration), columns, strict=True
+        ):
             table = array.numpy()
             table[rows] = self._commands[rows][:, chosen]
             array.assign(table)
@@ -193,23 +220,33 @@ class Stepper(ABC):
         """The state that the last step wrote."""
         return self._states[self._current]
 
-    def body_states(self, bodies: Sequence[int] | NDArray[np.intp]) -> NDArray[np.float64]:
+    def body_states(
+        self, bodies: Sequence[int] | NDArray[np.intp]
+    ) -> NDArray[np.float64]:
         """Return poses and velocities of bodies by index, shape [len(bodies), 13]; see `World.body_states`."""
         poses = self.now.body_q.numpy()[bodies].astype(np.float64)
         velocities = self.now.body_qd.numpy()[bodies].astype(np.float64)
         # Newton's linear velocity is that of the centre of mass.
         arms = Rotation.from_quat(poses[:, 3:]).apply(self._centres_m[bodies])
         linear = velocities[:, :3] - np.cross(velocities[:, 3:], arms)
-        return np.column_stack([poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]])
+        return np.column_stack(
+            [poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]]
+        )
 
-    def body_positions(self, bodies: Sequence[int] | NDArray[np.intp]) -> NDArray[np.float64]:
+    def body_positions(
+        self, bodies: Sequence[int] | NDArray[np.intp]
+    ) -> NDArray[np.float64]:
         """Return positions of body origins by index [m], shape [len(bodies), 3]."""
         return self.now.body_q.numpy()[bodies, :3].astype(np.float64)
 
     def state(self) -> tuple[int, Snapshot, Snapshot]:
         """Return a snapshot for `restore`."""
         commands = [self._commands.copy(), self._has_command.copy()]
-        return self._current, commands, [array.numpy().copy() for array in self._arrays()]
+        return (
+            self._current,
+            commands,
+            [array.numpy().copy() for array in self._arrays()],
+        )
 
     def restore(self, state: tuple[int, Snapshot, Snapshot]) -> None:
         """Restore a snapshot that `state` returned."""
@@ -224,14 +261,32 @@ class Stepper(ABC):
         found: dict[int, wp.array] = {}
         for root in (*self._states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
-        commands = [] if self._control.joint_f is None else [self._control.joint_target_q, self._control.joint_f]
-        return [*found.values(), *commands, self._elapsed, self._start, self._velocity, self._acceleration]
+        commands = (
+            []
+            if self._control.joint_f is None
+            else [self._control.joint_target_q, self._control.joint_f]
+        )
+        return [
+            *found.values(),
+            *commands,
+            self._elapsed,
+            self._start,
+            self._velocity,
+            self._acceleration,
+        ]
 
     def _restore_arrays(self, snapshot: Snapshot) -> None:
         for array, values in zip(self._arrays(), snapshot, strict=True):
             array.assign(values)
 
-    def _prescribe(self, body_q: wp.array, body_qd: wp.array, *, steps_ahead: int = 0, counts: bool = True) -> None:
+    def _prescribe(
+        self,
+        body_q: wp.array,
+        body_qd: wp.array,
+        *,
+        steps_ahead: int = 0,
+        counts: bool = True,
+    ) -> None:
         """Write poses and velocities of the driven bodies.
 
         Args:
@@ -298,5 +353,9 @@ def _arrays_in(root: Any, *, depth: int) -> Iterator[wp.array]:
             if isinstance(entry, wp.array):
                 if entry.size and entry.is_contiguous:
                     yield entry
-            elif depth and hasattr(entry, "__dict__") and not isinstance(entry, newton.Model | type):
+            elif (
+                depth
+                and hasattr(entry, "__dict__")
+                and not isinstance(entry, newton.Model | type)
+            ):
                 yield from _arrays_in(entry, depth=depth - 1)

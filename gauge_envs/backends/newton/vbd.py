@@ -20,7 +20,11 @@ from numpy.typing import NDArray
 from gauge_envs.backends.newton.contacts import SurfaceContacts
 from gauge_envs.backends.newton.kernels import predict
 from gauge_envs.backends.newton.parts import Pin, PinnedParticles
-from gauge_envs.backends.newton.settings import ITERATIONS_PER_RATIO, SettingsLines, SettingsVBD
+from gauge_envs.backends.newton.settings import (
+    ITERATIONS_PER_RATIO,
+    SettingsLines,
+    SettingsVBD,
+)
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
 from gauge_envs.errors import ParameterError
 
@@ -32,7 +36,9 @@ LINE_GAP_M = 0.002
 
 
 def apply_contacts(
-    contacts: SurfaceContacts, builder: newton.ModelBuilder, shapes: Mapping[str, Sequence[int]]
+    contacts: SurfaceContacts,
+    builder: newton.ModelBuilder,
+    shapes: Mapping[str, Sequence[int]],
 ) -> None:
     """Write the friction and the collision flags of shapes, given by name of their rigid body, to a builder."""
     for name, indices in shapes.items():
@@ -41,11 +47,15 @@ def apply_contacts(
                 builder.shape_material_mu[shape] = contacts.shape_friction[name]
             flag = int(newton.ShapeFlags.COLLIDE_PARTICLES)
             flags = int(builder.shape_flags[shape]) & ~flag
-            builder.shape_flags[shape] = flags | flag if name in contacts.touched else flags
+            builder.shape_flags[shape] = (
+                flags | flag if name in contacts.touched else flags
+            )
 
 
 def passing_pairs(
-    contacts: SurfaceContacts, particles: Mapping[str, NDArray[np.intp]], shapes: Mapping[str, Sequence[int]]
+    contacts: SurfaceContacts,
+    particles: Mapping[str, NDArray[np.intp]],
+    shapes: Mapping[str, Sequence[int]],
 ) -> NDArray[np.intp]:
     """Return the pairs of a particle and a shape that are excluded from collision.
 
@@ -60,9 +70,17 @@ def passing_pairs(
     """
     pairs = [np.zeros((0, 2), dtype=np.intp)]
     for rigid, through in contacts.passed.items():
-        colliding = [indices for name, indices in particles.items() if name not in through]
-        free = np.setdiff1d(np.concatenate([particles[name] for name in through]), np.concatenate(colliding))
-        pairs.extend(np.column_stack([free, np.full_like(free, shape)]) for shape in shapes[rigid])
+        colliding = [
+            indices for name, indices in particles.items() if name not in through
+        ]
+        free = np.setdiff1d(
+            np.concatenate([particles[name] for name in through]),
+            np.concatenate(colliding),
+        )
+        pairs.extend(
+            np.column_stack([free, np.full_like(free, shape)])
+            for shape in shapes[rigid]
+        )
     return np.concatenate(pairs)
 
 
@@ -84,17 +102,25 @@ class _Solver(newton.solvers.SolverVBD):
         given: Other settings of `newton.solvers.SolverVBD`.
     """
 
-    def __init__(self, model: newton.Model, *, iterations: int, predict: bool, **given: Any) -> None:
+    def __init__(
+        self, model: newton.Model, *, iterations: int, predict: bool, **given: Any
+    ) -> None:
         super().__init__(model, iterations=iterations, **given)
         # Sum the contacts of each particle separately. Otherwise the order of the sum depends on the number of worlds,
         # and bodies that rest on cloth amplify its rounding error. The deterministic mode would prevent this too, but
         # its kernels take seconds to load on the CPU, where a single thread is deterministic anyway.
         self._particle_contact_use_gather = True
         self._predicts = predict
-        self._last_qd = wp.zeros(model.particle_count, dtype=wp.vec3, device=model.device)
+        self._last_qd = wp.zeros(
+            model.particle_count, dtype=wp.vec3, device=model.device
+        )
 
     def _initialize_particles(
-        self, state_in: newton.State, state_out: newton.State, contacts: newton.Contacts | None, dt: float
+        self,
+        state_in: newton.State,
+        state_out: newton.State,
+        contacts: newton.Contacts | None,
+        dt: float,
     ) -> None:
         super()._initialize_particles(state_in, state_out, contacts, dt)
         if not self._predicts or not self.model.particle_count:
@@ -102,7 +128,12 @@ class _Solver(newton.solvers.SolverVBD):
         wp.launch(
             predict,
             dim=self.model.particle_count,
-            inputs=[dt, state_in.particle_qd, self.model.particle_inv_mass, self._last_qd],
+            inputs=[
+                dt,
+                state_in.particle_qd,
+                self.model.particle_inv_mass,
+                self._last_qd,
+            ],
             outputs=[self.particle_displacements],
             device=self.model.device,
         )
@@ -120,7 +151,9 @@ def stiffness_ratio(model: newton.Model, timestep_s: float) -> float:
     if model.tri_count:
         shear, lame = model.tri_materials.numpy()[:, :2].astype(np.float64).T
         modulus = (lame + 2.0 * shear) * model.tri_areas.numpy()
-        _add_stiffness(stiffness, model.tri_indices.numpy(), model.tri_poses.numpy(), modulus)
+        _add_stiffness(
+            stiffness, model.tri_indices.numpy(), model.tri_poses.numpy(), modulus
+        )
     if model.tet_count:
         shear, lame = model.tet_materials.numpy()[:, :2].astype(np.float64).T
         poses = model.tet_poses.numpy().astype(np.float64)
@@ -133,7 +166,10 @@ def stiffness_ratio(model: newton.Model, timestep_s: float) -> float:
 
 
 def _add_stiffness(
-    total: NDArray[np.float64], elements: NDArray[Any], poses: NDArray[Any], modulus: NDArray[np.float64]
+    total: NDArray[np.float64],
+    elements: NDArray[Any],
+    poses: NDArray[Any],
+    modulus: NDArray[np.float64],
 ) -> None:
     """Add the stiffness of elements at their vertices; a pose contains the gradients of all shape functions but one."""
     later = np.asarray(poses, dtype=np.float64)
@@ -199,12 +235,18 @@ class StepperVBD(Stepper):
         surfaces = settings if isinstance(settings, SettingsVBD) else None
         predict = surfaces is not None and surfaces.starts_from_acceleration
         if predict:
-            _check_iterations(model, timestep_s=settings.timestep_s, iterations=settings.iterations)
+            _check_iterations(
+                model, timestep_s=settings.timestep_s, iterations=settings.iterations
+            )
         contacts = contacts or SurfaceContacts()
         model.soft_contact_mu = contacts.friction
         model.soft_contact_ke = contact_stiffness_n_per_m
         model.soft_contact_kd = settings.contact_damping_n_s_per_m
-        kinematic = model.body_flags.numpy() & int(newton.BodyFlags.KINEMATIC) if model.body_count else np.ones(0)
+        kinematic = (
+            model.body_flags.numpy() & int(newton.BodyFlags.KINEMATIC)
+            if model.body_count
+            else np.ones(0)
+        )
         self._integrates_bodies = bool((kinematic == 0).any())
         if model.shape_count:
             model.shape_material_ke.fill_(contact_stiffness_n_per_m)
@@ -214,7 +256,9 @@ class StepperVBD(Stepper):
             full_surface = surfaces is not None and surfaces.full_surface
             self._pipeline = collision_pipeline(
                 model,
-                soft_contact_gap=LINE_GAP_M if surfaces is None else surfaces.contact_gap_m,
+                soft_contact_gap=LINE_GAP_M
+                if surfaces is None
+                else surfaces.contact_gap_m,
                 enable_rigid_soft_full_surface_contact=full_surface,
             )
             if passing is not None and len(passing):
@@ -228,7 +272,9 @@ class StepperVBD(Stepper):
             predict=predict,
             friction_epsilon=settings.friction_speed_m_per_s,
             integrate_with_external_rigid_solver=not self._integrates_bodies,
-            deterministic=wp.DeterministicMode.RUN_TO_RUN if model.device.is_cuda else None,
+            deterministic=wp.DeterministicMode.RUN_TO_RUN
+            if model.device.is_cuda
+            else None,
             **_self_contact_arguments(self._self_contact),
         )
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
@@ -261,7 +307,9 @@ class StepperVBD(Stepper):
     def advance(self, seconds: float) -> None:
         """Replay the recorded step, without self-contact if no surfaces can touch in this interval."""
         if self._self_contact is not None:
-            self._graphs = self._closed_graphs if self._may_meet(seconds) else self._open_graphs
+            self._graphs = (
+                self._closed_graphs if self._may_meet(seconds) else self._open_graphs
+            )
         super().advance(seconds)
 
     def _may_meet(self, seconds: float) -> bool:
@@ -270,7 +318,9 @@ class StepperVBD(Stepper):
         now = self.now
         speed = float(np.sqrt(np.square(now.particle_qd.numpy()).sum(axis=1).max()))
         if self._rows:
-            speed = max(speed, float(np.abs(now.body_qd.numpy()[list(self._rows)]).max()))
+            speed = max(
+                speed, float(np.abs(now.body_qd.numpy()[list(self._rows)]).max())
+            )
         displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
         radius_m = self._self_contact.self_contact_thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector
@@ -279,11 +329,14 @@ class StepperVBD(Stepper):
         detector.edge_edge_collision_detection(radius_m)
         info = self.solver.trimesh_collision_info
         return bool(
-            info.vertex_colliding_triangles_count.numpy().any() or info.edge_colliding_edges_count.numpy().any()
+            info.vertex_colliding_triangles_count.numpy().any()
+            or info.edge_colliding_edges_count.numpy().any()
         )
 
 
-def _check_iterations(model: newton.Model, *, timestep_s: float, iterations: int) -> None:
+def _check_iterations(
+    model: newton.Model, *, timestep_s: float, iterations: int
+) -> None:
     needed = ITERATIONS_PER_RATIO * stiffness_ratio(model, timestep_s)
     if iterations < needed:
         raise ParameterError(
@@ -297,9 +350,15 @@ def _let_pass(pipeline: newton.CollisionPipeline, passing: NDArray[np.intp]) -> 
     """Exclude pairs of a particle and a shape from Newton's collision detection."""
     # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces that of each pair.
     model = pipeline.model
-    idle = int(np.flatnonzero((model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)) == 0)[0])
+    idle = int(
+        np.flatnonzero(
+            (model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)) == 0
+        )[0]
+    )
     pairs = pipeline.soft_rigid_contact_pairs.numpy()
-    pairs[np.isin(pairs @ (model.shape_count, 1), passing @ (model.shape_count, 1)), 0] = idle
+    pairs[
+        np.isin(pairs @ (model.shape_count, 1), passing @ (model.shape_count, 1)), 0
+    ] = idle
     pipeline.soft_rigid_contact_pairs.assign(pairs)
 
 
@@ -313,5 +372,7 @@ def _self_contact_arguments(settings: SettingsVBD | None) -> dict[str, Any]:
         "particle_self_contact_margin": settings.self_contact_thickness_m,
         "particle_self_contact_gap": settings.self_contact_reach_m,
         # One detection per step is enough if the reach covers the motion in a step; the default is two.
-        "collision_frequency_type": {slot: newton.solvers.SolverBase.CollisionFrequencyType.PRE_INIT},
+        "collision_frequency_type": {
+            slot: newton.solvers.SolverBase.CollisionFrequencyType.PRE_INIT
+        },
     }

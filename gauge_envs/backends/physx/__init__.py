@@ -36,13 +36,18 @@ class BackendPhysX(BundledBackend):
     packages = ("sapien",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
+        {"PGS": {"solver": "PGS"}}
+        | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
     corrections = (
         "a cylinder is a capsule or a ball in a prism",
         "dry friction of a joint is its drive, a brake; beside it this package computes servos and viscous friction",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+    features = JOINT_FEATURES | {
+        Feature.BODY_HINGES,
+        Feature.STATED_INERTIA,
+        Feature.BACKLASH,
+    }
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:
@@ -58,7 +63,9 @@ class BackendPhysX(BundledBackend):
                 f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
                 "a GPU, and SAPIEN's chains have no spherical joint for ropes"
             )
-        hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
+        hinges = Counter(
+            joint.body for joint in scene.joints if isinstance(joint, Hinge)
+        )
         yield from declined_hinges(hinges)
         for name in hinges:
             motion = scene.body(name).motion
@@ -72,7 +79,9 @@ class BackendPhysX(BundledBackend):
         yield from _unsupported_hulls(scene)
         yield from unsupported_contacts(scene)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPhysX`."""
         chosen = settings_for(scene, settings)
         from gauge_envs.backends.physx.simulation import SimulationPhysX
@@ -82,10 +91,23 @@ class BackendPhysX(BundledBackend):
 
 def _unsupported_hulls(scene: Scene) -> Iterator[str]:
     for body in scene.bodies:
-        solids = [part.shape for part in body.shape.parts] if isinstance(body.shape, Compound) else [body.shape]
-        pieces = [piece for solid in solids if isinstance(solid, ConvexUnion) for piece in solid.pieces_m]
+        solids = (
+            [part.shape for part in body.shape.parts]
+            if isinstance(body.shape, Compound)
+            else [body.shape]
+        )
+        pieces = [
+            piece
+            for solid in solids
+            if isinstance(solid, ConvexUnion)
+            for piece in solid.pieces_m
+        ]
         for number, piece in enumerate(pieces):
-            vertices = len(ConvexHull(np.asarray(piece)).vertices) if len(piece) > HULL_LIMIT else 0
+            vertices = (
+                len(ConvexHull(np.asarray(piece)).vertices)
+                if len(piece) > HULL_LIMIT
+                else 0
+            )
             if vertices > HULL_LIMIT:
                 yield (
                     f"piece {number} of {body.name!r} has {vertices} vertices: PhysX simplifies pieces with more than "

@@ -54,7 +54,9 @@ def constants_of(contact: Contact, *, sustained_restitution: bool) -> Constants:
     return Constants(contact.friction, contact.restitution if bounces else 0.0)
 
 
-def groups_of_bodies(scene: Scene, *, sustained_restitution: bool) -> dict[str, dict[Constants, Groups]]:
+def groups_of_bodies(
+    scene: Scene, *, sustained_restitution: bool
+) -> dict[str, dict[Constants, Groups]]:
     """Return the collision groups of each copy of each body's shape; a body without contacts has none."""
     layers: dict[Constants, int] = {}
     used: Counter[Constants] = Counter()
@@ -81,7 +83,10 @@ def unsupported_contacts(scene: Scene) -> Iterator[str]:
             yield f"{names} rebound with a restitution of {contact.restitution:.6g}: PhysX takes at most 1"
             break
     for sustained_restitution in (False, True):
-        used = Counter(constants_of(c, sustained_restitution=sustained_restitution) for c in scene.contacts)
+        used = Counter(
+            constants_of(c, sustained_restitution=sustained_restitution)
+            for c in scene.contacts
+        )
         if used and max(used.values()) > CONTACTS_PER_CONSTANTS:
             yield (
                 f"{max(used.values())} contacts have the same friction and restitution: PhysX's collision groups hold "

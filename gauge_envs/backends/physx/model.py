@@ -16,7 +16,13 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.settings import check_kept, put
-from gauge_envs.backends.shared.joints import PlayHinge, drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.joints import (
+    PlayHinge,
+    drive_of,
+    has_terms,
+    joint_rate_rad_per_s,
+    linked_hinges,
+)
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -90,7 +96,10 @@ class EngineLease:
     """
 
     def __init__(self, settings: SettingsPhysX) -> None:
-        self.tolerances = (settings.tolerance_length_m, settings.tolerance_speed_m_per_s)
+        self.tolerances = (
+            settings.tolerance_length_m,
+            settings.tolerance_speed_m_per_s,
+        )
         if any(lease.tolerances != self.tolerances for lease in _LEASES):
             # A cycle of references may still hold a simulation that nothing uses.
             gc.collect()
@@ -109,7 +118,9 @@ class EngineLease:
 _LEASES: WeakSet[EngineLease] = WeakSet()
 
 
-def new_system(settings: SettingsPhysX, gravity_m_per_s2: float) -> physx.PhysxCpuSystem:
+def new_system(
+    settings: SettingsPhysX, gravity_m_per_s2: float
+) -> physx.PhysxCpuSystem:
     """Return an empty PhysX scene. The defaults of other users of SAPIEN in this process do not change."""
     before = physx.get_scene_config()
     asked = {
@@ -120,7 +131,9 @@ def new_system(settings: SettingsPhysX, gravity_m_per_s2: float) -> physx.PhysxC
         "enable_enhanced_determinism": settings.enhanced_determinism,
         "enable_friction_every_iteration": settings.friction_every_iteration,
     }
-    physx.set_scene_config(gravity=[0.0, 0.0, -gravity_m_per_s2], cpu_workers=0, **asked)
+    physx.set_scene_config(
+        gravity=[0.0, 0.0, -gravity_m_per_s2], cpu_workers=0, **asked
+    )
     try:
         system = physx.PhysxCpuSystem()
     finally:
@@ -172,27 +185,52 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     lease = EngineLease(settings)
     system = new_system(settings, scene.gravity_m_per_s2)
     world = pysapien.Scene([system])
-    groups = groups_of_bodies(scene, sustained_restitution=settings.sustained_restitution)
+    groups = groups_of_bodies(
+        scene, sustained_restitution=settings.sustained_restitution
+    )
     materials = {
-        c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
+        c: physx.PhysxMaterial(c.friction, c.friction, c.restitution)
+        for each in groups.values()
+        for c in each
     }
     hinges = world_hinges(scene)
     linked = linked_hinges(scene, settings.hinges == "articulation")
     below = [name for name, joined in linked.items() if isinstance(joined, BodyHinge)]
     parts: dict[str, Part] = {}
-    for body in (*(one for one in scene.bodies if one.name not in below), *map(scene.body, below)):
+    for body in (
+        *(one for one in scene.bodies if one.name not in below),
+        *map(scene.body, below),
+    ):
         hinge = hinges.get(body.name)
-        component = _link(world, scene, body, linked[body.name], parts) if body.name in linked else _component(body)
+        component = (
+            _link(world, scene, body, linked[body.name], parts)
+            if body.name in linked
+            else _component(body)
+        )
         for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
-            put("PhysX", shape, contact_offset=settings.contact_offset_m, rest_offset=settings.rest_offset_m)
-            put("PhysX", shape, patch_radius=settings.patch_radius_m, min_patch_radius=settings.min_patch_radius_m)
+            put(
+                "PhysX",
+                shape,
+                contact_offset=settings.contact_offset_m,
+                rest_offset=settings.rest_offset_m,
+            )
+            put(
+                "PhysX",
+                shape,
+                patch_radius=settings.patch_radius_m,
+                min_patch_radius=settings.min_patch_radius_m,
+            )
             component.attach(shape)
         centre_m, inertia = body_mass_properties(body)
         parts[body.name] = Part(component, centre_m)
         if body.motion is not Motion.FIXED:
             _set_mass(component, body.mass_kg, centre_m, inertia)
             _set_limits(component, settings)
-        _add(world, component, _turned(body.pose) if isinstance(body.shape, Plane) else body.pose)
+        _add(
+            world,
+            component,
+            _turned(body.pose) if isinstance(body.shape, Plane) else body.pose,
+        )
         if isinstance(component, physx.PhysxArticulationLinkComponent):
             _set_solver(component.articulation, settings)
         elif hinge is not None:
@@ -203,7 +241,9 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
 
 
 def _add_joints(
-    scene: Scene, parts: Mapping[str, Part], linked: Mapping[str, Hinge | BodyHinge | None]
+    scene: Scene,
+    parts: Mapping[str, Part],
+    linked: Mapping[str, Hinge | BodyHinge | None],
 ) -> dict[str, tuple[physx.PhysxArticulationLinkComponent, int]]:
     """Add strings, hinges that are constraints, and the drives of links; return `Model.rows`."""
     for joint in scene.joints:
@@ -234,7 +274,9 @@ def _turned(pose: Pose) -> Pose:
     return Pose.from_rotation(pose.position_m, pose.rotation * PLANE_TURN)
 
 
-def _add(world: pysapien.Scene, component: physx.PhysxRigidBaseComponent, pose: Pose) -> None:
+def _add(
+    world: pysapien.Scene, component: physx.PhysxRigidBaseComponent, pose: Pose
+) -> None:
     entity = pysapien.Entity()
     entity.add_component(component)
     entity.set_pose(physx_pose(pose))
@@ -251,7 +293,11 @@ def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
 
 
 def _link(
-    world: pysapien.Scene, scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None, parts: Mapping[str, Part]
+    world: pysapien.Scene,
+    scene: Scene,
+    body: RigidBody,
+    hinge: Hinge | BodyHinge | None,
+    parts: Mapping[str, Part],
 ) -> physx.PhysxArticulationLinkComponent:
     """Return a link without shapes, which a hinge connects to a fixed base or to its parent, unless it is a root."""
     if hinge is None:
@@ -260,7 +306,10 @@ def _link(
     in_parent = pysapien.Pose()
     if isinstance(hinge, BodyHinge):
         parent = other_end(hinge, body.name)
-        base, in_parent = parts[parent].component, physx_pose(frame.relative_to(scene.body(parent).pose))
+        base, in_parent = (
+            parts[parent].component,
+            physx_pose(frame.relative_to(scene.body(parent).pose)),
+        )
     else:
         base = physx.PhysxArticulationLinkComponent()
         base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
@@ -279,7 +328,9 @@ def _link(
 
 
 def _shapes(
-    shape: Shape, groups: dict[Constants, Groups], materials: dict[Constants, physx.PhysxMaterial]
+    shape: Shape,
+    groups: dict[Constants, Groups],
+    materials: dict[Constants, physx.PhysxMaterial],
 ) -> Iterator[physx.PhysxCollisionShape]:
     """Yield the copies of a shape, one for each pair of contact constants."""
     for constants, group in groups.items():
@@ -288,13 +339,17 @@ def _shapes(
             yield copy
 
 
-def _solids(shape: Shape | Capsule, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+def _solids(
+    shape: Shape | Capsule, material: physx.PhysxMaterial
+) -> Iterator[physx.PhysxCollisionShape]:
     if isinstance(shape, Compound):
         yield from _parts(shape, material)
     elif isinstance(shape, Capsule):
         yield _capsule(shape.radius_m, 0.5 * shape.length_m, material)
     elif isinstance(shape, Box):
-        yield physx.PhysxCollisionShapeBox(half_size=0.5 * np.asarray(shape.size_m), material=material)
+        yield physx.PhysxCollisionShapeBox(
+            half_size=0.5 * np.asarray(shape.size_m), material=material
+        )
     elif isinstance(shape, Sphere):
         yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
     elif isinstance(shape, Plane):
@@ -306,7 +361,9 @@ def _solids(shape: Shape | Capsule, material: physx.PhysxMaterial) -> Iterator[p
         yield from _cylinder(shape, material)
 
 
-def _parts(compound: Compound, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+def _parts(
+    compound: Compound, material: physx.PhysxMaterial
+) -> Iterator[physx.PhysxCollisionShape]:
     for part in compound.parts:
         assert not isinstance(part.shape, Ellipsoid), "declined by unsupported_features"
         for solid in _solids(part.shape, material):
@@ -314,19 +371,27 @@ def _parts(compound: Compound, material: physx.PhysxMaterial) -> Iterator[physx.
             yield solid
 
 
-def _capsule(radius_m: float, half_m: float, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
+def _capsule(
+    radius_m: float, half_m: float, material: physx.PhysxMaterial
+) -> physx.PhysxCollisionShape:
     """Return a capsule along z."""
-    capsule = physx.PhysxCollisionShapeCapsule(radius=radius_m, half_length=half_m, material=material)
+    capsule = physx.PhysxCollisionShapeCapsule(
+        radius=radius_m, half_length=half_m, material=material
+    )
     capsule.local_pose = pysapien.Pose(q=AXIS_Z)
     return capsule
 
 
-def _hull(points_m: ArrayLike, material: physx.PhysxMaterial) -> physx.PhysxCollisionShape:
+def _hull(
+    points_m: ArrayLike, material: physx.PhysxMaterial
+) -> physx.PhysxCollisionShape:
     """Return a convex mesh."""
     corners = np.asarray(points_m, dtype=np.float64)
     scale = np.ptp(corners, axis=0) / HULL_SIZE_M
     vertices = (corners / scale).astype(np.float32)
-    shape = physx.PhysxCollisionShapeConvexMesh(vertices=vertices, scale=scale, material=material)
+    shape = physx.PhysxCollisionShapeConvexMesh(
+        vertices=vertices, scale=scale, material=material
+    )
     planes = ConvexHull(shape.vertices * scale).equations
     lost_m = float((corners @ planes[:, :3].T + planes[:, 3]).max())
     if lost_m > LOST_M:
@@ -337,7 +402,9 @@ def _hull(points_m: ArrayLike, material: physx.PhysxMaterial) -> physx.PhysxColl
     return shape
 
 
-def _cylinder(shape: Cylinder, material: physx.PhysxMaterial) -> Iterator[physx.PhysxCollisionShape]:
+def _cylinder(
+    shape: Cylinder, material: physx.PhysxMaterial
+) -> Iterator[physx.PhysxCollisionShape]:
     """Yield the parts of a cylinder: a prism with its end faces, and a capsule or ball inside, on which it rolls.
 
     A prism alone brakes with each side on which it comes down: on 20 degrees it lacks 5 % of the law's acceleration. A
@@ -357,7 +424,10 @@ def _cylinder(shape: Cylinder, material: physx.PhysxMaterial) -> Iterator[physx.
 
 
 def _set_mass(
-    component: physx.PhysxRigidBodyComponent, mass_kg: float, centre_m: ArrayLike, inertia_kg_m2: NDArray[np.float64]
+    component: physx.PhysxRigidBodyComponent,
+    mass_kg: float,
+    centre_m: ArrayLike,
+    inertia_kg_m2: NDArray[np.float64],
 ) -> None:
     """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
     moments, axes = np.linalg.eigh(inertia_kg_m2)
@@ -371,9 +441,13 @@ def _set_mass(
     component.cmass_local_pose = pysapien.Pose(centre_m, [w, x, y, z])
 
 
-def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX) -> None:
+def _set_limits(
+    component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX
+) -> None:
     is_link = isinstance(component, physx.PhysxArticulationLinkComponent)
-    component.linear_damping = settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
+    component.linear_damping = (
+        settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
+    )
     put(
         "PhysX",
         component,
@@ -386,7 +460,10 @@ def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhys
         _set_solver(component, settings)
 
 
-def _set_solver(place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation, settings: SettingsPhysX) -> None:
+def _set_solver(
+    place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation,
+    settings: SettingsPhysX,
+) -> None:
     put(
         "PhysX",
         place,
@@ -396,7 +473,9 @@ def _set_solver(place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulatio
     )
 
 
-def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge) -> None:
+def _add_hinge(
+    component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge
+) -> None:
     """Connect a body to the world with a constraint that leaves one rotation free."""
     frame = hinge_frame(hinge)
     joint = _point_joint(component, frame, frame.relative_to(body.pose))
@@ -411,7 +490,9 @@ def _add_body_hinge(parts: Mapping[str, Part], scene: Scene, hinge: BodyHinge) -
     reach_m = 0.5 * float(np.linalg.norm(second.shape.corners_m, axis=1).max())
     for side in (-reach_m, reach_m):
         frame = hinge_frame(hinge, side)
-        joint = _point_joint(component, frame.relative_to(first.pose), frame.relative_to(second.pose))
+        joint = _point_joint(
+            component, frame.relative_to(first.pose), frame.relative_to(second.pose)
+        )
         joint.parent = parts[first.name].component
         component.entity.add_component(joint)
 
@@ -421,7 +502,10 @@ def _point_joint(
 ) -> physx.PhysxDriveComponent:
     """Return a joint of a body, to the world by default, that keeps the origins of two frames together."""
     joint = physx.PhysxDriveComponent(component)
-    joint.pose_in_parent, joint.pose_in_child = physx_pose(in_parent), physx_pose(in_child)
+    joint.pose_in_parent, joint.pose_in_child = (
+        physx_pose(in_parent),
+        physx_pose(in_child),
+    )
     joint.set_limit_x(0.0, 0.0)
     joint.set_limit_y(0.0, 0.0)
     joint.set_limit_z(0.0, 0.0)

@@ -7,7 +7,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, resolve_settings
+from gauge_envs.backends.settings import (
+    Native,
+    SteppedSettings,
+    load_presets,
+    resolve_settings,
+)
 from gauge_envs.scene import Scene
 
 STACK_BODIES = 20
@@ -50,10 +55,18 @@ class SettingsPhysX(SteppedSettings):
     """
 
     solver: Literal["TGS", "PGS"] = "TGS"
-    position_iterations: Annotated[int, Native("solver_position_iterations")] = Field(default=10, ge=1, le=255)
-    velocity_iterations: Annotated[int, Native("solver_velocity_iterations")] = Field(default=1, ge=0, le=255)
-    bounce_threshold_m_per_s: Annotated[float, Native("bounce_threshold")] = Field(default=0.02, ge=0.0)
-    contact_offset_m: Annotated[float, Native("contact_offset")] = Field(default=0.01, gt=0.0, le=1.0)
+    position_iterations: Annotated[int, Native("solver_position_iterations")] = Field(
+        default=10, ge=1, le=255
+    )
+    velocity_iterations: Annotated[int, Native("solver_velocity_iterations")] = Field(
+        default=1, ge=0, le=255
+    )
+    bounce_threshold_m_per_s: Annotated[float, Native("bounce_threshold")] = Field(
+        default=0.02, ge=0.0
+    )
+    contact_offset_m: Annotated[float, Native("contact_offset")] = Field(
+        default=0.01, gt=0.0, le=1.0
+    )
     rest_offset_m: float = Field(default=0.0, ge=-0.1, le=1.0)
     friction_every_iteration: bool = True
     persistent_manifolds: bool = True
@@ -83,7 +96,9 @@ class SettingsPhysX(SteppedSettings):
 PRESETS = load_presets(SettingsPhysX, __file__)
 
 
-def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPhysX:
+def settings_for(
+    scene: Scene, changes: Mapping[str, Any] | None = None
+) -> SettingsPhysX:
     """Return the settings of a scene: its preset with a user's changes."""
     preset = "stack" if len(scene.dynamic_bodies) >= STACK_BODIES else "default"
     return resolve_settings("PhysX", PRESETS, preset=preset, changes=changes)

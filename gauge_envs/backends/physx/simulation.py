@@ -10,7 +10,13 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.joints import drive_of, joint_motors
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, hinges_by_body, placed_states
+from gauge_envs.backends.shared.rigid import (
+    DrivenMotion,
+    PlacedWorld,
+    body_state,
+    hinges_by_body,
+    placed_states,
+)
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import pose_distance
@@ -55,7 +61,13 @@ class SimulationPhysX(PlacedWorld, Simulation):
         if not self._is_new:
             self._start()
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
         component = self._open().parts[body].component
         self._is_new = False
@@ -84,7 +96,9 @@ class SimulationPhysX(PlacedWorld, Simulation):
         step_s = self._chosen.timestep_s
         for step in range(1, round(seconds / step_s) + 1):
             for name, motion in self._driven.items():
-                model.parts[name].component.set_kinematic_target(physx_pose(motion.pose(step * step_s)))
+                model.parts[name].component.set_kinematic_target(
+                    physx_pose(motion.pose(step * step_s))
+                )
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
             if model.rows:
@@ -99,7 +113,10 @@ class SimulationPhysX(PlacedWorld, Simulation):
             id(link.articulation): (link.articulation, np.zeros(link.articulation.dof))
             for link, _ in model.rows.values()
         }
-        motors = {one.body: (one, value) for one, value in zip(self._motors, self._commands, strict=True)}
+        motors = {
+            one.body: (one, value)
+            for one, value in zip(self._motors, self._commands, strict=True)
+        }
         for name, (link, row) in model.rows.items():
             tree, torques = trees[id(link.articulation)]
             angle, rate = tree.qpos[row], tree.qvel[row]
@@ -130,7 +147,9 @@ class SimulationPhysX(PlacedWorld, Simulation):
             state[10:] = part.component.angular_velocity
             if part.centre_m.any():
                 # PhysX's linear velocity is that of the centre of mass.
-                arm_m = Rotation.from_quat(state[3:7], scalar_first=True).apply(part.centre_m)
+                arm_m = Rotation.from_quat(state[3:7], scalar_first=True).apply(
+                    part.centre_m
+                )
                 state[7:10] -= np.cross(state[10:], arm_m)
         return states
 

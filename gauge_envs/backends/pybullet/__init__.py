@@ -11,11 +11,24 @@ from typing import Any
 from gauge_envs.backends.base import Feature, Simulation
 from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
-from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.attachments import (
+    attached_ends,
+    attachment_problems,
+    rigid_attachments,
+)
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, ContactMode, Motion, Rod, Rope, Scene, SoftBody, Tether
+from gauge_envs.scene import (
+    Cloth,
+    ContactMode,
+    Motion,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+    Tether,
+)
 
 __all__ = ["BackendPyBullet"]
 
@@ -78,11 +91,15 @@ class BackendPyBullet(BundledBackend):
         except UnsupportedSceneError as error:
             yield str(error)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPyBullet`."""
         from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 
-        return ReplayedSimulation(SimulationPyBullet(scene, settings_for(scene, settings)))
+        return ReplayedSimulation(
+            SimulationPyBullet(scene, settings_for(scene, settings))
+        )
 
 
 def _unsupported_joints(scene: Scene) -> Iterator[str]:
@@ -102,7 +119,9 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
 
 def _unsupported_hinges(scene: Scene) -> Iterator[str]:
     """Yield what this backend does not build of bodies that hinges join."""
-    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    joined = {
+        name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)
+    }
     if not joined:
         return
     for name, found in surfaces(scene).items():
@@ -117,10 +136,14 @@ def _unsupported_hinges(scene: Scene) -> Iterator[str]:
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     """Yield what PyBullet's chains do not support of a rope: contacts, and ends outside one tree of joints."""
-    if any(rope.name in (*contact.first, *contact.second) for contact in scene.contacts):
+    if any(
+        rope.name in (*contact.first, *contact.second) for contact in scene.contacts
+    ):
         yield f"{rope.name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
     for attachment in scene.attachments:
-        if attachment.deformable == rope.name and attachment.to in {body.name for body in scene.deformables}:
+        if attachment.deformable == rope.name and attachment.to in {
+            body.name for body in scene.deformables
+        }:
             yield f"{rope.name!r} is attached to {attachment.to!r}, which is not a rigid body"
     try:
         ends = attached_ends(rope, rigid_attachments(scene, rope.name))
@@ -131,7 +154,9 @@ def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     driven = [body.name for body in bodies if body.motion is Motion.KINEMATIC]
     if driven:
         yield f"{rope.name!r} is attached to {driven[0]!r}, which is driven: chains start at fixed or dynamic bodies"
-    if len(bodies) == 2 and (bodies[0].motion is Motion.FIXED is bodies[1].motion or bodies[0] is bodies[1]):
+    if len(bodies) == 2 and (
+        bodies[0].motion is Motion.FIXED is bodies[1].motion or bodies[0] is bodies[1]
+    ):
         yield f"{rope.name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
     jointed = {joint.body for joint in scene.joints}
     others = {one.to for one in scene.attachments if one.deformable != rope.name}
@@ -147,19 +172,32 @@ def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
         return
     deformable = {body.name for body in scene.deformables}
     for contact in scene.contacts:
-        pairs = [pair for one in contact.first for other in contact.second if soft & set(pair := (one, other))]
+        pairs = [
+            pair
+            for one in contact.first
+            for other in contact.second
+            if soft & set(pair := (one, other))
+        ]
         if any(deformable.issuperset(pair) for pair in pairs):
             yield f"{pairs[0][0]!r} and {pairs[0][1]!r} are deformable and touch: this backend builds no such contacts"
         elif pairs and contact.mode is ContactMode.IMPACT and contact.restitution > 0.0:
             yield f"{pairs[0][0]!r} rebounds from {pairs[0][1]!r}: contacts of Bullet's soft bodies have no restitution"
     yield from attachment_problems(scene, not_to_dynamic=SoftBody)
-    bonded = [attachment for attachment in scene.attachments if attachment.deformable in soft and attachment.to in soft]
+    bonded = [
+        attachment
+        for attachment in scene.attachments
+        if attachment.deformable in soft and attachment.to in soft
+    ]
     if bonded:
         yield f"{bonded[0].deformable!r} is attached to {bonded[0].to!r}: this backend builds no bonds of soft bodies"
     for body in scene.deformables:
         if isinstance(body, SoftBody):
             yield from _unsupported_solid(scene, body)
-    others = [body.name for body in (*scene.dynamic_bodies, *scene.deformables) if body.name not in soft]
+    others = [
+        body.name
+        for body in (*scene.dynamic_bodies, *scene.deformables)
+        if body.name not in soft
+    ]
     if others:
         yield f"{others[0]!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
 
@@ -167,6 +205,10 @@ def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
 def _unsupported_solid(scene: Scene, body: SoftBody) -> Iterator[str]:
     """Yield what the mesh of a soft body cannot represent."""
     for axis, edge_m in zip("xyz", body.shape.size_m, strict=True):
-        depths = [one.region.depth_m for one in rigid_attachments(scene, body.name) if one.region.axis == axis]
+        depths = [
+            one.region.depth_m
+            for one in rigid_attachments(scene, body.name)
+            if one.region.axis == axis
+        ]
         if sum(depths) >= edge_m:
             yield f"{body.name!r} is attached over all of its length: reduce the regions' depth_m"

@@ -39,7 +39,10 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
     pairs = list(_pairs(scene))
     friction = {pair: contact.friction for contact, pair in pairs}
     # Restitution has no effect on a sustained pair.
-    restitution = {pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0 for contact, pair in pairs}
+    restitution = {
+        pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
+        for contact, pair in pairs
+    }
     partners: dict[str, set[str]] = {}
     for one, other in friction:
         partners.setdefault(one, set()).add(other)
@@ -48,10 +51,13 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
         frictions = products(friction, "friction")
         restitutions = products(restitution, "restitution")
     except UnsupportedSceneError:
-        unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
+        unmoved = {
+            body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC
+        }
         return _with_copies(friction, restitution, partners, unmoved)
     return {
-        name: [Surface(frozenset(others), frictions[name], restitutions[name])] for name, others in partners.items()
+        name: [Surface(frozenset(others), frictions[name], restitutions[name])]
+        for name, others in partners.items()
     }
 
 
@@ -82,9 +88,13 @@ def _with_copies(
     """Return surfaces with several ones for bodies that contacts do not move."""
 
     def solved(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
-        movable = {pair: value for pair, value in pairs.items() if not unmoved & set(pair)}
+        movable = {
+            pair: value for pair, value in pairs.items() if not unmoved & set(pair)
+        }
         # A pair with a partner of its own, of value 1, lets each body have any positive value.
-        free = {(name, f"{name} alone"): 1.0 for name in partners if name not in unmoved}
+        free = {
+            (name, f"{name} alone"): 1.0 for name in partners if name not in unmoved
+        }
         return products(movable | free, noun)
 
     frictions = solved(friction, "friction")
@@ -92,7 +102,9 @@ def _with_copies(
     found: dict[str, list[Surface]] = {}
     for name, others in partners.items():
         if name not in unmoved:
-            found[name] = [Surface(frozenset(others), frictions[name], restitutions[name])]
+            found[name] = [
+                Surface(frozenset(others), frictions[name], restitutions[name])
+            ]
     for name in sorted(unmoved & set(partners)):
         groups: dict[tuple[float, float], set[str]] = {}
         for other in sorted(partners[name]):
@@ -101,7 +113,10 @@ def _with_copies(
             own_friction = float(f"{friction[pair] / frictions[other]:.12g}")
             own_restitution = float(f"{restitution[pair] / restitutions[other]:.12g}")
             groups.setdefault((own_friction, own_restitution), set()).add(other)
-        found[name] = [Surface(frozenset(others), *constants) for constants, others in groups.items()]
+        found[name] = [
+            Surface(frozenset(others), *constants)
+            for constants, others in groups.items()
+        ]
     return found
 
 
@@ -126,7 +141,11 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     positive = {pair: value for pair, value in pairs.items() if value > 0.0}
     active = list(dict.fromkeys(name for pair in positive for name in pair))
     # A body of which all pairs have the value 0 has the value 0, and so satisfies them.
-    zero = [pair for pair, value in pairs.items() if value == 0.0 and set(pair) <= set(active)]
+    zero = [
+        pair
+        for pair, value in pairs.items()
+        if value == 0.0 and set(pair) <= set(active)
+    ]
     found = dict.fromkeys(names, 0.0)
     if not active:
         return found
@@ -138,8 +157,12 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
 
     result = linprog(
         np.repeat([0.0, 1.0], count),
-        A_ub=sparse.vstack([_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]),
-        b_ub=np.concatenate([np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]),
+        A_ub=sparse.vstack(
+            [_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]
+        ),
+        b_ub=np.concatenate(
+            [np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]
+        ),
         A_eq=_sums(positive, active),
         b_eq=np.log(list(positive.values())),
         bounds=(None, None),
@@ -154,12 +177,16 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     return found | dict(zip(active, np.exp(result.x[:count]).tolist(), strict=True))
 
 
-def _sums(pairs: Mapping[Pair, float] | list[Pair], names: list[str]) -> sparse.csr_array:
+def _sums(
+    pairs: Mapping[Pair, float] | list[Pair], names: list[str]
+) -> sparse.csr_array:
     """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 name_count]."""
     column = {name: index for index, name in enumerate(names)}
     columns = [column[name] for pair in pairs for name in pair]
     rows = np.repeat(np.arange(len(pairs)), 2)
-    return sparse.csr_array((np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * len(names)))
+    return sparse.csr_array(
+        (np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * len(names))
+    )
 
 
 def impact_bodies(scene: Scene) -> set[str]:
@@ -200,4 +227,6 @@ def pushing_bodies(scene: Scene) -> set[str]:
         for name, other in ((first, second), (second, first)):
             if motions.get(name) is Motion.DYNAMIC is not motions[other]:
                 touched.setdefault(name, set()).add(other)
-    return {other for others in touched.values() if len(others) > 1 for other in others} - rebounding
+    return {
+        other for others in touched.values() if len(others) > 1 for other in others
+    } - rebounding

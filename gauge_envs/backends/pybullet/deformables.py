@@ -16,7 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
-from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
+from gauge_envs.backends.shared.attachments import (
+    attached_ends,
+    points_on_axis,
+    rigid_attachments,
+)
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
@@ -61,13 +65,17 @@ class RopePart:
         arms = rotations.apply([0.0, 0.0, self.half])
         return np.concatenate([centres[:1] - arms[:1], centres + arms]) / scale
 
-    def track(self, points_m: NDArray[np.float64], read: Read, scale: float) -> Callable[[], NDArray[np.float64]]:
+    def track(
+        self, points_m: NDArray[np.float64], read: Read, scale: float
+    ) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of material points, each of which moves with its segment."""
         span = self.rest_m[-1] - self.rest_m[0]
         length = float(np.linalg.norm(span))
         along = (points_m - self.rest_m[0]) @ span / length
         if not np.all((along > -1e-5) & (along < length + 1e-5)):
-            raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
+            raise ShapeError(
+                f"a point lies beyond an end of {self.name!r}: track points within its length"
+            )
         count = len(self.links)
         segment = np.clip(np.floor(along / length * count).astype(int), 0, count - 1)
         centres_m = 0.5 * (self.rest_m[segment] + self.rest_m[segment + 1])
@@ -76,14 +84,18 @@ class RopePart:
 
         def points() -> NDArray[np.float64]:
             centres, rotations = self._segments(read)
-            return np.asarray(centres[segment] / scale + rotations[segment].apply(offsets))
+            return np.asarray(
+                centres[segment] / scale + rotations[segment].apply(offsets)
+            )
 
         return points
 
     def _segments(self, read: Read) -> tuple[NDArray[np.float64], Rotation]:
         """Return the centres [units], shape [segment_count, 3], and the rotations of the segments."""
         states = [read(self.body, link) for link in self.links]
-        return np.array([state[0] for state in states]), Rotation.from_quat([state[1] for state in states])
+        return np.array([state[0] for state in states]), Rotation.from_quat(
+            [state[1] for state in states]
+        )
 
 
 @dataclass(frozen=True)
@@ -105,7 +117,9 @@ def rope_ends(scene: Scene, rope: Rope) -> RopeEnds:
     """Return the bodies on the ends of a rope; the chain starts at a fixed body if there is one."""
     bodies = {
         side: scene.body(attachment.body)
-        for side, attachment in attached_ends(rope, rigid_attachments(scene, rope.name)).items()
+        for side, attachment in attached_ends(
+            rope, rigid_attachments(scene, rope.name)
+        ).items()
     }
     low, high = bodies.get("low"), bodies.get("high")
     if low is None or (high is not None and high.motion is Motion.FIXED):
@@ -129,10 +143,18 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
     length_m = rope.length_m / count
     mass_kg = rope.mass_kg / count
     nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
-    start_m, end_m = (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
+    start_m, end_m = (
+        (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
+    )
     # All segments have the same rotation at the start; z points from the first to the last one.
-    rotation = Rotation.align_vectors([(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]])[0]
-    across_kg_m2 = float(mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[1][0, 0])
+    rotation = Rotation.align_vectors(
+        [(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]]
+    )[0]
+    across_kg_m2 = float(
+        mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[
+            1
+        ][0, 0]
+    )
     moments = [world.scale**2 * across_kg_m2] * 3
     # In units along z of a segment whose joint is at its start.
     length = np.array([0.0, 0.0, world.scale * length_m])
@@ -143,13 +165,23 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
         segments = range(count)
     else:
         # The first segment is the base, link -1.
-        base = _massless_base(world, start_m + 0.5 / count * (end_m - start_m), rotation) | {"baseMass": mass_kg}
+        base = _massless_base(
+            world, start_m + 0.5 / count * (end_m - start_m), rotation
+        ) | {"baseMass": mass_kg}
         base_moments = moments
         place = centre, Rotation.identity()
         segments = range(-1, count - 1)
     links = []
     for _ in range(segments.stop):
-        links.append(Link(joint=pybullet.JOINT_SPHERICAL, place=place, mass_kg=mass_kg, moments=moments, centre=centre))
+        links.append(
+            Link(
+                joint=pybullet.JOINT_SPHERICAL,
+                place=place,
+                mass_kg=mass_kg,
+                moments=moments,
+                centre=centre,
+            )
+        )
         place = length, Rotation.identity()
     if ends.tip is not None:
         links.append(_tip_of_rope(world, ends.tip, place[0], rotation, end_m))
@@ -165,22 +197,37 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
 
 
 def _root_of_rope(
-    world: BulletWorld, root: RigidBody, start_m: NDArray[np.float64], rotation: Rotation
+    world: BulletWorld,
+    root: RigidBody,
+    start_m: NDArray[np.float64],
+    rotation: Rotation,
 ) -> tuple[dict[str, Any], list[float], tuple[NDArray[np.float64], Rotation]]:
     """Return the base on which a rope hangs: its arguments, its moments of inertia, and the rope's start in its frame.
 
     A body that does not move under forces is a base without mass at the start of the rope.
     """
     if root.motion is not Motion.DYNAMIC:
-        return _massless_base(world, start_m, rotation), [], (np.zeros(3), Rotation.identity())
+        return (
+            _massless_base(world, start_m, rotation),
+            [],
+            (np.zeros(3), Rotation.identity()),
+        )
     frame = world.frame(root)
     to_base = (root.pose.rotation * frame.axes).inv()
     arm_m = to_base.apply(start_m - root.pose.to_world(frame.centre_m))
-    return world.base_arguments(root, frame), frame.moments, (world.scale * arm_m, to_base * rotation)
+    return (
+        world.base_arguments(root, frame),
+        frame.moments,
+        (world.scale * arm_m, to_base * rotation),
+    )
 
 
 def _tip_of_rope(
-    world: BulletWorld, tip: RigidBody, place: NDArray[np.float64], rotation: Rotation, end_m: NDArray[np.float64]
+    world: BulletWorld,
+    tip: RigidBody,
+    place: NDArray[np.float64],
+    rotation: Rotation,
+    end_m: NDArray[np.float64],
 ) -> Link:
     """Return the body at the end of a rope as a link.
 
@@ -205,17 +252,28 @@ def _tip_of_rope(
     )
 
 
-def _massless_base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
+def _massless_base(
+    world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation
+) -> dict[str, Any]:
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
-    return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}
+    return {
+        "baseMass": 0.0,
+        "basePosition": position,
+        "baseOrientation": rotation.as_quat().tolist(),
+    }
 
 
 # --- soft bodies ------------------------------------------------------------------------------------------------------
 
 
 def add_soft_body(
-    world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None, friction: float | None
+    world: BulletWorld,
+    body: SoftBody,
+    file: Path,
+    *,
+    cell_m: float | None,
+    friction: float | None,
 ) -> int:
     """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
@@ -230,11 +288,21 @@ def add_soft_body(
         friction: Coefficient of its surface, by which Bullet multiplies that of a rigid body; None without contacts.
     """
     attachments = rigid_attachments(world.scene, body.name)
-    nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
+    nodes_m = _write_mesh(
+        file,
+        body,
+        [one.region for one in attachments],
+        cell_m or SOFT_CELL_M,
+        world.scale,
+    )
     shear, lame = lame_constants(body)
     contact: dict[str, float] = {}
     if friction is not None:
-        contact = {"useFaceContact": 1, "frictionCoeff": friction, "collisionMargin": world.scale * SOFT_MARGIN_M}
+        contact = {
+            "useFaceContact": 1,
+            "frictionCoeff": friction,
+            "collisionMargin": world.scale * SOFT_MARGIN_M,
+        }
     number = world.call(
         "loadSoftBody",
         str(file),
@@ -252,16 +320,25 @@ def add_soft_body(
     )
     for attachment in attachments:
         # An anchor keeps the node where it now is in the frame of the body.
-        holder = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
+        holder = (
+            GROUND
+            if attachment.motion is Motion.FIXED
+            else world.handles[attachment.body].body
+        )
         for node in nodes_in(nodes_m, attachment.region).tolist():
             world.call("createSoftBodyAnchor", number, node, holder, -1)
     return int(number)
 
 
-def _places_m(edge_m: float, axis: str, regions: Sequence[Region], cell_m: float) -> NDArray[np.float64]:
+def _places_m(
+    edge_m: float, axis: str, regions: Sequence[Region], cell_m: float
+) -> NDArray[np.float64]:
     """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
     depth = {region.side: region.depth_m for region in regions if region.axis == axis}
-    low, high = -0.5 * edge_m + depth.get("low", 0.0), 0.5 * edge_m - depth.get("high", 0.0)
+    low, high = (
+        -0.5 * edge_m + depth.get("low", 0.0),
+        0.5 * edge_m - depth.get("high", 0.0),
+    )
     inner = np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
     return np.unique(np.concatenate([[-0.5 * edge_m], inner, [0.5 * edge_m]]))
 
@@ -270,11 +347,19 @@ def _write_mesh(
     file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
 ) -> NDArray[np.float64]:
     """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
-    axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
+    axes = [
+        _places_m(edge, axis, regions, cell_m)
+        for edge, axis in zip(body.shape.size_m, "xyz", strict=True)
+    ]
     x, y, z = axes
     nodes_m = grid_points(x, y, z)
     cells = tetrahedra((len(x), len(y), len(z)))
-    lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
+    lines = [
+        "# vtk DataFile Version 2.0",
+        "soft body",
+        "ASCII",
+        "DATASET UNSTRUCTURED_GRID",
+    ]
     lines.append(f"POINTS {len(nodes_m)} double")
     for point in (scale * nodes_m).tolist():
         lines.append(" ".join(map(repr, point)))

@@ -9,14 +9,37 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces, turning_shares
+from gauge_envs.backends.pybullet.contacts import (
+    Surface,
+    impact_bodies,
+    pushing_bodies,
+    surfaces,
+    turning_shares,
+)
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
+from gauge_envs.backends.pybullet.world import (
+    DRIVEN_MASS_KG,
+    BulletWorld,
+    Frame,
+    Handle,
+    Link,
+    pybullet,
+    silent,
+)
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
-from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
+from gauge_envs.scene import (
+    BodyHinge,
+    Hinge,
+    Motion,
+    RigidBody,
+    Rope,
+    Scene,
+    SoftBody,
+    Tether,
+)
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 
 EARLY_CONTACTS = 1e18
@@ -52,13 +75,18 @@ class WorldPyBullet(BulletWorld):
         self.handles.clear()
         self.copies.clear()
         self._surfaces = surfaces(self.scene)
-        self._coned = pushing_bodies(self.scene) if self.settings.cone_friction else set()
+        self._coned = (
+            pushing_bodies(self.scene) if self.settings.cone_friction else set()
+        )
         self.ropes = {
             rope.name: add_rope(self, rope, cell_m=self.settings.cell_m)
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
-        hinges, joints = world_hinges(self.scene), {joint.body: joint for joint in self.scene.joints}
+        hinges, joints = (
+            world_hinges(self.scene),
+            {joint.body: joint for joint in self.scene.joints},
+        )
         for tree in hinge_trees(self.scene.body_hinges):
             below = parent_hinges(tree, self.scene.hung)
             name, hinge = next(iter(below.items()))
@@ -83,7 +111,9 @@ class WorldPyBullet(BulletWorld):
                 body,
                 self.folder / f"{body.name}.vtk",
                 cell_m=self.settings.cell_m,
-                friction=self._surfaces[body.name][0].friction if body.name in self._surfaces else None,
+                friction=self._surfaces[body.name][0].friction
+                if body.name in self._surfaces
+                else None,
             )
             for body in soft
         }
@@ -114,7 +144,10 @@ class WorldPyBullet(BulletWorld):
             # The cache knows files by their names, for the whole process.
             enableFileCaching=0,
         )
-        asked = {"fixedTimeStep": settings.timestep_s, "numSolverIterations": settings.solver_iterations}
+        asked = {
+            "fixedTimeStep": settings.timestep_s,
+            "numSolverIterations": settings.solver_iterations,
+        }
         check_kept("PyBullet", asked, self.call("getPhysicsEngineParameters"))
         if settings.split_impulse == "all":
             self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
@@ -125,11 +158,21 @@ class WorldPyBullet(BulletWorld):
         base = self.base_arguments(body, frame)
         is_coned = body.name in self._coned
         maximal = int(not (self.settings.reduced_coordinates or is_coned))
-        handle = self.add_handle(body, int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)), -1)
+        handle = self.add_handle(
+            body,
+            int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)),
+            -1,
+        )
         # A driven body has equal moments of inertia, so that it does not tumble within a step.
-        moments = frame.moments if body.motion is Motion.DYNAMIC else [self.scale**2 * DRIVEN_MASS_KG] * 3
+        moments = (
+            frame.moments
+            if body.motion is Motion.DYNAMIC
+            else [self.scale**2 * DRIVEN_MASS_KG] * 3
+        )
         if body.motion is not Motion.FIXED:
-            self.set_dynamics(handle, mass=base["baseMass"], localInertiaDiagonal=moments)
+            self.set_dynamics(
+                handle, mass=base["baseMass"], localInertiaDiagonal=moments
+            )
         if is_coned:
             # The limit on the speed of joints holds for the base too.
             self.free_joints(handle.body)
@@ -145,16 +188,27 @@ class WorldPyBullet(BulletWorld):
             hinges: The hinge through which each body hangs on the root or on another one, parents first.
         """
         name, hinge = next(iter(hinges.items()))
-        root = self.scene.body(other_end(hinge, name)) if isinstance(hinge, BodyHinge) else None
+        root = (
+            self.scene.body(other_end(hinge, name))
+            if isinstance(hinge, BodyHinge)
+            else None
+        )
         # World position [m] and rotation of the frame of each member, and its number among the parents of links.
         places: dict[str, tuple[NDArray[np.float64], Rotation, int]] = {}
-        base: dict[str, Any] = {"baseMass": 0.0, "basePosition": (self.scale * np.asarray(hinge.anchor_m)).tolist()}
+        base: dict[str, Any] = {
+            "baseMass": 0.0,
+            "basePosition": (self.scale * np.asarray(hinge.anchor_m)).tolist(),
+        }
         base_moments: list[float] = []
         if root is not None:
             frame = self.frame(root)
             base = self.base_arguments(root, frame)
             base_moments = frame.moments
-            places[root.name] = root.pose.to_world(frame.centre_m), root.pose.rotation * frame.axes, 0
+            places[root.name] = (
+                root.pose.to_world(frame.centre_m),
+                root.pose.rotation * frame.axes,
+                0,
+            )
         links: list[Link] = []
         for name, hinge in hinges.items():
             body = self.scene.body(name)
@@ -167,7 +221,10 @@ class WorldPyBullet(BulletWorld):
             if isinstance(hinge, BodyHinge):
                 parent_origin_m, parent_turn, parent = places[other_end(hinge, name)]
                 to_parent = parent_turn.inv()
-                place = self.scale * to_parent.apply(origin_m - parent_origin_m), to_parent * turn
+                place = (
+                    self.scale * to_parent.apply(origin_m - parent_origin_m),
+                    to_parent * turn,
+                )
             centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
             body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
             link = Link(
@@ -190,7 +247,9 @@ class WorldPyBullet(BulletWorld):
             self.add_handle(self.scene.body(name), number, link_number)
             self._set_joint(number, link_number, name, hinge)
 
-    def _set_joint(self, number: int, link: int, name: str, hinge: Hinge | BodyHinge) -> None:
+    def _set_joint(
+        self, number: int, link: int, name: str, hinge: Hinge | BodyHinge
+    ) -> None:
         """Write the start rate and the friction of the joint of a body on a hinge."""
         rate = joint_rate_rad_per_s(self.scene, name, hinge)
         self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
@@ -200,14 +259,26 @@ class WorldPyBullet(BulletWorld):
         if dry:
             # A motor that holds the rate at 0 with a largest torque.
             velocity = pybullet.VELOCITY_CONTROL
-            self.call("setJointMotorControl2", number, link, velocity, targetVelocity=0.0, force=dry)
+            self.call(
+                "setJointMotorControl2",
+                number,
+                link,
+                velocity,
+                targetVelocity=0.0,
+                force=dry,
+            )
         if damping:
             self.call("changeDynamics", number, link, jointDamping=damping)
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""
         speed = self.scale * centre_velocity(body, frame.centre_m)
-        self.call("resetBaseVelocity", number, speed.tolist(), list(body.angular_velocity_rad_per_s))
+        self.call(
+            "resetBaseVelocity",
+            number,
+            speed.tolist(),
+            list(body.angular_velocity_rad_per_s),
+        )
 
     def _tethered(self, body: RigidBody, joint: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
@@ -217,10 +288,18 @@ class WorldPyBullet(BulletWorld):
         apart_m = float(np.linalg.norm(along))
         string = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
         mass_kg = STRING_MASS * body.mass_kg
-        light: dict[str, Any] = {"mass_kg": mass_kg, "moments": [mass_kg * (self.scale * joint.length_m) ** 2] * 3}
+        light: dict[str, Any] = {
+            "mass_kg": mass_kg,
+            "moments": [mass_kg * (self.scale * joint.length_m) ** 2] * 3,
+        }
         origin = np.zeros(3)
         links = (
-            Link(joint=pybullet.JOINT_SPHERICAL, place=(origin, string), centre=origin, **light),
+            Link(
+                joint=pybullet.JOINT_SPHERICAL,
+                place=(origin, string),
+                centre=origin,
+                **light,
+            ),
             Link(
                 joint=pybullet.JOINT_PRISMATIC,
                 place=(np.array([0.0, 0.0, self.scale * apart_m]), Rotation.identity()),
@@ -240,7 +319,13 @@ class WorldPyBullet(BulletWorld):
         handle = self.add_handle(body, self.add_multibody(base, [], links), 2)
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
         upper = self.scale * (joint.length_m - apart_m)
-        self.call("changeDynamics", handle.body, 1, jointLowerLimit=-1e6, jointUpperLimit=upper)
+        self.call(
+            "changeDynamics",
+            handle.body,
+            1,
+            jointLowerLimit=-1e6,
+            jointUpperLimit=upper,
+        )
 
     def _set_contacts(self) -> None:
         late = impact_bodies(self.scene) if self.settings.late_impacts else set()
@@ -268,27 +353,48 @@ class WorldPyBullet(BulletWorld):
                     angularDamping=self.settings.angular_damping,
                     frictionAnchor=int(self.settings.friction_anchors),
                     contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
-                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self.settings.sleeping else awake,
+                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING
+                    if self.settings.sleeping
+                    else awake,
                     **(springs if has_springs else {}),
                 )
 
     def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
         """Return the surfaces of a rigid body, each with its copy of the body."""
         found = self._surfaces.get(name, [Surface(frozenset(), 0.0, 0.0)])
-        return list(zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True))
+        return list(
+            zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True)
+        )
 
     def _towards(self, name: str, partner: str) -> Handle:
         """Return a soft body, or the copy of a rigid body whose surface is that towards another body."""
         if name in self.soft:
             return Handle(self.soft[name], -1, np.zeros(3), Rotation.identity())
-        return next(handle for surface, handle in self._surface_handles(name) if partner in surface.partners)
+        return next(
+            handle
+            for surface, handle in self._surface_handles(name)
+            if partner in surface.partners
+        )
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""
         for number in range(self.call("getNumBodies")):
             for link in range(-1, self.call("getNumJoints", number)):
-                self.call("setCollisionFilterGroupMask", self.call("getBodyUniqueId", number), link, 0, 0)
+                self.call(
+                    "setCollisionFilterGroupMask",
+                    self.call("getBodyUniqueId", number),
+                    link,
+                    0,
+                    0,
+                )
         for contact in self.scene.contacts:
             for first, second in self.scene.colliding_pairs(contact):
                 one, other = self._towards(first, second), self._towards(second, first)
-                self.call("setCollisionFilterPair", one.body, other.body, one.link, other.link, 1)
+                self.call(
+                    "setCollisionFilterPair",
+                    one.body,
+                    other.body,
+                    one.link,
+                    other.link,
+                    1,
+                )

@@ -12,7 +12,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, resolve_settings
+from gauge_envs.backends.settings import (
+    Native,
+    SteppedSettings,
+    load_presets,
+    resolve_settings,
+)
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
@@ -78,17 +83,23 @@ class SettingsPyBullet(SteppedSettings):
     """
 
     units_per_m: float = Field(default=100.0, gt=0.0)
-    solver_iterations: Annotated[int, Native("numSolverIterations")] = Field(default=50, ge=1)
+    solver_iterations: Annotated[int, Native("numSolverIterations")] = Field(
+        default=50, ge=1
+    )
     residual_threshold: float = Field(default=0.0, ge=0.0)
     erp: float = Field(default=0.2, ge=0.0, le=1.0)
-    contact_erp: Annotated[float, Native("contactERP")] = Field(default=0.2, ge=0.0, le=1.0)
+    contact_erp: Annotated[float, Native("contactERP")] = Field(
+        default=0.2, ge=0.0, le=1.0
+    )
     friction_erp: float = Field(default=0.2, ge=0.0, le=1.0)
     global_cfm: float = Field(default=0.0, ge=0.0)
     warm_starting: float = Field(default=1.0, ge=0.0, le=1.0)
     cone_friction: bool = True
     friction_anchors: bool = False
     split_impulse: Literal["all", "deep", "none"] = "all"
-    rebound_threshold: Annotated[float, Native("restitutionVelocityThreshold")] = Field(default=0.0, ge=0.0)
+    rebound_threshold: Annotated[float, Native("restitutionVelocityThreshold")] = Field(
+        default=0.0, ge=0.0
+    )
     contact_slop: Annotated[float, Native("contactSlop")] = Field(default=1e-5, ge=0.0)
     contact_stiffness_n_per_m: float | None = Field(default=None, gt=0.0)
     contact_damping_n_s_per_m: float | None = Field(default=None, gt=0.0)
@@ -107,10 +118,16 @@ class SettingsPyBullet(SteppedSettings):
     def _springs_act(cls, damping: float | None, info: ValidationInfo) -> float | None:
         # An invalid stiffness or split impulse is not in the data; its own error is reported first.
         stiffness = info.data.get("contact_stiffness_n_per_m")
-        if "contact_stiffness_n_per_m" in info.data and (damping is None) != (stiffness is None):
-            raise ValueError("contact_stiffness_n_per_m and this must be given together")
+        if "contact_stiffness_n_per_m" in info.data and (damping is None) != (
+            stiffness is None
+        ):
+            raise ValueError(
+                "contact_stiffness_n_per_m and this must be given together"
+            )
         if stiffness is not None and info.data.get("split_impulse", "none") != "none":
-            raise ValueError("split_impulse must be 'none' beside it: split impulses exert no force")
+            raise ValueError(
+                "split_impulse must be 'none' beside it: split impulses exert no force"
+            )
         return damping
 
 
@@ -120,17 +137,26 @@ STACK_BODY_COUNT = 20
 """Number of dynamic bodies from which a scene counts as a stack."""
 
 
-def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPyBullet:
+def settings_for(
+    scene: Scene, changes: Mapping[str, Any] | None = None
+) -> SettingsPyBullet:
     """Return the settings for a scene, with a user's changes; see `resolve_settings`."""
     preset = _preset_for(scene)
     settings = resolve_settings("pybullet", PRESETS, preset=preset, changes=changes)
     if settings.preset == "soft" and "timestep_s" not in (changes or {}):
         limit_s = STABLE_SHARE * _wave_time_s(scene, settings.cell_m or SOFT_CELL_M)
         halvings = max(0, ceil(log2(settings.timestep_s / limit_s)))
-        settings = settings.model_copy(update={"timestep_s": settings.timestep_s / 2**halvings})
+        settings = settings.model_copy(
+            update={"timestep_s": settings.timestep_s / 2**halvings}
+        )
     if settings.cell_m is not None:
         soft = any(isinstance(body, SoftBody) for body in scene.deformables)
-        check_cells("pybullet", scene, settings.cell_m, node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1)
+        check_cells(
+            "pybullet",
+            scene,
+            settings.cell_m,
+            node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1,
+        )
     return settings
 
 
@@ -142,8 +168,14 @@ def _preset_for(scene: Scene) -> str:
     if scene.deformables:
         return "rope"
     jointed = {joint.body for joint in scene.joints}
-    impacts = (contact for contact in scene.contacts if contact.mode is ContactMode.IMPACT)
-    if any(jointed & set(pair) for contact in impacts for pair in scene.colliding_pairs(contact)):
+    impacts = (
+        contact for contact in scene.contacts if contact.mode is ContactMode.IMPACT
+    )
+    if any(
+        jointed & set(pair)
+        for contact in impacts
+        for pair in scene.colliding_pairs(contact)
+    ):
         return "joint_impact"
     return "contact"
 
@@ -157,6 +189,10 @@ def _wave_time_s(scene: Scene, cell_m: float) -> float:
     for body in scene.deformables:
         if isinstance(body, SoftBody):
             poisson = body.poisson_ratio
-            modulus = body.young_modulus_pa * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+            modulus = (
+                body.young_modulus_pa
+                * (1.0 - poisson)
+                / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
+            )
             speeds.append(sqrt(modulus * body.shape.volume_m3 / body.mass_kg))
     return cell_m / (sqrt(2.0) * max(speeds, default=1.0))

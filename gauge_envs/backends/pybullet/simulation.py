@@ -12,7 +12,12 @@ from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
 from gauge_envs.backends.shared.joints import joint_motors
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
+from gauge_envs.backends.shared.rigid import (
+    DrivenMotion,
+    PlacedWorld,
+    body_state,
+    placed_states,
+)
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 
 Rows = list[list[float]]
@@ -34,8 +39,14 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
         boxes = settings.planes == "box"
-        self._planes = [body.pose for body in scene.bodies if boxes and isinstance(body.shape, Plane)]
-        self._kinematic = [body.name for body in scene.bodies if body.motion is Motion.KINEMATIC]
+        self._planes = [
+            body.pose
+            for body in scene.bodies
+            if boxes and isinstance(body.shape, Plane)
+        ]
+        self._kinematic = [
+            body.name for body in scene.bodies if body.motion is Motion.KINEMATIC
+        ]
         self._start()
 
     def _start(self) -> None:
@@ -49,7 +60,13 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self.world.rebuild()
         self._start()
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
         self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
         # Until the next step, which takes the body along: then Bullet is asked.
@@ -78,7 +95,9 @@ class SimulationPyBullet(PlacedWorld, Simulation):
                 pybullet.resetBasePositionAndOrientation(
                     body, positions[step], quaternions[step], physicsClientId=client
                 )
-                pybullet.resetBaseVelocity(body, speeds[step], spins[step], physicsClientId=client)
+                pybullet.resetBaseVelocity(
+                    body, speeds[step], spins[step], physicsClientId=client
+                )
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
             self._turn_joints()
@@ -94,11 +113,12 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             return None
         positions = self.body_states(names)[:, :3]
         for plane in self._planes:
-            across = np.abs((positions - plane.position_m) @ plane.rotation.as_matrix()[:, :2]).max(axis=1)
+            across = np.abs(
+                (positions - plane.position_m) @ plane.rotation.as_matrix()[:, :2]
+            ).max(axis=1)
             if across.max() > PLANE_REACH_M:
-                return (
-                    f"{names[int(across.argmax())]} is beyond the {PLANE_REACH_M:g} m that this backend's planes reach"
-                )
+                name = names[int(across.argmax())]
+                return f"{name} is beyond the {PLANE_REACH_M:g} m that this backend's planes reach"
         return None
 
     def _motion(self, name: str) -> DrivenMotion:
@@ -108,7 +128,9 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         x, y, z, *turn = self.body_states([name])[0, :7].tolist()
         return DrivenMotion(Pose(position_m=(x, y, z), quaternion=tuple(turn)))
 
-    def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
+    def _path(
+        self, handle: Handle, motion: DrivenMotion, count: int
+    ) -> tuple[int, Rows, Rows, Rows, Rows]:
         """Return what Bullet gets of a driven body before each of the next steps.
 
         Returns:
@@ -141,8 +163,12 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         place = self._read(handle.body, handle.link)[0]
         frame = pybullet.WORLD_FRAME
         force, torque = self._scale * wrench[:3], self._scale**2 * wrench[3:]
-        self.world.call("applyExternalForce", handle.body, handle.link, force.tolist(), place, frame)
-        self.world.call("applyExternalTorque", handle.body, handle.link, torque.tolist(), frame)
+        self.world.call(
+            "applyExternalForce", handle.body, handle.link, force.tolist(), place, frame
+        )
+        self.world.call(
+            "applyExternalTorque", handle.body, handle.link, torque.tolist(), frame
+        )
 
     def _turn_joints(self) -> None:
         """Apply the torques of motors for one step; that of a servo is computed here, from the state before it."""
@@ -150,7 +176,13 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             handle = self.world.handles[one.body]
             angle, rate = self.world.call("getJointState", handle.body, handle.link)[:2]
             torque = self._scale**2 * one.torque_n_m(value, angle, rate)
-            self.world.call("setJointMotorControl2", handle.body, handle.link, pybullet.TORQUE_CONTROL, force=torque)
+            self.world.call(
+                "setJointMotorControl2",
+                handle.body,
+                handle.link,
+                pybullet.TORQUE_CONTROL,
+                force=torque,
+            )
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""
@@ -159,7 +191,11 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             place = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
             return (*place, *pybullet.getBaseVelocity(body, physicsClientId=client))
         state = pybullet.getLinkState(
-            body, link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+            body,
+            link,
+            computeLinkVelocity=1,
+            computeForwardKinematics=1,
+            physicsClientId=client,
         )
         return (state[0], state[1], state[6], state[7])
 
@@ -167,10 +203,19 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         """Return the nodes of a rope or soft body [m], shape [node_count, 3]."""
         if name in self.world.soft:
             flags = pybullet.MESH_DATA_SIMULATION_MESH
-            return np.array(self.world.call("getMeshData", self.world.soft[name], -1, flags=flags)[1]) / self._scale
+            return (
+                np.array(
+                    self.world.call(
+                        "getMeshData", self.world.soft[name], -1, flags=flags
+                    )[1]
+                )
+                / self._scale
+            )
         return self.world.ropes[name].nodes_m(self._read, self._scale)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points of a rope, or None for a soft body; see `World.track`."""
         if name in self.world.soft:
             return None

@@ -19,7 +19,17 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Motion,
+    Plane,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+)
 from gauge_envs.scene.meshes import body_mass_properties, hull_faces
 
 
@@ -142,14 +152,18 @@ class BulletWorld:
         with silent():
             self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
-            raise BackendError("PyBullet opens no further world in this process: close simulations that are not used")
+            raise BackendError(
+                "PyBullet opens no further world in this process: close simulations that are not used"
+            )
         self.handles: dict[str, Handle] = {}
         self.copies: dict[str, list[Handle]] = {}
         self.folder = Path()
 
     def call(self, function: str, *arguments: Any, **named: Any) -> Any:
         """Call a function of PyBullet in this world."""
-        return getattr(pybullet, function)(*arguments, physicsClientId=self.client, **named)
+        return getattr(pybullet, function)(
+            *arguments, physicsClientId=self.client, **named
+        )
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""
@@ -164,11 +178,17 @@ class BulletWorld:
             "collisionFramePosition": (self.scale * offset_m).tolist(),
             "collisionFrameOrientation": frame.axes.inv().as_quat().tolist(),
         }
-        return int(self.call("createCollisionShape", **place | self._shape_arguments(shape)))
+        return int(
+            self.call("createCollisionShape", **place | self._shape_arguments(shape))
+        )
 
     def _shape_arguments(self, shape: Shape) -> dict[str, Any]:
         scale = self.scale
-        flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self.settings.polyhedral_features else 0
+        flags = (
+            pybullet.URDF_INITIALIZE_SAT_FEATURES
+            if self.settings.polyhedral_features
+            else 0
+        )
         if isinstance(shape, Sphere):
             return {"shapeType": pybullet.GEOM_SPHERE, "radius": scale * shape.radius_m}
         if isinstance(shape, Cylinder):
@@ -180,11 +200,18 @@ class BulletWorld:
             # A box below the plane.
             half = [scale * PLANE_REACH_M] * 3
             place = {"collisionFramePosition": [0.0, 0.0, -half[2]]}
-            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags, **place}
+            return {
+                "shapeType": pybullet.GEOM_BOX,
+                "halfExtents": half,
+                "flags": flags,
+                **place,
+            }
         if isinstance(shape, Box):
             half = [0.5 * scale * edge for edge in shape.size_m]
             return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags}
-        assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
+        assert isinstance(shape, ConvexUnion), (
+            "compounds are declined by unsupported_features"
+        )
         pieces = [(scale * np.asarray(piece)) for piece in shape.pieces_m]
         mesh: dict[str, Any] = {"vertices": pieces[0].tolist()}
         if len(pieces) > 1:
@@ -200,14 +227,22 @@ class BulletWorld:
         if np.abs(inertia - np.diag(moments)).max() > 1e-12 * np.abs(inertia).max():
             moments, axes = np.linalg.eigh(inertia)
             axes[:, 2] *= np.linalg.det(axes)
-        return Frame(centre_m, Rotation.from_matrix(axes), (self.scale**2 * moments).tolist())
+        return Frame(
+            centre_m, Rotation.from_matrix(axes), (self.scale**2 * moments).tolist()
+        )
 
     def base_arguments(self, body: RigidBody, frame: Frame) -> dict[str, Any]:
         """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
-        masses = {Motion.DYNAMIC: body.mass_kg, Motion.FIXED: 0.0, Motion.KINEMATIC: DRIVEN_MASS_KG}
+        masses = {
+            Motion.DYNAMIC: body.mass_kg,
+            Motion.FIXED: 0.0,
+            Motion.KINEMATIC: DRIVEN_MASS_KG,
+        }
         return {
             "baseMass": masses[body.motion],
-            "baseCollisionShapeIndex": self.shape(body.shape, frame.axes.inv().apply(-frame.centre_m), frame),
+            "baseCollisionShapeIndex": self.shape(
+                body.shape, frame.axes.inv().apply(-frame.centre_m), frame
+            ),
             "basePosition": (self.scale * body.pose.to_world(frame.centre_m)).tolist(),
             "baseOrientation": (body.pose.rotation * frame.axes).as_quat().tolist(),
         }
@@ -225,9 +260,13 @@ class BulletWorld:
         self.call("changeDynamics", handle.body, handle.link, **named)
         kept = self.call("getDynamicsInfo", handle.body, handle.link)
         asked = {name: value for name, value in named.items() if name in DYNAMICS}
-        check_kept("PyBullet", asked, {name: kept[place] for name, place in DYNAMICS.items()})
+        check_kept(
+            "PyBullet", asked, {name: kept[place] for name, place in DYNAMICS.items()}
+        )
 
-    def add_multibody(self, base: dict[str, Any], moments: list[float], links: Sequence[Link]) -> int:
+    def add_multibody(
+        self, base: dict[str, Any], moments: list[float], links: Sequence[Link]
+    ) -> int:
         """Add bodies on joints without friction and motors, and return PyBullet's number of the multibody.
 
         Args:
@@ -246,15 +285,30 @@ class BulletWorld:
                 linkOrientations=[link.place[1].as_quat().tolist() for link in links],
                 linkInertialFramePositions=[link.centre.tolist() for link in links],
                 linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * len(links),
-                linkParentIndices=[row if link.parent is None else link.parent for row, link in enumerate(links)],
+                linkParentIndices=[
+                    row if link.parent is None else link.parent
+                    for row, link in enumerate(links)
+                ],
                 linkJointTypes=[link.joint for link in links],
                 linkJointAxis=[list(link.axis) for link in links],
             )
         )
         if moments:
-            self.call("changeDynamics", number, -1, mass=base["baseMass"], localInertiaDiagonal=moments)
+            self.call(
+                "changeDynamics",
+                number,
+                -1,
+                mass=base["baseMass"],
+                localInertiaDiagonal=moments,
+            )
         for row, link in enumerate(links):
-            self.call("changeDynamics", number, row, mass=link.mass_kg, localInertiaDiagonal=link.moments)
+            self.call(
+                "changeDynamics",
+                number,
+                row,
+                mass=link.mass_kg,
+                localInertiaDiagonal=link.moments,
+            )
         self.free_joints(number, links)
         return number
 
@@ -275,12 +329,27 @@ class BulletWorld:
                 angularDamping=self.settings.angular_damping,
                 maxJointVelocity=FASTEST_JOINT,
             )
-        motor = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": 0.0}
-        still = {"targetPosition": [0.0, 0.0, 0.0, 1.0], "positionGain": 0.0, "velocityGain": 0.0}
+        motor = {
+            "controlMode": pybullet.VELOCITY_CONTROL,
+            "targetVelocity": 0.0,
+            "force": 0.0,
+        }
+        still = {
+            "targetPosition": [0.0, 0.0, 0.0, 1.0],
+            "positionGain": 0.0,
+            "velocityGain": 0.0,
+        }
         position = pybullet.POSITION_CONTROL
         for row, link in enumerate(links):
             if link.joint == pybullet.JOINT_SPHERICAL:
-                self.call("setJointMotorControlMultiDof", body, row, position, force=[0.0, 0.0, 0.0], **still)
+                self.call(
+                    "setJointMotorControlMultiDof",
+                    body,
+                    row,
+                    position,
+                    force=[0.0, 0.0, 0.0],
+                    **still,
+                )
             else:
                 self.call("setJointMotorControl2", body, row, **motor)
 
@@ -295,5 +364,8 @@ def _object_lines(pieces: Sequence[NDArray[np.float64]]) -> Iterator[str]:
     for index, piece in enumerate(pieces):
         yield f"o piece{index}"
         yield from (f"v {x!r} {y!r} {z!r}" for x, y, z in piece.tolist())
-        yield from ("f " + " ".join(str(first + vertex) for vertex in face) for face in hull_faces(piece))
+        yield from (
+            "f " + " ".join(str(first + vertex) for vertex in face)
+            for face in hull_faces(piece)
+        )
         first += len(piece)

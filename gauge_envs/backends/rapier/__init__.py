@@ -6,9 +6,16 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
-from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
+from gauge_envs.backends.rapier.contacts import (
+    LARGEST_CONTACT_COUNT,
+    colliding_contacts,
+)
 from gauge_envs.backends.rapier.settings import settings_for
-from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
+from gauge_envs.backends.shared.bundled import (
+    BundledBackend,
+    declined_compounds,
+    first_of,
+)
 from gauge_envs.backends.shared.joints import linked_hinges, with_rotors
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
@@ -29,9 +36,16 @@ class BackendRapier(BundledBackend):
     packages = ("rapier3d",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
+        {
+            "coulomb": {"friction_model": "coulomb"},
+            "out_of_box": {"preset": "out_of_box"},
+        }
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+    features = JOINT_FEATURES | {
+        Feature.BODY_HINGES,
+        Feature.STATED_INERTIA,
+        Feature.BACKLASH,
+    }
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
@@ -39,16 +53,30 @@ class BackendRapier(BundledBackend):
         yield from declined_compounds(scene)
         kinds: dict[str, list[str]] = {}
         for body in scene.deformables:
-            kind = "cloth" if isinstance(body, Cloth) else "a line" if isinstance(body, Rope | Rod) else "soft"
+            kind = (
+                "cloth"
+                if isinstance(body, Cloth)
+                else "a line"
+                if isinstance(body, Rope | Rod)
+                else "soft"
+            )
             kinds.setdefault(kind, []).append(body.name)
         for kind, names in kinds.items():
             yield f"{first_of(names)} is {kind}, and this backend builds rigid bodies only"
         counts = Counter(joint.body for joint in scene.joints)
-        hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge) and counts[joint.body] > 1]
+        hinged = [
+            joint.body
+            for joint in scene.joints
+            if isinstance(joint, Hinge) and counts[joint.body] > 1
+        ]
         if hinged:
             count = counts[hinged[0]]
             yield f"{hinged[0]!r} hangs on {count} joints, and this backend builds a hinge as the only joint"
-        free = [name for name, hinge in linked_hinges(scene, single=False).items() if hinge is None]
+        free = [
+            name
+            for name, hinge in linked_hinges(scene, single=False).items()
+            if hinge is None
+        ]
         if free:
             yield f"{free[0]!r} is free, and this backend builds friction and motors of joints in chains on the world"
         count = len(colliding_contacts(scene))
@@ -58,14 +86,20 @@ class BackendRapier(BundledBackend):
                 f"{LARGEST_CONTACT_COUNT}"
             )
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsRapier`."""
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
         return SimulationRapier(with_rotors(scene), settings_for(scene, settings))
 
-    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+    def build_worlds(
+        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
+    ) -> Worlds:
         """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
         from gauge_envs.backends.rapier.simulation import WorldsRapier
 
-        return WorldsRapier([*map(with_rotors, scenes)], settings_for(scenes[0], settings))
+        return WorldsRapier(
+            [*map(with_rotors, scenes)], settings_for(scenes[0], settings)
+        )

@@ -33,10 +33,16 @@ class ColliderLayer:
 
 def colliding_contacts(scene: Scene) -> list[Contact]:
     """Return the contacts of a scene that have a pair that can collide."""
-    return [contact for contact in scene.contacts if next(scene.colliding_pairs(contact), None) is not None]
+    return [
+        contact
+        for contact in scene.contacts
+        if next(scene.colliding_pairs(contact), None) is not None
+    ]
 
 
-def collider_layers(scene: Scene, first_contact: int = 0) -> dict[str, list[ColliderLayer]]:
+def collider_layers(
+    scene: Scene, first_contact: int = 0
+) -> dict[str, list[ColliderLayer]]:
     """Return the layers of each body, by name; a body without contacts has none.
 
     Args:
@@ -46,8 +52,12 @@ def collider_layers(scene: Scene, first_contact: int = 0) -> dict[str, list[Coll
     layers: dict[str, list[ColliderLayer]] = {body.name: [] for body in scene.bodies}
     for index, contact in enumerate(colliding_contacts(scene), start=first_contact):
         restitution = contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
-        for name, memberships, filter_ in _sides(contact, 1 << 2 * index, 2 << 2 * index):
-            layers[name].append(ColliderLayer(contact.friction, restitution, memberships, filter_))
+        for name, memberships, filter_ in _sides(
+            contact, 1 << 2 * index, 2 << 2 * index
+        ):
+            layers[name].append(
+                ColliderLayer(contact.friction, restitution, memberships, filter_)
+            )
     return layers
 
 
@@ -55,4 +65,8 @@ def _sides(contact: Contact, first: int, second: int) -> Iterator[tuple[str, int
     """Yield each body of a contact with the groups to which it belongs and the groups that it meets."""
     for name in dict.fromkeys((*contact.first, *contact.second)):
         in_first, in_second = name in contact.first, name in contact.second
-        yield (name, first * in_first | second * in_second, second * in_first | first * in_second)
+        yield (
+            name,
+            first * in_first | second * in_second,
+            second * in_first | first * in_second,
+        )

@@ -8,10 +8,20 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
+from gauge_envs.backends.rapier.contacts import (
+    ColliderLayer,
+    collider_layers,
+    colliding_contacts,
+)
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.settings import put
-from gauge_envs.backends.shared.joints import PlayHinge, drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.joints import (
+    PlayHinge,
+    drive_of,
+    has_terms,
+    joint_rate_rad_per_s,
+    linked_hinges,
+)
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
@@ -46,7 +56,9 @@ Layout = dict[str, tuple[rapier.RigidBodyHandle, NDArray[np.float64]]]
 """Rapier's handle of each dynamic or driven body of a scene, and its centre of mass in the body frame [m], by name."""
 
 
-def build_world(scenes: Sequence[Scene], settings: SettingsRapier) -> tuple[rapier.PhysicsWorld, list[Layout]]:
+def build_world(
+    scenes: Sequence[Scene], settings: SettingsRapier
+) -> tuple[rapier.PhysicsWorld, list[Layout]]:
     """Return one world with all scenes at their starts, which do not meet each other, and the layout of each scene.
 
     Args:
@@ -56,15 +68,27 @@ def build_world(scenes: Sequence[Scene], settings: SettingsRapier) -> tuple[rapi
     world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
     _set_parameters(world.integration_parameters, settings)
     count = len(colliding_contacts(scenes[0]))
-    return world, [_add_scene(world, scene, index * count, settings) for index, scene in enumerate(scenes)]
+    return world, [
+        _add_scene(world, scene, index * count, settings)
+        for index, scene in enumerate(scenes)
+    ]
 
 
-def _add_scene(world: rapier.PhysicsWorld, scene: Scene, first_contact: int, settings: SettingsRapier) -> Layout:
+def _add_scene(
+    world: rapier.PhysicsWorld,
+    scene: Scene,
+    first_contact: int,
+    settings: SettingsRapier,
+) -> Layout:
     layers = collider_layers(scene, first_contact)
     layout: Layout = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
-        colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer)]
+        colliders = [
+            collider
+            for layer in layers[body.name]
+            for collider in _colliders(body.shape, layer)
+        ]
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
             layout[body.name] = handle, centre_m
@@ -72,22 +96,39 @@ def _add_scene(world: rapier.PhysicsWorld, scene: Scene, first_contact: int, set
     return layout
 
 
-def _add_joints(world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settings: SettingsRapier) -> None:
+def _add_joints(
+    world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settings: SettingsRapier
+) -> None:
     """Add the joints of a scene, multibodies from their roots on."""
     linked = linked_hinges(scene, settings.hinge_joint == "multibody")
     for joint in scene.joints:
         body = scene.body(joint.body)
         if isinstance(joint, Hinge):
-            _add_hinge(world, joint, body, layout[body.name][0], settings, is_link=body.name in linked)
+            _add_hinge(
+                world,
+                joint,
+                body,
+                layout[body.name][0],
+                settings,
+                is_link=body.name in linked,
+            )
         else:
-            anchor = world.add_body(rapier.RigidBody.fixed().translation(joint.anchor_m))
-            string = rapier.RopeJointBuilder(joint.length_m).local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
+            anchor = world.add_body(
+                rapier.RigidBody.fixed().translation(joint.anchor_m)
+            )
+            string = (
+                rapier.RopeJointBuilder(joint.length_m)
+                .local_anchor1((0, 0, 0))
+                .local_anchor2((0, 0, 0))
+            )
             world.impulse_joints.insert(anchor, layout[body.name][0], string.build())
     for hinge in scene.body_hinges:
         if hinge not in linked.values():
             # As a constraint: a free multibody changes its momentum by 0.1 % in 0.5 s.
             revolute = _between(scene, hinge, hinge.first, hinge.second)
-            world.impulse_joints.insert(layout[hinge.first][0], layout[hinge.second][0], revolute)
+            world.impulse_joints.insert(
+                layout[hinge.first][0], layout[hinge.second][0], revolute
+            )
     for name, hanging in linked.items():
         if isinstance(hanging, BodyHinge):
             parent = other_end(hanging, name)
@@ -130,12 +171,16 @@ def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
     )
 
 
-def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.RigidBodyBuilder, NDArray[np.float64]]:
+def _body_builder(
+    body: RigidBody, settings: SettingsRapier
+) -> tuple[rapier.RigidBodyBuilder, NDArray[np.float64]]:
     """Return the builder of a body without colliders, and its centre of mass in the body frame [m]."""
     if body.motion is Motion.FIXED:
         return rapier.RigidBody.fixed().position(isometry(body.pose)), np.zeros(3)
     if body.motion is Motion.KINEMATIC:
-        return rapier.RigidBody.kinematic_velocity_based().position(isometry(body.pose)), np.zeros(3)
+        return rapier.RigidBody.kinematic_velocity_based().position(
+            isometry(body.pose)
+        ), np.zeros(3)
     centre_m, inertia = body_mass_properties(body)
     builder = (
         rapier.RigidBody.dynamic()
@@ -150,12 +195,16 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
     return builder, centre_m
 
 
-def _rapier_mass(mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]) -> rapier.MassProperties:
+def _rapier_mass(
+    mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]
+) -> rapier.MassProperties:
     moments, axes = np.linalg.eigh(inertia / MASS_UNIT_KG)
     if np.linalg.det(axes) < 0.0:
         axes[:, 0] *= -1.0
     frame = tuple(Rotation.from_matrix(axes).as_quat())
-    return rapier.MassProperties(tuple(centre_m), mass_kg / MASS_UNIT_KG, tuple(moments), frame)
+    return rapier.MassProperties(
+        tuple(centre_m), mass_kg / MASS_UNIT_KG, tuple(moments), frame
+    )
 
 
 def isometry(pose: Pose) -> rapier.Isometry3:
@@ -167,7 +216,9 @@ def isometry(pose: Pose) -> rapier.Isometry3:
 def _colliders(shape: Shape, layer: ColliderLayer) -> Iterator[rapier.ColliderBuilder]:
     """Yield the colliders of a shape for one contact. They have no mass, because the body has it."""
     groups = rapier.InteractionGroups(
-        rapier.Group.from_bits(layer.memberships), rapier.Group.from_bits(layer.filter), rapier.InteractionTestMode.AND
+        rapier.Group.from_bits(layer.memberships),
+        rapier.Group.from_bits(layer.filter),
+        rapier.InteractionTestMode.AND,
     )
     for builder in _shapes(shape):
         yield (
@@ -189,13 +240,17 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
         yield rapier.Collider.halfspace((0.0, 0.0, 1.0))
     elif isinstance(shape, Cylinder):
         turned = tuple(UP_TO_Y.as_rotvec())
-        yield rapier.Collider.cylinder(0.5 * shape.length_m, shape.radius_m).rotation(turned)
+        yield rapier.Collider.cylinder(0.5 * shape.length_m, shape.radius_m).rotation(
+            turned
+        )
     elif isinstance(shape, ConvexUnion):
         for piece in shape.pieces_m:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 
 
-def link_of(world: rapier.PhysicsWorld, handle: rapier.RigidBodyHandle) -> tuple[rapier.Multibody, int, int]:
+def link_of(
+    world: rapier.PhysicsWorld, handle: rapier.RigidBodyHandle
+) -> tuple[rapier.Multibody, int, int]:
     """Return the multibody of a body on a hinge, the number of its link, and the place of its freedom."""
     found = world.multibody_joints.rigid_body_link(handle)
     chain = world.multibody_joints.get_multibody(found.multibody)
@@ -215,7 +270,11 @@ def _set_link(
     terms = hinge.dynamics
     damping = settings.hinge_damping_n_m_s + terms.viscous_friction_n_m_s_per_rad
     for values, write, value in (
-        (chain.generalized_velocity(), chain.set_generalized_velocity, joint_rate_rad_per_s(scene, name, hinge)),
+        (
+            chain.generalized_velocity(),
+            chain.set_generalized_velocity,
+            joint_rate_rad_per_s(scene, name, hinge),
+        ),
         (chain.damping(), chain.set_damping, damping / MASS_UNIT_KG),
         (chain.armature(), chain.set_armature, terms.armature_kg_m2 / MASS_UNIT_KG),
     ):
@@ -245,14 +304,17 @@ def _add_hinge(
     back = body.pose.rotation.inv()
     arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
     joint = _revolute(
-        rapier.Isometry3.identity(), rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
+        rapier.Isometry3.identity(),
+        rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat())),
     )
     if not is_link:
         world.impulse_joints.insert(anchor, handle, joint)
         return
     link = world.multibody_joints.insert(anchor, handle, joint)
     if link is None:
-        raise BackendError(f"Rapier added no multibody joint for the hinge of {body.name!r}: use hinge_joint='impulse'")
+        raise BackendError(
+            f"Rapier added no multibody joint for the hinge of {body.name!r}: use hinge_joint='impulse'"
+        )
     chain = world.multibody_joints.multibody(link)
     chain.set_damping([settings.hinge_damping_n_m_s / MASS_UNIT_KG] * chain.ndofs)
     if not body.starts_at_rest:

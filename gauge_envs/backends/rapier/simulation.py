@@ -9,8 +9,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation, Worlds
-from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
-from gauge_envs.backends.rapier.model import MASS_UNIT_KG, TURN, Layout, build_world, isometry, link_of
+from gauge_envs.backends.rapier.contacts import (
+    LARGEST_CONTACT_COUNT,
+    colliding_contacts,
+)
+from gauge_envs.backends.rapier.model import (
+    MASS_UNIT_KG,
+    TURN,
+    Layout,
+    build_world,
+    isometry,
+    link_of,
+)
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.joints import drive_of, joint_motors
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
@@ -30,28 +40,43 @@ class _SceneWorld(PlacedWorld):
         self._layout = layout
         self.placed = placed_states(scene)
         self._motors = joint_motors(scene)
-        self._axes = [scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True) for one in self._motors]
+        self._axes = [
+            scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True)
+            for one in self._motors
+        ]
         self._commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
 
-    def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
+    def hold(
+        self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]
+    ) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
         self._holder, bodies = world, world.rigid_bodies
-        self._bodies = {name: bodies[handle] for name, (handle, _) in self._layout.items()}
+        self._bodies = {
+            name: bodies[handle] for name, (handle, _) in self._layout.items()
+        }
         self.motions = dict(motions)
 
     def release(self) -> None:
         """Hold no body any more."""
         self._bodies, self.motions = {}, {}
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
         self.motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._bodies[body].position = isometry(pose)
         self.set_velocity(body, velocity)
 
-    def set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+    def set_velocity(
+        self, body: str, velocity: Sequence[float] | NDArray[np.float64]
+    ) -> None:
         """Give a driven body a velocity, by which Rapier moves it in the next step."""
         rigid_body = self._bodies[body]
         rigid_body.linvel, rigid_body.angvel = tuple(velocity[:3]), tuple(velocity[3:])
@@ -76,13 +101,23 @@ class _SceneWorld(PlacedWorld):
     def torques(self) -> list[tuple[rapier.RigidBody, NDArray[np.float64]]]:
         """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
         found = []
-        for one, axis, value in zip(self._motors, self._axes, self._commands, strict=False):
+        for one, axis, value in zip(
+            self._motors, self._axes, self._commands, strict=False
+        ):
             if one.is_drive:
                 continue
             chain, _, row = link_of(self._holder, self._layout[one.body][0])
-            torque = one.torque_n_m(value, chain.generalized_position()[row], chain.generalized_velocity()[row])
+            torque = one.torque_n_m(
+                value,
+                chain.generalized_position()[row],
+                chain.generalized_velocity()[row],
+            )
             body = self._bodies[one.body]
-            along = np.array(body.rotation.transform_vector(tuple(axis)).to_tuple()) * torque / MASS_UNIT_KG
+            along = (
+                np.array(body.rotation.transform_vector(tuple(axis)).to_tuple())
+                * torque
+                / MASS_UNIT_KG
+            )
             found.append((body, along))
             if isinstance(one.hinge, BodyHinge):
                 found.append((self._bodies[other_end(one.hinge, one.body)], -along))
@@ -114,7 +149,9 @@ class _SceneWorld(PlacedWorld):
         return state
 
 
-def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> list[list[float]]:
+def _mean_velocities(
+    motion: DrivenMotion, seconds: float, step_count: int
+) -> list[list[float]]:
     """Return the constant velocity in each step of an interval that takes a body along its motion.
 
     It is `DrivenMotion.mean_velocity` of all steps at once, which costs a tenth.
@@ -138,7 +175,12 @@ def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
     return world
 
 
-def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
+def _advance(
+    world: rapier.PhysicsWorld,
+    parts: Sequence[_SceneWorld],
+    seconds: float,
+    step_s: float,
+) -> None:
     """Step a world; driven bodies have the mean velocity of each step, and that of the end of the interval after it."""
     count = round(seconds / step_s)
     driven = [
@@ -169,7 +211,9 @@ class SimulationRapier(_SceneWorld, Simulation):
         super().__init__(scene, layout, settings)
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
-        self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)
+        self._origin = StateOrigin(
+            f"rapier3d {version('rapier3d')}", self.settings, scene
+        )
         self._start = world.snapshot()
         self._continue_from(self._start, {})
 
@@ -211,8 +255,14 @@ def _share_count(scene: Scene) -> int:
         return LARGEST_SHARE
     pairs = (pair for contact in contacts for pair in scene.colliding_pairs(contact))
     shapes = (scene.body(name).shape for pair in pairs for name in pair)
-    in_pieces = any(isinstance(shape, ConvexUnion) and len(shape.pieces_m) > 1 for shape in shapes)
-    return 1 if scene.joints or scene.body_hinges or in_pieces else LARGEST_CONTACT_COUNT // len(contacts)
+    in_pieces = any(
+        isinstance(shape, ConvexUnion) and len(shape.pieces_m) > 1 for shape in shapes
+    )
+    return (
+        1
+        if scene.joints or scene.body_hinges or in_pieces
+        else LARGEST_CONTACT_COUNT // len(contacts)
+    )
 
 
 class WorldsRapier(Worlds):
@@ -230,7 +280,10 @@ class WorldsRapier(Worlds):
         for first in range(0, len(scenes), size):
             share = scenes[first : first + size]
             world, layouts = build_world(share, settings)
-            parts = [_SceneWorld(scene, one, settings) for scene, one in zip(share, layouts, strict=True)]
+            parts = [
+                _SceneWorld(scene, one, settings)
+                for scene, one in zip(share, layouts, strict=True)
+            ]
             self._shares.append((world.snapshot(), parts))
         self.worlds = [part for _, parts in self._shares for part in parts]
         self._worlds: list[rapier.PhysicsWorld] = []

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Deformable, Motion, Pose, Region, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    Deformable,
+    Motion,
+    Pose,
+    Region,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""
@@ -35,20 +44,26 @@ def rigid_attachments(scene: Scene, name: str) -> list[RigidAttachment]:
     """Return the attachments of a deformable body to rigid bodies, in scene order."""
     rigid = {body.name: body for body in scene.bodies}
     return [
-        RigidAttachment(region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose)
+        RigidAttachment(
+            region=a.region, body=a.to, motion=rigid[a.to].motion, pose=rigid[a.to].pose
+        )
         for a in scene.attachments
         if a.deformable == name and a.to in rigid
     ]
 
 
-def attachments_by_body(scene: Scene, bodies: Iterable[Deformable]) -> dict[str, list[RigidAttachment]]:
+def attachments_by_body(
+    scene: Scene, bodies: Iterable[Deformable]
+) -> dict[str, list[RigidAttachment]]:
     """Return the attachments of several deformable bodies to rigid bodies, by name of the deformable body."""
     return {body.name: rigid_attachments(scene, body.name) for body in bodies}
 
 
 def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:
     """Return the soft bodies of a scene in groups; bodies that are attached to each other share a group."""
-    groups = {body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)}
+    groups = {
+        body.name: [body] for body in scene.deformables if isinstance(body, SoftBody)
+    }
     for attachment in scene.attachments:
         first, second = groups.get(attachment.deformable), groups.get(attachment.to)
         if first is not None and second is not None and first is not second:
@@ -57,7 +72,9 @@ def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:
     return list({id(group): group for group in groups.values()}.values())
 
 
-def attachment_problems(scene: Scene, *, not_to_dynamic: type | UnionType) -> Iterator[str]:
+def attachment_problems(
+    scene: Scene, *, not_to_dynamic: type | UnionType
+) -> Iterator[str]:
     """Yield one sentence for each attachment that a backend cannot build.
 
     Args:
@@ -70,11 +87,17 @@ def attachment_problems(scene: Scene, *, not_to_dynamic: type | UnionType) -> It
         deformable, to = soft.get(attachment.deformable), rigid.get(attachment.to)
         if deformable is None or (to is None and attachment.to not in soft):
             yield f"{attachment.deformable!r} is attached to {attachment.to!r}, and one of them is not in the scene"
-        elif to is not None and to.motion is Motion.DYNAMIC and isinstance(deformable, not_to_dynamic):
+        elif (
+            to is not None
+            and to.motion is Motion.DYNAMIC
+            and isinstance(deformable, not_to_dynamic)
+        ):
             yield f"{deformable.name!r} is attached to {to.name!r}, which moves under forces"
 
 
-def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[np.float64]:
+def points_on_axis(
+    line: Rope | Rod, places_m: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Return the world positions of points on a line at the start [m], shape [place_count, 3].
 
     Args:
@@ -86,18 +109,27 @@ def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> NDArray[
     return line.pose.to_world(points)
 
 
-def attached_ends(line: Rope | Rod, attachments: Sequence[RigidAttachment]) -> dict[str, RigidAttachment]:
+def attached_ends(
+    line: Rope | Rod, attachments: Sequence[RigidAttachment]
+) -> dict[str, RigidAttachment]:
     """Return the attachments of the ends of a line, by side: `low` or `high`."""
     ends: dict[str, RigidAttachment] = {}
     for attachment in attachments:
-        if attachment.region.axis != LINE_AXIS[type(line)] or attachment.region.side in ends:
+        if (
+            attachment.region.axis != LINE_AXIS[type(line)]
+            or attachment.region.side in ends
+        ):
             raise UnsupportedSceneError(
                 f"{line.name!r} is attached elsewhere than at its two ends: attach each end once"
             )
         ends[attachment.region.side] = attachment
     depth_m = sum(attachment.region.depth_m for attachment in ends.values())
     if isinstance(line, Rope) and depth_m > 0.0:
-        raise UnsupportedSceneError(f"rope {line.name!r} is attached over a length: set the region's depth_m to 0")
+        raise UnsupportedSceneError(
+            f"rope {line.name!r} is attached over a length: set the region's depth_m to 0"
+        )
     if depth_m >= line.length_m:
-        raise UnsupportedSceneError(f"{line.name!r} is attached over all of its length: reduce the regions' depth_m")
+        raise UnsupportedSceneError(
+            f"{line.name!r} is attached over all of its length: reduce the regions' depth_m"
+        )
     return ends

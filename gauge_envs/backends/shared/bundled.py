@@ -29,7 +29,9 @@ class BundledBackend(Backend):
     def __init__(self) -> None:
         for module in self.modules:
             if find_spec(module) is None:
-                raise MissingExtraError(f"backend {self.name!r}", self.name, self.failed_import(module))
+                raise MissingExtraError(
+                    f"backend {self.name!r}", self.name, self.failed_import(module)
+                )
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import of a module, whose name tells how to get it."""
@@ -47,7 +49,9 @@ class BundledBackend(Backend):
         """Return the features of a scene that this backend does not support; see `unsupported`."""
         return Support(tuple(self.unsupported(scene)))
 
-    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+    def resolved_settings(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Mapping[str, Any]:
         """Return the settings of the scene's preset with the given changes."""
         return self.settings_for(scene, settings).model_dump(mode="json")
 
@@ -85,7 +89,9 @@ def declined_hinges(hinges: Mapping[str, int]) -> Iterator[str]:
             return
 
 
-def check_settings(engine: str, settings: SteppedSettings, missing: Iterable[str]) -> None:
+def check_settings(
+    engine: str, settings: SteppedSettings, missing: Iterable[str]
+) -> None:
     """Raise an error if given settings do not support a scene.
 
     `Backend.supports` answers for the scene's own preset. A user may choose another one.

@@ -26,7 +26,14 @@ def grid_points(*lines: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
 
 
-def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, soft_nodes_per_edge: int = 1) -> None:
+def check_cells(
+    engine: str,
+    scene: Scene,
+    cell_m: float,
+    *,
+    node_limit: int,
+    soft_nodes_per_edge: int = 1,
+) -> None:
     """Raise an error if cells of a requested size do not fit the deformable bodies of a scene.
 
     Args:
@@ -53,7 +60,9 @@ def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, so
             )
 
 
-def common_cell_m(scene: Scene, defaults: Mapping[type[Deformable], float]) -> float | None:
+def common_cell_m(
+    scene: Scene, defaults: Mapping[type[Deformable], float]
+) -> float | None:
     """Return the default size of cells [m], or None if the kinds of body in a scene have none in common.
 
     Args:

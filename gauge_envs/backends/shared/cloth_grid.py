@@ -27,12 +27,16 @@ class ClothGrid:
 
     def __init__(self, cloth: Cloth, cell_m: float) -> None:
         size_x, size_y = self._size_m = cloth.size_m
-        nx, ny = self._counts = tuple(max(1, round(size / cell_m)) for size in cloth.size_m)
+        nx, ny = self._counts = tuple(
+            max(1, round(size / cell_m)) for size in cloth.size_m
+        )
         self.cell_m = (size_x / nx, size_y / ny)
         x = np.linspace(-0.5 * size_x, 0.5 * size_x, nx + 1)
         y = np.linspace(-0.5 * size_y, 0.5 * size_y, ny + 1)
         self.plane_m = grid_points(x, y)
-        self.rest_m = cloth.pose.to_world(np.column_stack([self.plane_m, np.zeros(len(self.plane_m))]))
+        self.rest_m = cloth.pose.to_world(
+            np.column_stack([self.plane_m, np.zeros(len(self.plane_m))])
+        )
         # Corners a, b, c, d of each cell, counter-clockwise from the lowest one.
         vertices = np.arange(len(self.plane_m)).reshape(nx + 1, ny + 1)
         a = vertices[:-1, :-1].ravel()
@@ -70,8 +74,14 @@ class ClothGrid:
         load of its area in `vertex_areas_m2`.
         """
         corners = self.plane_m[self.triangles]
-        before, after = np.roll(corners, 1, axis=1) - corners, np.roll(corners, -1, axis=1) - corners
-        is_right = np.abs((before * after).sum(axis=2)) < 1e-9 * self.cell_m[0] * self.cell_m[1]
+        before, after = (
+            np.roll(corners, 1, axis=1) - corners,
+            np.roll(corners, -1, axis=1) - corners,
+        )
+        is_right = (
+            np.abs((before * after).sum(axis=2))
+            < 1e-9 * self.cell_m[0] * self.cell_m[1]
+        )
         return np.where(is_right, 0.5, 0.25)
 
     def mean_edge_length_m(self) -> float:
@@ -96,5 +106,7 @@ def attached_vertices(
             raise UnsupportedSceneError(
                 f"cloth {cloth.name!r} is attached to {attachment.body!r} by its face: give a region along axis x or y"
             )
-        attached |= dict.fromkeys(np.flatnonzero(grid.within(attachment.region)).tolist(), attachment)
+        attached |= dict.fromkeys(
+            np.flatnonzero(grid.within(attachment.region)).tolist(), attachment
+        )
     return attached

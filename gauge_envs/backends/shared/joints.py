@@ -8,7 +8,13 @@ import numpy as np
 from gauge_envs.backends.shared.rigid import hinges_by_body, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Pose, Scene, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import (
+    hinge_trees,
+    joint_sign,
+    other_end,
+    parent_hinges,
+    start_rate_rad_per_s,
+)
 from gauge_envs.scene.motors import Motor, Servo
 
 BRAKE_RATE_RAD_PER_S = 1e-5
@@ -32,24 +38,44 @@ def with_rotors(scene: Scene) -> Scene:
             continue
         body = scene.body(hinge.body if isinstance(hinge, Hinge) else hinge.second)
         mass_kg, armature = ROTOR_SHARE * body.mass_kg, hinge.dynamics.armature_kg_m2
-        arm_m, spin = np.subtract(hinge.anchor_m, body.pose.position_m), body.angular_velocity_rad_per_s
+        arm_m, spin = (
+            np.subtract(hinge.anchor_m, body.pose.position_m),
+            body.angular_velocity_rad_per_s,
+        )
         rotor = replace(
             body,
             name=f"{body.name}/rotor{number}",
-            shape=Sphere(radius_m=float(np.sqrt(2.5 * ROTOR_SHARE * armature / mass_kg))),
+            shape=Sphere(
+                radius_m=float(np.sqrt(2.5 * ROTOR_SHARE * armature / mass_kg))
+            ),
             pose=Pose(position_m=hinge.anchor_m),
             mass_kg=mass_kg,
             inertia_kg_m2=None,
-            linear_velocity_m_per_s=vector(body.linear_velocity_m_per_s + np.cross(spin, arm_m)),
+            linear_velocity_m_per_s=vector(
+                body.linear_velocity_m_per_s + np.cross(spin, arm_m)
+            ),
         )
         place: dict[str, Any] = {"anchor_m": hinge.anchor_m, "axis": hinge.axis}
-        play = PlayHinge(first=rotor.name, second=body.name, stop_rad=0.5 * hinge.dynamics.backlash_rad, **place)
-        terms = replace(hinge.dynamics, armature_kg_m2=(1.0 - ROTOR_SHARE) * armature, backlash_rad=0.0)
-        end: dict[str, Any] = {"body" if isinstance(hinge, Hinge) else "second": rotor.name}
+        play = PlayHinge(
+            first=rotor.name,
+            second=body.name,
+            stop_rad=0.5 * hinge.dynamics.backlash_rad,
+            **place,
+        )
+        terms = replace(
+            hinge.dynamics,
+            armature_kg_m2=(1.0 - ROTOR_SHARE) * armature,
+            backlash_rad=0.0,
+        )
+        end: dict[str, Any] = {
+            "body" if isinstance(hinge, Hinge) else "second": rotor.name
+        }
         turned: Any = replace(hinge, dynamics=terms, **end)
         joints = tuple(turned if one is hinge else one for one in scene.joints)
         inner = (*(turned if one is hinge else one for one in scene.body_hinges), play)
-        scene = replace(scene, bodies=(*scene.bodies, rotor), joints=joints, body_hinges=inner)
+        scene = replace(
+            scene, bodies=(*scene.bodies, rotor), joints=joints, body_hinges=inner
+        )
     return scene
 
 
@@ -71,9 +97,13 @@ class JointMotor(NamedTuple):
     @property
     def is_drive(self) -> bool:
         """Whether the motor is what `drive_of` returns."""
-        return isinstance(self.motor, Servo) and not self.hinge.dynamics.dry_friction_n_m
+        return (
+            isinstance(self.motor, Servo) and not self.hinge.dynamics.dry_friction_n_m
+        )
 
-    def torque_n_m(self, command: float, angle_rad: float, rate_rad_per_s: float) -> float:
+    def torque_n_m(
+        self, command: float, angle_rad: float, rate_rad_per_s: float
+    ) -> float:
         """Return the torque on the body for a command, and an angle and a rate of the body about the axis [N m]."""
         if isinstance(self.motor, Servo):
             return self.motor.torque_n_m(self.sign * command, angle_rad, rate_rad_per_s)
@@ -84,7 +114,10 @@ def joint_motors(scene: Scene) -> list[JointMotor]:
     """Return the motors of a scene, in the order of commands."""
     names = {id(hinge): name for name, hinge in hinges_by_body(scene).items()}
     bodies = ((names[id(hinge)], hinge, motor) for hinge, motor in scene.motors)
-    return [JointMotor(name, hinge, motor, joint_sign(hinge, name)) for name, hinge, motor in bodies]
+    return [
+        JointMotor(name, hinge, motor, joint_sign(hinge, name))
+        for name, hinge, motor in bodies
+    ]
 
 
 def drive_of(hinge: Hinge | BodyHinge) -> tuple[float, float, float]:
@@ -97,7 +130,11 @@ def drive_of(hinge: Hinge | BodyHinge) -> tuple[float, float, float]:
     if dry:
         return 0.0, dry / BRAKE_RATE_RAD_PER_S, dry
     if isinstance(motor, Servo):
-        return motor.kp_n_m_per_rad, motor.kv_n_m_s_per_rad, motor.torque_limit_n_m or np.inf
+        return (
+            motor.kp_n_m_per_rad,
+            motor.kv_n_m_s_per_rad,
+            motor.torque_limit_n_m or np.inf,
+        )
     return 0.0, 0.0, np.inf
 
 

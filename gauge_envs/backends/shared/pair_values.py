@@ -33,14 +33,20 @@ class Combination(StrEnum):
     """The square root of a b."""
 
 
-def pair_values(scene: Scene, constant: Literal["friction", "restitution"]) -> dict[Pair, float]:
+def pair_values(
+    scene: Scene, constant: Literal["friction", "restitution"]
+) -> dict[Pair, float]:
     """Return a contact constant of each colliding pair of a scene."""
     return {
-        pair: float(getattr(contact, constant)) for contact in scene.contacts for pair in scene.colliding_pairs(contact)
+        pair: float(getattr(contact, constant))
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
     }
 
 
-def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[str, float]:
+def body_values(
+    pairs: Mapping[Pair, float], rule: Combination | str
+) -> dict[str, float]:
     """Return a value of each body, not negative, from which an engine's rule gives the value of each pair.
 
     Several solutions may exist. The one with the smallest values, or with the largest for `MAX`, is returned.
@@ -53,13 +59,22 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
     names = list(dict.fromkeys(name for pair in pairs for name in pair))
     if rule in (Combination.MAX, Combination.MIN):
         limit = min if rule is Combination.MAX else max
-        found = {name: limit(value for pair, value in pairs.items() if name in pair) for name in names}
+        found = {
+            name: limit(value for pair, value in pairs.items() if name in pair)
+            for name in names
+        }
     elif rule is Combination.MEAN:
-        found = values_of_sums(names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0)
+        found = values_of_sums(
+            names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0
+        )
     else:
         # The logarithms of two values add up to that of their product.
         power = 2.0 if rule is Combination.GEOMETRIC else 1.0
-        sums = {pair: power * float(np.log(value)) for pair, value in pairs.items() if value > 0.0}
+        sums = {
+            pair: power * float(np.log(value))
+            for pair, value in pairs.items()
+            if value > 0.0
+        }
         active = [name for name in names if any(name in pair for pair in sums)]
         # A body of which all pairs have the value 0 has the value 0.
         found = dict.fromkeys(names, 0.0)
@@ -69,7 +84,9 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
     return found
 
 
-def values_of_sums(names: list[str], sums: Mapping[Pair, float], *, lowest: float) -> dict[str, float]:
+def values_of_sums(
+    names: list[str], sums: Mapping[Pair, float], *, lowest: float
+) -> dict[str, float]:
     """Return values of bodies whose sums come closest to those of pairs, in the least-squares sense.
 
     Args:
@@ -88,7 +105,9 @@ def values_of_sums(names: list[str], sums: Mapping[Pair, float], *, lowest: floa
     if least.min() < lowest:
         from scipy.optimize import lsq_linear
 
-        least = lsq_linear(rows, targets, bounds=(lowest, np.inf), method="bvls", tol=1e-14).x
+        least = lsq_linear(
+            rows, targets, bounds=(lowest, np.inf), method="bvls", tol=1e-14
+        ).x
     return dict(zip(names, least.tolist(), strict=True))
 
 
@@ -100,10 +119,14 @@ def _combined(one: float, other: float, rule: Combination) -> float:
     return one * other if rule is Combination.PRODUCT else float(np.sqrt(one * other))
 
 
-def _check(pairs: Mapping[Pair, float], found: Mapping[str, float], rule: Combination) -> None:
+def _check(
+    pairs: Mapping[Pair, float], found: Mapping[str, float], rule: Combination
+) -> None:
     errors = {}
     for (one, other), value in pairs.items():
-        errors[one, other] = abs(_combined(found[one], found[other], rule) - value) / max(value, 1.0)
+        errors[one, other] = abs(
+            _combined(found[one], found[other], rule) - value
+        ) / max(value, 1.0)
     if not errors:
         return
     worst = max(errors, key=lambda pair: errors[pair])

@@ -17,14 +17,20 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 
 
-def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> NDArray[np.float64]:
+def body_state(
+    pose: Pose, velocity: Iterable[float] = (0.0,) * 6
+) -> NDArray[np.float64]:
     """Return the state of a body with a pose and a velocity, shape [13]; see `World.body_states`."""
     return np.array([*pose.position_m, *pose.quaternion, *velocity])
 
 
 def placed_states(scene: Scene, *motions: Motion) -> dict[str, NDArray[np.float64]]:
     """Return the states at the start of the fixed bodies of a scene, or of those with other motions, by name."""
-    return {body.name: body_state(body.pose) for body in scene.bodies if body.motion in (motions or (Motion.FIXED,))}
+    return {
+        body.name: body_state(body.pose)
+        for body in scene.bodies
+        if body.motion in (motions or (Motion.FIXED,))
+    }
 
 
 class PlacedWorld(World):
@@ -62,7 +68,9 @@ def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> NDArray[np.float64]
         centre_m: Centre of mass in the body frame [m], shape [3].
     """
     arm_m = body.pose.rotation.apply(centre_m)
-    return body.linear_velocity_m_per_s + np.cross(body.angular_velocity_rad_per_s, arm_m)
+    return body.linear_velocity_m_per_s + np.cross(
+        body.angular_velocity_rad_per_s, arm_m
+    )
 
 
 def world_hinges(scene: Scene) -> dict[str, Hinge]:
@@ -82,8 +90,14 @@ def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
         hinge: The hinge.
         along_m: Distance of the frame from the anchor [m].
     """
-    point_m = vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis)) if along_m else hinge.anchor_m
-    return Pose.from_rotation(point_m, Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0])
+    point_m = (
+        vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis))
+        if along_m
+        else hinge.anchor_m
+    )
+    return Pose.from_rotation(
+        point_m, Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
+    )
 
 
 def tether_pull(
@@ -105,7 +119,10 @@ def tether_pull(
         return None
     along = arm / length
     lengthening = -float(along @ state[7:10])
-    size = mass_kg * (frequency_per_s**2 * (length - tether.length_m) + 2.0 * frequency_per_s * lengthening)
+    size = mass_kg * (
+        frequency_per_s**2 * (length - tether.length_m)
+        + 2.0 * frequency_per_s * lengthening
+    )
     return size * along if size > 0.0 else None
 
 
@@ -124,9 +141,16 @@ class DrivenMotion:
     acceleration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
-    def copied(cls, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> DrivenMotion:
+    def copied(
+        cls,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> DrivenMotion:
         """Return the motion of a call of `World.drive`, whose arrays may change afterwards."""
-        return cls(pose, np.array(velocity, dtype=float), np.array(acceleration, dtype=float))
+        return cls(
+            pose, np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
+        )
 
     def travel(self, times_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """Return displacement [m] and rotation vector [rad] since the start.
@@ -137,13 +161,17 @@ class DrivenMotion:
         Returns:
             Shape [6], or [time_count, 6].
         """
-        return np.asarray((self.velocity + 0.5 * np.asarray(self.acceleration) * times_s) * times_s)
+        return np.asarray(
+            (self.velocity + 0.5 * np.asarray(self.acceleration) * times_s) * times_s
+        )
 
     def pose(self, time_s: float) -> Pose:
         """Return the pose at a time since the start of the interval [s]."""
         travel = self.travel(time_s)
         rotation = Rotation.from_rotvec(travel[3:]) * self.start.rotation
-        return Pose.from_rotation(vector(np.asarray(self.start.position_m) + travel[:3]), rotation)
+        return Pose.from_rotation(
+            vector(np.asarray(self.start.position_m) + travel[:3]), rotation
+        )
 
     def velocity_at(self, time_s: float) -> NDArray[np.float64]:
         """Return linear [m/s] and angular [rad/s] velocity at a time since the start [s], shape [6]."""
@@ -166,5 +194,9 @@ class DrivenMotion:
             Linear [m/s] and angular [rad/s] velocity in the world frame, shape [6].
         """
         before, after = self.travel(start_s), self.travel(end_s)
-        turned = Rotation.from_rotvec(after[3:]) * Rotation.from_rotvec(before[3:]).inv()
-        return np.concatenate([after[:3] - before[:3], turned.as_rotvec()]) / (end_s - start_s)
+        turned = (
+            Rotation.from_rotvec(after[3:]) * Rotation.from_rotvec(before[3:]).inv()
+        )
+        return np.concatenate([after[:3] - before[:3], turned.as_rotvec()]) / (
+            end_s - start_s
+        )

@@ -17,7 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.backends.shared.attachments import RigidAttachment, attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.shared.attachments import (
+    RigidAttachment,
+    attachments_by_body,
+    bonded_soft_bodies,
+)
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Scene, SoftBody
@@ -66,7 +70,9 @@ class Block:
 
     def holds(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether points [m], shape [point_count, 3], lie inside or on the faces, shape [point_count]."""
-        inside = (points_m > self.low_m - TOLERANCE_M) & (points_m < self.high_m + TOLERANCE_M)
+        inside = (points_m > self.low_m - TOLERANCE_M) & (
+            points_m < self.high_m + TOLERANCE_M
+        )
         return np.asarray(inside.all(axis=1))
 
 
@@ -85,7 +91,11 @@ class SoftRow:
     ends: Mapping[str, RigidAttachment]
 
     @classmethod
-    def of(cls, bodies: Sequence[SoftBody], attachments: Mapping[str, Sequence[RigidAttachment]]) -> SoftRow:
+    def of(
+        cls,
+        bodies: Sequence[SoftBody],
+        attachments: Mapping[str, Sequence[RigidAttachment]],
+    ) -> SoftRow:
         """Sort bodies into a row and cut off the material in the grips.
 
         Args:
@@ -93,9 +103,15 @@ class SoftRow:
             attachments: Attachments to rigid bodies, by name of the soft body.
         """
         boxes = [_box(body) for body in bodies]
-        grips = [(box, attachment) for box in boxes for attachment in attachments.get(box.body.name, ())]
+        grips = [
+            (box, attachment)
+            for box in boxes
+            for attachment in attachments.get(box.body.name, ())
+        ]
         if len(boxes) > 1:
-            axis = int(np.argmax(np.ptp([box.low_m + box.high_m for box in boxes], axis=0)))
+            axis = int(
+                np.argmax(np.ptp([box.low_m + box.high_m for box in boxes], axis=0))
+            )
         elif grips:
             axis = _world_axis(*grips[0])[0]
         else:
@@ -106,7 +122,11 @@ class SoftRow:
         ends: dict[str, RigidAttachment] = {}
         for box, attachment in grips:
             found, side = _world_axis(box, attachment)
-            if found != axis or box is not (boxes[0] if side == "low" else boxes[-1]) or side in ends:
+            if (
+                found != axis
+                or box is not (boxes[0] if side == "low" else boxes[-1])
+                or side in ends
+            ):
                 raise UnsupportedSceneError(
                     f"soft body {box.body.name!r} is attached elsewhere than at a free end: attach each end once"
                 )
@@ -138,7 +158,9 @@ class SoftRow:
         """Highest corner of the free material [m], shape [3]."""
         return self.blocks[-1].high_m
 
-    def gripped(self, points_m: NDArray[np.float64]) -> Iterator[tuple[RigidAttachment, NDArray[np.intp]]]:
+    def gripped(
+        self, points_m: NDArray[np.float64]
+    ) -> Iterator[tuple[RigidAttachment, NDArray[np.intp]]]:
         """Yield each attachment and the indices of the points that lie on its face or beyond it.
 
         Args:
@@ -147,23 +169,34 @@ class SoftRow:
         along = points_m[:, self.axis]
         for side, attachment in self.ends.items():
             if side == "low":
-                yield attachment, np.flatnonzero(along < self.low_m[self.axis] + TOLERANCE_M)
+                yield (
+                    attachment,
+                    np.flatnonzero(along < self.low_m[self.axis] + TOLERANCE_M),
+                )
             else:
-                yield attachment, np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M)
+                yield (
+                    attachment,
+                    np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M),
+                )
 
     def nodes_of(self, nodes_m: NDArray[np.float64]) -> dict[str, NDArray[np.intp]]:
         """Return the indices of each body's nodes among those of the row [m], shape [node_count, 3], by name.
 
         Nodes on a bonded face belong to both bodies.
         """
-        return {block.body.name: np.flatnonzero(block.holds(nodes_m)) for block in self.blocks}
+        return {
+            block.body.name: np.flatnonzero(block.holds(nodes_m))
+            for block in self.blocks
+        }
 
     def checked(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the points [m], shape [point_count, 3], unchanged if all of them lie in the free material."""
         outside = np.maximum(self.low_m - points_m, points_m - self.high_m).max(axis=1)
         if not np.all(outside < TOLERANCE_M):
             worst = int(np.argmax(outside))
-            raise ShapeError(f"point {worst} lies {1e3 * outside[worst]:.3g} mm outside the free soft material")
+            raise ShapeError(
+                f"point {worst} lies {1e3 * outside[worst]:.3g} mm outside the free soft material"
+            )
         return points_m
 
 
@@ -180,7 +213,9 @@ def _box(body: SoftBody) -> Block:
 
 def _world_axis(block: Block, attachment: RigidAttachment) -> tuple[int, str]:
     """Return the world axis and the side of an attached region, which is given in the body frame."""
-    direction = block.body.pose.rotation.as_matrix()[:, "xyz".index(attachment.region.axis)]
+    direction = block.body.pose.rotation.as_matrix()[
+        :, "xyz".index(attachment.region.axis)
+    ]
     axis = int(np.argmax(np.abs(direction)))
     flipped = {"low": "high", "high": "low"}[attachment.region.side]
     return axis, attachment.region.side if direction[axis] > 0.0 else flipped
@@ -190,14 +225,22 @@ def _check_joined(first: Block, second: Block, axis: int) -> None:
     low, high = first.low_m.copy(), first.high_m.copy()
     high[axis] += second.high_m[axis] - second.low_m[axis]
     low[axis] = first.high_m[axis]
-    if max(np.abs(second.low_m - low).max(), np.abs(second.high_m - high).max()) > TOLERANCE_M:
+    if (
+        max(np.abs(second.low_m - low).max(), np.abs(second.high_m - high).max())
+        > TOLERANCE_M
+    ):
         names = f"{first.body.name!r} and {second.body.name!r}"
-        raise UnsupportedSceneError(f"soft bodies {names} do not join face to face: make equal faces meet")
+        raise UnsupportedSceneError(
+            f"soft bodies {names} do not join face to face: make equal faces meet"
+        )
 
 
 def soft_rows(scene: Scene) -> list[SoftRow]:
     """Return the soft rows of a scene."""
-    return [SoftRow.of(bodies, attachments_by_body(scene, bodies)) for bodies in bonded_soft_bodies(scene)]
+    return [
+        SoftRow.of(bodies, attachments_by_body(scene, bodies))
+        for bodies in bonded_soft_bodies(scene)
+    ]
 
 
 def soft_row_problems(scene: Scene) -> Iterator[str]:
@@ -236,7 +279,9 @@ class TetrahedralMesh:
     blocks: NDArray[np.intp]
 
     @classmethod
-    def of(cls, soft_row: SoftRow, rigid: Sequence[Block], cell_m: float) -> TetrahedralMesh:
+    def of(
+        cls, soft_row: SoftRow, rigid: Sequence[Block], cell_m: float
+    ) -> TetrahedralMesh:
         """Return the mesh of all elastic blocks; neighbouring elastic blocks share nodes.
 
         Args:
@@ -245,7 +290,9 @@ class TetrahedralMesh:
             cell_m: Largest edge of a cell [m].
         """
         points, tetrahedra, blocks, count = [], [], [], 0
-        for is_rigid, group in groupby(enumerate(soft_row.blocks), key=lambda item: item[1] in rigid):
+        for is_rigid, group in groupby(
+            enumerate(soft_row.blocks), key=lambda item: item[1] in rigid
+        ):
             if is_rigid:
                 continue
             members = list(group)
@@ -260,11 +307,19 @@ class TetrahedralMesh:
                 owner[block.holds(middles)] = index
             blocks.append(owner)
         all_points, all_tetrahedra = np.concatenate(points), np.concatenate(tetrahedra)
-        volumes = np.linalg.det(all_points[all_tetrahedra[:, 1:]] - all_points[all_tetrahedra[:, :1]]) / 6.0
+        volumes = (
+            np.linalg.det(
+                all_points[all_tetrahedra[:, 1:]] - all_points[all_tetrahedra[:, :1]]
+            )
+            / 6.0
+        )
         flipped = volumes < 0.0
         all_tetrahedra[flipped] = all_tetrahedra[flipped][:, [1, 0, 2, 3]]
         return cls(
-            points_m=all_points, tetrahedra=all_tetrahedra, volumes_m3=np.abs(volumes), blocks=np.concatenate(blocks)
+            points_m=all_points,
+            tetrahedra=all_tetrahedra,
+            volumes_m3=np.abs(volumes),
+            blocks=np.concatenate(blocks),
         )
 
     def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> NDArray[np.float64]:
@@ -276,41 +331,61 @@ class TetrahedralMesh:
 
     def surface(self) -> NDArray[np.intp]:
         """Return the boundary triangles, counter-clockwise seen from outside, shape [triangle_count, 3]."""
-        faces = self.tetrahedra[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
-        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        faces = self.tetrahedra[
+            :, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
+        ].reshape(-1, 3)
+        _, first, count = np.unique(
+            np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
+        )
         return faces[first[count == 1]]
 
-    def weights(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def weights(
+        self, points_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return four nodes and their barycentric weights for each point [m], both of shape [point_count, 4]."""
         corners = self.points_m[self.tetrahedra]
         first = corners[:, 0]
         # A point is x0 + E w with the edges E from the first corner; w are the weights of the other corners.
         edges = (corners[:, 1:] - first[:, None]).transpose(0, 2, 1)
-        others = np.einsum("tij,ptj->pti", np.linalg.inv(edges), points_m[:, None] - first)
-        weights = np.concatenate([1.0 - others.sum(axis=-1, keepdims=True), others], axis=-1)
+        others = np.einsum(
+            "tij,ptj->pti", np.linalg.inv(edges), points_m[:, None] - first
+        )
+        weights = np.concatenate(
+            [1.0 - others.sum(axis=-1, keepdims=True), others], axis=-1
+        )
         # On shared faces, and just outside the surface, take the tetrahedron that contains the point most deeply.
         best = np.argmax(weights.min(axis=-1), axis=1)
         return self.tetrahedra[best], weights[np.arange(len(points_m)), best]
 
 
-def grid_lines_m(blocks: Sequence[Block], axis: int, cell_m: float) -> list[NDArray[np.float64]]:
+def grid_lines_m(
+    blocks: Sequence[Block], axis: int, cell_m: float
+) -> list[NDArray[np.float64]]:
     """Return the grid lines along x, y and z [m] of blocks that join along an axis, including their interfaces."""
     lines = [_line_m(blocks[0].low_m[i], blocks[0].high_m[i], cell_m) for i in range(3)]
     for block in blocks[1:]:
-        lines[axis] = np.append(lines[axis], _line_m(block.low_m[axis], block.high_m[axis], cell_m)[1:])
+        lines[axis] = np.append(
+            lines[axis], _line_m(block.low_m[axis], block.high_m[axis], cell_m)[1:]
+        )
     return lines
 
 
 def _line_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
-    return np.linspace(low_m, high_m, max(1, ceil((high_m - low_m) / cell_m - 1e-6)) + 1)
+    return np.linspace(
+        low_m, high_m, max(1, ceil((high_m - low_m) / cell_m - 1e-6)) + 1
+    )
 
 
 def _tetrahedra(counts: Sequence[int]) -> NDArray[np.intp]:
     """Return five tetrahedra for each cell of a grid with the given numbers of lines, shape [tetrahedron_count, 4]."""
     cells = np.array(list(product(*(range(count - 1) for count in counts))))
     mirrored = (cells % 2 == 1)[:, None, None]
-    corners = cells[:, None, None] + np.where(mirrored, 1 - FIVE_TETRAHEDRA, FIVE_TETRAHEDRA)
-    return np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), tuple(counts)).reshape(-1, 4)
+    corners = cells[:, None, None] + np.where(
+        mirrored, 1 - FIVE_TETRAHEDRA, FIVE_TETRAHEDRA
+    )
+    return np.ravel_multi_index(
+        tuple(np.moveaxis(corners, -1, 0)), tuple(counts)
+    ).reshape(-1, 4)
 
 
 # --- scattered points ------------------------------------------------------------------------------------------------

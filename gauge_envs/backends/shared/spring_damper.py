@@ -39,7 +39,14 @@ def damping_ratio_of(restitution: float) -> float:
     # Most scenes need no root, and the import takes a tenth of a second.
     from scipy.optimize import brentq
 
-    return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))
+    return float(
+        brentq(
+            lambda z: spring_damper_restitution(z) - restitution,
+            0.0,
+            LARGEST_DAMPING_RATIO,
+            xtol=1e-12,
+        )
+    )
 
 
 def impact_speed_m_per_s(scene: Scene) -> float:
@@ -53,5 +60,7 @@ def impact_speed_m_per_s(scene: Scene) -> float:
         fall_m = max(lowest - scene.floor_height_m, 0.0)
         speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
         falls.append(float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m)))
-    driven = [driver.speed_limit_m_per_s(scene.body(driver.body)) for driver in scene.drivers]
+    driven = [
+        driver.speed_limit_m_per_s(scene.body(driver.body)) for driver in scene.drivers
+    ]
     return max([*falls, *driven, SLOWEST_IMPACT_M_PER_S])

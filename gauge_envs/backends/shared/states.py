@@ -50,7 +50,13 @@ class ReplayedSimulation(Simulation):
         self._seed, self._calls = seed, []
         self._inner.reset(seed)
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+    def drive(
+        self,
+        body: str,
+        pose: Pose,
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
         """Prescribe the motion of a kinematic body; see `World.drive`."""
         self._call("drive", body, pose, np.array(velocity), np.array(acceleration))
 
@@ -66,7 +72,9 @@ class ReplayedSimulation(Simulation):
         """Simulate an interval [s]."""
         self._call("advance", seconds)
 
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample_positions(
+        self, names: Sequence[str], count: int, interval_s: float
+    ) -> NDArray[np.float64]:
         """Advance and return positions; see `Simulation.sample_positions`."""
         return self._call("sample_positions", tuple(names), count, interval_s)
 
@@ -82,7 +90,9 @@ class ReplayedSimulation(Simulation):
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._inner.nodes(name)
 
-    def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points; see `World.track`."""
         return self._inner.track(name, points_m)
 
@@ -143,7 +153,9 @@ class StateOrigin:
     def values(self, state: Any) -> Any:
         """Return the engine's state of a snapshot from the same engine, settings and scene."""
         if not isinstance(state, Snapshot):
-            raise BackendError(f"restore got a {type(state).__name__}: give it what state() returned")
+            raise BackendError(
+                f"restore got a {type(state).__name__}: give it what state() returned"
+            )
         if state.engine != self._engine:
             self._refuse(state.engine, self._engine)
         changed = [
@@ -152,9 +164,17 @@ class StateOrigin:
             if state.settings.get(name) != self._settings.get(name)
         ]
         if changed:
-            self._refuse(*(_listed(settings, changed) for settings in (state.settings, self._settings)))
+            self._refuse(
+                *(
+                    _listed(settings, changed)
+                    for settings in (state.settings, self._settings)
+                )
+            )
         if state.scene != self._scene_hash():
-            self._refuse(f"scene {state.scene[:12]}", f"scene {self._scene_hash()[:12]} ({_names(self._scene)})")
+            self._refuse(
+                f"scene {state.scene[:12]}",
+                f"scene {self._scene_hash()[:12]} ({_names(self._scene)})",
+            )
         return state.values
 
     def _refuse(self, theirs: str, ours: str) -> None:
@@ -166,14 +186,34 @@ class StateOrigin:
     def _scene_hash(self) -> str:
         if not self._hash:
             one = self._scene
-            parts = (one.bodies, one.deformables, one.joints, one.attachments, one.contacts, one.gravity_m_per_s2)
+            parts = (
+                one.bodies,
+                one.deformables,
+                one.joints,
+                one.attachments,
+                one.contacts,
+                one.gravity_m_per_s2,
+            )
             # Parts that few scenes have follow, so that the hashes of the others stay.
-            dynamics = [hinge.dynamics for hinge in one.hinges if hinge.dynamics != JointDynamics()]
-            resists = ((at, touch.torsion_m, touch.rolling_m) for at, touch in enumerate(one.contacts))
+            dynamics = [
+                hinge.dynamics
+                for hinge in one.hinges
+                if hinge.dynamics != JointDynamics()
+            ]
+            resists = (
+                (at, touch.torsion_m, touch.rolling_m)
+                for at, touch in enumerate(one.contacts)
+            )
             turned = [values for values in resists if any(values[1:])]
-            plays = [(at, play) for at, hinge in enumerate(one.hinges) if (play := hinge.dynamics.backlash_rad)]
+            plays = [
+                (at, play)
+                for at, hinge in enumerate(one.hinges)
+                if (play := hinge.dynamics.backlash_rad)
+            ]
             few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays)
-            self._hash = hashlib.sha256("".join(map(repr, (parts, *filter(None, few)))).encode()).hexdigest()
+            self._hash = hashlib.sha256(
+                "".join(map(repr, (parts, *filter(None, few)))).encode()
+            ).hexdigest()
         return self._hash
 
 

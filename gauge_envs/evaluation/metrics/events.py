@@ -54,13 +54,21 @@ def longest_stationary_duration(
     path = heights[:, None] if path_mm is None else _path(path_mm, len(heights))
     speeds = _speeds(path, frame_rate_hz, central=central)
     rests = _rests(speeds <= speed_limit_mm_s, central=central)
-    inner = [heights[rest] for rest in rests if rest.start > 0 and rest.stop < len(heights)]
-    frame_count = max((_longest_window(rest, height_range_mm) for rest in inner), default=0)
+    inner = [
+        heights[rest] for rest in rests if rest.start > 0 and rest.stop < len(heights)
+    ]
+    frame_count = max(
+        (_longest_window(rest, height_range_mm) for rest in inner), default=0
+    )
     return frame_count / frame_rate_hz if frame_count >= 2 else 0.0
 
 
 def dropped_rests(
-    height_mm: ArrayLike, *, frame_rate_hz: float = 30.0, height_range_mm: float = 0.5, speed_limit_mm_s: float = 5.0
+    height_mm: ArrayLike,
+    *,
+    frame_rate_hz: float = 30.0,
+    height_range_mm: float = 0.5,
+    speed_limit_mm_s: float = 5.0,
 ) -> tuple[float, float]:
     """Return the rests at the first and at the last frame, which `longest_stationary_duration` does not count.
 
@@ -102,7 +110,11 @@ class SwingTimes:
 
 
 def swing_times(
-    times_s: ArrayLike, height_mm: ArrayLike, *, rest_height_mm: float, leave_height_mm: float = 1.0
+    times_s: ArrayLike,
+    height_mm: ArrayLike,
+    *,
+    rest_height_mm: float,
+    leave_height_mm: float = 1.0,
 ) -> SwingTimes:
     """Return when a cradle's last ball leaves the row and returns to it.
 
@@ -112,10 +124,14 @@ def swing_times(
         rest_height_mm: Height of the last ball at rest, mm.
         leave_height_mm: Rise above rest that separates a swing from a rest, mm.
     """
-    heights = _samples("height_mm", height_mm, least=2) - (rest_height_mm + leave_height_mm)
+    heights = _samples("height_mm", height_mm, least=2) - (
+        rest_height_mm + leave_height_mm
+    )
     times = _samples("times_s", times_s, least=2)
     if len(times) != len(heights):
-        raise ShapeError(f"times_s has {len(times)} entries, height_mm has {len(heights)}")
+        raise ShapeError(
+            f"times_s has {len(times)} entries, height_mm has {len(heights)}"
+        )
     before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
     share = heights[before] / (heights[before] - heights[before + 1])
     crossings = times[before] + share * (times[before + 1] - times[before])
@@ -124,11 +140,19 @@ def swing_times(
     # A trajectory that starts above rest ends a swing that it does not begin.
     returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
     rests = leaves[1:] - returns[: len(leaves) - 1]
-    return SwingTimes(leaves_s=tuple(leaves.tolist()), returns_s=tuple(returns.tolist()), rests_s=tuple(rests.tolist()))
+    return SwingTimes(
+        leaves_s=tuple(leaves.tolist()),
+        returns_s=tuple(returns.tolist()),
+        rests_s=tuple(rests.tolist()),
+    )
 
 
 def momentum_transfer_efficiency(
-    height_mm_out: ArrayLike, *, drop_height_mm: float, rest_height_mm: float, leave_height_mm: float = 1.0
+    height_mm_out: ArrayLike,
+    *,
+    drop_height_mm: float,
+    rest_height_mm: float,
+    leave_height_mm: float = 1.0,
 ) -> float:
     """Return the momentum of the outgoing ball over that of the incoming ball at the first impact (paper, MTE).
 
@@ -144,13 +168,17 @@ def momentum_transfer_efficiency(
     """
     height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
     if not drop_height_mm > 0:
-        raise ShapeError(f"drop_height_mm is {drop_height_mm}; the first ball starts above its rest")
+        raise ShapeError(
+            f"drop_height_mm is {drop_height_mm}; the first ball starts above its rest"
+        )
     left = np.flatnonzero(height_mm_out > rest_height_mm + leave_height_mm)
     apexes = _turning_points(height_mm_out)
     apexes = apexes[apexes >= left[0]] if left.size else left
     if not apexes.size:
         return math.nan
-    return math.sqrt((_apex_height(height_mm_out, apexes[0]) - rest_height_mm) / drop_height_mm)
+    return math.sqrt(
+        (_apex_height(height_mm_out, apexes[0]) - rest_height_mm) / drop_height_mm
+    )
 
 
 def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
@@ -180,7 +208,9 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
         return -float(np.abs(windowed @ np.exp(phase * cycles_per_frame)))
 
     bounds = ((peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5))
-    found = minimize_scalar(negative_power, bounds=bounds, method="bounded", options={"xatol": 1e-10})
+    found = minimize_scalar(
+        negative_power, bounds=bounds, method="bounded", options={"xatol": 1e-10}
+    )
     return 1 / (float(found.x) * frame_rate_hz)
 
 
@@ -225,30 +255,43 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     if first_drop >= 0 and 3.0 * first_drop <= second_drop <= 4.5 * first_drop:
         start_mm, remaining = float(height_mm[0]), turning_points
     elif turning_points.size:
-        start_mm, remaining = _apex_height(height_mm, turning_points[0]), turning_points[1:]
+        start_mm, remaining = (
+            _apex_height(height_mm, turning_points[0]),
+            turning_points[1:],
+        )
     else:
         return math.nan
     if not remaining.size:
         return math.nan
     if start_mm <= rest_height_mm:
-        raise ShapeError(f"height_mm turns at {start_mm:.3f} mm, not above rest_height_mm {rest_height_mm:.3f}")
-    return (start_mm - _apex_height(height_mm, remaining[-1])) / (start_mm - rest_height_mm)
+        raise ShapeError(
+            f"height_mm turns at {start_mm:.3f} mm, not above rest_height_mm {rest_height_mm:.3f}"
+        )
+    return (start_mm - _apex_height(height_mm, remaining[-1])) / (
+        start_mm - rest_height_mm
+    )
 
 
 def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
     samples = np.asarray(values, dtype=np.float64)
     if samples.ndim != 1 or len(samples) < least:
-        raise ShapeError(f"{name} has shape {samples.shape}; one coordinate of at least {least} frames is needed")
+        raise ShapeError(
+            f"{name} has shape {samples.shape}; one coordinate of at least {least} frames is needed"
+        )
     if not np.isfinite(samples).all():
         frame = np.flatnonzero(~np.isfinite(samples))[0]
-        raise ShapeError(f"{name} is {samples[frame]} at frame {frame}; a finite number is needed")
+        raise ShapeError(
+            f"{name} is {samples[frame]} at frame {frame}; a finite number is needed"
+        )
     return samples
 
 
 def _path(path_mm: ArrayLike, frame_count: int) -> FloatArray:
     path = np.asarray(path_mm, dtype=np.float64)
     if path.ndim != 2 or len(path) != frame_count:
-        raise ShapeError(f"path_mm has shape {path.shape}; [{frame_count}, C] is needed, as height_mm has its frames")
+        raise ShapeError(
+            f"path_mm has shape {path.shape}; [{frame_count}, C] is needed, as height_mm has its frames"
+        )
     if not np.isfinite(path).all():
         raise ShapeError("path_mm holds a value that is not finite")
     return path
@@ -262,8 +305,12 @@ def _speeds(path: FloatArray, frame_rate_hz: float, *, central: bool) -> FloatAr
 
 def _rests(slow: NDArray[np.bool_], *, central: bool) -> list[slice]:
     """Return the frames of each run of slow frames, or of slow steps: step k joins frames k and k + 1."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], slow, [False])).astype(int))).reshape(-1, 2)
-    return [slice(int(first), int(stop) + (0 if central else 1)) for first, stop in edges]
+    edges = np.flatnonzero(
+        np.diff(np.concatenate(([False], slow, [False])).astype(int))
+    ).reshape(-1, 2)
+    return [
+        slice(int(first), int(stop) + (0 if central else 1)) for first, stop in edges
+    ]
 
 
 def _longest_window(heights: FloatArray, height_range: float) -> int:
@@ -289,6 +336,9 @@ def _apex_height(heights: FloatArray, frame: int) -> float:
     around = heights[frame + offsets]
     polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)
     apex = minimize_scalar(
-        lambda offset: -polynomial(offset), bounds=(-1, 1), method="bounded", options={"xatol": 1e-9}
+        lambda offset: -polynomial(offset),
+        bounds=(-1, 1),
+        method="bounded",
+        options={"xatol": 1e-9},
     )
     return float(heights[frame] - apex.fun)

@@ -24,7 +24,9 @@ _OFFSET_CHUNK = 1_000_000  # numbers in one batch of shifts, 8 MB per array
 _TIE = 1e-12
 
 
-def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False) -> float:
+def trajectory_rmse(
+    simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False
+) -> float:
     """Return the root-mean-square distance between a simulated and the mean real trajectory (paper, E_RMSE).
 
     The distance of one frame is Euclidean over its measured coordinates. Frames without any are left out.
@@ -37,10 +39,14 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing
     Returns:
         RMSE in the observable's unit.
     """
-    return _rms_of_frames(_difference(simulated, real_mean, allow_missing=allow_missing))
+    return _rms_of_frames(
+        _difference(simulated, real_mean, allow_missing=allow_missing)
+    )
 
 
-def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False) -> float:
+def trajectory_dtw(
+    simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False
+) -> float:
     """Return the mean distance along the optimal dynamic time warping path (paper, E_DTW).
 
     Args:
@@ -74,8 +80,13 @@ def dtw_path(
     simulated = _trajectory("simulated", simulated, allow_missing=allow_missing)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     if simulated.shape[1] != real_mean.shape[1]:
-        raise ShapeError(f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}")
-    rows, columns = (np.flatnonzero(np.isfinite(frames).any(axis=1)) for frames in (simulated, real_mean))
+        raise ShapeError(
+            f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}"
+        )
+    rows, columns = (
+        np.flatnonzero(np.isfinite(frames).any(axis=1))
+        for frames in (simulated, real_mean)
+    )
     if not (rows.size and columns.size):
         raise ShapeError("simulated and real_mean share no measured entry")
     cells = _optimal_cells(_local_cost(simulated[rows], real_mean[columns]))
@@ -117,18 +128,26 @@ def release_offset(
     simulated = _trajectory("simulated", simulated)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     times_s = np.asarray(times_s, dtype=np.float64)
-    if times_s.shape != simulated.shape[:1] or len(times_s) < 2 or not (np.diff(times_s) > 0).all():
+    if (
+        times_s.shape != simulated.shape[:1]
+        or len(times_s) < 2
+        or not (np.diff(times_s) > 0).all()
+    ):
         raise ShapeError(
             f"times_s has shape {times_s.shape} for {len(simulated)} simulated samples: "
             "one strictly ascending time for each of at least two samples is needed"
         )
     if simulated.shape[1] != real_mean.shape[1]:
-        raise ShapeError(f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}")
+        raise ShapeError(
+            f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}"
+        )
     frame_times_s = np.arange(len(real_mean)) / frame_rate_hz
 
     def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
         queries_s = frame_times_s - offsets_s[:, None]
-        shifted = _resample(times_s, simulated, queries_s.ravel()).reshape(*queries_s.shape, -1)
+        shifted = _resample(times_s, simulated, queries_s.ravel()).reshape(
+            *queries_s.shape, -1
+        )
         squares = np.where(measured, np.square(shifted - real_mean), 0.0)
         return np.sqrt(squares.sum(axis=(1, 2)) / frame_count)
 
@@ -141,11 +160,19 @@ def release_offset(
     least_s = -min(max(float(times_s[-1] - last_s), 0.0), max_offset_s)
     grid_s = np.linspace(-max_offset_s, max_offset_s, 2 * steps + 1)
     grid_s = np.unique(np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]]))
-    grid_s = grid_s[np.argsort(np.abs(grid_s), kind="stable")]  # argmin takes the first, hence smallest, of equals
-    chunks = np.array_split(grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK))
+    grid_s = grid_s[
+        np.argsort(np.abs(grid_s), kind="stable")
+    ]  # argmin takes the first, hence smallest, of equals
+    chunks = np.array_split(
+        grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK)
+    )
     grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
     best = int(np.argmin(grid_rmse))
-    bounds = np.clip(grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]), least_s, max_offset_s)
+    bounds = np.clip(
+        grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]),
+        least_s,
+        max_offset_s,
+    )
     refined = minimize_scalar(
         lambda offset_s: float(shifted_rmse(np.array([offset_s]))[0]),
         bounds=bounds,
@@ -157,7 +184,9 @@ def release_offset(
     return float(grid_s[best]), float(grid_rmse[best])
 
 
-def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> FloatArray:
+def z_scores(
+    simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike
+) -> FloatArray:
     """Return the deviation of a simulated trajectory from the real mean in units of the real scatter.
 
     Args:
@@ -176,7 +205,9 @@ def z_scores(simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike) -> Fl
     try:
         sigma = np.broadcast_to(sigma, difference.shape)
     except ValueError:
-        raise ShapeError(f"sigma has shape {sigma.shape}, which does not fit {difference.shape}") from None
+        raise ShapeError(
+            f"sigma has shape {sigma.shape}, which does not fit {difference.shape}"
+        ) from None
     return difference / np.where(sigma > 0, sigma, np.nan)
 
 
@@ -219,27 +250,39 @@ def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
     """
     difference = _difference(simulated, real_mean)
     frame_count = np.isfinite(difference).sum(axis=0)
-    return np.nansum(difference, axis=0) / np.where(frame_count > 0, frame_count, np.nan)
+    return np.nansum(difference, axis=0) / np.where(
+        frame_count > 0, frame_count, np.nan
+    )
 
 
-def _trajectory(name: str, values: ArrayLike, *, allow_missing: bool = False) -> FloatArray:
+def _trajectory(
+    name: str, values: ArrayLike, *, allow_missing: bool = False
+) -> FloatArray:
     """Return the values as a checked float array of shape [frame_count, coordinate_count], both above 0."""
     trajectory = np.asarray(values, dtype=np.float64)
     if trajectory.ndim != 2 or trajectory.size == 0:
-        raise ShapeError(f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, none 0")
+        raise ShapeError(
+            f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, none 0"
+        )
     wrong = np.isinf(trajectory) if allow_missing else ~np.isfinite(trajectory)
     if wrong.any():
         frame, coordinate = np.argwhere(wrong)[0]
         value = trajectory[frame, coordinate]
-        raise ShapeError(f"{name} is {value} at frame {frame}, coordinate {coordinate}; a finite number is needed")
+        raise ShapeError(
+            f"{name} is {value} at frame {frame}, coordinate {coordinate}; a finite number is needed"
+        )
     return trajectory
 
 
-def _difference(simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False) -> FloatArray:
+def _difference(
+    simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False
+) -> FloatArray:
     simulated = _trajectory("simulated", simulated, allow_missing=allow_missing)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     if simulated.shape != real_mean.shape:
-        raise ShapeError(f"simulated has shape {simulated.shape}, real_mean {real_mean.shape}")
+        raise ShapeError(
+            f"simulated has shape {simulated.shape}, real_mean {real_mean.shape}"
+        )
     return simulated - real_mean
 
 
@@ -255,11 +298,19 @@ def _rms_of_frames(difference: FloatArray) -> float:
     return math.sqrt(np.nansum(np.square(difference)) / frame_count)
 
 
-def _resample(times_s: FloatArray, trajectory: FloatArray, query_s: FloatArray) -> FloatArray:
+def _resample(
+    times_s: FloatArray, trajectory: FloatArray, query_s: FloatArray
+) -> FloatArray:
     """Interpolate all coordinates linearly, constant beyond both ends; exact between equal neighbours."""
-    left = np.clip(np.searchsorted(times_s, query_s, side="right") - 1, 0, len(times_s) - 2)
-    weight = np.clip((query_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0)
-    return trajectory[left] + weight[:, None] * (trajectory[left + 1] - trajectory[left])
+    left = np.clip(
+        np.searchsorted(times_s, query_s, side="right") - 1, 0, len(times_s) - 2
+    )
+    weight = np.clip(
+        (query_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0
+    )
+    return trajectory[left] + weight[:, None] * (
+        trajectory[left + 1] - trajectory[left]
+    )
 
 
 def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -271,12 +322,16 @@ def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
     patterns, block_of = np.unique(np.isfinite(first), axis=0, return_inverse=True)
     others, other_block_of = np.unique(np.isfinite(second), axis=0, return_inverse=True)
     for block, pattern in enumerate(patterns):
-        rows = np.flatnonzero(block_of.ravel() == block)  # NumPy 2.0 alone gives the inverse a second axis
+        rows = np.flatnonzero(
+            block_of.ravel() == block
+        )  # NumPy 2.0 alone gives the inverse a second axis
         for other_block, other in enumerate(others):
             columns = np.flatnonzero(other_block_of.ravel() == other_block)
             shared = pattern & other
             if shared.any():
-                cost[np.ix_(rows, columns)] = _distances(first[np.ix_(rows, shared)], second[np.ix_(columns, shared)])
+                cost[np.ix_(rows, columns)] = _distances(
+                    first[np.ix_(rows, shared)], second[np.ix_(columns, shared)]
+                )
     return cost
 
 
@@ -287,11 +342,16 @@ def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """
     centre = first.mean(axis=0)
     first, second = first - centre, second - centre
-    first_squares, second_squares = np.square(first).sum(axis=1), np.square(second).sum(axis=1)
-    squares = np.column_stack((-2 * first, first_squares, np.ones(len(first)))) @ np.vstack(
-        (second.T, np.ones(len(second)), second_squares)
+    first_squares, second_squares = (
+        np.square(first).sum(axis=1),
+        np.square(second).sum(axis=1),
     )
-    close = np.flatnonzero(squares <= 1e-6 * max(first_squares.max(), second_squares.max()))
+    squares = np.column_stack(
+        (-2 * first, first_squares, np.ones(len(first)))
+    ) @ np.vstack((second.T, np.ones(len(second)), second_squares))
+    close = np.flatnonzero(
+        squares <= 1e-6 * max(first_squares.max(), second_squares.max())
+    )
     if close.size > squares.size // 8:
         return cdist(first, second)
     i, j = np.unravel_index(close, squares.shape)
@@ -316,10 +376,14 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     flat = local.ravel()
     for end, seen in enumerate((flat, flat[::-1])):
         stride = seen.strides[0]
-        total[2:, end, 1:] = as_strided(seen, (depth, row_count), (stride, (column_count - 1) * stride))
+        total[2:, end, 1:] = as_strided(
+            seen, (depth, row_count), (stride, (column_count - 1) * stride)
+        )
     both = total.reshape(depth + 2, -1)
     least = np.empty(both.shape[1] - 1)
-    for up, left, diagonal, here in zip(both[1:-1, :-1], both[1:-1, 1:], both[:-2, :-1], both[2:, 1:], strict=True):
+    for up, left, diagonal, here in zip(
+        both[1:-1, :-1], both[1:-1, 1:], both[:-2, :-1], both[2:, 1:], strict=True
+    ):
         np.minimum(up, left, out=least)
         np.minimum(least, diagonal, out=least)
         here += least
@@ -330,12 +394,16 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     through = total[meeting + 2, 0, 1:] + least[:row_count:-1]
     joined = np.concatenate((over, through))
     if not np.isfinite(joined.min()):
-        raise ShapeError("no alignment of the trajectories exists: some frames share no measured coordinate")
+        raise ShapeError(
+            "no alignment of the trajectories exists: some frames share no measured coordinate"
+        )
     i = np.concatenate((np.arange(row_count - 1), np.arange(row_count)))
     is_over = np.arange(len(joined)) < len(over)
     j = meeting - is_over - i
     tied = joined <= joined.min() * (1 + _TIE)
-    chosen = np.argmin(np.where(tied, np.abs(i * (column_count - 1) - j * (row_count - 1)), np.inf))
+    chosen = np.argmin(
+        np.where(tied, np.abs(i * (column_count - 1) - j * (row_count - 1)), np.inf)
+    )
     cell = np.array([i[chosen], j[chosen]])
     step = int(is_over[chosen])
     last = np.array([row_count - 1, column_count - 1])
@@ -347,7 +415,9 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
 def _walk(total: FloatArray, i: int, j: int) -> NDArray[np.intp]:
     """Return the cells of the cheapest path from (i, j) back to (0, 0), by the table of `_optimal_cells`."""
     cells = [(i, j)]
-    table = total.data  # a memoryview gives Python floats, three times as fast here as numpy scalars
+    table = (
+        total.data
+    )  # a memoryview gives Python floats, three times as fast here as numpy scalars
     while i or j:
         d = i + j
         up, left = table[d + 1, i], table[d + 1, i + 1]

@@ -18,7 +18,18 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder, os_errors, write_texts
-from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene import (
+    Box,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Plane,
+    Rod,
+    Rope,
+    Shape,
+    SoftBody,
+    Sphere,
+)
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
@@ -63,7 +74,11 @@ def build_assets(folder: Path) -> list[Path]:
     Returns:
         Paths of the written files.
     """
-    with os_errors(lambda cause: ResultFileError(f"{folder}: assets cannot be written there: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(
+            f"{folder}: assets cannot be written there: {cause}"
+        )
+    ):
         written = write_texts(folder, asset_texts())
         for path in set(_generated(folder)) - set(written):
             path.unlink()
@@ -79,7 +94,9 @@ def stale_asset(folder: Path) -> Path | None:
     for name, text in asset_texts():
         path = folder / name
         expected.add(path)
-        if not path.is_file() or not _same(path.read_text(encoding="utf-8", errors="replace"), text):
+        if not path.is_file() or not _same(
+            path.read_text(encoding="utf-8", errors="replace"), text
+        ):
             return path
     return min(set(_generated(folder)) - expected, default=None)
 
@@ -91,12 +108,20 @@ def asset_rows(folder: Path) -> list[dict[str, Any]]:
     for path in _generated(folder):
         solid = solids.get(path.stem) if path.suffix == ".obj" else None
         shown = f"GAUGE/{path.stem}" if solid is None else ", ".join(solid.bodies)
-        rows.append({"file": f"{path.parent.name}/{path.name}", "bytes": path.stat().st_size, "of": shown})
+        rows.append(
+            {
+                "file": f"{path.parent.name}/{path.name}",
+                "bytes": path.stat().st_size,
+                "of": shown,
+            }
+        )
     return rows
 
 
 def _generated(folder: Path) -> list[Path]:
-    return sorted(path for name in FOLDERS for path in (folder / name).glob("*") if path.is_file())
+    return sorted(
+        path for name in FOLDERS for path in (folder / name).glob("*") if path.is_file()
+    )
 
 
 def _same(one: str, other: str) -> bool:
@@ -107,7 +132,11 @@ def _same(one: str, other: str) -> bool:
         return False
     pairs = zip(NUMBER.findall(one), NUMBER.findall(other), strict=True)
     return all(
-        a == b or math.isclose(float(a), float(b), rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE) for a, b in pairs
+        a == b
+        or math.isclose(
+            float(a), float(b), rel_tol=SAME_RELATIVE, abs_tol=SAME_ABSOLUTE
+        )
+        for a, b in pairs
     )
 
 
@@ -129,12 +158,18 @@ def solid_shapes() -> dict[str, SharedSolid]:
     for variant in variants():
         experiment = load_experiment(variant)
         scene, listed = experiment.scene, experiment.spec.names
-        shapes = {body.name: body.shape for body in scene.bodies if not isinstance(body.shape, Plane)}
+        shapes = {
+            body.name: body.shape
+            for body in scene.bodies
+            if not isinstance(body.shape, Plane)
+        }
         for body in scene.deformables:
             if isinstance(body, SoftBody):
                 shapes[body.name] = body.shape
             elif isinstance(body, Rope | Rod):
-                shapes[body.name] = Cylinder(radius_m=body.radius_m, length_m=body.length_m)
+                shapes[body.name] = Cylinder(
+                    radius_m=body.radius_m, length_m=body.length_m
+                )
         for name, shape in shapes.items():
             # Counted bodies share one entry of the task file.
             label = name if name in listed else name.rpartition("-")[0]
@@ -173,7 +208,9 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     for index, (points, faces) in enumerate(pieces):
         lines.append(f"g piece_{index}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in (points + 0.0).tolist()]
-        lines += ["f " + " ".join(str(first + vertex) for vertex in face) for face in faces]
+        lines += [
+            "f " + " ".join(str(first + vertex) for vertex in face) for face in faces
+        ]
         first += len(points)
     return "\n".join(lines) + "\n"
 
@@ -191,16 +228,28 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
         sphere = trimesh.creation.icosphere(subdivisions=SPHERE_SUBDIVISIONS)
         scale = (shape.volume_m3 / sphere.volume) ** (1.0 / 3.0)
         note = f"; sphere of radius {shape.radius_m!r} m, vertices at {scale / shape.radius_m:.5f} of it"
-        return [(np.asarray(sphere.vertices) * scale, [tuple(face) for face in sphere.faces.tolist()])], note
+        return [
+            (
+                np.asarray(sphere.vertices) * scale,
+                [tuple(face) for face in sphere.faces.tolist()],
+            )
+        ], note
     if isinstance(shape, Cylinder):
         angle = 2.0 * np.pi / CYLINDER_SIDES
         radius = shape.radius_m * math.sqrt(angle / math.sin(angle))
         angles = angle * np.arange(CYLINDER_SIDES)
         ring = np.column_stack([radius * np.cos(angles), radius * np.sin(angles)])
-        ends = [np.insert(ring, 2, height, axis=1) for height in (-0.5 * shape.length_m, 0.5 * shape.length_m)]
+        ends = [
+            np.insert(ring, 2, height, axis=1)
+            for height in (-0.5 * shape.length_m, 0.5 * shape.length_m)
+        ]
         note = f"; cylinder of radius {shape.radius_m!r} m, vertices at {radius / shape.radius_m:.5f} of it"
         return [_polyhedron(np.concatenate(ends))], note
-    kind = "a compound of solids" if isinstance(shape, Compound) else "a plane, which is not a solid,"
+    kind = (
+        "a compound of solids"
+        if isinstance(shape, Compound)
+        else "a plane, which is not a solid,"
+    )
     raise ParameterError(f"{kind} has no OBJ file")
 
 

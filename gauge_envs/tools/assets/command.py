@@ -16,8 +16,13 @@ if TYPE_CHECKING:
 
 
 def data_scenes(
-    out: Annotated[Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if a file is stale.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")
+    ] = None,
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Write nothing; exit code 1 if a file is stale."),
+    ] = False,
 ) -> bool:
     """Write every scene as USD and MJCF, and every solid as OBJ."""
     from gauge_envs.pages.text import counted
@@ -28,7 +33,11 @@ def data_scenes(
     if stale:
         message(f"{stale}; gauge data scenes renews it", "stale")
     else:
-        echo(f"{folder} is current" if check else f"{counted(len(build_assets(folder)), 'file')} in {folder}")
+        echo(
+            f"{folder} is current"
+            if check
+            else f"{counted(len(build_assets(folder)), 'file')} in {folder}"
+        )
     return stale is not None
 
 
@@ -43,12 +52,20 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
 
     size = Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True)
     columns = (Column("file", "file"), size, Column("of", "of", owners))
-    return arguments.matching([Table(columns=columns, rows=asset_rows(assets_folder()))], patterns, kind="scene")
+    return arguments.matching(
+        [Table(columns=columns, rows=asset_rows(assets_folder()))],
+        patterns,
+        kind="scene",
+    )
 
 
 def data_isaac_sim(
-    pattern: Annotated[str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")],
-    out: Annotated[Path, typer.Option(help="Folder for the layers.")] = Path("isaac_sim"),
+    pattern: Annotated[
+        str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for the layers.")] = Path(
+        "isaac_sim"
+    ),
 ) -> None:
     """Write experiments as USD layers that Isaac Sim simulates.
 
@@ -56,12 +73,20 @@ def data_isaac_sim(
     """
     from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.tools.assets.isaac_sim import unsupported_reason, write_isaac_sim_layer
+    from gauge_envs.tools.assets.isaac_sim import (
+        unsupported_reason,
+        write_isaac_sim_layer,
+    )
 
     experiments = [load_experiment(variant) for variant in matching_variants(pattern)]
-    reasons = {experiment.id: unsupported_reason(experiment.scene) for experiment in experiments}
+    reasons = {
+        experiment.id: unsupported_reason(experiment.scene)
+        for experiment in experiments
+    }
     # If all are unsupported, the first one raises its reason.
-    for experiment in [one for one in experiments if reasons[one.id] is None] or experiments[:1]:
+    for experiment in [
+        one for one in experiments if reasons[one.id] is None
+    ] or experiments[:1]:
         path = out / f"{experiment.name}.usda"
         write_isaac_sim_layer(experiment, path)
         echo(path)

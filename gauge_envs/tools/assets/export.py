@@ -38,7 +38,9 @@ def usd_layer_text(experiment: TaskExperiment) -> str:
     return stage.GetRootLayer().ExportToString()
 
 
-def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, later_frames: int = 0) -> Usd.Stage:
+def experiment_stage(
+    experiment: TaskExperiment, *, samples_per_frame: int = 1, later_frames: int = 0
+) -> Usd.Stage:
     """Return the scene of a variant as a stage in memory, with the variant, its parameters and its source.
 
     Args:
@@ -46,7 +48,9 @@ def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, 
         samples_per_frame: Time samples of driven bodies per 30 Hz frame.
         later_frames: Frames after the last one for which driven bodies have time samples.
     """
-    stage = scene_stage(experiment.scene, samples_per_frame=samples_per_frame, later_frames=later_frames)
+    stage = scene_stage(
+        experiment.scene, samples_per_frame=samples_per_frame, later_frames=later_frames
+    )
     variant = experiment.variant
     layer = stage.GetRootLayer()
     layer.documentation = f"{experiment.spec.title}: {variant.id}"
@@ -72,7 +76,11 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     XML. A comment at the top explains their use.
     """
     text = mjcf_text(experiment)
-    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}: choose another path")):
+    with os_errors(
+        lambda cause: ResultFileError(
+            f"{path}: cannot be written: {cause}: choose another path"
+        )
+    ):
         path.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -94,10 +102,16 @@ def mjcf_text(experiment: TaskExperiment) -> str:
         notes += add_stiffness_tables(simulation)
     for driver in scene.drivers:
         path = DriverPath(driver, scene, experiment.frame_count)
-        rows = driver_rows(simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S))
+        rows = driver_rows(
+            simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S)
+        )
         moving = without_rest(rows)
         name = f"{DRIVER_PREFIX}{driver.body}"
-        simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
-        notes.append(replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
+        simulation.spec.add_numeric(
+            name=name, size=moving.size, data=moving.ravel().tolist()
+        )
+        notes.append(
+            replay_note(driver.body, driver.provenance, simulation, moving, len(rows))
+        )
     notes += add_grips(simulation)
     return described_xml(simulation, experiment.name, notes)

@@ -19,7 +19,15 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
-from gauge_envs.scene import Cloth, Deformable, JointDynamics, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    Cloth,
+    Deformable,
+    JointDynamics,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
 from gauge_envs.tools.usd import export_stage, record_follower
@@ -33,7 +41,10 @@ VOLUME_HZ = 900
 LATER_FRAMES = 10
 """Frames that are recorded after the last one; the release alignment of scores uses them."""
 
-COEFFICIENTS: tuple[Literal["friction", "restitution"], ...] = ("friction", "restitution")
+COEFFICIENTS: tuple[Literal["friction", "restitution"], ...] = (
+    "friction",
+    "restitution",
+)
 """Contact constants of a pair."""
 
 UNSUPPORTED = {Rope: "rope", Rod: "rod"}
@@ -42,7 +53,11 @@ UNSUPPORTED = {Rope: "rope", Rod: "rod"}
 
 def steps_per_second(scene: Scene) -> int:
     """Return the rate at which the paper steps a scene in Isaac Sim [1/s]."""
-    return VOLUME_HZ if any(isinstance(body, SoftBody) for body in scene.deformables) else RIGID_AND_CLOTH_HZ
+    return (
+        VOLUME_HZ
+        if any(isinstance(body, SoftBody) for body in scene.deformables)
+        else RIGID_AND_CLOTH_HZ
+    )
 
 
 def unsupported_reason(scene: Scene) -> str | None:
@@ -63,7 +78,9 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
         path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`). Its folder is created.
     """
     stage = isaac_sim_stage(experiment)
-    with os_errors(lambda cause: ResultFileError(f"{path.parent}: cannot be created: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(f"{path.parent}: cannot be created: {cause}")
+    ):
         path.parent.mkdir(parents=True, exist_ok=True)
     export_stage(stage, path)
 
@@ -76,13 +93,25 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
             f"{experiment.id}: {reason}. Choose an experiment without it, or another engine: gauge list backends"
         )
     if scene.air is not None:
-        raise ParameterError(f"{experiment.id}: Isaac Sim applies no air to cloth: export it without the air")
+        raise ParameterError(
+            f"{experiment.id}: Isaac Sim applies no air to cloth: export it without the air"
+        )
     rate = steps_per_second(scene)
-    stage = experiment_stage(experiment, samples_per_frame=round(rate / FRAME_RATE_HZ), later_frames=LATER_FRAMES)
+    stage = experiment_stage(
+        experiment,
+        samples_per_frame=round(rate / FRAME_RATE_HZ),
+        later_frames=LATER_FRAMES,
+    )
     paths = {
-        prim.GetAttribute("gauge:name").Get(): prim for prim in stage.Traverse() if prim.HasAttribute("gauge:name")
+        prim.GetAttribute("gauge:name").Get(): prim
+        for prim in stage.Traverse()
+        if prim.HasAttribute("gauge:name")
     }
-    _write_solver(stage.GetPrimAtPath("/World/PhysicsScene"), rate, has_deformables=bool(scene.deformables))
+    _write_solver(
+        stage.GetPrimAtPath("/World/PhysicsScene"),
+        rate,
+        has_deformables=bool(scene.deformables),
+    )
     for body in scene.deformables:
         _write_deformable(paths, scene, body)
     _write_body_constants(stage, scene, paths)
@@ -96,7 +125,9 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
         "observable": experiment.score.observable.value,
         "unit": experiment.score.observable.unit,
         "coordinates": Vt.StringArray(experiment.coordinates),
-        "recorded": Vt.StringArray([str(paths[name].GetPath()) for name in experiment.recorded]),
+        "recorded": Vt.StringArray(
+            [str(paths[name].GetPath()) for name in experiment.recorded]
+        ),
     }
     layer.customLayerData = layer.customLayerData | {"gauge": gauge}
     return stage
@@ -108,10 +139,18 @@ def _write_solver(prim: Usd.Prim, rate: int, *, has_deformables: bool) -> None:
     _write(prim, "physxScene:timeStepsPerSecond", Sdf.ValueTypeNames.UInt, rate)
     if has_deformables:
         _write(prim, "physxScene:enableGPUDynamics", Sdf.ValueTypeNames.Bool, True)
-        _write(prim, "physxScene:broadphaseType", Sdf.ValueTypeNames.Token, "GPU", Sdf.VariabilityUniform)
+        _write(
+            prim,
+            "physxScene:broadphaseType",
+            Sdf.ValueTypeNames.Token,
+            "GPU",
+            Sdf.VariabilityUniform,
+        )
 
 
-def _write_deformable(paths: dict[str, Usd.Prim], scene: Scene, body: Deformable) -> None:
+def _write_deformable(
+    paths: dict[str, Usd.Prim], scene: Scene, body: Deformable
+) -> None:
     """Write PhysX's attributes of a cloth or a soft body.
 
     Without a rest offset, PhysX holds deformable bodies 20 mm off what they touch. Here contact begins at the
@@ -119,9 +158,21 @@ def _write_deformable(paths: dict[str, Usd.Prim], scene: Scene, body: Deformable
     so one that touches nothing has its pairs filtered instead.
     """
     prim = paths[body.name]
-    prim.AddAppliedSchema("PhysxSurfaceDeformableBodyAPI" if isinstance(body, Cloth) else "PhysxBaseDeformableBodyAPI")
-    touches_itself = any(body.name in contact.first and body.name in contact.second for contact in scene.contacts)
-    _write(prim, "physxDeformableBody:selfCollision", Sdf.ValueTypeNames.Bool, touches_itself)
+    prim.AddAppliedSchema(
+        "PhysxSurfaceDeformableBodyAPI"
+        if isinstance(body, Cloth)
+        else "PhysxBaseDeformableBodyAPI"
+    )
+    touches_itself = any(
+        body.name in contact.first and body.name in contact.second
+        for contact in scene.contacts
+    )
+    _write(
+        prim,
+        "physxDeformableBody:selfCollision",
+        Sdf.ValueTypeNames.Bool,
+        touches_itself,
+    )
     prim.AddAppliedSchema("PhysxCollisionAPI")
     rest_offset_m = 0.5 * body.thickness_m if isinstance(body, Cloth) else 0.0
     _write(prim, "physxCollision:restOffset", Sdf.ValueTypeNames.Float, rest_offset_m)
@@ -129,23 +180,35 @@ def _write_deformable(paths: dict[str, Usd.Prim], scene: Scene, body: Deformable
     if not collider.Get():
         collider.Set(True)
         others = [other.GetPath() for name, other in paths.items() if name != body.name]
-        UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel().SetTargets(others)
+        UsdPhysics.FilteredPairsAPI.Apply(prim).CreateFilteredPairsRel().SetTargets(
+            others
+        )
 
 
-def _write_body_constants(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:
+def _write_body_constants(
+    stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]
+) -> None:
     """Write constants of bodies whose averages are the constants of the pairs, where those of the layer are not.
 
     A layer binds each body to the material of its first contact. PhysX averages the materials of two bodies.
     """
     pairs = {name: pair_values(scene, name) for name in COEFFICIENTS}
-    first = {name: contact for contact in reversed(scene.contacts) for name in (*contact.first, *contact.second)}
+    first = {
+        name: contact
+        for contact in reversed(scene.contacts)
+        for name in (*contact.first, *contact.second)
+    }
     if all(
-        math.isclose(0.5 * (getattr(first[one], name) + getattr(first[other], name)), value)
+        math.isclose(
+            0.5 * (getattr(first[one], name) + getattr(first[other], name)), value
+        )
         for name, values in pairs.items()
         for (one, other), value in values.items()
     ):
         return
-    found = {name: body_values(values, Combination.MEAN) for name, values in pairs.items()}
+    found = {
+        name: body_values(values, Combination.MEAN) for name, values in pairs.items()
+    }
     deformable = {body.name for body in scene.deformables}
     materials: dict[tuple[float, ...], UsdShade.Material] = {}
     for body in found["friction"]:
@@ -156,23 +219,37 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.P
             material = binding.ComputeBoundMaterial("physics")[0]
         else:
             if values not in materials:
-                materials[values] = UsdShade.Material.Define(stage, f"/World/Materials/isaac_{len(materials)}")
+                materials[values] = UsdShade.Material.Define(
+                    stage, f"/World/Materials/isaac_{len(materials)}"
+                )
             material = materials[values]
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
-        _write_coefficients(material.GetPrim(), *values, is_deformable=body in deformable)
+        _write_coefficients(
+            material.GetPrim(), *values, is_deformable=body in deformable
+        )
         # The material's constants follow from those of the contacts of the body.
         for index, contact in enumerate(scene.contacts):
             if body in (*contact.first, *contact.second):
                 prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
                 prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
-                prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
+                prim.CreateRelationship(
+                    "gauge:derived_materials", custom=True
+                ).AddTarget(material.GetPath())
 
 
-def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, is_deformable: bool) -> None:
+def _write_coefficients(
+    prim: Usd.Prim, friction: float, restitution: float, *, is_deformable: bool
+) -> None:
     """Write contact constants of a body, which follow from those of its pairs."""
     physics = UsdPhysics.MaterialAPI.Apply(prim)
     attributes = [(physics.CreateRestitutionAttr(), restitution)]
-    attributes += [(one, friction) for one in (physics.CreateStaticFrictionAttr(), physics.CreateDynamicFrictionAttr())]
+    attributes += [
+        (one, friction)
+        for one in (
+            physics.CreateStaticFrictionAttr(),
+            physics.CreateDynamicFrictionAttr(),
+        )
+    ]
     if is_deformable:
         names = ("omniphysics:staticFriction", "omniphysics:dynamicFriction")
         attributes += [(prim.GetAttribute(name), friction) for name in names]
@@ -181,7 +258,9 @@ def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, 
         record_follower(attribute, "the constants in /World/Contacts")
 
 
-def _write_material_points(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:
+def _write_material_points(
+    stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]
+) -> None:
     """Write the mesh vertices and weights that interpolate each marker.
 
     The vertices are numbered over the meshes of `gauge:bodies`, in that order.
@@ -189,13 +268,27 @@ def _write_material_points(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.
     assert scene.markers is not None
     bodies = {body.name: body for body in scene.deformables}
     nodes = {
-        name: bodies[name].pose.to_world(np.asarray(paths[name].GetAttribute("points").Get(), dtype=np.float64))
+        name: bodies[name].pose.to_world(
+            np.asarray(paths[name].GetAttribute("points").Get(), dtype=np.float64)
+        )
         for name in scene.markers.bodies
     }
-    indices, weights = material_points(np.asarray(scene.markers.positions_m), nodes, bodies)
+    indices, weights = material_points(
+        np.asarray(scene.markers.positions_m), nodes, bodies
+    )
     prim = stage.GetPrimAtPath("/World/Markers")
-    _write(prim, "gauge:isaac:nodes", Sdf.ValueTypeNames.Int4Array, [Gf.Vec4i(*row) for row in indices.tolist()])
-    _write(prim, "gauge:isaac:weights", Sdf.ValueTypeNames.Double4Array, [Gf.Vec4d(*row) for row in weights.tolist()])
+    _write(
+        prim,
+        "gauge:isaac:nodes",
+        Sdf.ValueTypeNames.Int4Array,
+        [Gf.Vec4i(*row) for row in indices.tolist()],
+    )
+    _write(
+        prim,
+        "gauge:isaac:weights",
+        Sdf.ValueTypeNames.Double4Array,
+        [Gf.Vec4d(*row) for row in weights.tolist()],
+    )
 
 
 def _write(

@@ -14,10 +14,17 @@ RADIUS_M = 0.03
 """Radius of the balls [m]."""
 
 
-def balls_above_ground(drops_m: Mapping[str, float], *, spacing_m: float, mass_kg: float = 0.1) -> list[RigidBody]:
+def balls_above_ground(
+    drops_m: Mapping[str, float], *, spacing_m: float, mass_kg: float = 0.1
+) -> list[RigidBody]:
     """Return balls side by side along x, each at a height [m] of its lowest point over the ground, by name."""
     return [
-        ball(name, (spacing_m * index, 0.0, RADIUS_M + drop_m), radius_m=RADIUS_M, mass_kg=mass_kg)
+        ball(
+            name,
+            (spacing_m * index, 0.0, RADIUS_M + drop_m),
+            radius_m=RADIUS_M,
+            mass_kg=mass_kg,
+        )
         for index, (name, drop_m) in enumerate(drops_m.items())
     ]
 
@@ -27,7 +34,13 @@ def fall_s(drop_m: float, gravity_m_per_s2: float) -> float:
     return math.sqrt(2.0 * drop_m / gravity_m_per_s2)
 
 
-def drop_scene(bodies: list[RigidBody], contacts: tuple[Contact, ...], *, seconds: float, gravity: float) -> Scene:
+def drop_scene(
+    bodies: list[RigidBody],
+    contacts: tuple[Contact, ...],
+    *,
+    seconds: float,
+    gravity: float,
+) -> Scene:
     """Return a scene of bodies that drop on level ground.
 
     Args:
@@ -36,10 +49,17 @@ def drop_scene(bodies: list[RigidBody], contacts: tuple[Contact, ...], *, second
         seconds: Duration [s].
         gravity: Gravity [m/s^2].
     """
-    return Scene(bodies=(*bodies, ground()), contacts=contacts, duration_s=seconds, gravity_m_per_s2=gravity)
+    return Scene(
+        bodies=(*bodies, ground()),
+        contacts=contacts,
+        duration_s=seconds,
+        gravity_m_per_s2=gravity,
+    )
 
 
-def bounce_of(rollout: Rollout, name: str, *, half_height_m: float = RADIUS_M) -> Bounce | None:
+def bounce_of(
+    rollout: Rollout, name: str, *, half_height_m: float = RADIUS_M
+) -> Bounce | None:
     """Return the first bounce of a body that is let go at rest over level ground at height 0; None if it never falls.
 
     Args:
@@ -50,5 +70,8 @@ def bounce_of(rollout: Rollout, name: str, *, half_height_m: float = RADIUS_M) -
     heights_m = rollout.position(name)[:, 2] - half_height_m
     released_m = rollout.scene.body(name).pose.position_m[2] - half_height_m
     return first_bounce(
-        rollout.times_s, heights_m, gravity_m_per_s2=rollout.scene.gravity_m_per_s2, released_m=released_m
+        rollout.times_s,
+        heights_m,
+        gravity_m_per_s2=rollout.scene.gravity_m_per_s2,
+        released_m=released_m,
     )

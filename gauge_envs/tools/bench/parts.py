@@ -8,56 +8,133 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Shape, Sphere, Vector
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Shape,
+    Sphere,
+    Vector,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import TrapezoidProfile
 
 
-def body(name: str, shape: Shape, pose: Pose, *, mass_kg: float = 0.1, motion: Motion = Motion.DYNAMIC) -> RigidBody:
+def body(
+    name: str,
+    shape: Shape,
+    pose: Pose,
+    *,
+    mass_kg: float = 0.1,
+    motion: Motion = Motion.DYNAMIC,
+) -> RigidBody:
     """Return a rigid body, dynamic by default."""
     return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=mass_kg)
 
 
-def ball(name: str, position_m: Vector, *, radius_m: float = 0.03, mass_kg: float = 0.1) -> RigidBody:
+def ball(
+    name: str, position_m: Vector, *, radius_m: float = 0.03, mass_kg: float = 0.1
+) -> RigidBody:
     """Return a dynamic sphere."""
-    return body(name, Sphere(radius_m=radius_m), Pose(position_m=position_m), mass_kg=mass_kg)
+    return body(
+        name, Sphere(radius_m=radius_m), Pose(position_m=position_m), mass_kg=mass_kg
+    )
 
 
 def box(
-    name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0), mass_kg: float = 0.2
+    name: str,
+    position_m: Vector,
+    size_m: Vector,
+    *,
+    euler_deg: Vector = (0.0, 0.0, 0.0),
+    mass_kg: float = 0.2,
 ) -> RigidBody:
     """Return a dynamic box."""
-    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=mass_kg)
+    return body(
+        name,
+        Box(size_m=size_m),
+        Pose.from_euler_deg(position_m, euler_deg),
+        mass_kg=mass_kg,
+    )
 
 
-def fixed_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+def fixed_box(
+    name: str,
+    position_m: Vector,
+    size_m: Vector,
+    *,
+    euler_deg: Vector = (0.0, 0.0, 0.0),
+) -> RigidBody:
     """Return a fixed box."""
-    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=1.0, motion=Motion.FIXED)
+    return body(
+        name,
+        Box(size_m=size_m),
+        Pose.from_euler_deg(position_m, euler_deg),
+        mass_kg=1.0,
+        motion=Motion.FIXED,
+    )
 
 
-def driven_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+def driven_box(
+    name: str,
+    position_m: Vector,
+    size_m: Vector,
+    *,
+    euler_deg: Vector = (0.0, 0.0, 0.0),
+) -> RigidBody:
     """Return a box that a driver moves."""
-    return replace(fixed_box(name, position_m, size_m, euler_deg=euler_deg), motion=Motion.KINEMATIC)
+    return replace(
+        fixed_box(name, position_m, size_m, euler_deg=euler_deg),
+        motion=Motion.KINEMATIC,
+    )
 
 
 def ground() -> RigidBody:
     """Return a horizontal plane at height 0."""
-    return body("ground", Plane(), Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0, motion=Motion.FIXED)
+    return body(
+        "ground",
+        Plane(),
+        Pose(position_m=(0.0, 0.0, 0.0)),
+        mass_kg=0.0,
+        motion=Motion.FIXED,
+    )
 
 
 def contact(
-    first: str | tuple[str, ...], second: str | tuple[str, ...], *, friction: float, restitution: float | None = None
+    first: str | tuple[str, ...],
+    second: str | tuple[str, ...],
+    *,
+    friction: float,
+    restitution: float | None = None,
 ) -> Contact:
     """Return a contact between bodies: an impact with a restitution, or a sustained one without."""
     first, second = ((one,) if isinstance(one, str) else one for one in (first, second))
     if restitution is None:
         return Contact(first=first, second=second, friction=friction, restitution=0.0)
-    return Contact(first=first, second=second, friction=friction, restitution=restitution, mode=ContactMode.IMPACT)
+    return Contact(
+        first=first,
+        second=second,
+        friction=friction,
+        restitution=restitution,
+        mode=ContactMode.IMPACT,
+    )
 
 
-def ramp(amount: float, *, start_s: float, duration_s: float, ramp_s: float) -> TrapezoidProfile:
+def ramp(
+    amount: float, *, start_s: float, duration_s: float, ramp_s: float
+) -> TrapezoidProfile:
     """Return a motion by an amount [m or rad], with equal times of acceleration and braking."""
-    return TrapezoidProfile(start_s=start_s, duration_s=duration_s, accelerate_s=ramp_s, brake_s=ramp_s, amount=amount)
+    return TrapezoidProfile(
+        start_s=start_s,
+        duration_s=duration_s,
+        accelerate_s=ramp_s,
+        brake_s=ramp_s,
+        amount=amount,
+    )
 
 
 def driver(

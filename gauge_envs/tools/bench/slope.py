@@ -10,7 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2, slide_friction, steady_speed_m_per_s
+from gauge_envs.evaluation.estimators import (
+    acceleration_m_per_s2,
+    slide_friction,
+    steady_speed_m_per_s,
+)
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray
@@ -53,23 +57,40 @@ def moved_m(rollout: Rollout, body: str, support: str) -> FloatArray:
     return np.asarray(rollout.displacement(body) @ slope_of(rollout, support).axes.T)
 
 
-def acceleration_downhill_m_per_s2(rollout: Rollout, body: str, support: str, *, start_s: float = 0.0) -> float:
+def acceleration_downhill_m_per_s2(
+    rollout: Rollout, body: str, support: str, *, start_s: float = 0.0
+) -> float:
     """Return the acceleration of a body down its support from a time on."""
     later = rollout.between(start_s, math.inf)
-    return acceleration_m_per_s2(rollout.times_s[later], moved_m(rollout, body, support)[later, 0])
+    return acceleration_m_per_s2(
+        rollout.times_s[later], moved_m(rollout, body, support)[later, 0]
+    )
 
 
-def creep_m_per_s(rollout: Rollout, body: str, support: str, *, start_s: float) -> float:
+def creep_m_per_s(
+    rollout: Rollout, body: str, support: str, *, start_s: float
+) -> float:
     """Return the speed with which a body creeps down its support from a time on."""
     later = rollout.between(start_s, math.inf)
-    return steady_speed_m_per_s(rollout.times_s[later], moved_m(rollout, body, support)[later, 0])
+    return steady_speed_m_per_s(
+        rollout.times_s[later], moved_m(rollout, body, support)[later, 0]
+    )
 
 
-def friction_of_slide(rollout: Rollout, body: str, support: str, *, start_s: float) -> float:
+def friction_of_slide(
+    rollout: Rollout, body: str, support: str, *, start_s: float
+) -> float:
     """Return the friction of a body that slides down its support from a time on, and may hop on it."""
     later = rollout.between(start_s, math.inf)
     moved = moved_m(rollout, body, support)[later]
     # Both accelerations are means over the same time with the same weights.
-    down, off = (acceleration_m_per_s2(rollout.times_s[later], moved[:, axis]) for axis in (0, 2))
+    down, off = (
+        acceleration_m_per_s2(rollout.times_s[later], moved[:, axis]) for axis in (0, 2)
+    )
     slope_rad = slope_of(rollout, support).angle_rad
-    return slide_friction(down, slope_rad, gravity_m_per_s2=rollout.scene.gravity_m_per_s2, lift_m_per_s2=off)
+    return slide_friction(
+        down,
+        slope_rad,
+        gravity_m_per_s2=rollout.scene.gravity_m_per_s2,
+        lift_m_per_s2=off,
+    )

@@ -21,7 +21,9 @@ INERTIA_SHARES = {SPIN: 2.0 / 5.0, ROLL: 7.0 / 5.0}
 """Moment of inertia of a ball about its contact point and each axis, over m r^2."""
 
 
-def turning_scene(seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any) -> Scene:
+def turning_scene(
+    seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any
+) -> Scene:
     """Return a ball with torsional or rolling friction on a plane.
 
     Args:
@@ -39,7 +41,9 @@ def turning_scene(seconds: float, velocity: float, spin: tuple[float, ...], **tu
     return Scene(bodies=(turns, ground()), contacts=(touch,), duration_s=seconds)
 
 
-def turning_arm_m(rollout: Rollout, axis: tuple[float, float, float], *, start_s: float = 0.0) -> float:
+def turning_arm_m(
+    rollout: Rollout, axis: tuple[float, float, float], *, start_s: float = 0.0
+) -> float:
     """Return the torque against a turn over the normal force [m], from the spin that a ball loses: -I / (m g) dw/dt.
 
     Args:
@@ -50,4 +54,9 @@ def turning_arm_m(rollout: Rollout, axis: tuple[float, float, float], *, start_s
     seen = rollout.times_s >= start_s
     spin_rad_per_s = rollout.angular_velocity("ball")[seen] @ np.array(axis)
     rate_rad_per_s2 = steady_speed_m_per_s(rollout.times_s[seen], spin_rad_per_s)
-    return -INERTIA_SHARES[axis] * RADIUS_M**2 * rate_rad_per_s2 / rollout.scene.gravity_m_per_s2
+    return (
+        -INERTIA_SHARES[axis]
+        * RADIUS_M**2
+        * rate_rad_per_s2
+        / rollout.scene.gravity_m_per_s2
+    )

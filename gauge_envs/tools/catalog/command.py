@@ -20,10 +20,16 @@ def list_(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KIND] [PATTERN]...", help=f"experiments by default, {', '.join(KINDS)}; ids, patterns."
+            metavar="[KIND] [PATTERN]...",
+            help=f"experiments by default, {', '.join(KINDS)}; ids, patterns.",
         ),
     ] = None,
-    scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
+    scored: Annotated[
+        bool,
+        typer.Option(
+            "--scored", help="Only ids with a reference, and so with a reward."
+        ),
+    ] = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
@@ -33,7 +39,11 @@ def list_(
     """
     from gauge_envs.pages.document import Document
 
-    kind, *patterns = words if words and words[0] in ("experiments", *KINDS) else ["experiments", *(words or ())]
+    kind, *patterns = (
+        words
+        if words and words[0] in ("experiments", *KINDS)
+        else ["experiments", *(words or ())]
+    )
     if kind == "experiments":
         return _list_experiments(patterns, scored, form)
     print_document(Document(parts=KINDS[kind].function(f"list {kind}")(patterns)), form)
@@ -48,7 +58,11 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.references.grades import BandGrade
     from gauge_envs.tools.catalog.overview import list_table, stored_rows
 
-    variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
+    variants = dict.fromkeys(
+        variant
+        for pattern in patterns or ["*"]
+        for variant in matching_variants(pattern)
+    )
     faults: Mapping[str, TaskFileError] = {}
     found = stored_rows(variants)
     if found is None:
@@ -58,19 +72,34 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
         faults = task_file_faults()
         for fault in faults.values():
             message(fault, "skipped")
-        found = list_rows([one for one in variants if one.family not in faults], notify=note)
+        found = list_rows(
+            [one for one in variants if one.family not in faults], notify=note
+        )
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
     families = len({row["family"] for row in rows})
-    lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]
+    lines = [
+        f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"
+    ]
     if patterns in ([], ["*"]) and not scored:
-        beyond = ", ".join(dict.fromkeys(f"{variant.family}-*" for variant in beyond_variants()))
-        lines = [*(ids.summary() for ids in id_modules()), f"Beyond the benchmark: {beyond}", *lines]
+        beyond = ", ".join(
+            dict.fromkeys(f"{variant.family}-*" for variant in beyond_variants())
+        )
+        lines = [
+            *(ids.summary() for ids in id_modules()),
+            f"Beyond the benchmark: {beyond}",
+            *lines,
+        ]
     print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
     return bool(faults)
 
 
 def show(
-    name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="ID", help="Id, with or without GAUGE/; or an experiment file."
+        ),
+    ],
     asset: arguments.Asset = None,
     use: arguments.Use = "",
     form: arguments.Form = Format.TEXT,
@@ -88,5 +117,10 @@ def show(
         if plain_name in ids.names():
             print_document(ids.document(plain_name), form)
             return
-    experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
-    print_document(experiment_document(description(experiment), detailed=form is not Format.TEXT), form)
+    experiment = resolve_experiment(
+        name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
+    )
+    print_document(
+        experiment_document(description(experiment), detailed=form is not Format.TEXT),
+        form,
+    )

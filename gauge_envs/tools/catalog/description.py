@@ -74,7 +74,11 @@ def all_limits() -> tuple[Limit, ...]:
 
 def known_limits(variant: str) -> tuple[Limit, ...]:
     """Return the known limits of a variant, as `SlopeSlider-2-wood`."""
-    return tuple(one for one in all_limits() if any(fnmatchcase(variant, pattern) for pattern in one.variants))
+    return tuple(
+        one
+        for one in all_limits()
+        if any(fnmatchcase(variant, pattern) for pattern in one.variants)
+    )
 
 
 def episode_costs(family: str) -> dict[str, Cost]:
@@ -91,7 +95,11 @@ def description(experiment: Experiment) -> dict[str, Any]:
         {
             "id": experiment.id,
             "title": experiment.title,
-            **(_of_task(experiment) if isinstance(experiment, TaskExperiment) else _of_file(experiment)),
+            **(
+                _of_task(experiment)
+                if isinstance(experiment, TaskExperiment)
+                else _of_file(experiment)
+            ),
             "asset": None if experiment.asset is None else experiment.asset.to_dict(),
             "frames": experiment.frame_count,
             "duration_s": scene.duration_s,
@@ -100,23 +108,40 @@ def description(experiment: Experiment) -> dict[str, Any]:
                 "unit": experiment.score.observable.unit,
                 "coordinates": experiment.coordinates,
             },
-            "bodies": [_body(body, experiment) for body in (*scene.bodies, *scene.deformables)],
+            "bodies": [
+                _body(body, experiment) for body in (*scene.bodies, *scene.deformables)
+            ],
             "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
             "joints": [
-                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | joint_fields(joint)
+                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"}
+                | joint_fields(joint)
                 for joint in scene.joints
             ]
-            + [{"kind": "hinge of two bodies"} | joint_fields(hinge) for hinge in scene.body_hinges],
-            "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
-            "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
+            + [
+                {"kind": "hinge of two bodies"} | joint_fields(hinge)
+                for hinge in scene.body_hinges
+            ],
+            "attachments": [
+                dataclasses.asdict(attachment) for attachment in scene.attachments
+            ],
+            "drivers": [
+                _driver(experiment, index) for index in range(len(scene.drivers))
+            ],
             "air": None if scene.air is None else dataclasses.asdict(scene.air),
-            "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
+            "markers": None
+            if scene.markers is None
+            else {"count": len(scene.markers.positions_m)},
             "action": action_rows(experiment),
             "observation": observation_rows(experiment),
             "reference": _reference(experiment),
-            "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
+            "baselines": [
+                dataclasses.asdict(line) for line in experiment.baselines.values()
+            ],
             "engines": _engines(experiment),
-            "limits": [one.model_dump(exclude={"variants"}) for one in known_limits(experiment.name)],
+            "limits": [
+                one.model_dump(exclude={"variants"})
+                for one in known_limits(experiment.name)
+            ],
         }
     )
 
@@ -146,11 +171,21 @@ def _of_task(experiment: TaskExperiment) -> dict[str, Any]:
         "group": spec.group.value,
         "evaluates": spec.evaluates,
         "source": spec.source.model_dump(exclude_none=True),
-        "constants": {name: _constants(experiment, name) for name in spec.constants if _has(experiment, name)},
+        "constants": {
+            name: _constants(experiment, name)
+            for name in spec.constants
+            if _has(experiment, name)
+        },
         "parameter_sets": {
-            "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
+            "calibrated": {
+                "summary": "calibrated constants of the metadata",
+                "values": {},
+            },
             **{
-                name: {"summary": chosen.summary, "values": dict(load_experiment(variant, name).overrides)}
+                name: {
+                    "summary": chosen.summary,
+                    "values": dict(load_experiment(variant, name).overrides),
+                }
                 for name, chosen in spec.parameters.items()
             },
         },
@@ -205,7 +240,11 @@ def _of_file(experiment: Any) -> dict[str, Any]:
 def _reference(experiment: Experiment) -> dict[str, Any]:
     """Return what an experiment is or could be scored against."""
     own = experiment.reference
-    band = load_band(experiment.name, experiment.reference_source) if own is None else own.band
+    band = (
+        load_band(experiment.name, experiment.reference_source)
+        if own is None
+        else own.band
+    )
     law = law_for(experiment.name) if own is None else None
     used = reference_band(experiment)
     shown = band if used is None else used
@@ -222,7 +261,9 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
         "withheld": band and band.withheld,
-        "unsolved": unsolved.model_dump() if used is None and unsolved is not None else None,
+        "unsolved": unsolved.model_dump()
+        if used is None and unsolved is not None
+        else None,
         "reward": reward_text(reward_band(experiment, used)),
     }
 
@@ -240,7 +281,11 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
     if shape is not None:
         described["shape"] = dataclasses.asdict(shape) | {"kind": type(shape).__name__}
     pose = values.pop("pose")
-    return described | values | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
+    return (
+        described
+        | values
+        | {"position_m": pose.position_m, "quaternion_wxyz": pose.quaternion}
+    )
 
 
 def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
@@ -258,22 +303,43 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
     variant, spec = experiment.variant, experiment.spec
     own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
     source = (own if own is not None else spec.drivers)[index]
-    motions, note = [motion.model_dump(exclude_none=True) for motion in source.motions], source.note
-    imported = load_imported(experiment.name) if experiment.drivers is DataSource.IMPORTED else None
-    records = [] if imported is None else [one for one in imported.record.drivers if one.body == driver.body]
+    motions, note = (
+        [motion.model_dump(exclude_none=True) for motion in source.motions],
+        source.note,
+    )
+    imported = (
+        load_imported(experiment.name)
+        if experiment.drivers is DataSource.IMPORTED
+        else None
+    )
+    records = (
+        []
+        if imported is None
+        else [one for one in imported.record.drivers if one.body == driver.body]
+    )
     if records:
         note = f"{_recorded_note(records[0])}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
-            motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
+            motion["profile"] = [
+                _sampled(profile, motion["kind"]) for profile in used.profiles
+            ]
     return described | {"imported": bool(records), "note": note, "motions": motions}
 
 
 def _sampled(profile: Profile, kind: str) -> dict[str, Any]:
     """Return an imported profile as a task file would state it."""
     assert isinstance(profile, SampledProfile)
-    values = profile.values if kind == "translate" else [math.degrees(value) for value in profile.values]
+    values = (
+        profile.values
+        if kind == "translate"
+        else [math.degrees(value) for value in profile.values]
+    )
     unit = "m" if kind == "translate" else "deg"
-    return {"kind": "sampled", "times_s": list(profile.times_s), f"values_{unit}": list(values)}
+    return {
+        "kind": "sampled",
+        "times_s": list(profile.times_s),
+        f"values_{unit}": list(values),
+    }
 
 
 def _recorded_note(record: DriverRecord) -> str:

@@ -18,7 +18,9 @@ QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
 
 
-def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = lambda _: None) -> list[dict[str, Any]]:
+def list_rows(
+    variants: Iterable[Variant], *, notify: Callable[[str], None] = lambda _: None
+) -> list[dict[str, Any]]:
     """Return one row per variant; `backends` maps each installed backend to the features of the scene that it lacks.
 
     Args:
@@ -26,10 +28,16 @@ def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = la
         notify: Receives one sentence for each backend that does not work.
     """
     experiments = {variant: load_experiment(variant) for variant in variants}
-    lacking = {name: lacking_features(name, list(experiments.values()), notify) for name in backend_names()}
+    lacking = {
+        name: lacking_features(name, list(experiments.values()), notify)
+        for name in backend_names()
+    }
     return [
         facts_of(experiment)
-        | {"imported": has_import(variant.name), "backends": {name: lacks[index] for name, lacks in lacking.items()}}
+        | {
+            "imported": has_import(variant.name),
+            "backends": {name: lacks[index] for name, lacks in lacking.items()},
+        }
         for index, (variant, experiment) in enumerate(experiments.items())
     ]
 
@@ -54,12 +62,22 @@ def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
     """
     rows = []
     for name in backend_names():
-        row: dict[str, Any] = {"engine": name, "missing": [], "fault": None, "preset": None, "timestep_s": None}
+        row: dict[str, Any] = {
+            "engine": name,
+            "missing": [],
+            "fault": None,
+            "preset": None,
+            "timestep_s": None,
+        }
         if not is_bundled(name) or experiment.model_file is not None:
             rows.append(row | {"missing": lacking_features(name, [experiment])[0]})
             continue
         engine = uninstalled_backend(name)
-        row["missing"] = list(with_declared(engine, experiment.scene, engine.supports(experiment.scene)).missing)
+        row["missing"] = list(
+            with_declared(
+                engine, experiment.scene, engine.supports(experiment.scene)
+            ).missing
+        )
         if not row["missing"]:
             settings = engine.resolved_settings(experiment.scene) or {}
             row |= {key: settings.get(key) for key in ("preset", "timestep_s")}
@@ -72,7 +90,9 @@ def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
 
 
 def lacking_features(
-    name: str, experiments: Sequence[Experiment], notify: Callable[[str], None] = lambda _: None
+    name: str,
+    experiments: Sequence[Experiment],
+    notify: Callable[[str], None] = lambda _: None,
 ) -> list[list[str]]:
     """Return what a backend lacks for each experiment, or its error; nothing for one that it can run.
 
@@ -97,17 +117,23 @@ def lacking_features(
     return lacks
 
 
-def _lacks(name: str, experiments: Sequence[Experiment]) -> tuple[list[list[str]], str | None]:
+def _lacks(
+    name: str, experiments: Sequence[Experiment]
+) -> tuple[list[list[str]], str | None]:
     """Return what a backend lacks for each experiment, and the first error that it raised, or None."""
     try:
         backend(name)
     except GaugeError as error:
         # No scene changes that; to look for the engine again takes longer than its answer would.
-        return [[str(error)]] * len(experiments), None if isinstance(error, MissingExtraError) else str(error)
+        return [[str(error)]] * len(experiments), None if isinstance(
+            error, MissingExtraError
+        ) else str(error)
     lacks, fault = [], None
     for experiment in experiments:
         try:
-            lacks.append(list(support_of(name, experiment.scene, experiment.model_file).missing))
+            lacks.append(
+                list(support_of(name, experiment.scene, experiment.model_file).missing)
+            )
         except GaugeError as error:
             lacks.append([str(error)])
             if not isinstance(error, MissingExtraError):

@@ -38,17 +38,27 @@ def stored_rows(variants: Iterable[Variant]) -> list[dict[str, Any]] | None:
     Whether an engine is installed is looked up, and not whether it works.
     """
     stored = json.loads(STORED.read_bytes())
-    if stored["inputs"] != inputs() or {point.name: point.value for point in engine_points()} != stored["engines"]:
+    if (
+        stored["inputs"] != inputs()
+        or {point.name: point.value for point in engine_points()} != stored["engines"]
+    ):
         return None
     absent = {}
     for name, modules in stored["modules"].items():
-        missing = next((module for module in modules if find_spec(module) is None), None)
+        missing = next(
+            (module for module in modules if find_spec(module) is None), None
+        )
         if missing is not None:
-            error = MissingExtraError(f"backend {name!r}", name, ModuleNotFoundError(name=missing))
+            error = MissingExtraError(
+                f"backend {name!r}", name, ModuleNotFoundError(name=missing)
+            )
             absent[name] = [str(error)]
     return [
         stored["facts"][variant.id]
-        | {"imported": has_import(variant.name), "backends": stored["lacks"][variant.id] | absent}
+        | {
+            "imported": has_import(variant.name),
+            "backends": stored["lacks"][variant.id] | absent,
+        }
         for variant in variants
     ]
 
@@ -57,7 +67,9 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return the rows of `list_rows` as a table."""
     imported = [short_id(row["id"]) for row in rows if row["imported"]]
     # An engine that runs nothing is not installed or broken; it is no exception in each row.
-    working = {name for row in rows for name, lacks in row["backends"].items() if not lacks}
+    working = {
+        name for row in rows for name, lacks in row["backends"].items() if not lacks
+    }
     return Table(
         columns=(
             Column("id", "id"),
@@ -65,7 +77,12 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             Column("observable", "observable", wide_only=True),
             Column("frames", "frames", is_number=True, wide_only=True),
             Column("grade", "grade"),
-            Column("imported", "imported trials", lambda known: "yes" if known else "no", wide_only=True),
+            Column(
+                "imported",
+                "imported trials",
+                lambda known: "yes" if known else "no",
+                wide_only=True,
+            ),
             Column("backends", "runs on", partial(_usable_text, working=working)),
         ),
         rows=rows,
@@ -73,7 +90,9 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     )
 
 
-def _usable_text(backends: Mapping[str, Sequence[str]], *, working: Collection[str]) -> str:
+def _usable_text(
+    backends: Mapping[str, Sequence[str]], *, working: Collection[str]
+) -> str:
     """Return the engines that run an experiment, of those that run any."""
     usable = [name for name, lacks in backends.items() if not lacks]
     others = [name for name, lacks in backends.items() if lacks and name in working]

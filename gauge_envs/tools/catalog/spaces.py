@@ -35,9 +35,19 @@ def action_rows(experiment: Experiment) -> list[dict[str, Any]]:
     if isinstance(space, spaces.Discrete):
         return [_row("action", (), 0.0, 0.0, "1", "nothing is driven")]
     assert isinstance(space, spaces.Box)
-    motions = [(driver.body, motion) for driver in experiment.scene.drivers for motion in driver.motions]
+    motions = [
+        (driver.body, motion)
+        for driver in experiment.scene.drivers
+        for motion in driver.motions
+    ]
     return [
-        _row(f"action[{index}]", (), space.low[index], space.high[index], *_driven(body, motion))
+        _row(
+            f"action[{index}]",
+            (),
+            space.low[index],
+            space.high[index],
+            *_driven(body, motion),
+        )
         for index, (body, motion) in enumerate(motions)
     ]
 
@@ -50,7 +60,10 @@ def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
     if not scale:
         return "1", f"no effect on {body}"
     kind = "rate about" if is_turn else "velocity along"
-    return f"times {scale:.3g} {'deg/s' if is_turn else 'm/s'}", f"{kind} ({axis}), added to the motion of {body}"
+    return (
+        f"times {scale:.3g} {'deg/s' if is_turn else 'm/s'}",
+        f"{kind} ({axis}), added to the motion of {body}",
+    )
 
 
 def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
@@ -58,15 +71,23 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
     space = observation_space_of(experiment)
     assert isinstance(space, spaces.Dict)
     observable, drivers = experiment.score.observable, experiment.scene.drivers
-    bodies = {"bodies": experiment.recorded, "driver": tuple(driver.body for driver in drivers)}
+    bodies = {
+        "bodies": experiment.recorded,
+        "driver": tuple(driver.body for driver in drivers),
+    }
     markers = experiment.scene.markers
     meanings = {
         "observable": (observable.unit, f"g(t): {OBSERVED[observable]}"),
-        "markers": ("m", f"x y z of the markers on {', '.join(markers.bodies) if markers else ''}"),
+        "markers": (
+            "m",
+            f"x y z of the markers on {', '.join(markers.bodies) if markers else ''}",
+        ),
         "time": ("s", "time since the start"),
     }
     rows: list[dict[str, Any]] = []
-    for key in filter(space.keys().__contains__, ("observable", "bodies", "markers", "driver", "time")):
+    for key in filter(
+        space.keys().__contains__, ("observable", "bodies", "markers", "driver", "time")
+    ):
         box = space[key]
         assert isinstance(box, spaces.Box)
         rows += (
@@ -77,7 +98,9 @@ def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _state_rows(key: str, box: spaces.Box, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+def _state_rows(
+    key: str, box: spaces.Box, names: Sequence[str]
+) -> Iterator[dict[str, Any]]:
     """Yield a row for each part of the states of bodies."""
     for columns, unit, meaning in STATE:
         low, high = box.low[:, columns], box.high[:, columns]
@@ -87,9 +110,17 @@ def _state_rows(key: str, box: spaces.Box, names: Sequence[str]) -> Iterator[dic
         yield row | {"entry": key, "whole": list(box.shape)}
 
 
-def _row(name: str, shape: Sequence[int], low: float, high: float, unit: str, meaning: str) -> dict[str, Any]:
+def _row(
+    name: str, shape: Sequence[int], low: float, high: float, unit: str, meaning: str
+) -> dict[str, Any]:
     values = {"low": float(low), "high": float(high), "unit": unit, "meaning": meaning}
-    return {"entry": name, "whole": list(shape), "name": name, "shape": list(shape), **values}
+    return {
+        "entry": name,
+        "whole": list(shape),
+        "name": name,
+        "shape": list(shape),
+        **values,
+    }
 
 
 def range_text(row: Mapping[str, Any]) -> str:

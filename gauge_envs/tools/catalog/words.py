@@ -56,8 +56,16 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
             if values["baselines"]
             else Paragraph("Published: none")
         ),
-        *([Bullets([limit_text(one) for one in values["limits"]], "Known limits")] if values["limits"] else []),
-        *([Heading("Constants and driven motion")] if values["constants"] or values["drivers"] else []),
+        *(
+            [Bullets([limit_text(one) for one in values["limits"]], "Known limits")]
+            if values["limits"]
+            else []
+        ),
+        *(
+            [Heading("Constants and driven motion")]
+            if values["constants"] or values["drivers"]
+            else []
+        ),
         Facts(_constants(values["constants"])),
         *_drivers(values, detailed=detailed),
     )
@@ -69,7 +77,11 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
 
 
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
-    observable, reference, asset = values["observable"], values["reference"], values["asset"]
+    observable, reference, asset = (
+        values["observable"],
+        values["reference"],
+        values["asset"],
+    )
     facts = {
         "evaluates": ", ".join(values["evaluates"]),
         "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
@@ -105,14 +117,18 @@ def limit_text(limit: Mapping[str, Any]) -> str:
     return limit["text"] + (f" (studies/{limit['study']})" if limit["study"] else "")
 
 
-def _constants(constants: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, str]:
+def _constants(
+    constants: Mapping[str, Mapping[str, Mapping[str, Any]]],
+) -> dict[str, str]:
     """Return the constants of bodies that share them, those of a source before it."""
     names: dict[str, list[str]] = {}
     for name, table in constants.items():
         by_source: dict[str, dict[str, Any]] = {}
         for key, constant in table.items():
             by_source.setdefault(constant["source"], {})[key] = constant["value"]
-        text = "; ".join(f"{pairs_text(group)} ({source})" for source, group in by_source.items())
+        text = "; ".join(
+            f"{pairs_text(group)} ({source})" for source, group in by_source.items()
+        )
         names.setdefault(text, []).append(name)
     return {shortened(sharing): text for text, sharing in names.items()}
 
@@ -133,7 +149,11 @@ def _entries(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 def step_text(step_s: float) -> str:
     """Return a time step as a fraction of a second, or in seconds if it is none."""
     count = 1.0 / step_s
-    return f"1/{round(count)}" if abs(count - round(count)) < 1e-6 * count else f"{step_s:.4g}"
+    return (
+        f"1/{round(count)}"
+        if abs(count - round(count)) < 1e-6 * count
+        else f"{step_s:.4g}"
+    )
 
 
 def span_text(span: Sequence[float]) -> str:
@@ -144,7 +164,12 @@ def span_text(span: Sequence[float]) -> str:
 
 def reasons_text(missing: Sequence[str]) -> str:
     """Return why an engine declines a scene: the first reason, and the number of the others; empty without any."""
-    return "" if not missing else missing[0] + (f" (and {len(missing) - 1} more)" if len(missing) > 1 else "")
+    return (
+        ""
+        if not missing
+        else missing[0]
+        + (f" (and {len(missing) - 1} more)" if len(missing) > 1 else "")
+    )
 
 
 def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
@@ -153,12 +178,25 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
     yield Table(
         title="Engines",
         columns=(
-            Column("engine", "engine", lambda name: f"{name} (default)" if name == EnvArguments.backend else name),
+            Column(
+                "engine",
+                "engine",
+                lambda name: (
+                    f"{name} (default)" if name == EnvArguments.backend else name
+                ),
+            ),
             Column("preset", "preset"),
             Column("timestep_s", "step [s]", step_text, is_number=True),
             Column("cpu_s_per_s", "CPU s/s", span_text, is_number=True),
-            Column("", "s/episode", partial(_episode_cost, duration_s=values["duration_s"]), is_number=True),
-            Column("", "works here", lambda row: "yes" if row["fault"] is None else "no"),
+            Column(
+                "",
+                "s/episode",
+                partial(_episode_cost, duration_s=values["duration_s"]),
+                is_number=True,
+            ),
+            Column(
+                "", "works here", lambda row: "yes" if row["fault"] is None else "no"
+            ),
         ),
         rows=running,
         notes=(
@@ -166,7 +204,13 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             *(row["fault"] for row in running if row["fault"] is not None),
         ),
     )
-    yield Facts({row["engine"]: f"no: {reasons_text(row['missing'])}" for row in values["engines"] if row["missing"]})
+    yield Facts(
+        {
+            row["engine"]: f"no: {reasons_text(row['missing'])}"
+            for row in values["engines"]
+            if row["missing"]
+        }
+    )
 
 
 def _episode_cost(row: Mapping[str, Any], *, duration_s: float) -> str:
@@ -178,7 +222,9 @@ def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what half the step and half the cell change, by engine, of those that were measured."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
     return {
-        row["engine"]: convergence_text(row["convergence"], has_cells=has_cells, with_unit=True)
+        row["engine"]: convergence_text(
+            row["convergence"], has_cells=has_cells, with_unit=True
+        )
         for row in values["engines"]
         if row["convergence"]
     }
@@ -192,8 +238,14 @@ def _drivers(values: Mapping[str, Any], *, detailed: bool) -> Iterator[Part]:
     has_import = values["reference"]["is_import_available"] and values["asset"] is None
     for driver in values["drivers"]:
         end = hint if has_import and not driver["imported"] else ""
-        yield Paragraph(f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}{end}")
-        yield from (Paragraph(f"  {pairs_text(motion)}") for motion in driver["motions"] if detailed)
+        yield Paragraph(
+            f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}{end}"
+        )
+        yield from (
+            Paragraph(f"  {pairs_text(motion)}")
+            for motion in driver["motions"]
+            if detailed
+        )
 
 
 def _details(values: Mapping[str, Any]) -> Iterator[Part]:
@@ -210,7 +262,8 @@ def _details(values: Mapping[str, Any]) -> Iterator[Part]:
     yield Heading("Parameter sets")
     yield Facts(
         {
-            name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
+            name: chosen["summary"]
+            + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
             for name, chosen in values["parameter_sets"].items()
         }
     )
@@ -225,13 +278,21 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
         if reference["known_frames"] < values["frames"]:
-            facts["sigma"] += f"; the mean is known at {reference['known_frames']} of {values['frames']} frames"
+            facts["sigma"] += (
+                f"; the mean is known at {reference['known_frames']} of {values['frames']} frames"
+            )
     if reference["single_shot"]:
-        facts["normalized"] = "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
+        facts["normalized"] = (
+            "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
+        )
     elif reference["normalized_by_baseline"] is False:
-        facts["normalized"] = "no: the published baseline is of another span of the motion"
+        facts["normalized"] = (
+            "no: the published baseline is of another span of the motion"
+        )
     if reference["withheld"] is not None:
-        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
+        facts["withheld"] = (
+            f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
+        )
     return facts
 
 
@@ -244,7 +305,12 @@ def _scene(values: Mapping[str, Any]) -> Iterator[Part]:
         columns=(
             Column("", "name", name),
             Column("", "motion", lambda body: body.get("motion", body["kind"])),
-            Column("", "mass [kg]", lambda body: f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-", is_number=True),
+            Column(
+                "",
+                "mass [kg]",
+                lambda body: f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-",
+                is_number=True,
+            ),
             Column("position_m", "position [m]", vector_text),
             Column("quaternion_wxyz", "quaternion wxyz", vector_text),
             Column("", "shape", _shape, place=Place.BELOW),
@@ -275,12 +341,27 @@ def _shape(body: Mapping[str, Any]) -> str:
     kind = shape.pop("kind")
     if "pieces_m" in shape:
         return f"{kind}, {len(shape['pieces_m'])} pieces"
-    skip = ("name", "kind", "recorded", "motion", "shape", "mass_kg", "position_m", "quaternion_wxyz")
-    return " ".join(filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip))))
+    skip = (
+        "name",
+        "kind",
+        "recorded",
+        "motion",
+        "shape",
+        "mass_kg",
+        "position_m",
+        "quaternion_wxyz",
+    )
+    return " ".join(
+        filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip)))
+    )
 
 
 def published_table(
-    lines: Sequence[Mapping[str, Any]], *, title: str = "", note: str = NORMALIZED_NOTE, columns: Sequence[Column] = ()
+    lines: Sequence[Mapping[str, Any]],
+    *,
+    title: str = "",
+    note: str = NORMALIZED_NOTE,
+    columns: Sequence[Column] = (),
 ) -> Table:
     """Return published scores as a table.
 
@@ -300,7 +381,10 @@ def published_table(
             *columns,
             Column("metric", "metric", METRIC_TITLES.__getitem__),
             Column("", "real trials", trials, is_number=True),
-            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in PUBLISHED_ENGINES.items()),
+            *(
+                Column(f"engines.{key}", title, score_text, is_number=True)
+                for key, title in PUBLISHED_ENGINES.items()
+            ),
         ),
         rows=lines,
         notes=(note,) if lines else (),

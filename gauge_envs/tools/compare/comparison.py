@@ -27,8 +27,19 @@ from gauge_envs.runs.configuration import RunConfiguration, group_by_configurati
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
-from gauge_envs.tools.compare.draws import ScoreDraws, ScoreSpread, repeats_interval, score_draws
-from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, PairComparison, compare_grade, grade_name
+from gauge_envs.tools.compare.draws import (
+    ScoreDraws,
+    ScoreSpread,
+    repeats_interval,
+    score_draws,
+)
+from gauge_envs.tools.compare.grades import (
+    GradeComparison,
+    GradedExperiment,
+    PairComparison,
+    compare_grade,
+    grade_name,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,20 +71,38 @@ class Cell:
 
     def spread(self, metric: str, *, normalized: bool) -> ScoreSpread | None:
         """Return mean and scatter over the repeats that have the metric."""
-        return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
+        return ScoreSpread.of(
+            [
+                value
+                for value in self.values(metric, normalized=normalized)
+                if value is not None
+            ]
+        )
 
     def interval_95(self, metric: str) -> tuple[float, float] | None:
         """Return the 95 % interval of the mean of the normalized metric; None if a repeat with the metric has none."""
-        scores = [one.score for one in self.results if normalized_score(one.score, metric) is not None]
-        intervals = [ends for score in scores if (ends := score_interval(score, metric)) is not None]
+        scores = [
+            one.score
+            for one in self.results
+            if normalized_score(one.score, metric) is not None
+        ]
+        intervals = [
+            ends
+            for score in scores
+            if (ends := score_interval(score, metric)) is not None
+        ]
         if not scores or len(intervals) < len(scores):
             return None
-        return repeats_interval([normalized_score(score, metric) or 0.0 for score in scores], intervals)
+        return repeats_interval(
+            [normalized_score(score, metric) or 0.0 for score in scores], intervals
+        )
 
     def percentile(self, metric: str) -> float | None:
         """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
         field = PERCENTILES.get(metric)
-        known = [getattr(result.score, field) for result in self.results] if field else []
+        known = (
+            [getattr(result.score, field) for result in self.results] if field else []
+        )
         spread = ScoreSpread.of([value for value in known if value is not None])
         return None if spread is None else spread.mean
 
@@ -126,8 +155,13 @@ class ExperimentComparison:
     @property
     def primary(self) -> str:
         """Metric that reports show first: `rmse_aligned` if the experiment starts with a release, else `rmse`."""
-        results = [result for cell in self.cells if cell is not None for result in cell.results]
-        return next((one.score.primary for one in results if one.score.primary is not None), "rmse")
+        results = [
+            result for cell in self.cells if cell is not None for result in cell.results
+        ]
+        return next(
+            (one.score.primary for one in results if one.score.primary is not None),
+            "rmse",
+        )
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
         """Return the metrics that a result has or whose published scores can stand beside it, the primary first."""
@@ -135,7 +169,8 @@ class ExperimentComparison:
         names = [
             name
             for name in among
-            if self.published(name) is not None or any(cell.spread(name, normalized=False) for cell in cells)
+            if self.published(name) is not None
+            or any(cell.spread(name, normalized=False) for cell in cells)
         ]
         return sorted(names, key=lambda name: name != self.primary)
 
@@ -151,15 +186,27 @@ class ExperimentComparison:
         """
         line = self.baselines.get(metric)
         is_comparable = self.grade == BandGrade.TRIALS.value and not self.withheld
-        return line.engines if line is not None and (is_comparable or SCORE_METRICS[metric].is_event) else None
+        return (
+            line.engines
+            if line is not None and (is_comparable or SCORE_METRICS[metric].is_event)
+            else None
+        )
 
     def graded(self) -> GradedExperiment:
         """Return the scores of this experiment for a comparison within its grade."""
-        counts = [result.score.trial_count for cell in self.cells if cell is not None for result in cell.results]
+        counts = [
+            result.score.trial_count
+            for cell in self.cells
+            if cell is not None
+            for result in cell.results
+        ]
         return GradedExperiment(
             id=self.id,
             draws=tuple(None if cell is None else cell.draws for cell in self.cells),
-            intervals=tuple(None if cell is None else cell.interval_95(self.primary) for cell in self.cells),
+            intervals=tuple(
+                None if cell is None else cell.interval_95(self.primary)
+                for cell in self.cells
+            ),
             trial_count=next(filter(None, counts), None),
         )
 
@@ -217,11 +264,15 @@ class Comparison:
         order = list(BandGrade)
         return tuple(
             found
-            for group in sorted(groups, key=lambda group: (order.index(group[0]), group[1]))
+            for group in sorted(
+                groups, key=lambda group: (order.index(group[0]), group[1])
+            )
             for found in self.compare_within(groups[group])
         )
 
-    def compare_within(self, experiments: Sequence[ExperimentComparison]) -> tuple[GradeComparison, ...]:
+    def compare_within(
+        self, experiments: Sequence[ExperimentComparison]
+    ) -> tuple[GradeComparison, ...]:
         """Return ranks and pairs in experiments of one grade: configurations with the same constants, then the others.
 
         Args:
@@ -229,21 +280,34 @@ class Comparison:
         """
         first = experiments[0]
         graded = [one.graded() for one in experiments]
-        return compare_grade(first.grade, withheld=first.withheld, experiments=graded, constants=self._constants)
+        return compare_grade(
+            first.grade,
+            withheld=first.withheld,
+            experiments=graded,
+            constants=self._constants,
+        )
 
     @cached_property
     def _constants(self) -> tuple[str, ...]:
         """Name of the constants of each configuration: its parameters, and the scene that it edits."""
         kinds = ("parameters", "asset")
         return tuple(
-            ", ".join(text for kind, text in configuration_parts(one, digits=17) if kind in kinds)
+            ", ".join(
+                text
+                for kind, text in configuration_parts(one, digits=17)
+                if kind in kinds
+            )
             for one in self.configurations
         )
 
     @property
     def run_by_all(self) -> tuple[ExperimentComparison, ...]:
         """Experiments that every configuration ran, also if an episode diverged."""
-        return tuple(one for one in self.experiments if all(cell is not None and cell.ran for cell in one.cells))
+        return tuple(
+            one
+            for one in self.experiments
+            if all(cell is not None and cell.ran for cell in one.cells)
+        )
 
     def summaries(self) -> tuple[Summary, ...]:
         """Return one summary for each configuration, in their order."""
@@ -253,7 +317,9 @@ class Comparison:
         cells = _cells_of(self.experiments, index)
         return Summary(
             ran=sum(cell.ran for cell in cells),
-            scored=sum(None not in cell.values("rmse", normalized=True) for cell in cells),
+            scored=sum(
+                None not in cell.values("rmse", normalized=True) for cell in cells
+            ),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
             wall_s_per_sim_s=_cost(cells),
@@ -268,8 +334,17 @@ def _cells_of(experiments: Iterable[ExperimentComparison], index: int) -> list[C
 
 def _has_one_reference(one: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
-    results = [result for cell in one.cells if cell is not None for result in cell.results if result.error is None]
-    references = {(one.score.grade, one.score.withheld, *sorted(one.dataset.items())) for one in results}
+    results = [
+        result
+        for cell in one.cells
+        if cell is not None
+        for result in cell.results
+        if result.error is None
+    ]
+    references = {
+        (one.score.grade, one.score.withheld, *sorted(one.dataset.items()))
+        for one in results
+    }
     return len(references) <= 1
 
 
@@ -282,8 +357,13 @@ def compare(results: Iterable[Result]) -> Comparison:
     given = sorted(results, key=lambda result: result.revision)
     newest = {one.id: one.revision for one in given}
     every = [one for one in given if one.revision == newest[one.id]]
-    older = dict.fromkeys(short_id(one.id) for one in given if one.revision < newest[one.id])
-    notes = [f"{name}: results of an older revision are left out; compare them apart" for name in older]
+    older = dict.fromkeys(
+        short_id(one.id) for one in given if one.revision < newest[one.id]
+    )
+    notes = [
+        f"{name}: results of an older revision are left out; compare them apart"
+        for name in older
+    ]
     groups = group_by_configuration(every)
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
@@ -300,13 +380,17 @@ def compare(results: Iterable[Result]) -> Comparison:
 
 def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
     """Return an experiment in all configurations."""
-    present = [(index, cell.results) for index, cell in enumerate(cells) if cell is not None]
+    present = [
+        (index, cell.results) for index, cell in enumerate(cells) if cell is not None
+    ]
     results = [result for _, members in present for result in members]
     first = next((result for result in results if result.error is None), results[0])
     baselines = published_baselines(short_id(name))
     distances = []
     for (index, some), (other_index, others) in combinations(present, 2):
-        distance = trajectory_distance((index, other_index), some, others, baselines.get("rmse"))
+        distance = trajectory_distance(
+            (index, other_index), some, others, baselines.get("rmse")
+        )
         if distance is not None:
             distances.append(distance)
     return ExperimentComparison(
@@ -323,7 +407,10 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
 def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None:
     """Return the results of one experiment among those of a configuration, and add what was left out to the notes."""
     mine = [result for result in members if result.id == name]
-    latest = {result.seed: result for result in sorted(mine, key=lambda result: result.created)}
+    latest = {
+        result.seed: result
+        for result in sorted(mine, key=lambda result: result.created)
+    }
     if len(latest) < len(mine):
         notes.append(
             f"{short_id(name)}: {len(mine)} results of {mine[0].backend or 'files'} with "
@@ -331,7 +418,9 @@ def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None
         )
     in_force = [result.settings for result in latest.values() if result.error is None]
     if any(settings != in_force[0] for settings in in_force):
-        notes.append(f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force")
+        notes.append(
+            f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force"
+        )
     kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
     return Cell(results=kept, draws=_cell_draws(kept, notes)) if kept else None
 
@@ -343,13 +432,17 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
     refused = f"{short_id(results[0].id)}: not compared in pairs, because its"
     try:
         experiment = recorded_experiment(results[0])
-        band = reference_band(experiment, use_withheld=results[0].score.withheld is not None)
+        band = reference_band(
+            experiment, use_withheld=results[0].score.withheld is not None
+        )
         draws = None if band is None else score_draws(results, experiment, band)
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None
     scores = [result.score.rmse_normalized for result in results]
-    if draws is None or np.allclose(draws.raw, np.array(scores, dtype=np.float64), rtol=1e-6, atol=1e-9):
+    if draws is None or np.allclose(
+        draws.raw, np.array(scores, dtype=np.float64), rtol=1e-6, atol=1e-9
+    ):
         return draws
     notes.append(f"{refused} score was made against another reference; run it again")
     return None
@@ -364,20 +457,33 @@ def _mismatches(results: Sequence[Result]) -> list[str]:
     stale = dict.fromkeys(
         short_id(one.id)
         for one in results
-        if not one.has_experiment_file and one.task_sha256 != task_sha256(find_variant(one.id).family)
+        if not one.has_experiment_file
+        and one.task_sha256 != task_sha256(find_variant(one.id).family)
     )
     if stale:
-        notes.append(f"made from another task file than the installed one: {', '.join(stale)}")
+        notes.append(
+            f"made from another task file than the installed one: {', '.join(stale)}"
+        )
     for name, same in by_id.items():
         if len({one.task_sha256 for one in same if one.has_experiment_file}) > 1:
-            notes.append(f"{short_id(name)}: made from different versions of its experiment file")
-    made_with = sorted({one.versions.get("gauge-envs", "an unknown version") for one in results})
+            notes.append(
+                f"{short_id(name)}: made from different versions of its experiment file"
+            )
+    made_with = sorted(
+        {one.versions.get("gauge-envs", "an unknown version") for one in results}
+    )
     if len(made_with) > 1:
-        notes.append(f"scored by different versions of gauge-envs: {', '.join(made_with)}")
+        notes.append(
+            f"scored by different versions of gauge-envs: {', '.join(made_with)}"
+        )
     for name, same in by_id.items():
         grades = sorted({one.score.grade for one in same})
         if len(grades) > 1:
-            notes.append(f"{short_id(name)}: scored against references of grade {' and '.join(grades)}")
+            notes.append(
+                f"{short_id(name)}: scored against references of grade {' and '.join(grades)}"
+            )
         if len({tuple(sorted(one.dataset.items())) for one in same}) > 1:
-            notes.append(f"{short_id(name)}: real trials or drivers are of different imports, or bundled")
+            notes.append(
+                f"{short_id(name)}: real trials or drivers are of different imports, or bundled"
+            )
     return notes

@@ -97,13 +97,23 @@ class ErrorMeasure:
         """Return the measure of an experiment."""
         band = reference_band(experiment)
         baselines = experiment.baselines
-        event = next((name for name in EVENTS if name in experiment.score.metrics), None)
+        event = next(
+            (name for name in EVENTS if name in experiment.score.metrics), None
+        )
         # A law until an event covers less than the published event.
         is_partial = band is None or not band.normalized_by_baseline
         if is_partial and event is not None and event in baselines:
             line = baselines[event]
-            return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
-        has_scatter = "rmse" in baselines and (band is None or band.normalized_by_baseline)
+            return cls(
+                experiment=experiment,
+                band=None,
+                metric=event,
+                unit=line.unit,
+                scatter=line.std or None,
+            )
+        has_scatter = "rmse" in baselines and (
+            band is None or band.normalized_by_baseline
+        )
         return cls(
             experiment=experiment,
             band=band,
@@ -141,7 +151,11 @@ class ErrorMeasure:
         score = result.score
         if self.metric != "rmse":
             value = raw_score(score, self.metric)
-            return None if value is None else abs(value - self.experiment.baselines[self.metric].mean)
+            return (
+                None
+                if value is None
+                else abs(value - self.experiment.baselines[self.metric].mean)
+            )
         if score.primary is None:
             return None
         normalized = score.primary_normalized
@@ -182,7 +196,10 @@ class SettingCost:
     @property
     def costs(self) -> list[float]:
         """Seconds of each repeat per simulated second."""
-        spent_s = [(one.cpu_s if self.time == "cpu" else one.wall_s) or 0.0 for one in self.results]
+        spent_s = [
+            (one.cpu_s if self.time == "cpu" else one.wall_s) or 0.0
+            for one in self.results
+        ]
         return [one / max(self.results[0].sim_s, 1e-9) for one in spent_s]
 
     @property
@@ -233,13 +250,20 @@ class CostCurve:
         """Engine, preset and other settings, as `rapier out_of_box`."""
         given = other_settings(self.first)
         preset = [str(given.pop("preset"))] if "preset" in given else []
-        changes = [f"{key}={value}" for key, value in given.items() if key != "drive_interval_s"]
+        changes = [
+            f"{key}={value}"
+            for key, value in given.items()
+            if key != "drive_interval_s"
+        ]
         return " ".join([self.first.backend or "file", *preset, *changes])
 
     @property
     def main_line(self) -> list[SettingCost]:
         """The settings in which the step alone differs, the finest first."""
-        return sorted((one for one in self.settings if one.is_main and one.step_s), key=lambda one: one.step_s)
+        return sorted(
+            (one for one in self.settings if one.is_main and one.step_s),
+            key=lambda one: one.step_s,
+        )
 
     def over_scatter(self, error: float | None) -> float | None:
         """Return an error in units of the real scatter, if there is one."""
@@ -248,7 +272,9 @@ class CostCurve:
     def default(self) -> SettingCost | None:
         """Return the setting with the engine's own step; None if it did not run."""
         for setting in self.settings:
-            if setting.is_main and any(STEP not in one.settings_given for one in setting.results):
+            if setting.is_main and any(
+                STEP not in one.settings_given for one in setting.results
+            ):
                 return setting
         return None
 
@@ -258,19 +284,28 @@ class CostCurve:
         # The converged motion itself proves nothing where its own resolution is above the limit.
         if limit is None or self.resolution is None or self.resolution > limit:
             return None
-        enough = takewhile(lambda one: one.numerical is not None and one.numerical <= limit, self.main_line)
+        enough = takewhile(
+            lambda one: one.numerical is not None and one.numerical <= limit,
+            self.main_line,
+        )
         return max(enough, key=lambda one: one.step_s, default=None)
 
     def cheapest(self) -> SettingCost | None:
         """Return the cheapest setting whose error against reality is at most the real scatter; None without one."""
         limit = self.measure.scatter or 0.0
-        within = [one for one in self.settings if one.real is not None and one.real <= limit]
+        within = [
+            one for one in self.settings if one.real is not None and one.real <= limit
+        ]
         return min(within, key=lambda one: one.cost, default=None)
 
 
 def other_settings(result: Result) -> dict[str, Any]:
     """Return the settings that were given and are no effort."""
-    return {name: value for name, value in result.settings_given.items() if name not in EFFORT}
+    return {
+        name: value
+        for name, value in result.settings_given.items()
+        if name not in EFFORT
+    }
 
 
 def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
@@ -284,16 +319,25 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
     usable = []
     for result in results:
         if result.error is not None or result.trajectory is None or not result.wall_s:
-            notes.append(f"{result.id} on {result.backend}: left out, it has no time or did not run")
+            notes.append(
+                f"{result.id} on {result.backend}: left out, it has no time or did not run"
+            )
         elif result.jitter:
-            notes.append(f"{result.id} on {result.backend}: left out, its start is jittered")
+            notes.append(
+                f"{result.id} on {result.backend}: left out, its start is jittered"
+            )
         else:
             usable.append(result)
     time = "cpu" if all(one.cpu_s is not None for one in usable) else "wall"
     curves: dict[str, CostCurve] = {}
     measures: dict[str, ErrorMeasure] = {}
     for result in usable:
-        subject = [result.id, result.parameters, result.asset.get("sha256"), result.dataset]
+        subject = [
+            result.id,
+            result.parameters,
+            result.asset.get("sha256"),
+            result.dataset,
+        ]
         place = json.dumps(subject, sort_keys=True)
         try:
             if place not in measures:
@@ -302,11 +346,16 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
             notes.append(f"{result.id}: left out, {error}")
             continue
         versions = RunConfiguration.of(result).engine_versions
-        key = json.dumps([result.backend, versions, other_settings(result), result.marker_proxy], sort_keys=True)
+        key = json.dumps(
+            [result.backend, versions, other_settings(result), result.marker_proxy],
+            sort_keys=True,
+        )
         curve = curves.setdefault(place + key, CostCurve(key, measures[place]))
         # Rounded, so that 1/9000 and 1/180/50 are one step.
         effort = {
-            name: float(f"{result.settings[name]:.9g}") for name in EFFORT if result.settings.get(name) is not None
+            name: float(f"{result.settings[name]:.9g}")
+            for name in EFFORT
+            if result.settings.get(name) is not None
         }
         setting = next((one for one in curve.settings if one.effort == effort), None)
         if setting is None:
@@ -314,7 +363,9 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
             curve.settings.append(setting)
         setting.results.append(result)
     if not curves:
-        raise ShapeError("no result has a time and a calibrated start: run gauge run with several --set timestep_s=...")
+        raise ShapeError(
+            "no result has a time and a calibrated start: run gauge run with several --set timestep_s=..."
+        )
     for curve in curves.values():
         _find_errors(curve, notes)
     return list(curves.values())
@@ -323,7 +374,10 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
 def _find_errors(curve: CostCurve, notes: list[str]) -> None:
     """Find the errors of a curve's settings."""
     measure = curve.measure
-    iterations = [{name: one.effort[name] for name in one.effort if name != STEP} for one in curve.settings]
+    iterations = [
+        {name: one.effort[name] for name in one.effort if name != STEP}
+        for one in curve.settings
+    ]
     usual = max(iterations, key=iterations.count)
     for setting, chosen in zip(curve.settings, iterations, strict=True):
         setting.is_main = chosen == usual
@@ -332,9 +386,14 @@ def _find_errors(curve: CostCurve, notes: list[str]) -> None:
             continue
         setting.real = measure.to_reality(setting.results[0])
         repeats = [measure.frames(one) for one in setting.results[1:]]
-        if any(again is None or not np.array_equal(setting.frames, again) for again in repeats):
+        if any(
+            again is None or not np.array_equal(setting.frames, again)
+            for again in repeats
+        ):
             first = setting.results[0]
-            notes.append(f"{first.id} on {first.backend}: repeats of a setting differ; the first counts")
+            notes.append(
+                f"{first.id} on {first.backend}: repeats of a setting differ; the first counts"
+            )
     converged = _converged(curve)
     if converged is None or converged.frames is None:
         return
@@ -379,7 +438,9 @@ def cost_document(curves: Sequence[CostCurve]) -> Document:
     units: dict[str, float] = {}
     for curve in curves:
         for setting in curve.settings:
-            if curve.first.backend == REFERENCE_ENGINE and any(not one.settings_given for one in setting.results):
+            if curve.first.backend == REFERENCE_ENGINE and any(
+                not one.settings_given for one in setting.results
+            ):
                 units[curve.id] = setting.cost
 
     def cost(curve: CostCurve, setting: SettingCost | None) -> str:
@@ -393,10 +454,19 @@ def cost_document(curves: Sequence[CostCurve]) -> Document:
             Column("id", "experiment", short_id, place=Place.HEADING),
             Column("first.parameters", "", place=Place.HEADING),
             Column("name", "engine"),
-            Column("", "resolution", lambda one: _error_text(one.over_scatter(one.resolution)), is_number=True),
+            Column(
+                "",
+                "resolution",
+                lambda one: _error_text(one.over_scatter(one.resolution)),
+                is_number=True,
+            ),
             Column("unit", "unit"),
             Column("", "sufficient step", lambda one: cost(one, one.sufficient())),
-            Column("", "cheapest within real scatter", lambda one: cost(one, one.cheapest())),
+            Column(
+                "",
+                "cheapest within real scatter",
+                lambda one: cost(one, one.cheapest()),
+            ),
             Column("", "default step", lambda one: cost(one, one.default())),
         ),
         rows=curves,
@@ -405,11 +475,17 @@ def cost_document(curves: Sequence[CostCurve]) -> Document:
             f"{REFERENCE_ENGINE} with its default settings.",
         ),
     )
-    rows = [_row(curve, setting, units.get(curve.id)) for curve in curves for setting in curve.settings]
+    rows = [
+        _row(curve, setting, units.get(curve.id))
+        for curve in curves
+        for setting in curve.settings
+    ]
     return Document(parts=(table,), rows=rows)
 
 
-def _row(curve: CostCurve, setting: SettingCost, unit_cost: float | None) -> dict[str, Any]:
+def _row(
+    curve: CostCurve, setting: SettingCost, unit_cost: float | None
+) -> dict[str, Any]:
     """Return the numbers of a setting."""
     return {
         "id": curve.id,
@@ -457,10 +533,14 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     """Return the picture: each row is an experiment, with its numerical error and its error against reality."""
     groups: dict[tuple[str, str], list[CostCurve]] = {}
     for curve in curves:
-        groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(curve)
+        groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(
+            curve
+        )
     figure = new_figure(10.0, ROW_IN * len(groups) + 1.3)
     grid = figure.subplots(len(groups), 2, squeeze=False, sharex="row")
-    for (left, right), ((name, parameters), members) in zip(grid, groups.items(), strict=True):
+    for (left, right), ((name, parameters), members) in zip(
+        grid, groups.items(), strict=True
+    ):
         _draw_errors(left, members, "numerical")
         left.set_ylabel(f"numerical error\n[{members[0].unit}]", fontsize=8.5)
         _draw_errors(right, members, "real")
@@ -472,7 +552,14 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     labels: dict[str, Any] = {}
     for axis in figure.axes:
         labels |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    figure.legend(labels.values(), labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9)
+    figure.legend(
+        labels.values(),
+        labels,
+        loc="outside upper left",
+        ncols=5,
+        frameon=False,
+        fontsize=9,
+    )
     return figure
 
 
@@ -484,17 +571,37 @@ def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str) -> None:
     axis.tick_params(labelsize=8)
     for curve in curves:
         engine = backend_class(curve.first.backend or "file")
-        style: dict[str, Any] = {"color": engine.color or GREY, "marker": engine.marker, "ms": 5, "lw": 1.3}
+        style: dict[str, Any] = {
+            "color": engine.color or GREY,
+            "marker": engine.marker,
+            "ms": 5,
+            "lw": 1.3,
+        }
         if "preset" in curve.first.settings_given:
             style |= {"ls": "--", "mfc": "white", "lw": 1.0}
         cross: dict[str, Any] = {"color": style["color"], "marker": "x", "ls": ""}
         crossed = [one for one in curve.settings if not one.is_main]
-        for settings, looks in ((curve.main_line, style | {"label": curve.name}), (crossed, cross)):
+        for settings, looks in (
+            (curve.main_line, style | {"label": curve.name}),
+            (crossed, cross),
+        ):
             # The converged motion has no numerical error of its own.
-            shown = [one for one in settings if not (error == "numerical" and one.is_converged)]
-            points = [(one.cost, curve.over_scatter(getattr(one, error))) for one in shown]
-            known = [(cost, max(value, MIN_SHOWN)) for cost, value in points if value is not None]
-            axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
+            shown = [
+                one
+                for one in settings
+                if not (error == "numerical" and one.is_converged)
+            ]
+            points = [
+                (one.cost, curve.over_scatter(getattr(one, error))) for one in shown
+            ]
+            known = [
+                (cost, max(value, MIN_SHOWN))
+                for cost, value in points
+                if value is not None
+            ]
+            axis.plot(
+                [cost for cost, _ in known], [value for _, value in known], **looks
+            )
     if curves[0].measure.scatter:
         axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")
     set_ticks(axis)

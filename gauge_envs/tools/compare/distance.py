@@ -64,7 +64,10 @@ class Distance:
 
 
 def trajectory_distance(
-    configurations: tuple[int, int], some: Sequence[Result], others: Sequence[Result], baseline: Baseline | None
+    configurations: tuple[int, int],
+    some: Sequence[Result],
+    others: Sequence[Result],
+    baseline: Baseline | None,
 ) -> Distance | None:
     """Return the distance of two configurations in one experiment, or None if they share no frame.
 
@@ -119,9 +122,14 @@ CommonFrames = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]
 """Frame numbers that two results have, and g(t) of both there, [frame_count, coordinate_count] each."""
 
 
-def _over_time(common: Sequence[CommonFrames]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _over_time(
+    common: Sequence[CommonFrames],
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return times [s] and distances of each pair of results."""
-    return [(frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1)) for frames, a, b in common]
+    return [
+        (frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1))
+        for frames, a, b in common
+    ]
 
 
 def _all_common_frames(pairs: Sequence[tuple[Result, Result]]) -> list[CommonFrames]:
@@ -130,8 +138,14 @@ def _all_common_frames(pairs: Sequence[tuple[Result, Result]]) -> list[CommonFra
     return [frames for frames in found if frames is not None]
 
 
-def _paired(some: Sequence[Result], others: Sequence[Result]) -> list[tuple[Result, Result]]:
-    every = [(a, b) for a, b in product(some, others) if a.trajectory is not None and b.trajectory is not None]
+def _paired(
+    some: Sequence[Result], others: Sequence[Result]
+) -> list[tuple[Result, Result]]:
+    every = [
+        (a, b)
+        for a, b in product(some, others)
+        if a.trajectory is not None and b.trajectory is not None
+    ]
     # Results of the same seed have the same jittered start, so only the configuration differs.
     same_seed = [(a, b) for a, b in every if a.seed == b.seed]
     return same_seed or every
@@ -148,9 +162,13 @@ def _common_frames(one: Result, other: Result) -> CommonFrames | None:
     return (common, a[index_a], b[index_b]) if len(common) else None
 
 
-def _frames(trajectory: RecordedTrajectory) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _frames(
+    trajectory: RecordedTrajectory,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the numbers of the 30 Hz frames with finite samples, and g(t) there."""
     times_s, samples = trajectory.arrays()
     frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
-    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(samples).all(axis=1)
+    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(
+        samples
+    ).all(axis=1)
     return frames[hits], samples[hits]

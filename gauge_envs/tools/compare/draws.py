@@ -45,7 +45,9 @@ class ScoreSpread:
         return cls(mean=float(np.mean(values)), std=std, count=len(values))
 
 
-def repeats_interval(values: Sequence[float], intervals: Sequence[tuple[float, float]]) -> tuple[float, float]:
+def repeats_interval(
+    values: Sequence[float], intervals: Sequence[tuple[float, float]]
+) -> tuple[float, float]:
     """Return the 95 % interval of the mean of normalized scores over repeats.
 
     Two things are random. The repeats share the sample of real trials and the uncertain inputs, so the mean of their
@@ -61,8 +63,15 @@ def repeats_interval(values: Sequence[float], intervals: Sequence[tuple[float, f
     low, high = np.mean(intervals, axis=0)
     half = 0.0
     if spread.std:
-        half = float(student.ppf(0.5 * (1.0 + LEVEL), spread.count - 1)) * spread.std / math.sqrt(spread.count)
-    below, above = math.hypot(spread.mean - low, half), math.hypot(high - spread.mean, half)
+        half = (
+            float(student.ppf(0.5 * (1.0 + LEVEL), spread.count - 1))
+            * spread.std
+            / math.sqrt(spread.count)
+        )
+    below, above = (
+        math.hypot(spread.mean - low, half),
+        math.hypot(high - spread.mean, half),
+    )
     return max(spread.mean - below, 0.0), spread.mean + above
 
 
@@ -90,7 +99,9 @@ class ScoreDraws:
         return _mean(self, every, wider=widening(_influence(self, every)))
 
 
-def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -> ScoreDraws | None:
+def score_draws(
+    results: Sequence[Result], experiment: Experiment, band: Band
+) -> ScoreDraws | None:
     """Return the draws of the repeats of one configuration in one experiment.
 
     Returns:
@@ -108,11 +119,16 @@ def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -
         first = deviations.first
         if (baseline := first.baseline) is None:
             return None
-        draws, influences = first.errors.draws(first.values), first.errors.influences(first.values)
+        draws, influences = (
+            first.errors.draws(first.values),
+            first.errors.influences(first.values),
+        )
         raw.append(deviations.raw.normalized or 0.0)
         drawn.append((first.rmse / baseline, draws / baseline, influences / baseline))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
-    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(len(drawn[0][1]))
+    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(
+        len(drawn[0][1])
+    )
     return ScoreDraws(
         seeds=tuple(result.seed for result in results),
         raw=np.array(raw),
@@ -122,7 +138,9 @@ def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -
     )
 
 
-def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
+def paired_scores(
+    first: ScoreDraws, second: ScoreDraws
+) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
     """Return the mean primary score of two configurations, each with its draws of shape [draw_count].
 
     Repeats are paired by seed: those of a seed that only one of the two has are left out. Without a common seed, all
@@ -134,18 +152,24 @@ def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, F
     return _mean(first, chosen, wider=wider), _mean(second, others, wider=wider)
 
 
-def _common_repeats(first: ScoreDraws, second: ScoreDraws) -> tuple[Sequence[int], Sequence[int]]:
+def _common_repeats(
+    first: ScoreDraws, second: ScoreDraws
+) -> tuple[Sequence[int], Sequence[int]]:
     common = [seed for seed in first.seeds if seed in second.seeds]
     if not common:
         return range(len(first.seeds)), range(len(second.seeds))
-    return [first.seeds.index(seed) for seed in common], [second.seeds.index(seed) for seed in common]
+    return [first.seeds.index(seed) for seed in common], [
+        second.seeds.index(seed) for seed in common
+    ]
 
 
 def _influence(scores: ScoreDraws, chosen: Sequence[int]) -> FloatArray:
     return np.asarray(scores.influences[list(chosen)].mean(axis=0))
 
 
-def _mean(scores: ScoreDraws, chosen: Sequence[int], *, wider: float) -> tuple[float, FloatArray]:
+def _mean(
+    scores: ScoreDraws, chosen: Sequence[int], *, wider: float
+) -> tuple[float, FloatArray]:
     """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
     index = list(chosen)
     values, draws = scores.primary[index], scores.draws[index]

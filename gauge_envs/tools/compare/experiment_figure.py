@@ -14,10 +14,24 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.pages.figures import ENGINES, OURS, REAL, legend_above, new_figure, save_png, tidy_axis
+from gauge_envs.pages.figures import (
+    ENGINES,
+    OURS,
+    REAL,
+    legend_above,
+    new_figure,
+    save_png,
+    tidy_axis,
+)
 from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, configuration_labels
 from gauge_envs.pages.svg import runs
-from gauge_envs.pages.text import GRADE_NOTES, interval_text, score_text, short_id, with_unit
+from gauge_envs.pages.text import (
+    GRADE_NOTES,
+    interval_text,
+    score_text,
+    short_id,
+    with_unit,
+)
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
@@ -59,10 +73,15 @@ class _Series:
     @property
     def legend(self) -> str:
         """Entry of the legend."""
-        diverged, count = sum(result.diverged for result in self.results), len(self.results)
+        diverged, count = (
+            sum(result.diverged for result in self.results),
+            len(self.results),
+        )
         if count == 1:
             return f"{self.label}, diverged" if diverged else self.label
-        return f"{self.label}, {count} repeats" + (f", {diverged} diverged" if diverged else "")
+        return f"{self.label}, {count} repeats" + (
+            f", {diverged} diverged" if diverged else ""
+        )
 
     @property
     def alpha(self) -> float:
@@ -82,10 +101,14 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
         if result.trajectory is not None:
             groups.setdefault(result.id, []).append(result)
     for name, group in groups.items():
-        yield save_png(draw_experiment(group, among=results), folder / f"{short_id(name)}.png")
+        yield save_png(
+            draw_experiment(group, among=results), folder / f"{short_id(name)}.png"
+        )
 
 
-def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) -> Figure:
+def draw_experiment(
+    results: Sequence[Result], *, among: Sequence[Result] = ()
+) -> Figure:
     """Return the picture of one experiment: curves of all its results, the band if it has one, and scores.
 
     Results that differ in their seed alone are thin lines of one colour.
@@ -96,10 +119,14 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     """
     ids = {result.id for result in results}
     if len(ids) != 1:
-        raise ShapeError(f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}")
+        raise ShapeError(
+            f"results of one experiment are needed, got {', '.join(sorted(ids)) or 'none'}"
+        )
     series = _series(results, among or results)
     experiment = recorded_experiment(series[0].results[0])
-    band = reference_band(experiment, use_withheld=any(result.score.withheld for result in results))
+    band = reference_band(
+        experiment, use_withheld=any(result.score.withheld for result in results)
+    )
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
     # Without a reference, how far the engines are apart is all there is to see.
@@ -136,7 +163,11 @@ def _notes(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
     grade = BandGrade.NONE if band is None else band.grade
     parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
     parts += [f"{band.source}."] if band is not None else []
-    parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
+    parts += (
+        [f"Driver: {experiment.driver_provenance}."]
+        if experiment.driver_provenance
+        else []
+    )
     parts += ["Grey bars: engines as published (GAUGE, Table 5)."] if has_bars else []
     return " ".join(parts)
 
@@ -153,7 +184,11 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]
     series = []
     for order, (index, drawn) in enumerate(present):
         # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
-        width = max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order) if len(drawn) == 1 else 0.8
+        width = (
+            max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order)
+            if len(drawn) == 1
+            else 0.8
+        )
         series.append(_Series(labels[index], OURS[index % len(OURS)], width, drawn))
     return series
 
@@ -177,11 +212,29 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
             for reach, shade in ((2.0, TWO_SIGMA), (1.0, ONE_SIGMA)):
                 low = mean[piece] - reach * sigma[piece]
                 high = mean[piece] + reach * sigma[piece]
-                axis.fill_between(times[piece], low, high, facecolor=shade, zorder=1, **hatch)
-            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls=line, zorder=2 if is_exact else 5)
+                axis.fill_between(
+                    times[piece], low, high, facecolor=shade, zorder=1, **hatch
+                )
+            axis.plot(
+                times[piece],
+                mean[piece],
+                color=REAL,
+                lw=width,
+                ls=line,
+                zorder=2 if is_exact else 5,
+            )
     if not is_exact:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
-            axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
+            axis.plot(
+                times[flags],
+                mean[flags],
+                "o",
+                ms=3.0,
+                mew=0.8,
+                mec=REAL,
+                mfc=face,
+                zorder=6,
+            )
     if column == 0:
         _name_band(axis, band, width)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
@@ -197,14 +250,26 @@ def _name_band(axis: Axes, band: Band, width: float) -> None:
         BandGrade.RECORDING: ("real, one trial", "real"),
     }
     mean, spread = names.get(band.grade, (f"real, mean{trials}", "real"))
-    axis.plot([], [], "o-" if band.grade.is_real else "-", ms=3.0, color=REAL, lw=width, label=mean)
+    axis.plot(
+        [],
+        [],
+        "o-" if band.grade.is_real else "-",
+        ms=3.0,
+        color=REAL,
+        lw=width,
+        label=mean,
+    )
     axis.fill_between([], [], facecolor=ONE_SIGMA, label=f"{spread}, 1 sigma")
     axis.fill_between([], [], facecolor=TWO_SIGMA, label=f"{spread}, 2 sigma")
     if (~band.measured & np.isfinite(band.mean[:, 0])).any():
-        axis.fill_between([], [], facecolor=ONE_SIGMA, label="extrapolated, not measured", **HATCH)
+        axis.fill_between(
+            [], [], facecolor=ONE_SIGMA, label="extrapolated, not measured", **HATCH
+        )
 
 
-def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:
+def _draw_results(
+    axis: Axes, series: Sequence[_Series], band: Band, column: int
+) -> None:
     end = (len(band.mean) - 1) / FRAME_RATE_HZ
     low, high = axis.get_ylim()
     for one in series:
@@ -213,12 +278,26 @@ def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int
             values = band.project(samples)[:, column]
             low, high = _span(low, high, values)
             label = one.legend if column == 0 and number == 0 else None
-            axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
+            axis.plot(
+                times,
+                values,
+                color=one.color,
+                lw=one.width,
+                alpha=one.alpha,
+                label=label,
+                zorder=4,
+            )
         offset = one.results[0].score.release_offset_s
         if offset is not None and len(one.results) == 1 and len(series) <= MAX_ALIGNED:
             moved = np.interp(times - offset, times, values)
-            title = f"{one.label}, {offset:+.3f} s to align the release" if column == 0 else None
-            axis.plot(times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3)
+            title = (
+                f"{one.label}, {offset:+.3f} s to align the release"
+                if column == 0
+                else None
+            )
+            axis.plot(
+                times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3
+            )
     margin = 0.04 * (high - low)
     axis.set_ylim(low - margin, high + margin)
     axis.set_xlim(0.0, end)
@@ -241,7 +320,9 @@ def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
     """
     recorded = _recorded(series[0].results[0])
     unit = recorded.unit
-    bodies = list(dict.fromkeys(name.rpartition(".")[0] or name for name in recorded.coordinates))
+    bodies = list(
+        dict.fromkeys(name.rpartition(".")[0] or name for name in recorded.coordinates)
+    )
     if len(series) == 1 and len(bodies) > 1:
         _draw_bodies(axes, series[0], bodies)
     else:
@@ -262,13 +343,20 @@ def _widen(axes: Sequence[Axes]) -> None:
         axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
 
 
-def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
+def _curves(
+    result: Result, panels: int
+) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
     """Yield panel, body, times [s] and values of each coordinate."""
     recorded = _recorded(result)
     times, samples = recorded.arrays()
     for index, name in enumerate(recorded.coordinates):
         body, _, direction = name.rpartition(".")
-        yield "xyz".index(direction) if panels == 3 else 0, body or name, times, samples[:, index]
+        yield (
+            "xyz".index(direction) if panels == 3 else 0,
+            body or name,
+            times,
+            samples[:, index],
+        )
 
 
 def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> None:
@@ -280,11 +368,19 @@ def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> N
             label = _crowd(one, bodies) if many else f"{body}, {one.legend}"
             color = OURS[bodies.index(body) % len(OURS)]
             width = 0.9 if many else min(one.width, 1.5)
-            axes[panel].plot(times, values, color=color, lw=width, label=None if label in seen or panel else label)
+            axes[panel].plot(
+                times,
+                values,
+                color=color,
+                lw=width,
+                label=None if label in seen or panel else label,
+            )
             seen |= {label} if panel == 0 else set()
 
 
-def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]) -> None:
+def _draw_engines(
+    axes: Sequence[Axes], series: Sequence[_Series], bodies: Sequence[str]
+) -> None:
     few = len(bodies) <= len(LINE_STYLES)
     for one in series:
         label: str | None = one.legend if few else _crowd(one, bodies)
@@ -293,7 +389,15 @@ def _draw_engines(axes: Sequence[Axes], series: Sequence[_Series], bodies: Seque
                 style = LINE_STYLES[bodies.index(body)] if few else "-"
                 width = one.width if few else 0.7
                 alpha = one.alpha if few else 0.6
-                axes[panel].plot(times, values, color=one.color, ls=style, lw=width, alpha=alpha, label=label)
+                axes[panel].plot(
+                    times,
+                    values,
+                    color=one.color,
+                    ls=style,
+                    lw=width,
+                    alpha=alpha,
+                    label=label,
+                )
                 label = None
     if few and len(bodies) > 1:
         for body, style in zip(bodies, LINE_STYLES, strict=False):
@@ -305,10 +409,22 @@ def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
     first = series[0]
     for one in series[1:]:
         for times, distance in distances_over_time(first.results, one.results):
-            axis.plot(times, distance, color=one.color, lw=min(one.width, 1.4), alpha=one.alpha)
+            axis.plot(
+                times,
+                distance,
+                color=one.color,
+                lw=min(one.width, 1.4),
+                alpha=one.alpha,
+            )
     baseline = published_baselines(short_id(first.results[0].id)).get("rmse")
     if baseline is not None:
-        axis.axhline(baseline.mean, color=REAL, lw=1.0, ls="--", label="published mean RMSE of the real trials")
+        axis.axhline(
+            baseline.mean,
+            color=REAL,
+            lw=1.0,
+            ls="--",
+            label="published mean RMSE of the real trials",
+        )
         legend_above(axis)
     unit = _recorded(first.results[0]).unit
     axis.set_ylabel("\n".join([*wrap(f"distance to {first.label}", 22), f"[{unit}]"]))
@@ -322,12 +438,18 @@ def _crowd(one: _Series, bodies: Sequence[str]) -> str:
 
 
 def _axis_names(result: Result) -> tuple[str, ...]:
-    return ("x", "y", "z") if all("." in name for name in _recorded(result).coordinates) else ("g(t)",)
+    return (
+        ("x", "y", "z")
+        if all("." in name for name in _recorded(result).coordinates)
+        else ("g(t)",)
+    )
 
 
 def _recorded(result: Result) -> RecordedTrajectory:
     if result.trajectory is None:
-        raise ShapeError(f"{result.id} did not run, there is nothing to draw: {result.error}")
+        raise ShapeError(
+            f"{result.id} did not run, there is nothing to draw: {result.error}"
+        )
     return result.trajectory
 
 
@@ -356,57 +478,127 @@ class _Bar:
 def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
     groups: dict[str, list[_Bar]] = {}
-    if any(result.score.primary == ALIGNED.key for one in series for result in one.results):
+    if any(
+        result.score.primary == ALIGNED.key for one in series for result in one.results
+    ):
         groups[ALIGNED.title] = [_own_bar(one, ALIGNED.key) for one in series]
     for metric, line in published_baselines(short_id(name)).items():
         if metric == "el":
             continue
         bars = [_own_bar(one, metric) for one in series]
-        is_solved = any(result.score.grade == BandGrade.MODEL for one in series for result in one.results)
+        is_solved = any(
+            result.score.grade == BandGrade.MODEL
+            for one in series
+            for result in one.results
+        )
         if is_solved and not SCORE_METRICS[metric].is_event:
             # Published scores are distances from real trials, and these are numerical errors.
             groups[f"{SCORE_METRICS[metric].title}, against the solved model"] = bars
             continue
-        for (engine, title), color in zip(PUBLISHED_ENGINES.items(), ENGINES, strict=True):
+        for (engine, title), color in zip(
+            PUBLISHED_ENGINES.items(), ENGINES, strict=True
+        ):
             value = line.engines[engine]
             text = "not published" if value is None else score_text(value)
-            bars.append(_Bar(f"{title}, paper", color, text, value or 0.0, (value or 0.0, value or 0.0)))
+            bars.append(
+                _Bar(
+                    f"{title}, paper",
+                    color,
+                    text,
+                    value or 0.0,
+                    (value or 0.0, value or 0.0),
+                )
+            )
         groups[SCORE_METRICS[metric].title] = bars
     return groups
 
 
 def _own_bar(one: _Series, metric: str) -> _Bar:
     cell = Cell(results=one.results)
-    spread, raw = (cell.spread(metric, normalized=normalized) for normalized in (True, False))
+    spread, raw = (
+        cell.spread(metric, normalized=normalized) for normalized in (True, False)
+    )
     if spread is None:
-        text = "diverged" if any(result.diverged for result in one.results) else "no reference"
+        text = (
+            "diverged"
+            if any(result.diverged for result in one.results)
+            else "no reference"
+        )
         if raw is not None:
             unit = SCORE_METRICS[metric].unit_of(one.results[0].score.unit)
             text = f"{with_unit(score_text(raw.mean), unit)}, not normalized"
         return _Bar(one.label, one.color, text)
     interval = cell.interval_95(metric) if len(one.results) == 1 else None
     if interval is not None:
-        return _Bar(one.label, one.color, interval_text(spread.mean, interval), spread.mean, interval)
+        return _Bar(
+            one.label,
+            one.color,
+            interval_text(spread.mean, interval),
+            spread.mean,
+            interval,
+        )
     reach = spread.std or 0.0
     text = score_text(spread.mean) + (f" +- {score_text(reach)}" if reach else "")
-    return _Bar(one.label, one.color, text, spread.mean, (spread.mean - reach, spread.mean + reach))
+    return _Bar(
+        one.label,
+        one.color,
+        text,
+        spread.mean,
+        (spread.mean - reach, spread.mean + reach),
+    )
 
 
 def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
     """Draw bars from the top down; `depth` is the least number that fits, so that no bar is thick."""
-    longest = max([1.2, *(max(bar.value, bar.ends[1]) for group in groups.values() for bar in group)])
+    longest = max(
+        [
+            1.2,
+            *(
+                max(bar.value, bar.ends[1])
+                for group in groups.values()
+                for bar in group
+            ),
+        ]
+    )
     unit = 0.015 * longest
     ticks, places = [], []
     place = 0.0
     for metric, group in groups.items():
-        axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
+        axis.text(
+            unit,
+            place - 0.75,
+            metric,
+            fontsize=9,
+            fontweight="bold",
+            va="center",
+            bbox=BACKING,
+        )
         for bar in group:
             low, high = bar.ends
             # The end of an interval may be the score itself, but for its last digit.
-            whisker = [[max(bar.value - low, 0.0)], [max(high - bar.value, 0.0)]] if low < high else None
-            axis.barh(place, bar.value, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
+            whisker = (
+                [[max(bar.value - low, 0.0)], [max(high - bar.value, 0.0)]]
+                if low < high
+                else None
+            )
+            axis.barh(
+                place,
+                bar.value,
+                color=bar.color,
+                height=0.78,
+                xerr=whisker,
+                error_kw=WHISKER,
+            )
             end = max(bar.value, high) + unit
-            axis.text(end, place, bar.text, va="center", fontsize=8, color="#404040", bbox=BACKING)
+            axis.text(
+                end,
+                place,
+                bar.text,
+                va="center",
+                fontsize=8,
+                color="#404040",
+                bbox=BACKING,
+            )
             places.append(place)
             ticks.append("\n".join(wrap(bar.label, 22)))
             place += 1.0
@@ -415,7 +607,11 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
     axis.set_yticks(places, ticks, fontsize=8)
     axis.set_ylim(max(place - 1.3, depth), -1.3)
     axis.set_xlim(0.0, 1.45 * longest)
-    meaning = "mean of the real trials" if SCORE_METRICS["rmse"].title in groups else "the real mean, ideal"
+    meaning = (
+        "mean of the real trials"
+        if SCORE_METRICS["rmse"].title in groups
+        else "the real mean, ideal"
+    )
     axis.set_xlabel(f"normalized score; 1 = {meaning}")
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")

@@ -29,7 +29,12 @@ from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
-from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
+from gauge_envs.tools.compare.significance import (
+    NEGLIGIBLE,
+    holm,
+    majority_p_value,
+    p_value,
+)
 
 Interval = tuple[float, float]
 
@@ -151,7 +156,11 @@ class PairComparison:
     @property
     def closer(self) -> int:
         """The configuration that is closer in more experiments; the first if both are in as many."""
-        return self.first if sum(np.sign(one.difference) for one in self.experiments) <= 0.0 else self.second
+        return (
+            self.first
+            if sum(np.sign(one.difference) for one in self.experiments) <= 0.0
+            else self.second
+        )
 
     @property
     def further(self) -> int:
@@ -161,7 +170,9 @@ class PairComparison:
     @property
     def counts(self) -> tuple[int, int]:
         """Numbers of experiments in which the first, and in which the second is distinguishably closer."""
-        signs = [one.difference < 0.0 for one in self.experiments if one.distinguishable]
+        signs = [
+            one.difference < 0.0 for one in self.experiments if one.distinguishable
+        ]
         return sum(signs), len(signs) - sum(signs)
 
 
@@ -192,7 +203,9 @@ class GradeComparison:
     @property
     def ranked(self) -> list[GradeScore]:
         """The scores, lowest mean rank first."""
-        return sorted(self.scores, key=lambda one: one.mean_rank.value if one.mean_rank else 0.0)
+        return sorted(
+            self.scores, key=lambda one: one.mean_rank.value if one.mean_rank else 0.0
+        )
 
     @property
     def name(self) -> str:
@@ -225,12 +238,19 @@ class GradedExperiment:
 
     def among(self, configurations: Sequence[int]) -> GradedExperiment:
         """Return the experiment with the scores of these configurations alone."""
-        kept = tuple(one if index in configurations else None for index, one in enumerate(self.draws))
+        kept = tuple(
+            one if index in configurations else None
+            for index, one in enumerate(self.draws)
+        )
         return replace(self, draws=kept)
 
 
 def compare_grade(
-    grade: str, *, withheld: bool, experiments: Sequence[GradedExperiment], constants: Sequence[str] | None = None
+    grade: str,
+    *,
+    withheld: bool,
+    experiments: Sequence[GradedExperiment],
+    constants: Sequence[str] | None = None,
 ) -> tuple[GradeComparison, ...]:
     """Return a comparison for each set of constants, and one of the pairs that do not share them.
 
@@ -242,16 +262,26 @@ def compare_grade(
     """
     count = max((len(one.draws) for one in experiments), default=0)
     names = list(constants or [PUBLISHED] * count)
-    present = [index for index in range(count) if any(one.draws[index] is not None for one in experiments)]
+    present = [
+        index
+        for index in range(count)
+        if any(one.draws[index] is not None for one in experiments)
+    ]
     compared = []
     for name in sorted({names[index] for index in present}, key=_order):
         members = [index for index in present if names[index] == name]
         graded = [one.among(members) for one in experiments]
         compared.append(_compared(grade, withheld, name, graded, members))
-    across = [pair for pair in combinations(present, 2) if names[pair[0]] != names[pair[1]]]
+    across = [
+        pair for pair in combinations(present, 2) if names[pair[0]] != names[pair[1]]
+    ]
     pairs = compare_pairs(experiments, across)
     if pairs:
-        compared.append(GradeComparison(grade=grade, withheld=withheld, constants=DIFFERENT, pairs=pairs))
+        compared.append(
+            GradeComparison(
+                grade=grade, withheld=withheld, constants=DIFFERENT, pairs=pairs
+            )
+        )
     return tuple(compared)
 
 
@@ -260,11 +290,19 @@ def _order(constants: str) -> tuple[bool, str]:
 
 
 def _compared(
-    grade: str, withheld: bool, constants: str, experiments: Sequence[GradedExperiment], members: Sequence[int]
+    grade: str,
+    withheld: bool,
+    constants: str,
+    experiments: Sequence[GradedExperiment],
+    members: Sequence[int],
 ) -> GradeComparison:
     """Return the comparison of configurations with the same constants."""
     every_pair = list(combinations(members, 2))
-    common = [one for one in experiments if all(one.draws[index] is not None for index in members)]
+    common = [
+        one
+        for one in experiments
+        if all(one.draws[index] is not None for index in members)
+    ]
     ids = tuple(one.id for one in common)
     pairs = compare_pairs(experiments, every_pair)
     # A rank over a grade needs the same experiments for all; a pair may have more in common.
@@ -285,7 +323,9 @@ def _compared(
                 mean=_mean_score(common, index),
             )
         scores.append(score)
-    scored = [one for one in experiments if any(draws is not None for draws in one.draws)]
+    scored = [
+        one for one in experiments if any(draws is not None for draws in one.draws)
+    ]
     return GradeComparison(
         grade=grade,
         withheld=withheld,
@@ -313,18 +353,29 @@ def compare_pairs(
     corrected: dict[tuple[int, str], float] = {}
     for experiment in experiments:
         places = [place for place, one in enumerate(known) if experiment.id in one.ids]
-        p_values = [one.p for pair in known for one in pair.experiments if one.id == experiment.id]
+        p_values = [
+            one.p
+            for pair in known
+            for one in pair.experiments
+            if one.id == experiment.id
+        ]
         for place, p_holm in zip(places, holm(p_values), strict=True):
             corrected[place, experiment.id] = p_holm
     over_grade = holm([pair.p for pair in known])
     corrected_pairs = []
     for place, one in enumerate(known):
-        differences = tuple(replace(each, p_holm=corrected[place, each.id]) for each in one.experiments)
-        corrected_pairs.append(replace(one, p_holm=over_grade[place], experiments=differences))
+        differences = tuple(
+            replace(each, p_holm=corrected[place, each.id]) for each in one.experiments
+        )
+        corrected_pairs.append(
+            replace(one, p_holm=over_grade[place], experiments=differences)
+        )
     return tuple(corrected_pairs)
 
 
-def _compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]) -> PairComparison | None:
+def _compare_pair(
+    experiments: Sequence[GradedExperiment], pair: tuple[int, int]
+) -> PairComparison | None:
     """Return two configurations by paired bootstrap, not corrected; None without a common scored experiment."""
     differences = []
     for one in experiments:
@@ -332,25 +383,32 @@ def _compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]
         if first is None or second is None:
             continue
         (value, draws), (other, other_draws) = paired_scores(first, second)
-        p = p_value((value, draws), (other, other_draws), degrees=_degrees(one, first, second))
+        p = p_value(
+            (value, draws), (other, other_draws), degrees=_degrees(one, first, second)
+        )
         apart = draws - other_draws
         differences.append(
             ExperimentDifference(
                 id=one.id,
                 difference=value - other,
                 difference_95=_interval(value - other, apart),
-                probability_of_improvement=0.5 * float(np.mean(apart < -NEGLIGIBLE) + np.mean(apart <= NEGLIGIBLE)),
+                probability_of_improvement=0.5
+                * float(np.mean(apart < -NEGLIGIBLE) + np.mean(apart <= NEGLIGIBLE)),
                 p=p,
                 p_holm=p,
             )
         )
     if not differences:
         return None
-    p = majority_p_value([one.difference for one in differences], [one.p for one in differences])
+    p = majority_p_value(
+        [one.difference for one in differences], [one.p for one in differences]
+    )
     return PairComparison(
         first=pair[0],
         second=pair[1],
-        probability_of_improvement=float(np.mean([one.probability_of_improvement for one in differences])),
+        probability_of_improvement=float(
+            np.mean([one.probability_of_improvement for one in differences])
+        ),
         p=p,
         p_holm=p,
         experiments=tuple(differences),
@@ -374,10 +432,19 @@ def _interval(value: float, draws: FloatArray) -> Interval:
 
 
 def _experiment_ranks(
-    experiment: GradedExperiment, pairs: Sequence[PairComparison], error_rate: float = ERROR_RATE
+    experiment: GradedExperiment,
+    pairs: Sequence[PairComparison],
+    error_rate: float = ERROR_RATE,
 ) -> ExperimentRanks:
-    members = [index for index, draws in enumerate(experiment.draws) if draws is not None]
-    known = [(pair, one) for pair in pairs for one in pair.experiments if one.id == experiment.id]
+    members = [
+        index for index, draws in enumerate(experiment.draws) if draws is not None
+    ]
+    known = [
+        (pair, one)
+        for pair in pairs
+        for one in pair.experiments
+        if one.id == experiment.id
+    ]
     value = dict.fromkeys(members, 1.0)
     low = dict.fromkeys(members, 1)
     high = dict.fromkeys(members, len(members))
@@ -391,7 +458,9 @@ def _experiment_ranks(
     return ExperimentRanks(
         id=experiment.id,
         ranks={
-            index: Mean(value=one, interval_95=(min(low[index], one), max(high[index], one)))
+            index: Mean(
+                value=one, interval_95=(min(low[index], one), max(high[index], one))
+            )
             for index, one in value.items()
         },
         pair_count=len(known),
@@ -401,7 +470,10 @@ def _experiment_ranks(
 
 def _mean_rank(ranks: Sequence[Mean]) -> Mean:
     low, high = np.mean([one.interval_95 for one in ranks], axis=0)
-    return Mean(value=float(np.mean([one.value for one in ranks])), interval_95=(float(low), float(high)))
+    return Mean(
+        value=float(np.mean([one.value for one in ranks])),
+        interval_95=(float(low), float(high)),
+    )
 
 
 def _mean_score(common: Sequence[GradedExperiment], index: int) -> Mean:
@@ -409,7 +481,9 @@ def _mean_score(common: Sequence[GradedExperiment], index: int) -> Mean:
     # The scatter of few repeats may take a draw below zero, where no score is.
     draws = np.maximum([drawn for _, drawn in scores], 0.0).mean(axis=0)
     value = float(np.mean([score for score, _ in scores]))
-    interval = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
+    interval = (
+        common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
+    )
     return Mean(value=value, interval_95=interval or _mean_interval(value, draws))
 
 
@@ -423,5 +497,7 @@ def _mean_interval(value: float, draws: FloatArray) -> Interval:
     below = float(np.mean(draws < value) + 0.5 * np.mean(draws == value))
     shift = 2.0 * norm.ppf(np.clip(below, 1.0 / len(draws), 1.0 - 1.0 / len(draws)))
     corrected = norm.cdf(shift + norm.ppf(TAILS))
-    low, high = np.quantile(draws, [min(TAILS[0], corrected[0]), max(TAILS[1], corrected[1])])
+    low, high = np.quantile(
+        draws, [min(TAILS[0], corrected[0]), max(TAILS[1], corrected[1])]
+    )
     return min(float(low), value), max(float(high), value)

@@ -11,7 +11,11 @@ from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
+from gauge_envs.tools.compare.comparison import (
+    Comparison,
+    ExperimentComparison,
+    compare,
+)
 from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import save_figures
 
@@ -28,11 +32,20 @@ LONG_LABEL = 40
 
 UNSCORED = "#f4f4f4"
 ENGINE_MARKERS = ("s", "^", "D")
-HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 5}
+HOLLOW: dict[str, Any] = {
+    "ms": 6,
+    "mfc": "none",
+    "mec": "#707070",
+    "mew": 1.0,
+    "ls": "",
+    "zorder": 5,
+}
 CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
 
 
-def save_comparison(results: Sequence[Result], folder: Path, *, metric: str | None = None) -> Iterator[Path]:
+def save_comparison(
+    results: Sequence[Result], folder: Path, *, metric: str | None = None
+) -> Iterator[Path]:
     """Write the pictures of `save_figures`, and one of all experiments with scores, `overview.png`.
 
     Args:
@@ -50,7 +63,9 @@ def save_comparison(results: Sequence[Result], folder: Path, *, metric: str | No
         yield save_png(overview, folder / f"{OVERVIEW}.png")
 
 
-def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figure | None:
+def draw_overview(
+    comparison: Comparison, *, metric: str | None = None
+) -> Figure | None:
     """Return dots of the normalized score of every experiment, with their 95 % intervals.
 
     Configurations are in colour. Published engines are in grey beside the raw scores of grade `trials`, because these
@@ -80,10 +95,16 @@ def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figur
     axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     for axis, panel, name in zip(axes, panels, metrics, strict=True):
         _draw_panel(axis, panel, name)
-    axes[0].set_yticks(range(len(shown)), [f"{one.name}  ({one.grade_name})" for one in shown], fontsize=8)
+    axes[0].set_yticks(
+        range(len(shown)),
+        [f"{one.name}  ({one.grade_name})" for one in shown],
+        fontsize=8,
+    )
     axes[0].set_ylim(len(shown) - 0.5, -0.5)
     has_published = any(row.published for row in drawn)
-    _overview_legend(figure, axes[-1], comparison.labels, shown, has_published=has_published)
+    _overview_legend(
+        figure, axes[-1], comparison.labels, shown, has_published=has_published
+    )
     return figure
 
 
@@ -103,7 +124,10 @@ class _Row:
         is_comparable = metric is not None and SCORE_METRICS[metric].is_normalized
         return cls(
             one,
-            [None if cell is None else cell.spread(name, normalized=True) for cell in one.cells],
+            [
+                None if cell is None else cell.spread(name, normalized=True)
+                for cell in one.cells
+            ],
             [None if cell is None else cell.interval_95(name) for cell in one.cells],
             (one.published(name) if is_comparable else None) or {},
         )
@@ -126,14 +150,26 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
             if value:
                 axis.plot(value, place, marker, **HOLLOW)
                 places.append(value)
-        places += [spread.mean for spread in row.spreads if spread is not None and spread.mean > 0.0]
-        places += [end for interval in row.intervals if interval is not None for end in interval if end > 0.0]
+        places += [
+            spread.mean
+            for spread in row.spreads
+            if spread is not None and spread.mean > 0.0
+        ]
+        places += [
+            end
+            for interval in row.intervals
+            if interval is not None
+            for end in interval
+            if end > 0.0
+        ]
         _draw_dots(axis, row, place)
     low, high = 0.7 * min(places), 1.4 * max(places)
     axis.set_xlim(low, high)
     # Within two decades, whole decades alone are too few labels.
     digits = ("2", "5") if high < 100.0 * low else ()
-    axis.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else "")
+    axis.xaxis.set_minor_formatter(
+        lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else ""
+    )
     closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "lower is closer"
     aligned = " (aligned after a release)" if metric is None else ""
     axis.set_xlabel(f"normalized{aligned}, log scale; {closer}; bars: 95 %", fontsize=9)
@@ -146,7 +182,9 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
 def _draw_dots(axis: Axes, row: _Row, place: int) -> None:
     """Draw the scores of one experiment as a row of dots, and crosses at the right edge for diverged results."""
     cells = row.one.cells
-    for index, (cell, spread, interval) in enumerate(zip(cells, row.spreads, row.intervals, strict=True)):
+    for index, (cell, spread, interval) in enumerate(
+        zip(cells, row.spreads, row.intervals, strict=True)
+    ):
         # Configurations side by side within the row, so that equal scores do not hide each other.
         height = place + 0.5 * ((index + 0.5) / len(cells) - 0.5)
         color = OURS[index % len(OURS)]
@@ -155,7 +193,14 @@ def _draw_dots(axis: Axes, row: _Row, place: int) -> None:
         if spread is not None and spread.mean > 0.0:
             axis.plot(spread.mean, height, "o", ms=5.5, color=color, zorder=4)
         if cell is not None and cell.count(Outcome.DIVERGED):
-            axis.plot(0.985, height, "x", color=color, transform=axis.get_yaxis_transform(), **CROSS)
+            axis.plot(
+                0.985,
+                height,
+                "x",
+                color=color,
+                transform=axis.get_yaxis_transform(),
+                **CROSS,
+            )
     if not any(row.spreads):
         axis.axhspan(place - 0.5, place + 0.5, color=UNSCORED, zorder=0)
 
@@ -165,14 +210,23 @@ def _diverged(one: ExperimentComparison) -> bool:
 
 
 def _overview_legend(
-    figure: Figure, axis: Axes, labels: Sequence[str], rows: Sequence[ExperimentComparison], *, has_published: bool
+    figure: Figure,
+    axis: Axes,
+    labels: Sequence[str],
+    rows: Sequence[ExperimentComparison],
+    *,
+    has_published: bool,
 ) -> None:
     for index, label in enumerate(labels):
         axis.plot([], [], "o", color=OURS[index % len(OURS)], ms=5.5, label=label)
     if has_published:
-        for title, marker in zip(PUBLISHED_ENGINES.values(), ENGINE_MARKERS, strict=True):
+        for title, marker in zip(
+            PUBLISHED_ENGINES.values(), ENGINE_MARKERS, strict=True
+        ):
             axis.plot([], [], marker, label=f"{title}, paper", **HOLLOW)
-    axis.fill_between([], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run")
+    axis.fill_between(
+        [], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run"
+    )
     if any(map(_diverged, rows)):
         axis.plot([], [], "x", color=REAL, label="diverged, at the right edge", **CROSS)
     columns = 4 if max(map(len, labels), default=0) < LONG_LABEL else 3

@@ -16,7 +16,9 @@ show, a hundredth of the distance of a typical trial. Configurations share the e
 limit it would tell apart steps and solvers that differ by micrometres."""
 
 
-def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *, degrees: int) -> float:
+def p_value(
+    first: tuple[float, FloatArray], second: tuple[float, FloatArray], *, degrees: int
+) -> float:
     """Return the two-sided p-value of the hypothesis that two scores differ by at most `NEGLIGIBLE`.
 
     It is below 0.05 where 97.5 % of the draws differ by more, with the sign of the observed difference. The tail cannot
@@ -36,7 +38,9 @@ def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *
     limit = 0.5 * sign * NEGLIGIBLE
     observed = _contrast(one - limit, other + limit)
     draws = _contrast(one_draws - limit, other_draws + limit)
-    half = sign * float(observed) - float(np.quantile(sign * draws, 0.5 * (1.0 - LEVEL)))
+    half = sign * float(observed) - float(
+        np.quantile(sign * draws, 0.5 * (1.0 - LEVEL))
+    )
     if half <= 0.0:
         return 0.0
     scale = float(stdtrit(degrees, 0.5 * (1.0 + LEVEL)))
@@ -80,5 +84,7 @@ def majority_p_value(differences: Sequence[float], p_values: Sequence[float]) ->
             0.5 * p if math.copysign(1.0, difference) == sign else 1.0 - 0.5 * p
             for difference, p in zip(differences, p_values, strict=True)
         )
-        smallest = min(smallest, 2.0 * (len(one_sided) - needed + 1) * one_sided[needed - 1])
+        smallest = min(
+            smallest, 2.0 * (len(one_sided) - needed + 1) * one_sided[needed - 1]
+        )
     return smallest

@@ -8,7 +8,13 @@ from typing import Any
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
-from gauge_envs.pages.results import ALIGNED, PLAIN, SCORE_METRICS, configuration_parts, versions_text
+from gauge_envs.pages.results import (
+    ALIGNED,
+    PLAIN,
+    SCORE_METRICS,
+    configuration_parts,
+    versions_text,
+)
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     COST_TITLE,
@@ -28,7 +34,13 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.grades import ExperimentDifference, GradeComparison, Mean, PairComparison, grade_name
+from gauge_envs.tools.compare.grades import (
+    ExperimentDifference,
+    GradeComparison,
+    Mean,
+    PairComparison,
+    grade_name,
+)
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
@@ -41,7 +53,12 @@ PERCENTILE = "percentile"
 
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
-GRADE = Column("", "grade", lambda row: grade_name(row["grade"], withheld=row["withheld"]), place=Place.HEADING)
+GRADE = Column(
+    "",
+    "grade",
+    lambda row: grade_name(row["grade"], withheld=row["withheld"]),
+    place=Place.HEADING,
+)
 
 INTERVAL_NOTE = (
     "[low, high]: 95 % interval, for what the sample of real trials leaves open. Trials closer: share of the "
@@ -67,7 +84,10 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def comparison_document(
-    comparison: Comparison, metrics: Sequence[str] = ALL_METRICS, *, with_costs: bool = True
+    comparison: Comparison,
+    metrics: Sequence[str] = ALL_METRICS,
+    *,
+    with_costs: bool = True,
 ) -> Document:
     """Return scores, ranks and pairs of each grade, costs, distances without a reference, and a summary.
 
@@ -82,7 +102,9 @@ def comparison_document(
     tables: list[Table] = []
     if rows:
         tables.append(_score_table(comparison, rows))
-    if any(len(one.ranks) > 1 for grade in comparison.grades for one in grade.experiments):
+    if any(
+        len(one.ranks) > 1 for grade in comparison.grades for one in grade.experiments
+    ):
         tables.append(_experiment_rank_table(comparison))
     if any(grade.ids and len(grade.scores) > 1 for grade in comparison.grades):
         tables.append(_ranking_table(comparison))
@@ -90,19 +112,28 @@ def comparison_document(
         tables += _pair_tables(comparison)
     if rows and with_costs:
         tables.append(_cost_table(comparison))
-    if any(one.grade == BandGrade.NONE.value and one.distances for one in comparison.experiments):
+    if any(
+        one.grade == BandGrade.NONE.value and one.distances
+        for one in comparison.experiments
+    ):
         tables.append(_distance_table(comparison))
     if rows and with_costs:
         tables.append(_summary_table(comparison))
     records = [{"record": "experiment", **row} for row in rows]
     records += _grade_records(comparison)
-    return Document(parts=tables or (Paragraph("no results to compare"),), rows=records, markdown=tables)
+    return Document(
+        parts=tables or (Paragraph("no results to compare"),),
+        rows=records,
+        markdown=tables,
+    )
 
 
 # --- rows ------------------------------------------------------------------------------------------------------------
 
 
-def comparison_rows(comparison: Comparison, metrics: Sequence[str] = ALL_METRICS) -> list[dict[str, Any]]:
+def comparison_rows(
+    comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
+) -> list[dict[str, Any]]:
     """Return a JSON-ready object for each experiment and metric.
 
     An experiment without any of the metrics has one object, whose `metric` is None.
@@ -110,7 +141,9 @@ def comparison_rows(comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
     rows = []
     for one in comparison.experiments:
         names: list[str | None] = [*one.metrics(metrics)]
-        configured = list(zip(comparison.labels, comparison.configurations, one.cells, strict=True))
+        configured = list(
+            zip(comparison.labels, comparison.configurations, one.cells, strict=True)
+        )
         distances = [asdict(far) | comparison.names(far) for far in one.distances]
         for name in names or [None]:
             line = one.baselines.get(name or "")
@@ -124,7 +157,8 @@ def comparison_rows(comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
                     "real": line and {"mean": line.mean, "std": line.std},
                     "published": name and one.published(name),
                     "configurations": [
-                        {"label": label, **asdict(configuration)} | _cell_row(cell or Cell(results=()), name)
+                        {"label": label, **asdict(configuration)}
+                        | _cell_row(cell or Cell(results=()), name)
                         for label, configuration, cell in configured
                     ],
                     "distances": distances,
@@ -136,7 +170,10 @@ def comparison_rows(comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
 
 def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
     def spread_row(*, normalized: bool) -> dict[str, Any] | None:
-        if metric is None or (spread := cell.spread(metric, normalized=normalized)) is None:
+        if (
+            metric is None
+            or (spread := cell.spread(metric, normalized=normalized)) is None
+        ):
             return None
         return asdict(spread) | {"values": cell.values(metric, normalized=normalized)}
 
@@ -158,7 +195,11 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
 def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
     """Yield the ranks of each grade, then all pairs."""
     for grade in comparison.grades:
-        about = {"grade": grade.grade, "withheld": grade.withheld, "constants": grade.constants}
+        about = {
+            "grade": grade.grade,
+            "withheld": grade.withheld,
+            "constants": grade.constants,
+        }
         scores = [
             {
                 "label": comparison.labels[one.configuration],
@@ -173,15 +214,37 @@ def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
             }
             for one in grade.scores
         ]
-        apart = {one.id: [one.distinguishable_count, one.pair_count] for one in grade.experiments}
+        apart = {
+            one.id: [one.distinguishable_count, one.pair_count]
+            for one in grade.experiments
+        }
         if scores:
-            yield {"record": "grade"} | about | {"ids": grade.ids, "configurations": scores, "distinguishable": apart}
+            yield (
+                {"record": "grade"}
+                | about
+                | {"ids": grade.ids, "configurations": scores, "distinguishable": apart}
+            )
     for grade in comparison.grades:
-        about = {"grade": grade.grade, "withheld": grade.withheld, "constants": grade.constants}
+        about = {
+            "grade": grade.grade,
+            "withheld": grade.withheld,
+            "constants": grade.constants,
+        }
         for pair in grade.pairs:
-            values = {key: value for key, value in asdict(pair).items() if key not in ("first", "second")}
-            values["experiments"] = [asdict(one) | {"distinguishable": one.distinguishable} for one in pair.experiments]
-            found = {"ids": pair.ids, "closer_in": pair.counts, "distinguishable": pair.distinguishable}
+            values = {
+                key: value
+                for key, value in asdict(pair).items()
+                if key not in ("first", "second")
+            }
+            values["experiments"] = [
+                asdict(one) | {"distinguishable": one.distinguishable}
+                for one in pair.experiments
+            ]
+            found = {
+                "ids": pair.ids,
+                "closer_in": pair.counts,
+                "distinguishable": pair.distinguishable,
+            }
             yield {"record": "pair"} | comparison.names(pair) | about | values | found
 
 
@@ -190,19 +253,33 @@ def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
 
 def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Table:
     experiments = {one.id: one for one in comparison.experiments}
-    titles = {key: metric.title for key, metric in SCORE_METRICS.items()} | {PERCENTILE: "trials closer"}
+    titles = {key: metric.title for key, metric in SCORE_METRICS.items()} | {
+        PERCENTILE: "trials closer"
+    }
 
     def real_text(row: Mapping[str, Any]) -> str:
         if row["metric"] == "el":
             return "0 is ideal"
-        line = experiments[row["id"]].baselines.get("rmse" if row["metric"] == ALIGNED.key else row["metric"])
+        line = experiments[row["id"]].baselines.get(
+            "rmse" if row["metric"] == ALIGNED.key else row["metric"]
+        )
         return "-" if line is None else plus_minus_text(line.mean, line.std, line.unit)
 
     def style(index: int, row: Mapping[str, Any]) -> str:
-        return "red" if Outcome.DIVERGED.value in row["configurations"][index]["outcomes"] else ""
+        return (
+            "red"
+            if Outcome.DIVERGED.value in row["configurations"][index]["outcomes"]
+            else ""
+        )
 
     scores = [
-        Column("", label, partial(_score_cell, index), is_number=True, style=partial(style, index))
+        Column(
+            "",
+            label,
+            partial(_score_cell, index),
+            is_number=True,
+            style=partial(style, index),
+        )
         for index, label in enumerate(comparison.labels)
     ]
     scores += [
@@ -212,7 +289,9 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
     shown = []
     for row in rows:
         is_primary = row["metric"] == experiments[row["id"]].primary
-        if is_primary and any(one["percentile"] is not None for one in row["configurations"]):
+        if is_primary and any(
+            one["percentile"] is not None for one in row["configurations"]
+        ):
             shown.append(row | {"metric": PERCENTILE, "published": None})
         shown.append(row)
     return Table(
@@ -225,7 +304,13 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
             *scores,
         ),
         rows=shown,
-        notes=tuple(_score_notes(comparison, rows, [column.text(row) for column in scores for row in rows])),
+        notes=tuple(
+            _score_notes(
+                comparison,
+                rows,
+                [column.text(row) for column in scores for row in rows],
+            )
+        ),
     )
 
 
@@ -240,16 +325,26 @@ def _score_cell(index: int, row: Mapping[str, Any]) -> str:
     texts = []
     # A score without a baseline to divide by stands in its own unit.
     if spread := normalized or one["raw"]:
-        scatter = "" if spread["std"] is None else f" +- {score_text(spread['std'])} ({spread['count']})"
-        text = interval_text(spread["mean"], normalized and one["normalized_95"]) + scatter
+        scatter = (
+            ""
+            if spread["std"] is None
+            else f" +- {score_text(spread['std'])} ({spread['count']})"
+        )
+        text = (
+            interval_text(spread["mean"], normalized and one["normalized_95"]) + scatter
+        )
         texts.append(text if normalized else with_unit(text, row["unit"]))
     for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
         if count := outcomes.count(outcome.value):
-            texts.append(outcome.value if count == len(outcomes) else f"{count} {outcome.value}")
+            texts.append(
+                outcome.value if count == len(outcomes) else f"{count} {outcome.value}"
+            )
     return ", ".join(texts) or "no score"
 
 
-def _score_notes(comparison: Comparison, rows: Sequence[dict[str, Any]], used: Sequence[str]) -> Iterator[str]:
+def _score_notes(
+    comparison: Comparison, rows: Sequence[dict[str, Any]], used: Sequence[str]
+) -> Iterator[str]:
     """Yield what the table of scores needs to be read: only what occurs in it is explained."""
     yield NORMALIZED_NOTE
     if any("[" in cell for cell in used):
@@ -286,15 +381,24 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
     first, *others = configurations
     if others:
         exact = [configuration_parts(one, digits=17) for one in others]
-        pairs = zip(configuration_parts(first, digits=17), configuration_parts(first), strict=True)
-        shared = [text for part, (_, text) in pairs if all(part in parts for parts in exact)]
+        pairs = zip(
+            configuration_parts(first, digits=17),
+            configuration_parts(first),
+            strict=True,
+        )
+        shared = [
+            text for part, (_, text) in pairs if all(part in parts for parts in exact)
+        ]
         if shared:
             yield f"All configurations: {', '.join(shared)}."
         if PLAIN[1] not in shared:
             yield "Parameters are calibrated unless stated."
     if marks := dict.fromkeys(filter(None, map(_physics_text, configurations))):
         yield f"Physics: {', '.join(marks)}."
-    engines = dict.fromkeys(f"{one.backend or 'file'}: {versions_text(one) or '-'}" for one in configurations)
+    engines = dict.fromkeys(
+        f"{one.backend or 'file'}: {versions_text(one) or '-'}"
+        for one in configurations
+    )
     yield f"Versions: {'; '.join(engines)}."
     if not others:
         yield "One configuration: there is nothing to compare it with but the published scores."
@@ -309,7 +413,10 @@ def _experiment_rank_table(comparison: Comparison) -> Table:
         {
             "id": one.id,
             "grade": grade.name,
-            "ranks": [rank_text(one.ranks.get(index)) for index in range(len(comparison.labels))],
+            "ranks": [
+                rank_text(one.ranks.get(index))
+                for index in range(len(comparison.labels))
+            ],
             "apart": f"{one.distinguishable_count} of {one.pair_count}",
         }
         for grade in comparison.grades
@@ -321,7 +428,10 @@ def _experiment_rank_table(comparison: Comparison) -> Table:
         columns=(
             EXPERIMENT,
             Column("grade", "grade", place=Place.HEADING),
-            *(Column(f"ranks.{index}", label, is_number=True) for index, label in enumerate(comparison.labels)),
+            *(
+                Column(f"ranks.{index}", label, is_number=True)
+                for index, label in enumerate(comparison.labels)
+            ),
             Column("apart", "pairs apart", is_number=True),
         ),
         rows=rows,
@@ -381,10 +491,16 @@ def mean_rank_text(mean: Mean) -> str:
 
 def deciding_text(grade: GradeComparison, configuration: int) -> str:
     """Return the experiments in which a configuration ranks best and worst, all if there are at most four."""
-    ranks = [(one.ranks[configuration].value, one) for one in grade.experiments if one.id in grade.ids]
+    ranks = [
+        (one.ranks[configuration].value, one)
+        for one in grade.experiments
+        if one.id in grade.ids
+    ]
     ordered = sorted(ranks, key=lambda entry: entry[0])
     shown = ordered if len(ordered) <= MAX_NAMED else [ordered[0], ordered[-1]]
-    return ", ".join(f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown)
+    return ", ".join(
+        f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown
+    )
 
 
 def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
@@ -397,7 +513,8 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
             heading = {"grade": f"{grade.name}, {counted(len(pair.ids), 'experiment')}"}
             over_grades.append(heading | between | {"of": pair})
             over_experiments += [
-                {"id": one.id, "grade": grade.name} | between | {"of": one} for one in pair.experiments
+                {"id": one.id, "grade": grade.name} | between | {"of": one}
+                for one in pair.experiments
             ]
 
     def counts(of: PairComparison) -> str:
@@ -407,14 +524,29 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
         return interval_text(of.difference, of.difference_95)
 
     order = {one.id: place for place, one in enumerate(comparison.experiments)}
-    names, verdict = Column("between", "first : second"), Column("of.distinguishable", "at 5 %", verdict_text)
-    share = Column("of.probability_of_improvement", "first closer", lambda value: f"{value:.0%}", is_number=True)
+    names, verdict = (
+        Column("between", "first : second"),
+        Column("of.distinguishable", "at 5 %", verdict_text),
+    )
+    share = Column(
+        "of.probability_of_improvement",
+        "first closer",
+        lambda value: f"{value:.0%}",
+        is_number=True,
+    )
     p_value = Column("of.p_holm", "p", p_text, is_number=True)
     grade_heading = Column("grade", "grade", place=Place.HEADING)
     return (
         Table(
             title="Pairs within each grade",
-            columns=(grade_heading, names, Column("of", "closer in", counts, is_number=True), share, p_value, verdict),
+            columns=(
+                grade_heading,
+                names,
+                Column("of", "closer in", counts, is_number=True),
+                share,
+                p_value,
+                verdict,
+            ),
             rows=over_grades,
             notes=(
                 "Closer in: number of experiments in which the first, and in which the second is distinguishably "
@@ -458,7 +590,11 @@ def verdict_text(distinguishable: bool) -> str:
 
 def _distance_table(comparison: Comparison) -> Table:
     rows: list[dict[str, Any]] = [
-        {"id": one.id, "between": " : ".join(comparison.names(far).values()), "far": far}
+        {
+            "id": one.id,
+            "between": " : ".join(comparison.names(far).values()),
+            "far": far,
+        }
         for one in comparison.experiments
         if one.grade == BandGrade.NONE.value
         for far in one.distances
@@ -475,14 +611,18 @@ def _distance_table(comparison: Comparison) -> Table:
         return far.apart_text + (", diverged" if far.diverged else "")
 
     is_published = all(row["far"].threshold_is_scatter for row in rows)
-    share = "" if is_published else f" * not published: {MOTION_SHARE:.0%} of the motion."
+    share = (
+        "" if is_published else f" * not published: {MOTION_SHARE:.0%} of the motion."
+    )
     return Table(
         title="Where engines disagree: no reference, so distances between them",
         columns=(
             EXPERIMENT,
             Column("between", "between"),
             Column("far", "distance", distance, is_number=True),
-            Column("far", "motion", lambda far: far.text(far.motion_rms), is_number=True),
+            Column(
+                "far", "motion", lambda far: far.text(far.motion_rms), is_number=True
+            ),
             Column("far", "threshold", threshold, is_number=True),
             Column("far", "first exceeded", exceeded, is_number=True),
         ),
@@ -502,13 +642,17 @@ def cost_text(value: float) -> str:
 
 def _cost_table(comparison: Comparison) -> Table:
     columns = (
-        Column(f"costs.{index}", label, cost_text, is_number=True) for index, label in enumerate(comparison.labels)
+        Column(f"costs.{index}", label, cost_text, is_number=True)
+        for index, label in enumerate(comparison.labels)
     )
     return Table(
         title=f"Cost, {COST_TITLE}",
         columns=(Column("id", "experiment", short_id), *columns),
         rows=[
-            {"id": one.id, "costs": [cell and cell.wall_s_per_sim_s for cell in one.cells]}
+            {
+                "id": one.id,
+                "costs": [cell and cell.wall_s_per_sim_s for cell in one.cells],
+            }
             for one in comparison.experiments
         ],
         wide_only=True,
@@ -517,7 +661,12 @@ def _cost_table(comparison: Comparison) -> Table:
 
 def _summary_table(comparison: Comparison) -> Table:
     summaries = zip(comparison.labels, comparison.summaries(), strict=True)
-    counts = {"ran": "ran", "scored": "scored", "diverged": "diverged", "not_run": "not run"}
+    counts = {
+        "ran": "ran",
+        "scored": "scored",
+        "diverged": "diverged",
+        "not_run": "not run",
+    }
     return Table(
         title="Summary",
         columns=(

@@ -31,15 +31,24 @@ RATE_PER_M = 0.5 * DENSITY * COEFFICIENT / FABRIC.areal_density_kg_per_m2
 """k [1/m] of a sheet that moves along its normal: 9."""
 
 TOLERANCE = Tolerance(
-    "a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %", relative=0.02
+    "a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %",
+    relative=0.02,
 )
 
 SOURCE = "quadratic drag, Newton's law of resistance"
 
 
-def _free_sheet(lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float) -> Rollout:
+def _free_sheet(
+    lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float
+) -> Rollout:
     cloth = sheet(FABRIC, pose, (0.15, 0.15))
-    scene = Scene(bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity, air=air)
+    scene = Scene(
+        bodies=(FRAME,),
+        deformables=(cloth,),
+        duration_s=seconds,
+        gravity_m_per_s2=gravity,
+        air=air,
+    )
     return lab.rollout(scene)
 
 
@@ -55,9 +64,17 @@ def _air_terminal(lab: Lab) -> Measurement:
     speed = -steady_speed_m_per_s(rollout.times_s[window], heights)
     expected = math.sqrt(G / RATE_PER_M)
     if speed > 0.9 * G * SETTLED_S:
-        return Measurement(measured=speed, expected=expected, hint="it falls freely: the air has no effect")
+        return Measurement(
+            measured=speed,
+            expected=expected,
+            hint="it falls freely: the air has no effect",
+        )
     ratio = (expected / speed) ** 2 if speed > 0.0 else math.inf
-    return Measurement(measured=speed, expected=expected, hint=f"the drag is {ratio:.3g} times that of the law")
+    return Measurement(
+        measured=speed,
+        expected=expected,
+        hint=f"the drag is {ratio:.3g} times that of the law",
+    )
 
 
 WIND_M_PER_S, INCIDENCE_DEG = 2.0, 40.0
@@ -66,7 +83,9 @@ ALONG_M_PER_S = WIND_M_PER_S * math.cos(math.radians(INCIDENCE_DEG))
 ACROSS_M_PER_S = WIND_M_PER_S * math.sin(math.radians(INCIDENCE_DEG))
 
 
-def _in_wind(lab: Lab, seconds: float, **coefficients: Any) -> tuple[Rollout, NDArray[np.float64]]:
+def _in_wind(
+    lab: Lab, seconds: float, **coefficients: Any
+) -> tuple[Rollout, NDArray[np.float64]]:
     """Record a sheet without gravity in wind along +x, which meets its plane at 40 degrees.
 
     Args:
@@ -79,24 +98,35 @@ def _in_wind(lab: Lab, seconds: float, **coefficients: Any) -> tuple[Rollout, ND
         [sample_count, 2]. The wind has positive components along both.
     """
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, INCIDENCE_DEG, 0.0))
-    air = Air(density_kg_per_m3=DENSITY, normal_coefficient=0.0, wind_m_per_s=(WIND_M_PER_S, 0.0, 0.0))
+    air = Air(
+        density_kg_per_m3=DENSITY,
+        normal_coefficient=0.0,
+        wind_m_per_s=(WIND_M_PER_S, 0.0, 0.0),
+    )
     rollout = _free_sheet(lab, pose, replace(air, **coefficients), seconds, 0.0)
     means = rollout.nodes_m["cloth"].mean(axis=1)
     moved = pose.rotation.apply(means - means[0], inverse=True)
     return rollout, moved[:, [0, 2]]
 
 
-def _carried(lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float) -> Measurement:
+def _carried(
+    lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float
+) -> Measurement:
     """Measure the displacement [mm] by a force along one axis, against the closed form for a component of the wind."""
     _, moved_m = _in_wind(lab, DRAG_S, **coefficient)
-    expected = wind_m_per_s * DRAG_S - math.log1p(RATE_PER_M * wind_m_per_s * DRAG_S) / RATE_PER_M
+    expected = (
+        wind_m_per_s * DRAG_S
+        - math.log1p(RATE_PER_M * wind_m_per_s * DRAG_S) / RATE_PER_M
+    )
     last = moved_m[-1]
     hint = ""
     if last[axis] < 0.0:
         hint = "it moves against the wind: check the sign"
     elif abs(last[1 - axis]) > 0.1 * abs(last[axis]):
         hint = "the force has a wrong direction"
-    return Measurement(measured=1e3 * float(last[axis]), expected=1e3 * expected, hint=hint)
+    return Measurement(
+        measured=1e3 * float(last[axis]), expected=1e3 * expected, hint=hint
+    )
 
 
 @Check("air-pressure", source=SOURCE, tolerance=TOLERANCE)
@@ -116,17 +146,29 @@ def _air_lift(lab: Lab) -> Measurement:
     along, across = np.array([ALONG_M_PER_S, ACROSS_M_PER_S]) - speeds[-2]
     time_s = float(rollout.times_s[-2])
     start = math.tan(math.radians(INCIDENCE_DEG))
-    expected = math.degrees(math.atan(start * math.exp(-RATE_PER_M * WIND_M_PER_S * time_s)))
+    expected = math.degrees(
+        math.atan(start * math.exp(-RATE_PER_M * WIND_M_PER_S * time_s))
+    )
     lost = 1.0 - math.hypot(along, across) / WIND_M_PER_S
-    hint = f"the relative speed changes by {-100.0 * lost:.3g} %: the lift does work" if abs(lost) > 0.02 else ""
-    return Measurement(measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint)
+    hint = (
+        f"the relative speed changes by {-100.0 * lost:.3g} %: the lift does work"
+        if abs(lost) > 0.02
+        else ""
+    )
+    return Measurement(
+        measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint
+    )
 
 
 @Check("air-energy")
 def _air_energy(lab: Lab) -> Measurement:
     cloth = sheet(FABRIC, Pose(position_m=(0.0, 0.0, 1.0)), (0.15, 0.075))
     scene = clamped(cloth, Region(axis="x", side="low"), duration_s=0.6)
-    air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT, lift_coefficient=COEFFICIENT)
+    air = Air(
+        density_kg_per_m3=DENSITY,
+        normal_coefficient=COEFFICIENT,
+        lift_coefficient=COEFFICIENT,
+    )
     rollout = lab.rollout(replace(scene, air=air))
     nodes = rollout.nodes_m["cloth"]
     shares = np.full(nodes.shape[1], 1.0 / nodes.shape[1])

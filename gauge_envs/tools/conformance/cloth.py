@@ -77,16 +77,24 @@ def strip_of(rollout: Rollout) -> Cloth:
 
 def local_nodes(rollout: Rollout) -> NDArray[np.float64]:
     """Return nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
-    return np.array([strip_of(rollout).pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
+    return np.array(
+        [strip_of(rollout).pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]]
+    )
 
 
-def equilibrium(rollout: Rollout, settled_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def equilibrium(
+    rollout: Rollout, settled_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return nodes at the start and in equilibrium, in the cloth's frame [m], each of shape [node_count, 3]."""
     local = local_nodes(rollout)
-    return local[0], hann_mean(local[rollout.between(settled_s, float(rollout.times_s[-1]))])
+    return local[0], hann_mean(
+        local[rollout.between(settled_s, float(rollout.times_s[-1]))]
+    )
 
 
-def node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDArray[np.float64]:
+def node_shares(
+    rest_m: NDArray[np.float64], size_m: tuple[float, float]
+) -> NDArray[np.float64]:
     """Return the share of the sheet's area that is nearest to each node, for any mesh, shape [node_count]."""
     x, y = ((np.arange(400) + 0.5) / 400 * size - 0.5 * size for size in size_m)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -101,7 +109,9 @@ def hanging_strip(made_of: Fabric) -> Scene:
     return clamped(cloth, Region(axis="x", side="high"), duration_s=0.8)
 
 
-def cantilever_strip(made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0) -> Scene:
+def cantilever_strip(
+    made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0
+) -> Scene:
     """Return a horizontal strip that is clamped at one end.
 
     Gravity is that with which rho g L^3 / D is the same for every fabric and length, so that the tip's slope is 0.04.
@@ -129,7 +139,10 @@ def cantilever_strip(made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: 
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
-_hanging = rollout_of("a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge", hanging_strip(LIGHT_FABRIC))
+_hanging = rollout_of(
+    "a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge",
+    hanging_strip(LIGHT_FABRIC),
+)
 """It sags by 0.8 mm, its largest strain is 0.5 %, and its period 51 ms."""
 
 
@@ -145,7 +158,8 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
 
 
 _cantilever = rollout_of(
-    "a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity", cantilever_strip(BENT_FABRIC)
+    "a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity",
+    cantilever_strip(BENT_FABRIC),
 )
 
 
@@ -164,7 +178,9 @@ def stretch_stiffness(rollout: Rollout) -> Measurement:
     rest, now = equilibrium(rollout, 0.2)
     s = 0.5 * HANG_M - rest[:, 0]
     free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
-    slope = coefficient((rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
+    slope = coefficient(
+        (rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum())
+    )
     load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
     return stiffness(load, slope, cloth.stretch_stiffness_n_per_m, "stretches")
 
@@ -173,7 +189,9 @@ SPAN_M, HEIGHT_M = 0.1, 0.4
 SHEAR_DENSITY, SHEAR_STRETCH = 0.25, 27.5
 
 
-@recorded("an upright sheet, 0.1 m wide and 0.4 m high, clamped along both upright edges")
+@recorded(
+    "an upright sheet, 0.1 m wide and 0.4 m high, clamped along both upright edges"
+)
 def _sheared(lab: Lab) -> Rollout:
     """Record an upright sheet between two clamped upright edges: sag 0.3 mm, largest shear 1.2 %, period 31 ms.
 
@@ -184,7 +202,14 @@ def _sheared(lab: Lab) -> Rollout:
     """
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (90.0, 0.0, 0.0))
     cloth = sheet(fabric(SHEAR_DENSITY, SHEAR_STRETCH, 5e-5), pose, (SPAN_M, HEIGHT_M))
-    return lab.rollout(clamped(cloth, Region(axis="x", side="low"), Region(axis="x", side="high"), duration_s=0.6))
+    return lab.rollout(
+        clamped(
+            cloth,
+            Region(axis="x", side="low"),
+            Region(axis="x", side="high"),
+            duration_s=0.6,
+        )
+    )
 
 
 @_sheared.check("cloth-shear")
@@ -194,9 +219,15 @@ def _cloth_shear(rollout: Rollout) -> Measurement:
     middle = np.abs(rest[:, 1]) < 0.5 * HEIGHT_M - SPAN_M + PLACE_TOLERANCE_M
     free = middle & (s > PLACE_TOLERANCE_M) & (s < SPAN_M - PLACE_TOLERANCE_M)
     if free.sum() < 3:
-        return Measurement(measured=float("nan"), expected=SHEAR_STRETCH / STRETCH_OVER_SHEAR, hint="too few nodes")
+        return Measurement(
+            measured=float("nan"),
+            expected=SHEAR_STRETCH / STRETCH_OVER_SHEAR,
+            hint="too few nodes",
+        )
     slope = coefficient((rest - now)[free, 1], 0.5 * (SPAN_M * s - s**2)[free])
-    return stiffness(SHEAR_DENSITY * G, slope, SHEAR_STRETCH / STRETCH_OVER_SHEAR, "shears")
+    return stiffness(
+        SHEAR_DENSITY * G, slope, SHEAR_STRETCH / STRETCH_OVER_SHEAR, "shears"
+    )
 
 
 @_cantilever.check("cloth-bending")
@@ -208,7 +239,9 @@ def bending_stiffness(rollout: Rollout) -> Measurement:
     s = rest[:, 0] + 0.5 * cloth.size_m[0] - CLAMP_SHARE * free_m
     # Nodes are weighted by area, like the load, since a mesh's diagonals make its lines of nodes wavy.
     shares = node_shares(rest, cloth.size_m)
-    slope = cantilever_load_over_stiffness(s, (rest - now)[:, 2], length_m=free_m, weights=shares)
+    slope = cantilever_load_over_stiffness(
+        s, (rest - now)[:, 2], length_m=free_m, weights=shares
+    )
     load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
     return stiffness(load, slope, cloth.bend_stiffness_n_m_per_rad, "bends")
 
@@ -217,7 +250,9 @@ def bending_stiffness(rollout: Rollout) -> Measurement:
 def _cloth_energy(rollout: Rollout) -> Measurement:
     local = local_nodes(rollout)
     shares = node_shares(local[0], strip_of(rollout).size_m)
-    return passive_energy_gain(local, rollout.times_s, shares, rollout.scene.gravity_m_per_s2)
+    return passive_energy_gain(
+        local, rollout.times_s, shares, rollout.scene.gravity_m_per_s2
+    )
 
 
 SLAB_M, FRICTION = (1.0, 0.4, 0.02), 0.3
@@ -230,7 +265,11 @@ def _sliding(lab: Lab) -> Rollout:
     start = SLOPE.to_world(np.array([-0.3, 0.0, 0.5 * SLAB_M[2] + 0.5e-3]))
     pose = Pose(position_m=vector(start), quaternion=SLOPE.quaternion)
     scene = Scene(
-        bodies=(fixed_box("slab", SLOPE.position_m, SLAB_M, euler_deg=(0.0, SLIDE_SLOPE_DEG, 0.0)),),
+        bodies=(
+            fixed_box(
+                "slab", SLOPE.position_m, SLAB_M, euler_deg=(0.0, SLIDE_SLOPE_DEG, 0.0)
+            ),
+        ),
         deformables=(sheet(LIGHT_FABRIC, pose, (0.15, 0.15)),),
         contacts=(contact("cloth", "slab", friction=FRICTION),),
         duration_s=0.4,
@@ -247,10 +286,14 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
 def _cloth_slide(rollout: Rollout) -> Measurement:
     window = rollout.between(0.1, 0.4)
     positions = _on_slab(rollout)[window, :, 0].mean(axis=1)
-    return slide_acceleration(acceleration_m_per_s2(rollout.times_s[window], positions), FRICTION)
+    return slide_acceleration(
+        acceleration_m_per_s2(rollout.times_s[window], positions), FRICTION
+    )
 
 
 @_sliding.check("cloth-rests")
 def _cloth_rests(rollout: Rollout) -> Measurement:
-    height = _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
+    height = (
+        _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
+    )
     return Measurement(measured=1e3 * float(np.abs(height).max()))

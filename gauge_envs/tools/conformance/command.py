@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import LINE_INTERVAL_S, Format, Progress, message, print_document, print_json_lines
+from gauge_envs.cli.output import (
+    LINE_INTERVAL_S,
+    Format,
+    Progress,
+    message,
+    print_document,
+    print_json_lines,
+)
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.pages.text import counted
 
@@ -55,11 +62,16 @@ def backend_check(
     changes: arguments.Settings = None,
     limits: arguments.Limits = "",
     out: Annotated[
-        list[Path] | None, typer.Option(help="Page with all commands (.html), or columns (.json); repeatable.")
+        list[Path] | None,
+        typer.Option(
+            help="Page with all commands (.html), or columns (.json); repeatable."
+        ),
     ] = None,
     baseline: Annotated[
         Path | None,
-        typer.Option(help="A .json file of --out by an earlier version of the engine: list what got worse or moved."),
+        typer.Option(
+            help="A .json file of --out by an earlier version of the engine: list what got worse or moved."
+        ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -76,11 +88,15 @@ def backend_check(
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
     if not names:
-        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco; see gauge list backends")
+        raise ParameterError(
+            "no backend is given: name one, as in gauge backend check mujoco; see gauge list backends"
+        )
     files = [Path(name) for name in names if name.endswith(".json")]
     engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
     if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
-        raise ParameterError(f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}")
+        raise ParameterError(
+            f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}"
+        )
     patterns = [part for text in only or () for part in text.split(",")]
     settings = arguments.parsed_settings(changes)
     isolate, time_s, memory_gb = arguments.parsed_limits(limits)
@@ -110,10 +126,18 @@ def _check(
 
     findings: list[CheckResult] = []
     total = len(checks(only)) * len(engines)
-    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress, Worker(*limits) as worker:
+    with (
+        Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress,
+        Worker(*limits) as worker,
+    ):
         # Settings and patterns of all engines are checked before the first one runs.
         runs = [
-            run_checks(name, settings=settings, only=only, worker=worker if isolate or not is_bundled(name) else None)
+            run_checks(
+                name,
+                settings=settings,
+                only=only,
+                worker=worker if isolate or not is_bundled(name) else None,
+            )
             for name in engines
         ]
         for finding in (finding for run in runs for finding in run):
@@ -137,7 +161,9 @@ def _checked_places(files: Mapping[str, Path]) -> Mapping[str, Path]:
         try:
             check_replaceable(file)
         except OSError as error:
-            raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
+            raise ResultFileError(
+                f"{file}: cannot be written: {error.strerror}"
+            ) from error
         check_writable(file.parent)
     return files
 
@@ -167,7 +193,12 @@ def _matrix(
     from gauge_envs.pages.document import save_file
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.matrix import changes, matrix_columns, with_columns, write_columns
+    from gauge_envs.tools.conformance.matrix import (
+        changes,
+        matrix_columns,
+        with_columns,
+        write_columns,
+    )
     from gauge_envs.tools.conformance.words import conformance_page, matrix_document
 
     new: list[MatrixColumn] = []
@@ -187,7 +218,12 @@ def _matrix(
     if ".json" in places:
         message(write_columns(columns, places[".json"]))
     if ".html" in places:
-        page = conformance_page(columns, chosen, command=join(["gauge", *sys.argv[1:]]), when=datetime.now(UTC))
+        page = conformance_page(
+            columns,
+            chosen,
+            command=join(["gauge", *sys.argv[1:]]),
+            when=datetime.now(UTC),
+        )
         message(save_file(places[".html"], page))
     if before is not None:
         return _is_worse(new, before, form)
@@ -195,13 +231,17 @@ def _matrix(
         print_document(matrix_document(columns, chosen), form)
     bad = sum(finding.is_bad for column in new for finding in column.findings.values())
     if new:
-        message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+        message(
+            f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed"
+        )
     else:
         message(f"{counted(len(columns), 'column')} of files; no check ran")
     return bad > 0
 
 
-def _is_worse(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn], form: Format) -> bool:
+def _is_worse(
+    columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn], form: Format
+) -> bool:
     """Print what changed since an earlier version of the engines, and return whether something got worse or moved."""
     from gauge_envs.tools.conformance.matrix import changes
     from gauge_envs.tools.conformance.words import changes_table
@@ -210,8 +250,15 @@ def _is_worse(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn], f
     if form is not Format.JSON and changed:
         print_document(changes_table(changed), form)
     kinds = [one.kind for one in changed]
-    message(", ".join(f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "mended")) + " since the baseline")
-    return bool({"worse", "moved"}.intersection(kinds)) or any(column.reason for column in columns)
+    message(
+        ", ".join(
+            f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "mended")
+        )
+        + " since the baseline"
+    )
+    return bool({"worse", "moved"}.intersection(kinds)) or any(
+        column.reason for column in columns
+    )
 
 
 def _measured(
@@ -230,7 +277,9 @@ def _measured(
                     for finding in run_column(column, only, worker):
                         progress.advance(f"{column.title}: {finding.check}")
                         if form is Format.JSON:
-                            print_json_lines([finding.to_dict() | {"configuration": column.name}])
+                            print_json_lines(
+                                [finding.to_dict() | {"configuration": column.name}]
+                            )
                     bad = sum(finding.is_bad for finding in column.findings.values())
                     ran = f"{counted(len(column.findings), 'check')}, {bad} failed"
                     progress.line(f"{column.title}: {column.reason or ran}")

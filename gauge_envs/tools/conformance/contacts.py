@@ -10,7 +10,13 @@ from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, drop_scene, fall_s
+from gauge_envs.tools.bench.drop import (
+    RADIUS_M,
+    balls_above_ground,
+    bounce_of,
+    drop_scene,
+    fall_s,
+)
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
 from gauge_envs.tools.bench.slope import acceleration_downhill_m_per_s2, moved_m
 from gauge_envs.tools.bench.turning import SPIN, turning_arm_m, turning_scene
@@ -21,7 +27,13 @@ from gauge_envs.tools.conformance.laws import (
     largest_mm,
     slide_acceleration,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import (
+    Check,
+    Measurement,
+    Tolerance,
+    recorded,
+    rollout_of,
+)
 
 # --- friction --------------------------------------------------------------------------------------------------------
 
@@ -31,14 +43,22 @@ BOARD_THICKNESS_M = 0.02
 
 def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float) -> Scene:
     """Return cubes side by side on a board tilted about y, each with its own friction; the board's x is downhill."""
-    board = fixed_box("board", (0.0, 0.0, 1.0), (1.2, 0.6, BOARD_THICKNESS_M), euler_deg=(0.0, slope_deg, 0.0))
+    board = fixed_box(
+        "board",
+        (0.0, 0.0, 1.0),
+        (1.2, 0.6, BOARD_THICKNESS_M),
+        euler_deg=(0.0, slope_deg, 0.0),
+    )
     height = 0.5 * (CUBE_M + BOARD_THICKNESS_M)
     cubes = []
     for index, name in enumerate(frictions):
         place = board.pose.to_world(np.array([-0.4, 0.1 * index, height]))
         pose = Pose(position_m=vector(place), quaternion=board.pose.quaternion)
         cubes.append(body(name, Box(size_m=(CUBE_M,) * 3), pose))
-    contacts = tuple(contact(name, "board", friction=friction) for name, friction in frictions.items())
+    contacts = tuple(
+        contact(name, "board", friction=friction)
+        for name, friction in frictions.items()
+    )
     return Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds)
 
 
@@ -47,7 +67,8 @@ _slide = rollout_of(
     _on_slope(SLIDE_SLOPE_DEG, {"smooth": 0.1, "rough": 0.3}, 0.5),
 )
 _hold = rollout_of(
-    "a cube with friction 0.25 on a fixed board that leans by 10 degrees", _on_slope(10.0, {"cube": 0.25}, 0.3)
+    "a cube with friction 0.25 on a fixed board that leans by 10 degrees",
+    _on_slope(10.0, {"cube": 0.25}, 0.3),
 )
 
 
@@ -59,9 +80,13 @@ def _fixed_body_stays(rollout: Rollout) -> Measurement:
 def _slide_check(id: str, name: str, friction: float) -> None:
     @_slide.check(id)
     def measure(rollout: Rollout) -> Measurement:
-        found = slide_acceleration(acceleration_downhill_m_per_s2(rollout, name, "board"), friction)
+        found = slide_acceleration(
+            acceleration_downhill_m_per_s2(rollout, name, "board"), friction
+        )
         if moved_m(rollout, name, "board")[-1, 2] < -0.1:
-            return replace(found, hint="it falls through the board: the pair has no contact")
+            return replace(
+                found, hint="it falls through the board: the pair has no contact"
+            )
         return found
 
 
@@ -71,11 +96,14 @@ _slide_check("slide-of-pair", "smooth", 0.1)
 
 @_slide.check("slide-straight")
 def _slide_straight(rollout: Rollout) -> Measurement:
-    return Measurement(measured=1e3 * float(np.abs(moved_m(rollout, "rough", "board")[:, 1:]).max()))
+    return Measurement(
+        measured=1e3 * float(np.abs(moved_m(rollout, "rough", "board")[:, 1:]).max())
+    )
 
 
 FRICTION_TOLERANCE = Tolerance(
-    "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that", relative=0.01
+    "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that",
+    relative=0.01,
 )
 
 
@@ -87,22 +115,38 @@ def _slide_between(lab: Lab) -> Measurement:
     places = {"slab": (-0.4, 0.0, 0.5 * (size[2] + BOARD_THICKNESS_M))}
     places["cube"] = (-0.5, 0.0, size[2] + 0.5 * (CUBE_M + BOARD_THICKNESS_M))
     poses = {
-        name: replace(cube.pose, position_m=vector(board.pose.to_world(np.array(at)))) for name, at in places.items()
+        name: replace(cube.pose, position_m=vector(board.pose.to_world(np.array(at))))
+        for name, at in places.items()
     }
-    bodies = (replace(cube, pose=poses["cube"]), body("slab", Box(size_m=size), poses["slab"], mass_kg=1.0), board)
-    contacts = (contact("cube", "slab", friction=0.1), contact("slab", "board", friction=0.3))
+    bodies = (
+        replace(cube, pose=poses["cube"]),
+        body("slab", Box(size_m=size), poses["slab"], mass_kg=1.0),
+        board,
+    )
+    contacts = (
+        contact("cube", "slab", friction=0.1),
+        contact("slab", "board", friction=0.3),
+    )
     rollout = lab.rollout(replace(scene, bodies=bodies, contacts=contacts))
     measured = acceleration_downhill_m_per_s2(rollout, "cube", "board")
-    friction = slide_friction(measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=G)
+    friction = slide_friction(
+        measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=G
+    )
     return Measurement(measured=friction, expected=0.1)
 
 
 @Check("spin-on-point")
 def _spin_on_point(lab: Lab) -> Measurement:
-    top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
+    top = replace(
+        ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0)
+    )
     touch = contact("top", "ground", friction=0.5)
-    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(touch,), duration_s=0.5))
-    return Measurement(measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0)
+    rollout = lab.rollout(
+        Scene(bodies=(top, ground()), contacts=(touch,), duration_s=0.5)
+    )
+    return Measurement(
+        measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0
+    )
 
 
 TORSION_M, ROLLING_M, ROLLS_M_PER_S = 2e-4, 1e-3, 0.3
@@ -110,8 +154,12 @@ TORSION_M, ROLLING_M, ROLLS_M_PER_S = 2e-4, 1e-3, 0.3
 
 @Check("torsion")
 def _torsion(lab: Lab) -> Measurement:
-    rollout = lab.rollout(turning_scene(0.5, 0.0, (0.0, 0.0, 20.0), torsion_m=TORSION_M))
-    return Measurement(measured=1e3 * turning_arm_m(rollout, SPIN), expected=1e3 * TORSION_M)
+    rollout = lab.rollout(
+        turning_scene(0.5, 0.0, (0.0, 0.0, 20.0), torsion_m=TORSION_M)
+    )
+    return Measurement(
+        measured=1e3 * turning_arm_m(rollout, SPIN), expected=1e3 * TORSION_M
+    )
 
 
 @Check("rolling")
@@ -119,7 +167,10 @@ def _rolling(lab: Lab) -> Measurement:
     spin = (0.0, ROLLS_M_PER_S / RADIUS_M, 0.0)
     rollout = lab.rollout(turning_scene(1.6, ROLLS_M_PER_S, spin, rolling_m=ROLLING_M))
     expected = 0.7 * ROLLS_M_PER_S**2 * RADIUS_M / (G * ROLLING_M)
-    return Measurement(measured=1e3 * float(rollout.displacement("ball")[-1, 0]), expected=1e3 * expected)
+    return Measurement(
+        measured=1e3 * float(rollout.displacement("ball")[-1, 0]),
+        expected=1e3 * expected,
+    )
 
 
 @_hold.check("hold")
@@ -133,7 +184,11 @@ def _hold_steep(lab: Lab) -> Measurement:
     # A slab as thick as a cube is tall would tip.
     board, slab = scene.body("board"), scene.body("slab")
     place = board.pose.to_world(np.array([-0.4, 0.0, 0.5 * (0.02 + BOARD_THICKNESS_M)]))
-    slab = replace(slab, shape=Box(size_m=(0.08, 0.08, 0.02)), pose=replace(slab.pose, position_m=vector(place)))
+    slab = replace(
+        slab,
+        shape=Box(size_m=(0.08, 0.08, 0.02)),
+        pose=replace(slab.pose, position_m=vector(place)),
+    )
     rollout = lab.rollout(replace(scene, bodies=(slab, board)))
     return Measurement(measured=largest_mm(rollout.displacement("slab")))
 
@@ -148,37 +203,68 @@ LEAST_HOP = 0.01
 """Height of a hop over that of the drop below which a contact settles and does not rebound."""
 
 
-def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity: float = G) -> Scene:
+def _dropped(
+    restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity: float = G
+) -> Scene:
     """Return balls side by side that drop on a plane, each with its own restitution."""
     balls = balls_above_ground(dict.fromkeys(restitutions, drop_m), spacing_m=0.3)
-    contacts = tuple(contact(name, "ground", friction=0.5, restitution=value) for name, value in restitutions.items())
-    return drop_scene(balls, contacts, seconds=REBOUND_FALLS * fall_s(drop_m, gravity), gravity=gravity)
+    contacts = tuple(
+        contact(name, "ground", friction=0.5, restitution=value)
+        for name, value in restitutions.items()
+    )
+    return drop_scene(
+        balls,
+        contacts,
+        seconds=REBOUND_FALLS * fall_s(drop_m, gravity),
+        gravity=gravity,
+    )
 
 
-def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball") -> None:
+def _rebound_check(
+    id: str, dropped: Scene, restitution: float, *, name: str = "ball"
+) -> None:
     @Check(id)
     def measure(lab: Lab) -> Measurement:
         found = bounce_of(lab.rollout(dropped), name)
         if found is None:
-            return Measurement(measured=math.nan, expected=restitution, hint="it does not fall")
+            return Measurement(
+                measured=math.nan, expected=restitution, hint="it does not fall"
+            )
         if found.restitution**2 < LEAST_HOP:
-            return Measurement(measured=0.0, expected=restitution, hint="it does not leave the ground again")
+            return Measurement(
+                measured=0.0,
+                expected=restitution,
+                hint="it does not leave the ground again",
+            )
         return Measurement(measured=found.restitution, expected=restitution)
 
 
 for _restitution in (0.2, 0.5, 0.75, 0.95):
-    _rebound_check(f"rebound-{_restitution:g}", _dropped({"ball": _restitution}), _restitution)
-_rebound_check("rebound-of-pair", _dropped({"lively": 0.75, "dull": 0.2}), 0.2, name="dull")
+    _rebound_check(
+        f"rebound-{_restitution:g}", _dropped({"ball": _restitution}), _restitution
+    )
+_rebound_check(
+    "rebound-of-pair", _dropped({"lively": 0.75, "dull": 0.2}), 0.2, name="dull"
+)
 
 _flat = box("box", (0.0, 0.0, RADIUS_M + DROP_M), (0.1, 0.08, 2.0 * RADIUS_M))
 _flat_contact = contact("box", "ground", friction=0.5, restitution=0.5)
-_rebound_check("rebound-flat", drop_scene([_flat], (_flat_contact,), seconds=0.6, gravity=G), 0.5, name="box")
+_rebound_check(
+    "rebound-flat",
+    drop_scene([_flat], (_flat_contact,), seconds=0.6, gravity=G),
+    0.5,
+    name="box",
+)
 
 _low = balls_above_ground({"ball": LOW_DROP_M}, spacing_m=0.0)
 _sustained = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.8)
-_rebound_check("rebound-sustained", drop_scene(_low, (_sustained,), seconds=0.3, gravity=G), 0.0)
+_rebound_check(
+    "rebound-sustained", drop_scene(_low, (_sustained,), seconds=0.3, gravity=G), 0.0
+)
 
-_rebound_check("rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5)
+_rebound_check(
+    "rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5
+)
 _rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=3.26), 0.5)
 
 
@@ -187,9 +273,17 @@ _rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=3.26), 0.5)
 
 @recorded("a box dropped by 0.35 m on a corner, on a plane")
 def _tumble(lab: Lab) -> Rollout:
-    brick = box("brick", (0.0, 0.0, 0.35), (0.1, 0.06, 0.03), euler_deg=(25.0, 35.0, 10.0), mass_kg=0.4)
+    brick = box(
+        "brick",
+        (0.0, 0.0, 0.35),
+        (0.1, 0.06, 0.03),
+        euler_deg=(25.0, 35.0, 10.0),
+        mass_kg=0.4,
+    )
     bounce = contact("brick", "ground", friction=0.4, restitution=0.5)
-    return lab.rollout(Scene(bodies=(brick, ground()), contacts=(bounce,), duration_s=1.0))
+    return lab.rollout(
+        Scene(bodies=(brick, ground()), contacts=(bounce,), duration_s=1.0)
+    )
 
 
 PILE_BOX_M = (0.1, 0.1, 0.05)
@@ -198,12 +292,19 @@ PILE_BOX_M = (0.1, 0.1, 0.05)
 @recorded("a slanting stack of six boxes on a plane, which falls over")
 def _pile(lab: Lab) -> Rollout:
     boxes = tuple(
-        box(f"box-{index}", (0.025 * index, 0.01 * (index % 2), 0.03 + 0.055 * index), PILE_BOX_M, mass_kg=0.3)
+        box(
+            f"box-{index}",
+            (0.025 * index, 0.01 * (index % 2), 0.03 + 0.055 * index),
+            PILE_BOX_M,
+            mass_kg=0.3,
+        )
         for index in range(6)
     )
     names = tuple(one.name for one in boxes)
     contacts = tuple(contact(names, other, friction=0.4) for other in (names, "ground"))
-    return lab.rollout(Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0))
+    return lab.rollout(
+        Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0)
+    )
 
 
 @_pile.check("pile-energy")
@@ -213,8 +314,12 @@ def _largest_gain(rollout: Rollout) -> Measurement:
     energy = np.zeros(len(rollout.times_s))
     for one in rollout.scene.dynamic_bodies:
         states, spin = rollout.states[one.name], rollout.angular_velocity(one.name)
-        energy += 0.5 * np.einsum("ti,tij,tj->t", spin, inertia_kg_m2(rollout, one.name), spin)
-        energy += one.mass_kg * (0.5 * np.square(states[:, 7:10]).sum(axis=1) + G * states[:, 2])
+        energy += 0.5 * np.einsum(
+            "ti,tij,tj->t", spin, inertia_kg_m2(rollout, one.name), spin
+        )
+        energy += one.mass_kg * (
+            0.5 * np.square(states[:, 7:10]).sum(axis=1) + G * states[:, 2]
+        )
     gain = 100.0 * float((energy - energy[0]).max() / energy[0])
     at = float(rollout.times_s[int(energy.argmax())])
     return Measurement(measured=gain, hint=f"the energy is highest at {at:.3g} s")
@@ -222,7 +327,10 @@ def _largest_gain(rollout: Rollout) -> Measurement:
 
 @_pile.check("pile-bounds")
 def _pile_bounds(rollout: Rollout) -> Measurement:
-    speeds = [np.linalg.norm(rollout.velocity(one.name), axis=1).max() for one in rollout.scene.dynamic_bodies]
+    speeds = [
+        np.linalg.norm(rollout.velocity(one.name), axis=1).max()
+        for one in rollout.scene.dynamic_bodies
+    ]
     return Measurement(measured=float(max(speeds)) / rollout.scene.speed_limit_m_per_s)
 
 
@@ -233,7 +341,9 @@ def _pile_sinks(rollout: Rollout) -> Measurement:
     for one in rollout.scene.dynamic_bodies:
         landed = rollout.between(0.8, 1.0)
         rotations = rollout.rotation(one.name)[landed].as_matrix()
-        heights = rollout.position(one.name)[landed, 2, None] + rotations[:, 2] @ corners.T
+        heights = (
+            rollout.position(one.name)[landed, 2, None] + rotations[:, 2] @ corners.T
+        )
         deepest = max(deepest, -float(heights.min()))
     return Measurement(measured=1e3 * deepest)
 
@@ -248,10 +358,24 @@ OBLIQUE: dict[str, tuple[float, float]] = {"grip": (0.6, 1.0), "slip": (0.1, 3.0
 def _oblique_scene() -> Scene:
     balls = []
     for index, (name, (_, along)) in enumerate(OBLIQUE.items()):
-        thrown = ball(name, (0.0, 0.5 * index, RADIUS_M + 0.1 * OBLIQUE_DOWN_M_PER_S), radius_m=RADIUS_M)
-        balls.append(replace(thrown, linear_velocity_m_per_s=(along, 0.0, -OBLIQUE_DOWN_M_PER_S)))
-    contacts = (contact(name, "ground", friction=mu, restitution=OBLIQUE_E) for name, (mu, _) in OBLIQUE.items())
-    return Scene(bodies=(*balls, ground()), contacts=tuple(contacts), duration_s=OBLIQUE_END_S, gravity_m_per_s2=0.0)
+        thrown = ball(
+            name,
+            (0.0, 0.5 * index, RADIUS_M + 0.1 * OBLIQUE_DOWN_M_PER_S),
+            radius_m=RADIUS_M,
+        )
+        balls.append(
+            replace(thrown, linear_velocity_m_per_s=(along, 0.0, -OBLIQUE_DOWN_M_PER_S))
+        )
+    contacts = (
+        contact(name, "ground", friction=mu, restitution=OBLIQUE_E)
+        for name, (mu, _) in OBLIQUE.items()
+    )
+    return Scene(
+        bodies=(*balls, ground()),
+        contacts=tuple(contacts),
+        duration_s=OBLIQUE_END_S,
+        gravity_m_per_s2=0.0,
+    )
 
 
 _oblique = rollout_of(
@@ -263,7 +387,10 @@ _oblique = rollout_of(
 
 OBLIQUE_TEXTS: dict[str, Any] = {
     "source": "Routh, Rigid Dynamics; Brach, J. Appl. Mech. 51 (1984)",
-    "tolerance": Tolerance("as for a slide: the error must be well below the scatter of friction", relative=0.01),
+    "tolerance": Tolerance(
+        "as for a slide: the error must be well below the scatter of friction",
+        relative=0.01,
+    ),
     "diagnosis": "check that friction acts in pairs of the mode IMPACT and on the whole impulse, its direction, and "
     "its moment about the centre",
 }
@@ -286,13 +413,17 @@ def _after(rollout: Rollout, name: str) -> tuple[float, float, float, str]:
 @_oblique.check("oblique-grip-speed", **OBLIQUE_TEXTS)
 def _grip_speed(rollout: Rollout) -> Measurement:
     along, _, _, hint = _after(rollout, "grip")
-    return Measurement(measured=along, expected=5.0 / 7.0 * OBLIQUE["grip"][1], hint=hint)
+    return Measurement(
+        measured=along, expected=5.0 / 7.0 * OBLIQUE["grip"][1], hint=hint
+    )
 
 
 @_oblique.check("oblique-grip-spin", **OBLIQUE_TEXTS)
 def _grip_spin(rollout: Rollout) -> Measurement:
     _, _, spin, hint = _after(rollout, "grip")
-    return Measurement(measured=spin, expected=5.0 / 7.0 * OBLIQUE["grip"][1] / RADIUS_M, hint=hint)
+    return Measurement(
+        measured=spin, expected=5.0 / 7.0 * OBLIQUE["grip"][1] / RADIUS_M, hint=hint
+    )
 
 
 @_oblique.check("oblique-slip-friction", **OBLIQUE_TEXTS)
@@ -308,8 +439,12 @@ def _slip_friction(rollout: Rollout) -> Measurement:
 @_oblique.check(
     "oblique-slip-rebound",
     **OBLIQUE_TEXTS
-    | {"diagnosis": "where rebound-0.5 passes, slip adds to the rebound: a convex contact model dilates as it slips"},
+    | {
+        "diagnosis": "where rebound-0.5 passes, slip adds to the rebound: a convex contact model dilates as it slips"
+    },
 )
 def _slip_rebound(rollout: Rollout) -> Measurement:
     _, up, _, hint = _after(rollout, "slip")
-    return Measurement(measured=up / OBLIQUE_DOWN_M_PER_S, expected=OBLIQUE_E, hint=hint)
+    return Measurement(
+        measured=up / OBLIQUE_DOWN_M_PER_S, expected=OBLIQUE_E, hint=hint
+    )

@@ -42,7 +42,11 @@ IN_A_COPY = "in a copy from a pickle"
 
 
 def continuation_differences(
-    lab: Lab, scene: Scene, *, before: int, prepare: Callable[[Simulation], None] | None = None
+    lab: Lab,
+    scene: Scene,
+    *,
+    before: int,
+    prepare: Callable[[Simulation], None] | None = None,
 ) -> dict[str, float]:
     """Return the largest difference of any state from an undisturbed run within 0.1 s, for each use of a state.
 
@@ -60,7 +64,10 @@ def continuation_differences(
         rows = []
         for sample in range(first, first + count):
             paths.advance(simulation, sample)
-            nodes = [np.array(simulation.nodes(one.name)).ravel() for one in scene.deformables]
+            nodes = [
+                np.array(simulation.nodes(one.name)).ravel()
+                for one in scene.deformables
+            ]
             rows.append(np.concatenate([states_now(simulation, names).ravel(), *nodes]))
         return np.array(rows)
 
@@ -80,15 +87,22 @@ def continuation_differences(
             runs[text] = run(simulation, before, after)
         other.restore(pickle.loads(packed))
         runs[IN_A_COPY] = run(other, before, after)
-        return {text: float(np.abs(values - expected).max()) for text, values in runs.items()}
+        return {
+            text: float(np.abs(values - expected).max())
+            for text, values in runs.items()
+        }
 
 
 def continuation_measurement(differences: dict[str, float]) -> Measurement:
     """Return the largest of the differences, with the uses of a state that are wrong."""
-    wrong = [f"{text} {value:.3g}" for text, value in differences.items() if value != 0.0]
+    wrong = [
+        f"{text} {value:.3g}" for text, value in differences.items() if value != 0.0
+    ]
     return Measurement(
         measured=float(np.max(list(differences.values()))),
-        hint=f"difference from a run without state(): {', '.join(wrong)}" if wrong else "",
+        hint=f"difference from a run without state(): {', '.join(wrong)}"
+        if wrong
+        else "",
     )
 
 
@@ -105,7 +119,9 @@ def _continuation(
 
     @replace(common, id=id, **texts)
     def measure(lab: Lab) -> Measurement:
-        differences = continuation_differences(lab, build(lab), before=before, prepare=prepare)
+        differences = continuation_differences(
+            lab, build(lab), before=before, prepare=prepare
+        )
         if common is COPY:
             return Measurement(measured=differences[IN_A_COPY])
         return continuation_measurement(differences)
@@ -122,33 +138,52 @@ def _stack(_: Lab) -> Scene:
         box(f"box-{index}", (0.004 * index, 0.0, height), size)
         for index, (size, height) in enumerate(zip(sizes, heights, strict=True))
     )
-    cylinder = body("cylinder", Cylinder(radius_m=0.03, length_m=0.06), Pose(position_m=(0.3, 0.0, 0.03)))
+    cylinder = body(
+        "cylinder",
+        Cylinder(radius_m=0.03, length_m=0.06),
+        Pose(position_m=(0.3, 0.0, 0.03)),
+    )
     names = tuple(one.name for one in boxes)
-    contacts = (contact(names, names, friction=0.4), contact((*names, "ball", "cylinder"), "ground", friction=0.4))
+    contacts = (
+        contact(names, names, friction=0.4),
+        contact((*names, "ball", "cylinder"), "ground", friction=0.4),
+    )
     return Scene(
-        bodies=(*boxes, cylinder, ball("ball", (-0.2, 0.0, 0.03)), ground()), contacts=contacts, duration_s=1.0
+        bodies=(*boxes, cylinder, ball("ball", (-0.2, 0.0, 0.03)), ground()),
+        contacts=contacts,
+        duration_s=1.0,
     )
 
 
 def _edge(_: Lab) -> Scene:
     """Return a brick that tips over the edge of a table, and one that leans on a block."""
     overhanging = box("tipping", (0.27, 0.0, 0.52), (0.12, 0.06, 0.04))
-    leaning = box("leaning", (-0.125, 0.2, 0.6), (0.02, 0.06, 0.18), euler_deg=(0.0, 25.0, 0.0))
+    leaning = box(
+        "leaning", (-0.125, 0.2, 0.6), (0.02, 0.06, 0.18), euler_deg=(0.0, 25.0, 0.0)
+    )
     table = fixed_box("table", (0.0, 0.0, 0.25), (0.5, 0.6, 0.5))
     block = fixed_box("block", (-0.05, 0.2, 0.56), (0.04, 0.1, 0.12))
     contacts = (contact(("tipping", "leaning"), ("table", "block"), friction=0.5),)
-    return Scene(bodies=(overhanging, leaning, table, block), contacts=contacts, duration_s=1.0)
+    return Scene(
+        bodies=(overhanging, leaning, table, block), contacts=contacts, duration_s=1.0
+    )
 
 
 def _swing(_: Lab) -> Scene:
     """Return a box that swings on a hinge."""
     hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
-    return Scene(bodies=(box("bob", (0.15, 0.0, 0.95), (0.1, 0.06, 0.03)),), joints=(hinge,), duration_s=1.0)
+    return Scene(
+        bodies=(box("bob", (0.15, 0.0, 0.95), (0.1, 0.06, 0.03)),),
+        joints=(hinge,),
+        duration_s=1.0,
+    )
 
 
 def _floating(_: Lab) -> Scene:
     """Return a floating box."""
-    brick = body("brick", Box(size_m=(0.1, 0.06, 0.03)), Pose(position_m=(0.0, 0.0, 1.0)))
+    brick = body(
+        "brick", Box(size_m=(0.1, 0.06, 0.03)), Pose(position_m=(0.0, 0.0, 1.0))
+    )
     return Scene(bodies=(brick,), duration_s=1.0, gravity_m_per_s2=0.0)
 
 
@@ -213,7 +248,13 @@ _continuation(
     diagnosis="state() must hold copies of the nodes' velocities and all else that the next step reads",
 )
 
-_continuation(COPY, "copy", title="a copy continues bit for bit", scene=BOUNCES, build=bounces)
 _continuation(
-    COPY, "cloth-copy", title="cloth: a copy continues bit for bit", scene=STRIP_ON_ROD, build=lambda _: strip_on_rod()
+    COPY, "copy", title="a copy continues bit for bit", scene=BOUNCES, build=bounces
+)
+_continuation(
+    COPY,
+    "cloth-copy",
+    title="cloth: a copy continues bit for bit",
+    scene=STRIP_ON_ROD,
+    build=lambda _: strip_on_rod(),
 )

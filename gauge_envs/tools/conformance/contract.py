@@ -6,13 +6,42 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, Region, Scene, SoftBody
+from gauge_envs.runs.rollout import (
+    DeclinedError,
+    NotFiniteError,
+    Rollout,
+    record,
+    states_now,
+)
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    Hinge,
+    Pose,
+    Region,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import ball, box, contact, driven_box, driver, fixed_box, ground, ramp
+from gauge_envs.tools.bench.parts import (
+    ball,
+    box,
+    contact,
+    driven_box,
+    driver,
+    fixed_box,
+    ground,
+    ramp,
+)
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, clamped, strip_on_rod
 from gauge_envs.tools.conformance.laws import largest_mm
-from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, recorded
+from gauge_envs.tools.conformance.model import (
+    COUNT,
+    EXACT,
+    Check,
+    Measurement,
+    recorded,
+)
 
 SAME_SEED: dict[str, Any] = {
     "law": "same seed, same trajectory",
@@ -54,7 +83,13 @@ def _foam_scene() -> Scene:
 
 @Check("finite", tolerance=COUNT)
 def _finite(lab: Lab) -> Measurement:
-    scenes = (_still_scene(), _bounce_scene(), _swinging_scene(), strip_on_rod(), _foam_scene())
+    scenes = (
+        _still_scene(),
+        _bounce_scene(),
+        _swinging_scene(),
+        strip_on_rod(),
+        _foam_scene(),
+    )
     faults, declined = [], []
     for scene in scenes:
         try:
@@ -75,12 +110,28 @@ def _still_scene() -> Scene:
     """Return a scene of a fixed, a driven and two dynamic bodies with different orientations."""
     return Scene(
         bodies=(
-            box("brick", (0.5, -0.3, 2.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 50.0, -100.0)),
-            fixed_box("wall", (-0.4, 0.2, 1.0), (0.1, 0.3, 0.2), euler_deg=(0.0, 0.0, 30.0)),
-            driven_box("plate", (0.1, 0.7, 0.4), (0.2, 0.2, 0.02), euler_deg=(10.0, 0.0, 60.0)),
+            box(
+                "brick",
+                (0.5, -0.3, 2.0),
+                (0.1, 0.06, 0.03),
+                euler_deg=(20.0, 50.0, -100.0),
+            ),
+            fixed_box(
+                "wall", (-0.4, 0.2, 1.0), (0.1, 0.3, 0.2), euler_deg=(0.0, 0.0, 30.0)
+            ),
+            driven_box(
+                "plate", (0.1, 0.7, 0.4), (0.2, 0.2, 0.02), euler_deg=(10.0, 0.0, 60.0)
+            ),
             ball("ball", (-0.2, -0.6, 1.5)),
         ),
-        drivers=(driver("plate", "translate", (0.0, 0.0, 1.0), ramp(0.1, start_s=0.1, duration_s=0.4, ramp_s=0.1)),),
+        drivers=(
+            driver(
+                "plate",
+                "translate",
+                (0.0, 0.0, 1.0),
+                ramp(0.1, start_s=0.1, duration_s=0.4, ramp_s=0.1),
+            ),
+        ),
         duration_s=1.0,
     )
 
@@ -93,12 +144,18 @@ class _Built(NamedTuple):
     backward: NDArray[np.float64]
 
 
-@recorded("a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts")
+@recorded(
+    "a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts"
+)
 def _as_built(lab: Lab) -> _Built:
     scene = _still_scene()
     names = [one.name for one in scene.bodies]
     with closing(lab.build(scene)) as simulation:
-        return _Built(scene, states_now(simulation, names), states_now(simulation, names[::-1])[::-1])
+        return _Built(
+            scene,
+            states_now(simulation, names),
+            states_now(simulation, names[::-1])[::-1],
+        )
 
 
 @_as_built.check("order-of-names", tolerance=EXACT)
@@ -108,8 +165,15 @@ def _order_of_names(built: _Built) -> Measurement:
 
 @_as_built.check("start-position")
 def _start_position(built: _Built) -> Measurement:
-    positions, expected = built.states[:, :3], np.array([one.pose.position_m for one in built.scene.bodies])
-    hint = "positions are in mm" if np.allclose(positions, 1e3 * expected, atol=1.0) else ""
+    positions, expected = (
+        built.states[:, :3],
+        np.array([one.pose.position_m for one in built.scene.bodies]),
+    )
+    hint = (
+        "positions are in mm"
+        if np.allclose(positions, 1e3 * expected, atol=1.0)
+        else ""
+    )
     return Measurement(measured=largest_mm(positions - expected), hint=hint)
 
 
@@ -118,7 +182,10 @@ def _start_orientation(built: _Built) -> Measurement:
     expected = np.array([one.pose.quaternion for one in built.scene.bodies])
 
     def error(quaternions: NDArray[np.float64]) -> float:
-        both = [np.linalg.norm(quaternions - sign * expected, axis=1) for sign in (1.0, -1.0)]
+        both = [
+            np.linalg.norm(quaternions - sign * expected, axis=1)
+            for sign in (1.0, -1.0)
+        ]
         return float(np.min(both, axis=0).max())
 
     reported = built.states[:, 3:7]
@@ -126,7 +193,9 @@ def _start_orientation(built: _Built) -> Measurement:
         "it is x, y, z, w: the scalar comes last": np.roll(reported, 1, axis=1),
         "it is the inverse: world to body": reported * [1.0, -1.0, -1.0, -1.0],
     }
-    hint = next((text for text, values in explanations.items() if error(values) < 1e-4), "")
+    hint = next(
+        (text for text, values in explanations.items() if error(values) < 1e-4), ""
+    )
     return Measurement(measured=error(reported), hint=hint)
 
 
@@ -142,13 +211,28 @@ def _bounce_scene() -> Scene:
     """Return a scene with contact, rebound, rotation and a driver: a tumbling box beside a driven plate."""
     return Scene(
         bodies=(
-            box("brick", (0.0, 0.0, 0.2), (0.1, 0.06, 0.03), euler_deg=(25.0, 35.0, 10.0)),
+            box(
+                "brick",
+                (0.0, 0.0, 0.2),
+                (0.1, 0.06, 0.03),
+                euler_deg=(25.0, 35.0, 10.0),
+            ),
             fixed_box("slab", (0.0, 0.0, -0.01), (1.0, 1.0, 0.02)),
             driven_box("plate", (0.0, 0.0, 0.6), (0.3, 0.3, 0.02)),
             ball("ball", (0.1, 0.0, 0.64)),
         ),
-        contacts=(contact("brick", "slab", friction=0.4, restitution=0.4), contact("ball", "plate", friction=0.4)),
-        drivers=(driver("plate", "rotate", (0.0, 1.0, 0.0), ramp(0.5, start_s=0.05, duration_s=0.5, ramp_s=0.1)),),
+        contacts=(
+            contact("brick", "slab", friction=0.4, restitution=0.4),
+            contact("ball", "plate", friction=0.4),
+        ),
+        drivers=(
+            driver(
+                "plate",
+                "rotate",
+                (0.0, 1.0, 0.0),
+                ramp(0.5, start_s=0.05, duration_s=0.5, ramp_s=0.1),
+            ),
+        ),
         duration_s=1.0,
     )
 
@@ -156,7 +240,11 @@ def _bounce_scene() -> Scene:
 def bounces(lab: Lab) -> Scene:
     """Return that scene, or a ball on the ground when the backend cannot build it."""
     bounce = contact("ball", "ground", friction=0.4, restitution=0.6)
-    simple = Scene(bodies=(ball("ball", (0.1, 0.2, 0.2)), ground()), contacts=(bounce,), duration_s=1.0)
+    simple = Scene(
+        bodies=(ball("ball", (0.1, 0.2, 0.2)), ground()),
+        contacts=(bounce,),
+        duration_s=1.0,
+    )
     return lab.first_supported(_bounce_scene(), simple)
 
 
@@ -168,7 +256,9 @@ BOUNCES = (
 
 @Check("time")
 def _time(lab: Lab) -> Measurement:
-    scene = Scene(bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0)
+    scene = Scene(
+        bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0
+    )
     fallen = []
     for interval, count in ((1 / 30, 9), (SAMPLE_INTERVAL_S, 54)):
         with closing(lab.build(scene)) as simulation:
@@ -177,19 +267,30 @@ def _time(lab: Lab) -> Measurement:
                 simulation.advance(interval)
             fallen.append(3.0 - states_now(simulation, ["brick"])[0, 2])
     if fallen[1] == 0.0:
-        return Measurement(measured=float("nan"), expected=1.0, hint="the brick does not move")
+        return Measurement(
+            measured=float("nan"), expected=1.0, hint="the brick does not move"
+        )
     law_m = 0.5 * G * (54 * SAMPLE_INTERVAL_S) ** 2
     wrong = abs(abs(fallen[1]) - law_m) > 0.05 * law_m
     hint = f"in 54 calls it fell by {fallen[1]:.3g} m instead of {law_m:.3g} m: each call changes its speed"
     if np.allclose(fallen, law_m * np.square([8 / 9, 53 / 54]), rtol=5e-3):
-        hint, wrong = "the states are those before the last call of advance(): one interval late", True
-    return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
+        hint, wrong = (
+            "the states are those before the last call of advance(): one interval late",
+            True,
+        )
+    return Measurement(
+        measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else ""
+    )
 
 
 @Check("sample-positions", tolerance=EXACT)
 def _sample_positions(lab: Lab) -> Measurement:
     scene = Scene(
-        bodies=(ball("ball", (0.1, 0.2, 2.0)), box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03))), duration_s=1.0
+        bodies=(
+            ball("ball", (0.1, 0.2, 2.0)),
+            box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),
+        ),
+        duration_s=1.0,
     )
     names = ["brick", "ball"]
     read = []
@@ -197,7 +298,9 @@ def _sample_positions(lab: Lab) -> Measurement:
         with closing(lab.build(scene)) as simulation:
             simulation.reset(0)
             if in_one_call:
-                read.append(np.array(simulation.sample_positions(names, 12, SAMPLE_INTERVAL_S)))
+                read.append(
+                    np.array(simulation.sample_positions(names, 12, SAMPLE_INTERVAL_S))
+                )
                 continue
             rows = []
             for _ in range(12):
@@ -212,12 +315,19 @@ def _sample_positions(lab: Lab) -> Measurement:
 
 def _difference(first: Rollout, second: Rollout) -> float:
     """Return the largest difference between two rollouts of one scene in any number."""
-    states = [np.abs(first.states[name] - second.states[name]).max() for name in first.states]
-    nodes = [np.abs(first.nodes_m[name] - second.nodes_m[name]).max() for name in first.nodes_m]
+    states = [
+        np.abs(first.states[name] - second.states[name]).max() for name in first.states
+    ]
+    nodes = [
+        np.abs(first.nodes_m[name] - second.nodes_m[name]).max()
+        for name in first.nodes_m
+    ]
     return float(max([*states, *nodes]))
 
 
-def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Rollout, Rollout]:
+def _again_after_reset(
+    lab: Lab, scene: Scene, seconds: float
+) -> tuple[Rollout, Rollout]:
     """Return two rollouts of one simulation, which runs with another seed and is reset between them.
 
     The first sample of the first rollout is from before the first reset.
@@ -249,7 +359,9 @@ def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
 @_bounce_again.check("reset-start", tolerance=EXACT)
 def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
     first, second = (rollout.cut(0.0, 0.0) for rollout in pair)
-    apart = np.abs([states[0] - second.states[name][0] for name, states in first.states.items()])
+    apart = np.abs(
+        [states[0] - second.states[name][0] for name, states in first.states.items()]
+    )
     hint = "reset does not restore all positions" if apart[:, :7].any() else ""
     if apart.any() and not hint:
         hint = "velocities are kept"
@@ -263,7 +375,9 @@ def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
 
 @Check("determinism", scene=BOUNCES, **SAME_SCENE)
 def _determinism(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(*(lab.rollout(bounces(lab), 0.5) for _ in range(2))))
+    return Measurement(
+        measured=_difference(*(lab.rollout(bounces(lab), 0.5) for _ in range(2)))
+    )
 
 
 _cloth_again.check("cloth-reset", **SAME_SEED)(_reset_course)
@@ -271,4 +385,6 @@ _cloth_again.check("cloth-reset", **SAME_SEED)(_reset_course)
 
 @Check("cloth-determinism", scene=STRIP_ON_ROD, **SAME_SCENE)
 def _cloth_determinism(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(_cloth_again(lab)[0], lab.rollout(strip_on_rod(), 0.2)))
+    return Measurement(
+        measured=_difference(_cloth_again(lab)[0], lab.rollout(strip_on_rod(), 0.2))
+    )

@@ -24,7 +24,9 @@ PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
 
 
-def _on_plate(motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5) -> Scene:
+def _on_plate(
+    motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5
+) -> Scene:
     """Return a cube on a driven plate."""
     cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
     return Scene(
@@ -38,12 +40,20 @@ def _on_plate(motion: Driver, *, friction: float = 0.4, x_m: float, seconds: flo
 _carry = rollout_of(
     "a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
     _on_plate(
-        driver("plate", "translate", (1.0, 0.0, 0.0), ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4)), x_m=-0.1
+        driver(
+            "plate",
+            "translate",
+            (1.0, 0.0, 0.0),
+            ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4),
+        ),
+        x_m=-0.1,
     ),
 )
 """The plate accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
 
-TURN = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5)
+TURN = TrapezoidProfile(
+    start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5
+)
 _turntable = rollout_of(
     "a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
     _on_plate(driver("plate", "rotate", (0.0, 0.0, 1.0), TURN), x_m=0.05),
@@ -61,7 +71,9 @@ def _driven_velocity(rollout: Rollout) -> Measurement:
 @_turntable.check("driven-path")
 def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
-    rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
+    rotated = np.stack(
+        [rotation.apply(corners) for rotation in rollout.rotation("plate")]
+    )
     found = driver_error(rollout, rotated + rollout.position("plate")[:, None])
     return found if found.hint else replace(found, hint=_turn_hint(rollout))
 
@@ -70,7 +82,14 @@ _flick = rollout_of(
     "a plate that turns by 0.3 rad within 0.1 s about an axis that leans along x, without contacts",
     Scene(
         bodies=(driven_box("plate", (0.0, 0.0, 0.5), PLATE_M),),
-        drivers=(driver("plate", "rotate", (0.6, 0.0, 0.8), ramp(0.3, start_s=0.0, duration_s=0.1, ramp_s=0.05)),),
+        drivers=(
+            driver(
+                "plate",
+                "rotate",
+                (0.6, 0.0, 0.8),
+                ramp(0.3, start_s=0.0, duration_s=0.1, ramp_s=0.05),
+            ),
+        ),
         duration_s=0.2,
     ),
 )
@@ -79,7 +98,9 @@ _flick = rollout_of(
 @_flick.check("driven-flick")
 def _driven_flick(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
-    rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
+    rotated = np.stack(
+        [rotation.apply(corners) for rotation in rollout.rotation("plate")]
+    )
     return driver_error(rollout, rotated + rollout.position("plate")[:, None])
 
 
@@ -90,8 +111,14 @@ def _turn_hint(rollout: Rollout) -> str:
     turned = (rollout.rotation("plate")[1:] * prescribed[:-1].inv()).magnitude()
     moves = asked > 0.5 * asked.max()
     ratio = float(np.median(turned[moves] / asked[moves]))
-    wrong = any(abs(ratio / unit - 1.0) < 0.05 for unit in (np.degrees(1.0), np.radians(1.0)))
-    return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
+    wrong = any(
+        abs(ratio / unit - 1.0) < 0.05 for unit in (np.degrees(1.0), np.radians(1.0))
+    )
+    return (
+        f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s"
+        if wrong
+        else ""
+    )
 
 
 CARRY_DIAGNOSIS = (
@@ -101,19 +128,26 @@ CARRY_DIAGNOSIS = (
 
 
 @_turntable.check(
-    "carry-turn", diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep"
+    "carry-turn",
+    diagnosis=CARRY_DIAGNOSIS
+    + "; check the angular velocity's sign and frame, and outward creep",
 )
 @_carry.check("carry-line", diagnosis=CARRY_DIAGNOSIS)
 def _slip(rollout: Rollout) -> Measurement:
     """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)
-    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
+    places = [
+        pose.to_body(position)
+        for pose, position in zip(poses, rollout.position("cube"), strict=True)
+    ]
     return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
 @Check("carry-slip")
 def _carry_slip(lab: Lab) -> Measurement:
-    start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
+    start = TrapezoidProfile(
+        start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25
+    )
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
     rollout = lab.rollout(_on_plate(motion, friction=0.05, x_m=0.0, seconds=0.4))
     measured = acceleration_m_per_s2(rollout.times_s, rollout.position("cube")[:, 0])
@@ -154,13 +188,20 @@ _slow_collision = rollout_of(PUSHED.format(0.1), _collide(5.0))
 def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
     """Return the speeds of both balls at a time [s] of the fast collision."""
     sample = rollout.sample_at(time_s * rollout.scene.duration_s)
-    return float(rollout.velocity("left")[sample, 0]), float(rollout.velocity("right")[sample, 0])
+    return float(rollout.velocity("left")[sample, 0]), float(
+        rollout.velocity("right")[sample, 0]
+    )
 
 
-def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float, float], float]) -> Measurement:
+def _collided(
+    rollout: Rollout, expected: float, measure: Callable[[float, float, float], float]
+) -> Measurement:
     """Measure a collision by the first ball's speed before it and both speeds after it, if the second one rested."""
     push = PUSH_M_PER_S / rollout.scene.duration_s
-    (before, still), (left, right) = _speeds(rollout, BEFORE_S), _speeds(rollout, AFTER_S)
+    (before, still), (left, right) = (
+        _speeds(rollout, BEFORE_S),
+        _speeds(rollout, AFTER_S),
+    )
     if abs(before) > 0.2 * push and abs(still) < 0.01 * push:
         return Measurement(measured=measure(before, left, right), expected=expected)
     hint = f"before the collision the balls move at {before:.3g} and {still:.3g} m/s instead of {push:g} and 0"
@@ -174,10 +215,18 @@ def _pushed_ball(rollout: Rollout) -> Measurement:
 
 @_collision.check("collision-momentum")
 def _collision_momentum(rollout: Rollout) -> Measurement:
-    return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
+    return _collided(
+        rollout,
+        1.0,
+        lambda before, left, right: (
+            (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before)
+        ),
+    )
 
 
 @_slow_collision.check("collision-slow")
 @_collision.check("collision-rebound")
 def _relative_speed(rollout: Rollout) -> Measurement:
-    return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)
+    return _collided(
+        rollout, RESTITUTION, lambda before, left, right: (right - left) / before
+    )

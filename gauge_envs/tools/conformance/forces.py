@@ -33,7 +33,12 @@ from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tol
 
 
 def _block(low: Vector, high: Vector) -> tuple[Vector, ...]:
-    return tuple(vector((x, y, z)) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2]))
+    return tuple(
+        vector((x, y, z))
+        for x in (low[0], high[0])
+        for y in (low[1], high[1])
+        for z in (low[2], high[2])
+    )
 
 
 LOPSIDED = ConvexUnion(
@@ -47,14 +52,20 @@ LOPSIDED = ConvexUnion(
 """Four pieces of different volume about a corner, with the body origin at that corner."""
 
 WRONG_UNIONS = {
-    "the convex hull of all pieces": ConvexUnion(pieces_m=(tuple(vector(corner) for corner in LOPSIDED.corners_m),)),
+    "the convex hull of all pieces": ConvexUnion(
+        pieces_m=(tuple(vector(corner) for corner in LOPSIDED.corners_m),)
+    ),
     "the first of its pieces": ConvexUnion(pieces_m=LOPSIDED.pieces_m[:1]),
 }
 WRONG_CENTRES_M = {
     "at the body origin": np.zeros(3),
     "at the mean of the vertices": LOPSIDED.corners_m.mean(axis=0),
     "at the mean of the pieces' centres": np.mean(
-        [mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0] for piece in LOPSIDED.pieces_m], axis=0
+        [
+            mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0]
+            for piece in LOPSIDED.pieces_m
+        ],
+        axis=0,
     ),
 }
 """Solids and places of the centre of mass that engines take instead of the union's."""
@@ -92,7 +103,12 @@ class _Push(NamedTuple):
 
 def _pushed_scene(shape: Shape) -> Scene:
     bodies = tuple(
-        body(f"body-{index}", shape, Pose.from_euler_deg((0.5 * index, 0.1, 1.0), EULER_DEG), mass_kg=MASS_KG)
+        body(
+            f"body-{index}",
+            shape,
+            Pose.from_euler_deg((0.5 * index, 0.1, 1.0), EULER_DEG),
+            mass_kg=MASS_KG,
+        )
         for index in range(6)
     )
     return Scene(bodies=bodies, duration_s=1.0, gravity_m_per_s2=0.0)
@@ -127,7 +143,9 @@ def _pushes(shapes: str, shape: Shape) -> Recorded[_Push]:
 
 
 PUSHES = {
-    kind: _pushes({"box": "boxes", "union": "lopsided unions"}.get(kind, f"{kind}s"), shape)
+    kind: _pushes(
+        {"box": "boxes", "union": "lopsided unions"}.get(kind, f"{kind}s"), shape
+    )
     for kind, shape in SHAPES.items()
 }
 
@@ -151,7 +169,9 @@ def _wrench_force(found: _Push) -> Measurement:
 
 def _force_hint(measured: float) -> str:
     if measured == 0.0:
-        return "the wrench is ignored: raise BackendError when the engine cannot apply it"
+        return (
+            "the wrench is ignored: raise BackendError when the engine cannot apply it"
+        )
     if abs(measured * 18.0 - 1.0) < 0.1:
         return "the wrench acts during the first interval only: it acts until another one replaces it"
     return f"it accelerates as if its mass were {1.0 / measured:.3g} times that of the scene"
@@ -159,17 +179,27 @@ def _force_hint(measured: float) -> str:
 
 @PUSHES["union"].check("wrench-centre")
 def _wrench_centre(found: _Push) -> Measurement:
-    angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(found.twists[:3, 3:], axis=1).max())
+    angle = (
+        0.5 * SECONDS * np.degrees(np.linalg.norm(found.twists[:3, 3:], axis=1).max())
+    )
     return Measurement(measured=float(angle), hint=_centre_hint(found))
 
 
 def _centre_hint(found: _Push) -> str:
     """Return the place at which forces would have to act to give these spins, if it is a known wrong one."""
     for text, place_m in WRONG_CENTRES_M.items():
-        for sign, what in ((1.0, "the force acts"), (-1.0, "the engine's centre of mass is")):
-            torque = np.cross(sign * TURNED.apply(place_m - found.centre_m), found.wrenches[:3, :3])
+        for sign, what in (
+            (1.0, "the force acts"),
+            (-1.0, "the engine's centre of mass is"),
+        ):
+            torque = np.cross(
+                sign * TURNED.apply(place_m - found.centre_m), found.wrenches[:3, :3]
+            )
             expected = SECONDS * torque @ np.linalg.inv(found.inertia)
-            if np.abs(found.twists[:3, 3:] - expected).max() < 0.1 * np.abs(expected).max():
+            if (
+                np.abs(found.twists[:3, 3:] - expected).max()
+                < 0.1 * np.abs(expected).max()
+            ):
                 return f"{what} {text}"
     return ""
 
@@ -184,7 +214,10 @@ def _inertia_check(kind: str) -> None:
         "furthest from that of a uniform solid, as a ratio to its largest moment",
         law="I = integral of density (r^2 1 - r r')",
         source="Euler; uniform density (scene.py)",
-        tolerance=Tolerance("1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile", absolute=0.02),
+        tolerance=Tolerance(
+            "1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile",
+            absolute=0.02,
+        ),
         diagnosis="the inertia does not follow from shape and mass: check half and full sizes, the centre of mass to "
         "which it refers, rotated principal axes, and armature",
     )
@@ -192,9 +225,13 @@ def _inertia_check(kind: str) -> None:
         rates = found.twists[3:, 3:] / SECONDS
         largest = float(np.linalg.eigvalsh(found.inertia)[-1])
         if not np.abs(rates).max() > 0.0:
-            return Measurement(measured=float("nan"), hint="the torque is ignored: nothing rotates")
+            return Measurement(
+                measured=float("nan"), hint="the torque is ignored: nothing rotates"
+            )
         if np.linalg.matrix_rank(rates) < 3:
-            return Measurement(measured=float("nan"), hint="a torque does not rotate its body")
+            return Measurement(
+                measured=float("nan"), hint="a torque does not rotate its body"
+            )
         inertia = np.linalg.inv(rates / found.wrenches[3, 3])
         error = inertia - found.inertia
         turned = TURNED.as_matrix()
@@ -202,7 +239,9 @@ def _inertia_check(kind: str) -> None:
         expected = turned.T @ found.inertia @ turned
         x, y, z = np.diag(in_body) / np.diag(expected)
         hint = f"its inertia about body x, y, z is {x:.3g}, {y:.3g} and {z:.3g} times what it should be"
-        hint = _frame_hint(inertia, expected) or hint + _size_hint(SHAPES[kind], in_body)
+        hint = _frame_hint(inertia, expected) or hint + _size_hint(
+            SHAPES[kind], in_body
+        )
         worst = float(error.flat[int(np.abs(error).argmax())])
         return Measurement(measured=worst / largest, hint=hint)
 
@@ -218,8 +257,12 @@ def _frame_hint(inertia: NDArray[np.float64], expected: NDArray[np.float64]) -> 
     frames = {
         "its inertia is taken along the axes of the world instead of the body's": Rotation.identity(),
         "its inertia is rotated from the world to the body instead of back": TURNED.inv(),
-        "its inertia is that of a body whose w, x, y, z was read as x, y, z, w": Rotation.from_quat([w, x, y, z]),
-        "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat([y, z, w, x]),
+        "its inertia is that of a body whose w, x, y, z was read as x, y, z, w": Rotation.from_quat(
+            [w, x, y, z]
+        ),
+        "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat(
+            [y, z, w, x]
+        ),
     }
     for text, frame in frames.items():
         other = frame.as_matrix() @ expected @ frame.as_matrix().T
@@ -239,7 +282,11 @@ def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
     shares = np.diag(inertia) / MASS_KG
     sizes: Sequence[float]
     if isinstance(shape, Box):
-        what, sizes, squares = "edges", shape.size_m, 6.0 * (shares.sum() - 2.0 * shares)
+        what, sizes, squares = (
+            "edges",
+            shape.size_m,
+            6.0 * (shares.sum() - 2.0 * shares),
+        )
     elif isinstance(shape, Cylinder):
         what, sizes = "radius and length", (shape.radius_m, shape.length_m)
         squares = np.array([2.0 * shares[2], 12.0 * shares[0] - 6.0 * shares[2]])
@@ -248,7 +295,8 @@ def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
     else:
         return ""
     found, expected = (
-        ", ".join(f"{1e3 * size:.3g}" for size in values) for values in (np.sqrt(np.clip(squares, 0.0, None)), sizes)
+        ", ".join(f"{1e3 * size:.3g}" for size in values)
+        for values in (np.sqrt(np.clip(squares, 0.0, None)), sizes)
     )
     return f", as if its {what} were {found} mm instead of {expected} mm"
 
@@ -265,7 +313,9 @@ def _wrench_reset(lab: Lab) -> Measurement:
         simulation.advance(SAMPLE_INTERVAL_S)
         simulation.reset(0)
         simulation.advance(PUSH_S)
-        return Measurement(measured=float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10])))
+        return Measurement(
+            measured=float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10]))
+        )
 
 
 # --- swinging solids -------------------------------------------------------------------------------------------------
@@ -300,7 +350,12 @@ def _period_ratio(lab: Lab, shape: Shape, axis: str) -> float:
     )
     rollout = lab.rollout(scene)
     gyration = float(np.sqrt(hinge_axis @ inertia @ hinge_axis / MASS_KG))
-    expected = pendulum_period_s(length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G)
+    expected = pendulum_period_s(
+        length_m=ARM_M,
+        gyration_m=gyration,
+        amplitude_rad=AMPLITUDE_RAD,
+        gravity_m_per_s2=G,
+    )
     places = rollout.position("solid") + rollout.rotation("solid").apply(centre_m)
     return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / expected
 
@@ -318,9 +373,15 @@ def _wrong_centre(ratios: Mapping[str, float]) -> str:
             gyration = float(np.sqrt(hinge_axis @ inertia @ hinge_axis / MASS_KG))
             turned = np.arctan2(np.cross(arm, lever) @ hinge_axis, arm @ lever)
             common = {"gyration_m": gyration, "gravity_m_per_s2": G}
-            right = pendulum_period_s(length_m=ARM_M, amplitude_rad=AMPLITUDE_RAD, **common)
+            right = pendulum_period_s(
+                length_m=ARM_M, amplitude_rad=AMPLITUDE_RAD, **common
+            )
             wrong = [
-                pendulum_period_s(length_m=length, amplitude_rad=AMPLITUDE_RAD + sign * turned, **common)
+                pendulum_period_s(
+                    length_m=length,
+                    amplitude_rad=AMPLITUDE_RAD + sign * turned,
+                    **common,
+                )
                 for sign in (1.0, -1.0)
             ]
             errors.append(min(abs(ratio - period / right) for period in wrong))
@@ -346,7 +407,9 @@ def _swing_check(kind: str) -> None:
     )
     def measure(lab: Lab) -> Measurement:
         ratios = {axis: _period_ratio(lab, SHAPES[kind], axis) for axis in AXES}
-        worst = max(ratios, key=lambda axis: abs(np.nan_to_num(ratios[axis], nan=np.inf) - 1.0))
+        worst = max(
+            ratios, key=lambda axis: abs(np.nan_to_num(ratios[axis], nan=np.inf) - 1.0)
+        )
         text = ", ".join(f"{axis} {ratio:.4g}" for axis, ratio in ratios.items())
         hint = f"ratio about each body axis: {text}"
         if kind == "union":
@@ -374,7 +437,9 @@ def _masses(lab: Lab) -> Measurement:
         )
         for index, mass_kg in enumerate(MASSES_KG)
     )
-    with closing(lab.build(Scene(bodies=balls, duration_s=1.0, gravity_m_per_s2=0.0))) as simulation:
+    with closing(
+        lab.build(Scene(bodies=balls, duration_s=1.0, gravity_m_per_s2=0.0))
+    ) as simulation:
         simulation.reset(0)
         for one in balls:
             push(simulation, one.name, [one.mass_kg, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -383,7 +448,11 @@ def _masses(lab: Lab) -> Measurement:
         speeds = states_now(simulation, [one.name for one in balls])[:, 7]
     found = speeds / SECONDS
     worst = int(np.abs(found - 1.0).argmax())
-    return Measurement(measured=float(found[worst]), expected=1.0, hint=f"it is the ball of {MASSES_KG[worst]:g} kg")
+    return Measurement(
+        measured=float(found[worst]),
+        expected=1.0,
+        hint=f"it is the ball of {MASSES_KG[worst]:g} kg",
+    )
 
 
 STATED_SHARE = 2.0
@@ -395,7 +464,12 @@ def _stated_inertia(lab: Lab) -> Measurement:
     length_m, radius_m, angle = 0.06, 0.03, np.radians(60.0)
     pivot = np.array([0.1, 0.2, 1.0])
     place = pivot + length_m * np.array([np.sin(angle), 0.0, -np.cos(angle)])
-    bob = body("bob", Sphere(radius_m=radius_m), Pose(position_m=vector(place)), mass_kg=MASS_KG)
+    bob = body(
+        "bob",
+        Sphere(radius_m=radius_m),
+        Pose(position_m=vector(place)),
+        mass_kg=MASS_KG,
+    )
     bob = replace(bob, inertia_kg_m2=STATED_SHARE * 0.4 * MASS_KG * radius_m**2)
     hinge = Hinge(body="bob", anchor_m=vector(pivot), axis=(0.0, 1.0, 0.0))
     rollout = lab.rollout(Scene(bodies=(bob,), joints=(hinge,), duration_s=3.0))
@@ -405,7 +479,10 @@ def _stated_inertia(lab: Lab) -> Measurement:
     def period_s(share: float) -> float:
         gyration_m = float(np.sqrt(share * 0.4)) * radius_m
         return pendulum_period_s(
-            length_m=length_m, gyration_m=gyration_m, amplitude_rad=float(angle), gravity_m_per_s2=G
+            length_m=length_m,
+            gyration_m=gyration_m,
+            amplitude_rad=float(angle),
+            gravity_m_per_s2=G,
         )
 
     uniform = abs(measured / period_s(1.0) - 1.0) < 2e-3

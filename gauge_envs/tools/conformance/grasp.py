@@ -43,16 +43,26 @@ TURNING_N_M = 0.07
 
 def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
     """Return the rollout of a scene in which a wrench over time [N, N m] acts on the object."""
-    count, names = round(scene.duration_s / SAMPLE_INTERVAL_S), [one.name for one in scene.bodies]
+    count, names = (
+        round(scene.duration_s / SAMPLE_INTERVAL_S),
+        [one.name for one in scene.bodies],
+    )
     with closing(lab.build(scene)) as simulation:
         simulation.reset(0)
-        paths, rows = DriverPaths(scene, scene.duration_s), [states_now(simulation, names)]
+        paths, rows = (
+            DriverPaths(scene, scene.duration_s),
+            [states_now(simulation, names)],
+        )
         for index in range(count):
             push(simulation, "object", wrench(index * SAMPLE_INTERVAL_S))
             paths.advance(simulation, index)
             rows.append(states_now(simulation, names))
     times_s = SAMPLE_INTERVAL_S * np.arange(count + 1, dtype=np.float64)
-    return Rollout(scene=scene, times_s=times_s, states=dict(zip(names, np.stack(rows, axis=1), strict=True)))
+    return Rollout(
+        scene=scene,
+        times_s=times_s,
+        states=dict(zip(names, np.stack(rows, axis=1), strict=True)),
+    )
 
 
 @recorded(
@@ -61,7 +71,11 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
 )
 def _held(lab: Lab) -> Rollout:
     def shake(time_s: float) -> tuple[float, ...]:
-        force = SHAKE * WEIGHT_N * np.sin(2.0 * np.pi * SHAKES_HZ * time_s) if time_s > SHAKEN_S else 0.0
+        force = (
+            SHAKE * WEIGHT_N * np.sin(2.0 * np.pi * SHAKES_HZ * time_s)
+            if time_s > SHAKEN_S
+            else 0.0
+        )
         return 0.0, 0.0, force, 0.0, 0.0, 0.0
 
     return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 2.5), shake)
@@ -92,9 +106,15 @@ def _grasp_slips(rollout: Rollout) -> Measurement:
     return Measurement(measured=1.0 + falls / G, expected=FRICTION)
 
 
-@recorded("the same box between pads that press with twice its weight each, under a torque of 0.07 N m; no gravity")
+@recorded(
+    "the same box between pads that press with twice its weight each, under a torque of 0.07 N m; no gravity"
+)
 def _turned(lab: Lab) -> Rollout:
-    return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 0.1, gravity=0.0), lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0))
+    return _pushed(
+        lab,
+        grasp_scene(2.0 * WEIGHT_N, 0.1, gravity=0.0),
+        lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0),
+    )
 
 
 @_turned.check("grasp-torsion")
@@ -106,7 +126,10 @@ def _grasp_torsion(rollout: Rollout) -> Measurement:
 
 
 _tilt = Rotation.from_euler("x", RELEASE_RAD)
-_off_centre = replace(OBJECT, pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.apply([0.0, 0.0, -OFF_M])), _tilt))
+_off_centre = replace(
+    OBJECT,
+    pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.apply([0.0, 0.0, -OFF_M])), _tilt),
+)
 
 
 @rollout_of(
@@ -117,5 +140,12 @@ _off_centre = replace(OBJECT, pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.ap
 def _grasp_swing(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
     gyration = float(np.sqrt(box_inertia_kg_m2(OBJECT)[0] / MASS_KG))
-    expected = pendulum_period_s(length_m=OFF_M, gyration_m=gyration, amplitude_rad=RELEASE_RAD, gravity_m_per_s2=G)
-    return Measurement(measured=mean_period_s(rollout.times_s, angles), expected=expected)
+    expected = pendulum_period_s(
+        length_m=OFF_M,
+        gyration_m=gyration,
+        amplitude_rad=RELEASE_RAD,
+        gravity_m_per_s2=G,
+    )
+    return Measurement(
+        measured=mean_period_s(rollout.times_s, angles), expected=expected
+    )

@@ -24,7 +24,16 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s
 from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Hinge, JointDynamics, Pose, RigidBody, Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    BodyHinge,
+    Box,
+    Hinge,
+    JointDynamics,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
@@ -38,10 +47,14 @@ PIVOT_M, AXIS = np.array([0.1, 0.2, 1.0]), np.array([0.6, 0.8, 0.0])
 MASS_KG, CENTRE_M, SIZE_M = 0.4, 0.15, (0.03, 0.03, 0.3)
 
 
-def _bar(name: str = "bar", angle_rad: float = 0.0, pivot_m: Array = PIVOT_M) -> RigidBody:
+def _bar(
+    name: str = "bar", angle_rad: float = 0.0, pivot_m: Array = PIVOT_M
+) -> RigidBody:
     turn = Rotation.from_rotvec(angle_rad * AXIS)
     place = vector(pivot_m + turn.apply([0.0, 0.0, -CENTRE_M]))
-    return body(name, Box(size_m=SIZE_M), Pose.from_rotation(place, turn), mass_kg=MASS_KG)
+    return body(
+        name, Box(size_m=SIZE_M), Pose.from_rotation(place, turn), mass_kg=MASS_KG
+    )
 
 
 ABOUT_CENTRE = float(box_inertia_kg_m2(_bar()) @ AXIS**2)
@@ -49,10 +62,21 @@ INERTIA, WEIGHT_N_M = ABOUT_CENTRE + MASS_KG * CENTRE_M**2, MASS_KG * G * CENTRE
 """Moment of inertia about the hinge [kg m^2], and torque of the weight of a level bar [N m]."""
 
 
-def _scene(*bars: RigidBody, seconds: float, gravity: float = 0.0, motor: Motor | None = None, **terms: float) -> Scene:
+def _scene(
+    *bars: RigidBody,
+    seconds: float,
+    gravity: float = 0.0,
+    motor: Motor | None = None,
+    **terms: float,
+) -> Scene:
     joint: dict[str, Any] = {"dynamics": JointDynamics(**terms), "motor": motor}
-    hinges = (Hinge(body=bar.name, anchor_m=vector(PIVOT_M), axis=vector(AXIS), **joint) for bar in bars)
-    return Scene(bodies=bars, joints=tuple(hinges), duration_s=seconds, gravity_m_per_s2=gravity)
+    hinges = (
+        Hinge(body=bar.name, anchor_m=vector(PIVOT_M), axis=vector(AXIS), **joint)
+        for bar in bars
+    )
+    return Scene(
+        bodies=bars, joints=tuple(hinges), duration_s=seconds, gravity_m_per_s2=gravity
+    )
 
 
 def _turned_rad(rollout: Rollout, name: str = "bar") -> Array:
@@ -70,7 +94,10 @@ def _stays(amount: float) -> Any:
 
 DRY_N_M, BRAKE_N_M, VISCOUS, ARMATURE, RELEASE_RAD = 0.02, 0.1, 0.02, 0.01, 0.5
 KP, KV, LIMIT_N_M = 2.0, 0.05, 0.03
-FRICTION = Tolerance("as for a slide: the error must be well below the scatter of real friction", relative=0.01)
+FRICTION = Tolerance(
+    "as for a slide: the error must be well below the scatter of real friction",
+    relative=0.01,
+)
 
 
 def _dry_n_m(from_rest_rad: Array, energy_j: Array, expected: float) -> Measurement:
@@ -78,7 +105,9 @@ def _dry_n_m(from_rest_rad: Array, energy_j: Array, expected: float) -> Measurem
     tops = [0, *argrelmax(np.abs(from_rest_rad))[0]]
     between = float(np.abs(np.diff(from_rest_rad[tops])).sum())
     lost = float(energy_j[0] - energy_j[tops[-1]])
-    return Measurement(measured=lost / between if between else np.nan, expected=expected)
+    return Measurement(
+        measured=lost / between if between else np.nan, expected=expected
+    )
 
 
 DRY: dict[str, Any] = {
@@ -91,38 +120,62 @@ DRY: dict[str, Any] = {
 
 @rollout_of(
     "a bar of 0.4 kg on a hinge with a dry friction of 0.02 N m, released at 0.5 rad",
-    _scene(_bar(angle_rad=RELEASE_RAD), seconds=2.5, gravity=G, dry_friction_n_m=DRY_N_M),
+    _scene(
+        _bar(angle_rad=RELEASE_RAD), seconds=2.5, gravity=G, dry_friction_n_m=DRY_N_M
+    ),
 ).check("joint-dry", **DRY)
 def _joint_dry(rollout: Rollout) -> Measurement:
     angles = RELEASE_RAD + _turned_rad(rollout)
     return _dry_n_m(angles, -WEIGHT_N_M * np.cos(angles), DRY_N_M)
 
 
-HOLD_N_M, HELD_RAD, SLIPPING_RAD = 0.3, float(np.arcsin(0.24 / WEIGHT_N_M)), float(np.arcsin(0.375 / WEIGHT_N_M))
+HOLD_N_M, HELD_RAD, SLIPPING_RAD = (
+    0.3,
+    float(np.arcsin(0.24 / WEIGHT_N_M)),
+    float(np.arcsin(0.375 / WEIGHT_N_M)),
+)
 _held = rollout_of(
     "two bars at rest on hinges with a dry friction of 0.3 N m, whose weights exert 0.24 and 0.375 N m",
-    _scene(_bar("held", HELD_RAD), _bar("slips", SLIPPING_RAD), seconds=1.0, gravity=G, dry_friction_n_m=HOLD_N_M),
+    _scene(
+        _bar("held", HELD_RAD),
+        _bar("slips", SLIPPING_RAD),
+        seconds=1.0,
+        gravity=G,
+        dry_friction_n_m=HOLD_N_M,
+    ),
 )
 
 
 @_held.check("joint-stick")
 def _joint_stick(rollout: Rollout) -> Measurement:
-    return Measurement(measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max())))
+    return Measurement(
+        measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max()))
+    )
 
 
 @_held.check("joint-slip", tolerance=FRICTION)
 def _joint_slip(rollout: Rollout) -> Measurement:
     at = rollout.sample_at(0.2)
-    turned, rate = _turned_rad(rollout, "slips")[at], rollout.angular_velocity("slips")[at] @ AXIS
-    lost = WEIGHT_N_M * (np.cos(SLIPPING_RAD + turned) - np.cos(SLIPPING_RAD)) - 0.5 * INERTIA * rate**2
-    return Measurement(measured=float(lost / abs(turned)) if turned else np.nan, expected=HOLD_N_M)
+    turned, rate = (
+        _turned_rad(rollout, "slips")[at],
+        rollout.angular_velocity("slips")[at] @ AXIS,
+    )
+    lost = (
+        WEIGHT_N_M * (np.cos(SLIPPING_RAD + turned) - np.cos(SLIPPING_RAD))
+        - 0.5 * INERTIA * rate**2
+    )
+    return Measurement(
+        measured=float(lost / abs(turned)) if turned else np.nan, expected=HOLD_N_M
+    )
 
 
 def _turning(rate_rad_per_s: float) -> RigidBody:
     """Return a hanging bar that starts with a rate."""
     spin = rate_rad_per_s * AXIS
     speed = vector(np.cross(spin, [0.0, 0.0, -CENTRE_M]))
-    return replace(_bar(), linear_velocity_m_per_s=speed, angular_velocity_rad_per_s=vector(spin))
+    return replace(
+        _bar(), linear_velocity_m_per_s=speed, angular_velocity_rad_per_s=vector(spin)
+    )
 
 
 @rollout_of(
@@ -131,17 +184,30 @@ def _turning(rate_rad_per_s: float) -> RigidBody:
 ).check("joint-viscous", tolerance=FRICTION)
 def _joint_viscous(rollout: Rollout) -> Measurement:
     rate = np.maximum(rollout.angular_velocity("bar") @ AXIS, 1e-6)
-    return Measurement(measured=float(-INERTIA * np.polyfit(rollout.times_s, np.log(rate), 1)[0]), expected=VISCOUS)
+    return Measurement(
+        measured=float(-INERTIA * np.polyfit(rollout.times_s, np.log(rate), 1)[0]),
+        expected=VISCOUS,
+    )
 
 
 @rollout_of(
     "a bar on a hinge with an armature of 0.01 kg m^2, released at 0.5 rad",
-    _scene(_bar(angle_rad=RELEASE_RAD), seconds=4.0, gravity=G, armature_kg_m2=ARMATURE),
+    _scene(
+        _bar(angle_rad=RELEASE_RAD), seconds=4.0, gravity=G, armature_kg_m2=ARMATURE
+    ),
 ).check("joint-armature")
 def _joint_armature(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt((ABOUT_CENTRE + ARMATURE) / MASS_KG))
-    expected = pendulum_period_s(length_m=CENTRE_M, gyration_m=gyration, amplitude_rad=RELEASE_RAD, gravity_m_per_s2=G)
-    return Measurement(measured=mean_period_s(rollout.times_s, RELEASE_RAD + _turned_rad(rollout)), expected=expected)
+    expected = pendulum_period_s(
+        length_m=CENTRE_M,
+        gyration_m=gyration,
+        amplitude_rad=RELEASE_RAD,
+        gravity_m_per_s2=G,
+    )
+    return Measurement(
+        measured=mean_period_s(rollout.times_s, RELEASE_RAD + _turned_rad(rollout)),
+        expected=expected,
+    )
 
 
 # --- motors ----------------------------------------------------------------------------------------------------------
@@ -150,7 +216,11 @@ TORQUE_N_M, DELAY_S, STEP_RAD = 0.03, 0.1, 0.3
 
 _pushed = rollout_of(
     "a bar on a hinge without gravity, whose motor exerts 0.03 N m from 0.1 s on: a step at the start with this delay",
-    _scene(_bar(), seconds=0.8, motor=TorqueMotor(command=_stays(TORQUE_N_M), delay_s=DELAY_S)),
+    _scene(
+        _bar(),
+        seconds=0.8,
+        motor=TorqueMotor(command=_stays(TORQUE_N_M), delay_s=DELAY_S),
+    ),
 )
 
 
@@ -162,17 +232,24 @@ def _parabola(rollout: Rollout) -> Array:
 
 @_pushed.check("joint-torque")
 def _joint_torque(rollout: Rollout) -> Measurement:
-    return Measurement(measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA)
+    return Measurement(
+        measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA
+    )
 
 
 @_pushed.check("joint-delay")
 def _joint_delay(rollout: Rollout) -> Measurement:
     square, slope, _ = _parabola(rollout)
-    return Measurement(measured=-500.0 * float(slope / square) if square else np.nan, expected=1e3 * DELAY_S)
+    return Measurement(
+        measured=-500.0 * float(slope / square) if square else np.nan,
+        expected=1e3 * DELAY_S,
+    )
 
 
 def _servo(step_rad: float, **limit: float) -> Servo:
-    return Servo(command=_stays(step_rad), kp_n_m_per_rad=KP, kv_n_m_s_per_rad=KV, **limit)  # type: ignore[arg-type]
+    command = _stays(step_rad)
+    gains: dict[str, Any] = {"kp_n_m_per_rad": KP, "kv_n_m_s_per_rad": KV, **limit}
+    return Servo(command=command, **gains)
 
 
 @rollout_of(
@@ -199,7 +276,10 @@ def _joint_limit(rollout: Rollout) -> Measurement:
 @rollout_of(
     "a bar on a hinge without gravity, with a dry friction of 0.1 N m and a servo of 2 N m/rad that steps by 0.5 rad",
     _scene(
-        _bar(), seconds=2.5, motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP), dry_friction_n_m=BRAKE_N_M
+        _bar(),
+        seconds=2.5,
+        motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP),
+        dry_friction_n_m=BRAKE_N_M,
     ),
 ).check("joint-dry-servo", **DRY)
 def _joint_dry_servo(rollout: Rollout) -> Measurement:
@@ -208,8 +288,14 @@ def _joint_dry_servo(rollout: Rollout) -> Measurement:
 
 
 PLAY_RAD, DRIVE_N_M, LEAD_S = 0.02, 0.002, 0.11
-TOTAL, ROTOR = INERTIA + ARMATURE, {"armature_kg_m2": ARMATURE, "backlash_rad": PLAY_RAD}
-CYCLE_S, SWITCH_RAD_PER_S = 2.0 * ARMATURE * PLAY_RAD / (LEAD_S * DRIVE_N_M), 0.5 * PLAY_RAD * ARMATURE / TOTAL / LEAD_S
+TOTAL, ROTOR = (
+    INERTIA + ARMATURE,
+    {"armature_kg_m2": ARMATURE, "backlash_rad": PLAY_RAD},
+)
+CYCLE_S, SWITCH_RAD_PER_S = (
+    2.0 * ARMATURE * PLAY_RAD / (LEAD_S * DRIVE_N_M),
+    0.5 * PLAY_RAD * ARMATURE / TOTAL / LEAD_S,
+)
 
 
 @rollout_of(
@@ -225,13 +311,21 @@ def _joint_backlash(rollout: Rollout) -> Measurement:
 @Check("joint-backlash-cycle", tolerance=FRICTION)
 def _joint_backlash_cycle(lab: Lab) -> Measurement:
     motor, switches_s, torque = TorqueMotor(command=_stays(0.0)), [], -DRIVE_N_M
-    scene = _scene(_turning(SWITCH_RAD_PER_S), seconds=3.25 * CYCLE_S, motor=motor, **ROTOR)
+    scene = _scene(
+        _turning(SWITCH_RAD_PER_S), seconds=3.25 * CYCLE_S, motor=motor, **ROTOR
+    )
     with closing(lab.build(scene)) as simulation:
         simulation.reset(0)
         for interval in range(round(scene.duration_s / DRIVE_INTERVAL_S)):
             state, mean = simulation.body_states(["bar"])[0], torque
-            turned, rate = Rotation.from_quat(state[[4, 5, 6, 3]]).as_rotvec() @ AXIS, state[10:] @ AXIS
-            ahead, climb = turned + LEAD_S * rate, DRIVE_INTERVAL_S * (rate + LEAD_S * torque / TOTAL)
+            turned, rate = (
+                Rotation.from_quat(state[[4, 5, 6, 3]]).as_rotvec() @ AXIS,
+                state[10:] @ AXIS,
+            )
+            ahead, climb = (
+                turned + LEAD_S * rate,
+                DRIVE_INTERVAL_S * (rate + LEAD_S * torque / TOTAL),
+            )
             if (ahead + climb) * torque > 0.0:
                 # The mean torque has the impulse of one that changes sign within the interval.
                 share = float(np.clip(-ahead / climb, 0.0, 1.0))
@@ -240,7 +334,10 @@ def _joint_backlash_cycle(lab: Lab) -> Measurement:
             simulation.command(np.array([mean]))
             simulation.advance(DRIVE_INTERVAL_S)
     halves_s = np.diff(switches_s)[-4:]
-    return Measurement(measured=2.0 * float(halves_s.mean()) if len(halves_s) == 4 else np.nan, expected=CYCLE_S)
+    return Measurement(
+        measured=2.0 * float(halves_s.mean()) if len(halves_s) == 4 else np.nan,
+        expected=CYCLE_S,
+    )
 
 
 # --- chain -----------------------------------------------------------------------------------------------------------
@@ -263,12 +360,24 @@ def chain_angles_rad(times_s: Array, torque_n_m: float) -> Array:
     def rates(_: float, state: Array) -> Array:
         apart = state[0] - state[1]
         cosine, sine = coupling * np.cos(apart), coupling * np.sin(apart)
-        forces = np.array([torque_n_m - sine * state[3] ** 2, sine * state[2] ** 2 - torque_n_m])
-        accelerations = np.linalg.solve([[upper, cosine], [cosine, INERTIA]], forces - weights * np.sin(state[:2]))
+        forces = np.array(
+            [torque_n_m - sine * state[3] ** 2, sine * state[2] ** 2 - torque_n_m]
+        )
+        accelerations = np.linalg.solve(
+            [[upper, cosine], [cosine, INERTIA]], forces - weights * np.sin(state[:2])
+        )
         return np.concatenate([state[2:], accelerations])
 
     span = (0.0, float(times_s[-1]))
-    return solve_ivp(rates, span, [*STARTS_RAD, 0.0, 0.0], t_eval=times_s, rtol=1e-9, atol=1e-12, method="DOP853").y[:2]
+    return solve_ivp(
+        rates,
+        span,
+        [*STARTS_RAD, 0.0, 0.0],
+        t_eval=times_s,
+        rtol=1e-9,
+        atol=1e-12,
+        method="DOP853",
+    ).y[:2]
 
 
 def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
@@ -276,12 +385,27 @@ def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
     end_m = 2.0 * np.asarray(upper.pose.position_m) - PIVOT_M
     lower = _bar("lower", STARTS_RAD[1], end_m)
     motor = TorqueMotor(command=_stays(torque_n_m)) if torque_n_m else None
-    hinge = BodyHinge(first="lower", second="upper", anchor_m=vector(end_m), axis=vector(AXIS), motor=motor)
-    rollout = lab.rollout(replace(_scene(upper, seconds=1.0, gravity=G), bodies=(upper, lower), body_hinges=(hinge,)))
+    hinge = BodyHinge(
+        first="lower",
+        second="upper",
+        anchor_m=vector(end_m),
+        axis=vector(AXIS),
+        motor=motor,
+    )
+    rollout = lab.rollout(
+        replace(
+            _scene(upper, seconds=1.0, gravity=G),
+            bodies=(upper, lower),
+            body_hinges=(hinge,),
+        )
+    )
     errors = [
         np.abs(start + _turned_rad(rollout, name) - angles).max() / np.ptp(angles)
         for name, start, angles in zip(
-            ("upper", "lower"), STARTS_RAD, chain_angles_rad(rollout.times_s, torque_n_m), strict=True
+            ("upper", "lower"),
+            STARTS_RAD,
+            chain_angles_rad(rollout.times_s, torque_n_m),
+            strict=True,
         )
     ]
     return Measurement(measured=100.0 * float(max(errors)))

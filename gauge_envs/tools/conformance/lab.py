@@ -13,7 +13,12 @@ from numpy.typing import ArrayLike
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import check_drive_interval, settings_record
-from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import (
+    BackendError,
+    GaugeError,
+    ParameterError,
+    UnsupportedSceneError,
+)
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -50,11 +55,15 @@ class Lab:
         settings_in_force: Settings of the simulation that was built last.
     """
 
-    def __init__(self, backend: Backend, settings: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, backend: Backend, settings: Mapping[str, Any] | None = None
+    ) -> None:
         self.backend = backend
         self.settings_in_force: dict[str, Any] = {}
         self._settings = settings
-        self._kept: dict[Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]] = {}
+        self._kept: dict[
+            Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]
+        ] = {}
 
     def build(self, scene: Scene) -> Simulation:
         """Build a scene; close the simulation after use.
@@ -86,7 +95,10 @@ class Lab:
 
     def first_supported(self, *scenes: Scene) -> Scene:
         """Return the first scene that the backend can build, or the last one when it can build none."""
-        return next((scene for scene in scenes if scene_support(self.backend, scene)), scenes[-1])
+        return next(
+            (scene for scene in scenes if scene_support(self.backend, scene)),
+            scenes[-1],
+        )
 
     def rollout(self, scene: Scene, seconds: float | None = None) -> Rollout:
         """Build a scene, reset it, drive it and record it.
@@ -97,7 +109,9 @@ class Lab:
         """
         with closing(self.build(scene)) as simulation:
             simulation.reset(0)
-            return record(simulation, scene, scene.duration_s if seconds is None else seconds)
+            return record(
+                simulation, scene, scene.duration_s if seconds is None else seconds
+            )
 
     def once(self, function: Callable[[Lab], T]) -> T:
         """Return the value of a function of the lab, which is called at its first use only.
@@ -114,7 +128,9 @@ class Lab:
             raise error
         return value  # type: ignore[no-any-return]
 
-    def _attempt(self, function: Callable[[Lab], Any]) -> tuple[Any, Exception | None, dict[str, Any]]:
+    def _attempt(
+        self, function: Callable[[Lab], Any]
+    ) -> tuple[Any, Exception | None, dict[str, Any]]:
         """Return the value or the exception of a function, and the settings that were in force."""
         try:
             return function(self), None, self.settings_in_force
@@ -156,7 +172,9 @@ def fabric(areal_density: float, stretch_n_per_m: float, bend_n_m: float) -> Fab
 def sheet(made_of: Fabric, pose: Pose, size_m: tuple[float, float]) -> Cloth:
     """Return a sheet of a fabric, warp along the x axis of its frame."""
     mass_kg = made_of.areal_density_kg_per_m2 * size_m[0] * size_m[1]
-    return Cloth(name="cloth", pose=pose, size_m=size_m, mass_kg=mass_kg, **asdict(made_of))
+    return Cloth(
+        name="cloth", pose=pose, size_m=size_m, mass_kg=mass_kg, **asdict(made_of)
+    )
 
 
 LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
@@ -168,13 +186,19 @@ FRAME = fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1))
 
 
 def clamped(
-    deformable: Deformable, *regions: Region, duration_s: float, gravity_m_per_s2: float = GRAVITY_M_PER_S2
+    deformable: Deformable,
+    *regions: Region,
+    duration_s: float,
+    gravity_m_per_s2: float = GRAVITY_M_PER_S2,
 ) -> Scene:
     """Return a scene of one deformable body, of which some regions are attached to a fixed body."""
     return Scene(
         bodies=(FRAME,),
         deformables=(deformable,),
-        attachments=tuple(Attachment(deformable=deformable.name, region=region, to=FRAME.name) for region in regions),
+        attachments=tuple(
+            Attachment(deformable=deformable.name, region=region, to=FRAME.name)
+            for region in regions
+        ),
         duration_s=duration_s,
         gravity_m_per_s2=gravity_m_per_s2,
     )
@@ -188,15 +212,26 @@ def strip_on_rod() -> Scene:
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
     cloth = sheet(LIGHT_FABRIC, pose, (0.15, 0.1))
     top = 1.0 + 0.5 * 0.15
-    turn, move = (ramp(amount, start_s=0.0, duration_s=0.4, ramp_s=0.15) for amount in (0.6, 0.2))
+    turn, move = (
+        ramp(amount, start_s=0.0, duration_s=0.4, ramp_s=0.15) for amount in (0.6, 0.2)
+    )
     motions = (
-        DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,), point_m=(0.0, 0.0, top)),
+        DriverMotion(
+            kind="rotate",
+            axis=(0.0, 0.0, 1.0),
+            profiles=(turn,),
+            point_m=(0.0, 0.0, top),
+        ),
         DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(move,)),
     )
     return Scene(
         bodies=(driven_box("rod", (0.0, 0.0, top + 0.02), (0.01, 0.12, 0.01)),),
         deformables=(cloth,),
-        attachments=(Attachment(deformable="cloth", region=Region(axis="x", side="high"), to="rod"),),
+        attachments=(
+            Attachment(
+                deformable="cloth", region=Region(axis="x", side="high"), to="rod"
+            ),
+        ),
         drivers=(Driver(body="rod", motions=motions, provenance="nominal"),),
         duration_s=1.0,
     )

@@ -20,7 +20,11 @@ PLACE_TOLERANCE_M = 1e-5
 
 
 def torque_free_orientation(
-    *, start: Rotation, spin_rad_per_s: NDArray[np.float64], moments: NDArray[np.float64], seconds: float
+    *,
+    start: Rotation,
+    spin_rad_per_s: NDArray[np.float64],
+    moments: NDArray[np.float64],
+    seconds: float,
 ) -> Rotation:
     """Return the orientation of a free body after a time, from Euler's equations integrated to 1e-10.
 
@@ -33,21 +37,37 @@ def torque_free_orientation(
 
     def rate(_: float, state: NDArray[np.float64]) -> NDArray[np.float64]:
         w, v, spin = state[0], state[1:4], state[4:]
-        quaternion_rate = 0.5 * np.concatenate([[-v @ spin], w * spin + np.cross(v, spin)])
-        return np.concatenate([quaternion_rate, -np.cross(spin, moments * spin) / moments])
+        quaternion_rate = 0.5 * np.concatenate(
+            [[-v @ spin], w * spin + np.cross(v, spin)]
+        )
+        return np.concatenate(
+            [quaternion_rate, -np.cross(spin, moments * spin) / moments]
+        )
 
-    first = np.concatenate([start.as_quat(scalar_first=True), start.apply(spin_rad_per_s, inverse=True)])
-    last = solve_ivp(rate, (0.0, seconds), first, rtol=1e-10, atol=1e-12, method="DOP853").y[:, -1]
+    first = np.concatenate(
+        [start.as_quat(scalar_first=True), start.apply(spin_rad_per_s, inverse=True)]
+    )
+    last = solve_ivp(
+        rate, (0.0, seconds), first, rtol=1e-10, atol=1e-12, method="DOP853"
+    ).y[:, -1]
     return Rotation.from_quat(last[:4], scalar_first=True)
 
 
-def spin_from_orientations(rotations: Rotation, interval_s: float) -> NDArray[np.float64]:
+def spin_from_orientations(
+    rotations: Rotation, interval_s: float
+) -> NDArray[np.float64]:
     """Return angular velocities in the world frame [rad/s] by central differences, shape [sample_count - 2, 3]."""
-    return np.asarray((rotations[2:] * rotations[:-2].inv()).as_rotvec() / (2.0 * interval_s))
+    return np.asarray(
+        (rotations[2:] * rotations[:-2].inv()).as_rotvec() / (2.0 * interval_s)
+    )
 
 
 def cantilever_load_over_stiffness(
-    s_m: NDArray[np.float64], droop_m: NDArray[np.float64], *, length_m: float, weights: NDArray[np.float64]
+    s_m: NDArray[np.float64],
+    droop_m: NDArray[np.float64],
+    *,
+    length_m: float,
+    weights: NDArray[np.float64],
 ) -> float:
     """Return the weight per length over the bending stiffness of a cantilever: D w'' = load (L - s)^2 / 2.
 
@@ -109,10 +129,25 @@ def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:
     """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
-    sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
-    effective = slide_friction(measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=GRAVITY_M_PER_S2)
-    rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
-    rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
+    sine, cosine = (
+        np.sin(np.radians(SLIDE_SLOPE_DEG)),
+        np.cos(np.radians(SLIDE_SLOPE_DEG)),
+    )
+    effective = slide_friction(
+        measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=GRAVITY_M_PER_S2
+    )
+    rules = {
+        "its square: the engine multiplies the values of two bodies": friction**2,
+        "its half": 0.5 * friction,
+    }
+    rule = next(
+        (
+            f", {text}"
+            for text, value in rules.items()
+            if abs(effective / value - 1.0) < 0.02
+        ),
+        "",
+    )
     return Measurement(
         measured=measured,
         expected=GRAVITY_M_PER_S2 * (sine - friction * cosine),
@@ -120,7 +155,9 @@ def slide_acceleration(measured: float, friction: float) -> Measurement:
     )
 
 
-def bounds_error(nodes_m: NDArray[np.float64], size_m: tuple[float, ...]) -> Measurement:
+def bounds_error(
+    nodes_m: NDArray[np.float64], size_m: tuple[float, ...]
+) -> Measurement:
     """Measure the largest distance [mm] of the bounding box of nodes from that of a centred body of a size."""
     half = 0.5 * np.array(size_m)
     apart = np.concatenate([nodes_m.min(axis=0) + half, nodes_m.max(axis=0) - half])
@@ -137,14 +174,21 @@ def stiffness(load: float, slope: float, expected: float, verb: str) -> Measurem
         verb: Kind of deformation, such as `bends`.
     """
     if not slope > 0.0:
-        return Measurement(measured=float("inf"), expected=expected, hint="its weight does not deform it")
+        return Measurement(
+            measured=float("inf"),
+            expected=expected,
+            hint="its weight does not deform it",
+        )
     ratio = expected * slope / load
     hint = f"it {verb} {ratio:.3g} times as much as it should"
     return Measurement(measured=float(load / slope), expected=expected, hint=hint)
 
 
 def passive_energy_gain(
-    nodes_m: NDArray[np.float64], times_s: NDArray[np.float64], mass_shares: NDArray[np.float64], gravity: float
+    nodes_m: NDArray[np.float64],
+    times_s: NDArray[np.float64],
+    mass_shares: NDArray[np.float64],
+    gravity: float,
 ) -> Measurement:
     """Measure the largest gain [%] of kinetic and potential energy of a falling body, over the released energy.
 
@@ -157,7 +201,9 @@ def passive_energy_gain(
     speed = np.gradient(nodes_m, times_s, axis=0)
     potential = gravity * (nodes_m[:, :, 2] - nodes_m[0, :, 2]) @ mass_shares
     total = potential + 0.5 * np.square(speed).sum(axis=2) @ mass_shares
-    return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
+    return Measurement(
+        measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0
+    )
 
 
 def driver_poses(rollout: Rollout) -> list[Pose]:
@@ -180,8 +226,12 @@ def driver_error(rollout: Rollout, points_m: NDArray[np.float64]) -> Measurement
 
     error = largest_mm(points_m - prescribed)
     shifted = {
-        "it comes one interval (1/180 s) late": largest_mm(points_m[1:] - prescribed[:-1]),
-        "it comes one interval (1/180 s) early": largest_mm(points_m[:-1] - prescribed[1:]),
+        "it comes one interval (1/180 s) late": largest_mm(
+            points_m[1:] - prescribed[:-1]
+        ),
+        "it comes one interval (1/180 s) early": largest_mm(
+            points_m[:-1] - prescribed[1:]
+        ),
     }
     hint = next((text for text, left in shifted.items() if left < 0.2 * error), "")
     return Measurement(measured=error, expected=0.0, hint=hint)
@@ -196,7 +246,10 @@ def attachment_error(rollout: Rollout, name: str) -> Measurement:
     fallen_mm = 1e3 * float((nodes[0] - nodes[-1])[attached, 2].mean())
     free_mm = 500.0 * rollout.scene.gravity_m_per_s2 * float(rollout.times_s[-1]) ** 2
     if jump_mm > 10.0:
-        return replace(found, hint=f"nodes jump by {jump_mm:.3g} mm in the first interval: their order changes")
+        return replace(
+            found,
+            hint=f"nodes jump by {jump_mm:.3g} mm in the first interval: their order changes",
+        )
     if fallen_mm > 0.5 * free_mm:
         return replace(found, hint="the body falls: the attachment is missing")
     return found

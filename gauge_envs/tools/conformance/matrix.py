@@ -14,11 +14,31 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.registry import engine_call
-from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnknownNameError
-from gauge_envs.files import MEGABYTE, json_document, json_ready, os_errors, read_regular, versions, write_whole
+from gauge_envs.errors import (
+    GaugeError,
+    ParameterError,
+    ResultFileError,
+    UnknownNameError,
+)
+from gauge_envs.files import (
+    MEGABYTE,
+    json_document,
+    json_ready,
+    os_errors,
+    read_regular,
+    versions,
+    write_whole,
+)
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
-from gauge_envs.tools.conformance.model import Check, CheckResult, Outcome, Status, checks, texts_of_checks
+from gauge_envs.tools.conformance.model import (
+    Check,
+    CheckResult,
+    Outcome,
+    Status,
+    checks,
+    texts_of_checks,
+)
 from gauge_envs.tools.conformance.run import run_checks
 
 CANONICAL: tuple[str, ...] = tuple(texts_of_checks()["canonical"])
@@ -60,7 +80,11 @@ class MatrixColumn:
     def cpu_s(self) -> float | None:
         """CPU time of all checks [s]; None if that of a check that ran is not known."""
         spent = [finding.cpu_s for finding in self.findings.values()]
-        return None if None in spent else sum(value for value in spent if value is not None)
+        return (
+            None
+            if None in spent
+            else sum(value for value in spent if value is not None)
+        )
 
     @property
     def is_of_this_version(self) -> bool:
@@ -74,15 +98,23 @@ class MatrixColumn:
         reasons = {}
         for name, fingerprint in self.fingerprints.items():
             if name not in known:
-                reasons[name] = f"gauge-envs {versions()['gauge-envs']} has no check {name!r}"
+                reasons[name] = (
+                    f"gauge-envs {versions()['gauge-envs']} has no check {name!r}"
+                )
             elif fingerprint != known[name]:
-                reasons[name] = "the check had another scene, law or tolerance when this column ran"
+                reasons[name] = (
+                    "the check had another scene, law or tolerance when this column ran"
+                )
         return reasons
 
     def current(self) -> dict[str, CheckResult]:
         """Return the results that answer the present checks, by id."""
         outdated = self.outdated
-        return {name: finding for name, finding in self.findings.items() if name not in outdated}
+        return {
+            name: finding
+            for name, finding in self.findings.items()
+            if name not in outdated
+        }
 
     @property
     def title(self) -> str:
@@ -93,12 +125,18 @@ class MatrixColumn:
         """Return the command that repeats one check."""
         words = ["gauge", "backend", "check", self.backend, "--only", check]
         for name, value in self.settings.items():
-            words += ["--set", f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}"]
+            words += [
+                "--set",
+                f"{name}={value!r}" if isinstance(value, float) else f"{name}={value}",
+            ]
         return shlex.join(words)
 
 
 def matrix_columns(
-    names: Sequence[str], settings: Mapping[str, Any] | None = None, *, worker: Worker | None = None
+    names: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    worker: Worker | None = None,
 ) -> list[MatrixColumn]:
     """Return the columns of a matrix, without running a check.
 
@@ -118,23 +156,35 @@ def matrix_columns(
         engines = [engine for engine in known if fnmatchcase(engine, pattern)]
         if not engines:
             raise UnknownNameError("backend", pattern, known)
-        found = [column for engine in engines for column in _columns(engine, bool(has_configuration), worker)]
-        chosen = [column for column in found if not wanted or fnmatchcase(column.name, wanted)]
+        found = [
+            column
+            for engine in engines
+            for column in _columns(engine, bool(has_configuration), worker)
+        ]
+        chosen = [
+            column for column in found if not wanted or fnmatchcase(column.name, wanted)
+        ]
         if not chosen:
-            raise UnknownNameError("configuration", wanted, {column.name for column in found})
+            raise UnknownNameError(
+                "configuration", wanted, {column.name for column in found}
+            )
         for column in chosen:
             column.settings = {**(settings or {}), **column.settings}
             columns.setdefault((column.backend, column.name), column)
     return list(columns.values())
 
 
-def _columns(engine: str, has_configurations: bool, worker: Worker | None) -> list[MatrixColumn]:
+def _columns(
+    engine: str, has_configurations: bool, worker: Worker | None
+) -> list[MatrixColumn]:
     """Return the default of an engine, and its configurations if they are asked for."""
     configurations: dict[str, dict[str, Any]] = {"default": {}}
     reason = ""
     if has_configurations:
         try:
-            configurations |= _declared(engine) if worker is None else worker.call(_declared, engine)
+            configurations |= (
+                _declared(engine) if worker is None else worker.call(_declared, engine)
+            )
         except GaugeError as error:
             reason = str(error)
     return [
@@ -150,7 +200,9 @@ def _declared(name: str) -> dict[str, dict[str, Any]]:
         return {str(key): dict(values) for key, values in engine.configurations.items()}
 
 
-def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None) -> Iterator[CheckResult]:
+def run_column(
+    column: MatrixColumn, only: Sequence[str], worker: Worker | None
+) -> Iterator[CheckResult]:
     """Run the checks of a column, keep each result in it, and yield it.
 
     An engine that cannot be imported, or that refuses the settings, gives the column a reason and no result.
@@ -160,11 +212,19 @@ def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None)
         only: Ids or patterns of checks.
         worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
     """
-    column.gauge_envs, column.made = versions()["gauge-envs"], datetime.now(UTC).date().isoformat()
+    column.gauge_envs, column.made = (
+        versions()["gauge-envs"],
+        datetime.now(UTC).date().isoformat(),
+    )
     for one in () if column.reason else checks(only):
         try:
             # One by one, as a solver that refuses the scene of one check may take that of the next.
-            (finding,) = run_checks(column.backend, settings=column.settings or None, only=[one.id], worker=worker)
+            (finding,) = run_checks(
+                column.backend,
+                settings=column.settings or None,
+                only=[one.id],
+                worker=worker,
+            )
         except RefusedSettingsError as error:
             column.refused[one.id] = str(error)
             continue
@@ -175,7 +235,9 @@ def run_column(column: MatrixColumn, only: Sequence[str], worker: Worker | None)
         column.fingerprints[finding.check] = one.fingerprint
         yield finding
     if column.refused and not column.findings:
-        column.reason = f"the settings are refused: {next(iter(column.refused.values()))}"
+        column.reason = (
+            f"the settings are refused: {next(iter(column.refused.values()))}"
+        )
 
 
 # --- columns in a file -----------------------------------------------------------------------------------------------
@@ -219,8 +281,12 @@ class _Document(_Strict):
 def write_columns(columns: Sequence[MatrixColumn], path: Path) -> Path:
     """Write columns as JSON and return the path; `read_columns` reads them back."""
     rows = [_record(column) for column in columns]
-    text = ",\n".join(json.dumps(row, ensure_ascii=False, allow_nan=False) for row in rows)
-    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")):
+    text = ",\n".join(
+        json.dumps(row, ensure_ascii=False, allow_nan=False) for row in rows
+    )
+    with os_errors(
+        lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")
+    ):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, f'{{"kind": "{KIND}", "columns": [\n{text}\n]}}\n'.encode())
     return path
@@ -232,7 +298,11 @@ def _record(column: MatrixColumn) -> dict[str, Any]:
         name: {"fingerprint": column.fingerprints[name]} | dict(_entries(finding))
         for name, finding in column.findings.items()
     }
-    facts = {name: getattr(column, name) for name in _Column.model_fields if name != "findings"}
+    facts = {
+        name: getattr(column, name)
+        for name in _Column.model_fields
+        if name != "findings"
+    }
     values: dict[str, Any] = json_ready(facts) | {"findings": findings}
     return values
 
@@ -253,13 +323,17 @@ def read_columns(path: Path) -> list[MatrixColumn]:
     try:
         found = _Document.model_validate(json_document(read_regular(path, MOST_BYTES)))
     except OSError as error:
-        raise ResultFileError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise ResultFileError(
+            f"{path}: cannot be read: {error.strerror or error}"
+        ) from None
     except ValueError as error:
         reason = f"is no JSON document ({error})"
         if isinstance(error, ValidationError):
             first = error.errors()[0]
             reason = f"{'.'.join(str(part) for part in first['loc']) or 'the document'}: {first['msg']}"
-        raise ResultFileError(f"{path}: {reason}; write it with gauge backend check 'NAME:*' --out FILE") from None
+        raise ResultFileError(
+            f"{path}: {reason}; write it with gauge backend check 'NAME:*' --out FILE"
+        ) from None
     if found.kind != KIND:
         raise ResultFileError(f"{path}: its kind is {found.kind!r}, expected {KIND!r}")
     known = {check.id: check for check in checks()}
@@ -269,16 +343,23 @@ def read_columns(path: Path) -> list[MatrixColumn]:
 def _column(one: _Column, known: Mapping[str, Check]) -> MatrixColumn:
     column = MatrixColumn(**one.model_dump(exclude={"versions", "findings"}))
     for name, finding in one.findings.items():
-        values = {key: getattr(finding, key) for key in (entry.name for entry in fields(Outcome))}
+        values = {
+            key: getattr(finding, key)
+            for key in (entry.name for entry in fields(Outcome))
+        }
         if finding.status is Status.FAIL and finding.measured is None:
             values["measured"] = math.nan  # JSON has no number that is not finite.
         check = known.get(name, Check(name))
-        column.findings[name] = CheckResult(of=check, backend=one.backend, versions=one.versions, **values)
+        column.findings[name] = CheckResult(
+            of=check, backend=one.backend, versions=one.versions, **values
+        )
         column.fingerprints[name] = finding.fingerprint
     return column
 
 
-def with_columns(columns: Sequence[MatrixColumn], files: Sequence[Path]) -> list[MatrixColumn]:
+def with_columns(
+    columns: Sequence[MatrixColumn], files: Sequence[Path]
+) -> list[MatrixColumn]:
     """Return columns together with those of files, grouped by engine in the order of the first appearance."""
     found = {(column.backend, column.name): column for column in columns}
     places = dict.fromkeys(found, "this run")
@@ -314,11 +395,16 @@ class Change:
     @property
     def kind(self) -> str:
         """`worse` if it failed to keep a pass, `mended` if a failure ended, else `moved`."""
-        was, is_now = (one.is_bad or one.status is Status.DECLINED for one in (self.before, self.now))
+        was, is_now = (
+            one.is_bad or one.status is Status.DECLINED
+            for one in (self.before, self.now)
+        )
         return "moved" if was == is_now else "worse" if is_now else "mended"
 
 
-def changes(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn]) -> list[Change]:
+def changes(
+    columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn]
+) -> list[Change]:
     """Return the checks whose outcome is another one, or whose value moved by more than the tolerance of the check.
 
     Checks that are new, or had another definition, are left out.
@@ -330,15 +416,27 @@ def changes(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn]) -> 
     found = []
     for column in columns:
         if column.title not in known:
-            raise ParameterError(f"the baseline has no column {column.title!r}; it has {', '.join(known) or 'none'}")
+            raise ParameterError(
+                f"the baseline has no column {column.title!r}; it has {', '.join(known) or 'none'}"
+            )
         earlier = known[column.title].current()
-        pairs = [(earlier[name], now) for name, now in column.findings.items() if name in earlier]
-        found += [Change(column=column.title, before=old, now=now) for old, now in pairs if _differs(old, now)]
+        pairs = [
+            (earlier[name], now)
+            for name, now in column.findings.items()
+            if name in earlier
+        ]
+        found += [
+            Change(column=column.title, before=old, now=now)
+            for old, now in pairs
+            if _differs(old, now)
+        ]
     return found
 
 
 def _differs(old: CheckResult, now: CheckResult) -> bool:
     if old.status is not now.status or old.measured is None or now.measured is None:
         return old.status is not now.status
-    is_same = old.measured == now.measured or (math.isnan(old.measured) and math.isnan(now.measured))
+    is_same = old.measured == now.measured or (
+        math.isnan(old.measured) and math.isnan(now.measured)
+    )
     return not is_same and not abs(now.measured - old.measured) <= (now.width or 0.0)

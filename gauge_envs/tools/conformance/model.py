@@ -135,7 +135,9 @@ class Check:
     diagnosis: str = ""
     measure: Callable[[Lab], Measurement] = _unknown
 
-    def __call__(self, measure: Callable[[Lab], Measurement]) -> Callable[[Lab], Measurement]:
+    def __call__(
+        self, measure: Callable[[Lab], Measurement]
+    ) -> Callable[[Lab], Measurement]:
         """Register the check with the function that measures it.
 
         Raises:
@@ -143,14 +145,18 @@ class Check:
         """
         if self.id in _CHECKS:
             raise ParameterError(f"check {self.id!r} exists already; choose another id")
-        _CHECKS[self.id] = replace(self, measure=measure, **texts_of_checks().get(self.id, {}))
+        _CHECKS[self.id] = replace(
+            self, measure=measure, **texts_of_checks().get(self.id, {})
+        )
         return measure
 
     @property
     def fingerprint(self) -> str:
         """Digest of what the number means: scene, measured quantity, law, unit and tolerance, and no code."""
         width = [self.tolerance.absolute, self.tolerance.relative]
-        parts = json.dumps([self.id, self.scene, self.measures, self.law, self.unit, width])
+        parts = json.dumps(
+            [self.id, self.scene, self.measures, self.law, self.unit, width]
+        )
         return hashlib.sha256(parts.encode()).hexdigest()[:12]
 
 
@@ -210,20 +216,37 @@ class CheckResult(Outcome):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
-        values = {"check": self.check, "backend": self.backend, "status": self.status.value}
-        values |= {text: getattr(self.of, text) for text in ("title", "measures", "law", "source", "unit")}
+        values = {
+            "check": self.check,
+            "backend": self.backend,
+            "status": self.status.value,
+        }
+        values |= {
+            text: getattr(self.of, text)
+            for text in ("title", "measures", "law", "source", "unit")
+        }
         values["rationale"] = self.of.tolerance.rationale
-        outcome = {one.name: getattr(self, one.name) for one in fields(Outcome) if one.name != "status"}
-        ready: dict[str, Any] = json_ready(values | outcome | {"settings": self.settings, "versions": self.versions})
+        outcome = {
+            one.name: getattr(self, one.name)
+            for one in fields(Outcome)
+            if one.name != "status"
+        }
+        ready: dict[str, Any] = json_ready(
+            values | outcome | {"settings": self.settings, "versions": self.versions}
+        )
         return ready
 
 
 @cache
 def texts_of_checks() -> dict[str, Any]:
     """Return texts and tolerances of the checks of this package by id, and `canonical`: one id for each phenomenon."""
-    texts = tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
+    texts = tomllib.loads(
+        (Path(__file__).parent / "checks.toml").read_text(encoding="utf-8")
+    )
     return {
-        id: one | {"tolerance": Tolerance(**one["tolerance"])} if "tolerance" in one else one
+        id: one | {"tolerance": Tolerance(**one["tolerance"])}
+        if "tolerance" in one
+        else one
         for id, one in texts.items()
     }
 
@@ -250,11 +273,15 @@ class Recorded(Generic[T]):
         """Return the record of a lab."""
         return lab.once(self.record)
 
-    def check(self, id: str, **texts: Any) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
+    def check(
+        self, id: str, **texts: Any
+    ) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
         """Return a decorator that registers a measurement of the record as a check; see `Check` for the texts."""
 
         def register(measure: Callable[[T], Measurement]) -> Callable[[T], Measurement]:
-            Check(id, scene=self.scene, **texts)(wraps(measure)(lambda lab: measure(self(lab))))
+            Check(id, scene=self.scene, **texts)(
+                wraps(measure)(lambda lab: measure(self(lab)))
+            )
             return measure
 
         return register
@@ -276,12 +303,22 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     Raises:
         UnknownNameError: A pattern matches no check.
     """
-    places = {f"gauge_envs.tools.conformance.{family}": place for place, family in enumerate(FAMILIES)}
+    places = {
+        f"gauge_envs.tools.conformance.{family}": place
+        for place, family in enumerate(FAMILIES)
+    }
     for module in places:
         import_module(module)
     # A module may have been imported before another one that precedes it in the table.
-    known = sorted(_CHECKS.values(), key=lambda one: places.get(one.measure.__module__, len(places)))
+    known = sorted(
+        _CHECKS.values(),
+        key=lambda one: places.get(one.measure.__module__, len(places)),
+    )
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in _CHECKS):
             raise UnknownNameError("check", pattern, [one.id for one in known])
-    return tuple(one for one in known if not only or any(fnmatchcase(one.id, pattern) for pattern in only))
+    return tuple(
+        one
+        for one in known
+        if not only or any(fnmatchcase(one.id, pattern) for pattern in only)
+    )

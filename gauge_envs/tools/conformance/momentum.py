@@ -20,14 +20,31 @@ from scipy.integrate import cumulative_trapezoid
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Pose, RigidBody, Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    BodyHinge,
+    Box,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import inertia_kg_m2, largest_mm, torque_free_orientation
+from gauge_envs.tools.conformance.laws import (
+    inertia_kg_m2,
+    largest_mm,
+    torque_free_orientation,
+)
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
-from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins, spinning_brick, spinning_solid
+from gauge_envs.tools.conformance.spin import (
+    BRICK,
+    SOLID_ORIGIN_M,
+    if_it_spins,
+    spinning_brick,
+    spinning_solid,
+)
 
 # --- torque-free spin ------------------------------------------------------------------------------------------------
 
@@ -35,8 +52,12 @@ from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins
 @spinning_brick.check("spin-momentum")
 @if_it_spins
 def _spin_momentum(rollout: Rollout) -> Measurement:
-    momentum = np.einsum("tij,tj->ti", inertia_kg_m2(rollout, "brick"), rollout.angular_velocity("brick"))
-    change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(momentum[0])
+    momentum = np.einsum(
+        "tij,tj->ti", inertia_kg_m2(rollout, "brick"), rollout.angular_velocity("brick")
+    )
+    change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(
+        momentum[0]
+    )
     return Measurement(measured=100.0 * float(change))
 
 
@@ -50,15 +71,22 @@ def _spin_orientation(rollout: Rollout) -> Measurement:
         moments=box_inertia_kg_m2(BRICK),
         seconds=0.5,
     )
-    return Measurement(measured=float(np.degrees((rotations[-1] * expected.inv()).magnitude())))
+    return Measurement(
+        measured=float(np.degrees((rotations[-1] * expected.inv()).magnitude()))
+    )
 
 
 @spinning_solid.check("solid-spin-centre")
 @if_it_spins
 def _solid_spin_centre(rollout: Rollout) -> Measurement:
-    centre, times = rollout.position("brick") + rollout.rotation("brick").apply(-SOLID_ORIGIN_M), rollout.times_s
+    centre, times = (
+        rollout.position("brick") + rollout.rotation("brick").apply(-SOLID_ORIGIN_M),
+        rollout.times_s,
+    )
     line = np.polynomial.polynomial.polyfit(times, centre, 1)
-    return Measurement(measured=largest_mm(centre - (line[0] + np.outer(times, line[1]))))
+    return Measurement(
+        measured=largest_mm(centre - (line[0] + np.outer(times, line[1])))
+    )
 
 
 FLIGHT_S = 0.5
@@ -71,45 +99,79 @@ SOURCE = "Newton, Euler"
 
 
 def _pair_scene(
-    first: RigidBody, second: RigidBody, anchor_m: NDArray[np.float64], axis: NDArray[np.float64], gravity: float
+    first: RigidBody,
+    second: RigidBody,
+    anchor_m: NDArray[np.float64],
+    axis: NDArray[np.float64],
+    gravity: float,
 ) -> Scene:
-    hinge = BodyHinge(first=first.name, second=second.name, anchor_m=vector(anchor_m), axis=vector(axis))
-    return Scene(bodies=(first, second), body_hinges=(hinge,), duration_s=FLIGHT_S, gravity_m_per_s2=gravity)
+    hinge = BodyHinge(
+        first=first.name,
+        second=second.name,
+        anchor_m=vector(anchor_m),
+        axis=vector(axis),
+    )
+    return Scene(
+        bodies=(first, second),
+        body_hinges=(hinge,),
+        duration_s=FLIGHT_S,
+        gravity_m_per_s2=gravity,
+    )
 
 
 def _moving(
-    one: RigidBody, anchor_m: NDArray[np.float64], speed: NDArray[np.float64], spin: NDArray[np.float64]
+    one: RigidBody,
+    anchor_m: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    spin: NDArray[np.float64],
 ) -> RigidBody:
     """Return a body that starts with an angular velocity, and of which one point has a given velocity."""
     linear = speed + np.cross(spin, np.subtract(one.pose.position_m, anchor_m))
-    return replace(one, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(spin))
+    return replace(
+        one,
+        linear_velocity_m_per_s=vector(linear),
+        angular_velocity_rad_per_s=vector(spin),
+    )
 
 
-@recorded("two unequal blocks, joined at an edge, that tumble in free fall and fold by about 6 rad/s")
+@recorded(
+    "two unequal blocks, joined at an edge, that tumble in free fall and fold by about 6 rad/s"
+)
 def _tumbling(lab: Lab) -> Rollout:
     pose = Pose.from_euler_deg((0.1, 0.2, 3.0), (20.0, 30.0, 40.0))
-    anchor, axis = pose.to_world(np.array([-0.035, 0.03, 0.01])), pose.rotation.apply([0.6, 0.8, 0.0])
+    anchor, axis = (
+        pose.to_world(np.array([-0.035, 0.03, 0.01])),
+        pose.rotation.apply([0.6, 0.8, 0.0]),
+    )
     turned = Pose.from_euler_deg((0.0, 0.0, 0.0), (-30.0, 10.0, 70.0))
     # The anchor is at a corner region of the small block.
-    other = replace(turned, position_m=vector(anchor - turned.rotation.apply([0.05, -0.015, 0.01])))
+    other = replace(
+        turned, position_m=vector(anchor - turned.rotation.apply([0.05, -0.015, 0.01]))
+    )
     speed, spin = np.array([0.3, -0.2, 1.5]), np.array([3.0, -5.0, 4.0])
     large, small = Box(size_m=(0.1, 0.05, 0.05)), Box(size_m=(0.12, 0.04, 0.03))
     first = _moving(body("first", large, pose, mass_kg=0.4), anchor, speed, spin)
-    second = _moving(body("second", small, other, mass_kg=0.2), anchor, speed, spin + 6.0 * axis)
+    second = _moving(
+        body("second", small, other, mass_kg=0.2), anchor, speed, spin + 6.0 * axis
+    )
     return lab.rollout(_pair_scene(first, second, anchor, axis, G))
 
 
 def _centre(rollout: Rollout) -> NDArray[np.float64]:
     """Return position and velocity of the common centre of mass, shape [sample_count, 6]."""
     blocks = rollout.scene.dynamic_bodies
-    weighed = sum(one.mass_kg * rollout.states[one.name][:, [0, 1, 2, 7, 8, 9]] for one in blocks)
+    weighed = sum(
+        one.mass_kg * rollout.states[one.name][:, [0, 1, 2, 7, 8, 9]] for one in blocks
+    )
     return np.asarray(weighed / sum(one.mass_kg for one in blocks))
 
 
 @_tumbling.check("hinged-closed")
 def _hinged_closed(rollout: Rollout) -> Measurement:
     (hinge,) = rollout.scene.body_hinges
-    frames = hinge_frames(hinge, *(rollout.scene.body(name).pose for name in (hinge.first, hinge.second)))
+    frames = hinge_frames(
+        hinge, *(rollout.scene.body(name).pose for name in (hinge.first, hinge.second))
+    )
     largest = 0.0
     for side in (-REACH_M, REACH_M):
         ends = [
@@ -120,18 +182,27 @@ def _hinged_closed(rollout: Rollout) -> Measurement:
             )
         ]
         largest = max(largest, largest_mm(ends[1] - ends[0]))
-    hint = "the bodies fly apart: the hinge is missing" if largest > 2e3 * REACH_M else ""
+    hint = (
+        "the bodies fly apart: the hinge is missing" if largest > 2e3 * REACH_M else ""
+    )
     return Measurement(measured=largest, hint=hint)
 
 
 @_tumbling.check(
     "hinged-fall",
     source=SOURCE,
-    tolerance=Tolerance("a fall has no model error, as for a single body (free-fall)", absolute=1e-3 * G),
+    tolerance=Tolerance(
+        "a fall has no model error, as for a single body (free-fall)", absolute=1e-3 * G
+    ),
 )
 def _hinged_fall(rollout: Rollout) -> Measurement:
-    acceleration = [acceleration_m_per_s2(rollout.times_s, path_m) for path_m in _centre(rollout)[:, :3].T]
-    return Measurement(measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G]))))
+    acceleration = [
+        acceleration_m_per_s2(rollout.times_s, path_m)
+        for path_m in _centre(rollout)[:, :3].T
+    ]
+    return Measurement(
+        measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G])))
+    )
 
 
 @_tumbling.check("hinged-momentum", source=SOURCE)
@@ -140,8 +211,12 @@ def _hinged_momentum(rollout: Rollout) -> Measurement:
     total = np.zeros((len(centre), 3))
     for one in rollout.scene.dynamic_bodies:
         states = rollout.states[one.name]
-        total += np.einsum("tij,tj->ti", inertia_kg_m2(rollout, one.name), states[:, 10:])
-        total += one.mass_kg * np.cross(states[:, :3] - centre[:, :3], states[:, 7:10] - centre[:, 3:])
+        total += np.einsum(
+            "tij,tj->ti", inertia_kg_m2(rollout, one.name), states[:, 10:]
+        )
+        total += one.mass_kg * np.cross(
+            states[:, :3] - centre[:, :3], states[:, 7:10] - centre[:, 3:]
+        )
     change = np.linalg.norm(total - total[0], axis=1).max() / np.linalg.norm(total[0])
     return Measurement(measured=100.0 * float(change))
 
@@ -152,8 +227,15 @@ def _hinged_energy(rollout: Rollout) -> Measurement:
     inner = np.zeros(len(centre))
     for one in rollout.scene.dynamic_bodies:
         states = rollout.states[one.name]
-        inner += 0.5 * np.einsum("ti,tij,tj->t", states[:, 10:], inertia_kg_m2(rollout, one.name), states[:, 10:])
-        inner += 0.5 * one.mass_kg * np.square(states[:, 7:10] - centre[:, 3:]).sum(axis=1)
+        inner += 0.5 * np.einsum(
+            "ti,tij,tj->t",
+            states[:, 10:],
+            inertia_kg_m2(rollout, one.name),
+            states[:, 10:],
+        )
+        inner += (
+            0.5 * one.mass_kg * np.square(states[:, 7:10] - centre[:, 3:]).sum(axis=1)
+        )
     change = inner / inner[0] - 1.0
     return Measurement(measured=100.0 * float(change[int(np.abs(change).argmax())]))
 
@@ -169,10 +251,14 @@ START_RAD, RATE_RAD_PER_S = 0.3, 4.0
 def scissors_angle_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return half the angle of the scissors at some times [rad], by quadrature, shape [T]."""
     about_centre = float(box_inertia_kg_m2(BLADE)[2])
-    angles = np.linspace(START_RAD, START_RAD + 2.0 * RATE_RAD_PER_S * float(times_s[-1]), 20001)
+    angles = np.linspace(
+        START_RAD, START_RAD + 2.0 * RATE_RAD_PER_S * float(times_s[-1]), 20001
+    )
     inertia = about_centre + BLADE.mass_kg * ARM_M**2 * np.cos(angles) ** 2
     slowness = np.sqrt(inertia / inertia[0]) / RATE_RAD_PER_S
-    return np.interp(times_s, cumulative_trapezoid(slowness, angles, initial=0.0), angles)
+    return np.interp(
+        times_s, cumulative_trapezoid(slowness, angles, initial=0.0), angles
+    )
 
 
 @Check("hinged-angle")
@@ -185,11 +271,20 @@ def _hinged_angle(lab: Lab) -> Measurement:
         pose = Pose.from_euler_deg(vector(place), (0.0, 0.0, float(np.degrees(angle))))
         # The common centre rests, so the hinge moves along x.
         back = np.array([ARM_M * np.sin(START_RAD) * RATE_RAD_PER_S, 0.0, 0.0])
-        blades.append(_moving(replace(BLADE, name=name, pose=pose), anchor, back, side * RATE_RAD_PER_S * axis))
+        blades.append(
+            _moving(
+                replace(BLADE, name=name, pose=pose),
+                anchor,
+                back,
+                side * RATE_RAD_PER_S * axis,
+            )
+        )
     scene = _pair_scene(blades[0], blades[1], anchor, axis, 0.0)
     rollout = lab.rollout(scene)
     frames = hinge_frames(scene.body_hinges[0], blades[0].pose, blades[1].pose)
-    angles = np.unwrap(hinge_angle_rad(frames, rollout.rotation("first"), rollout.rotation("second")))
+    angles = np.unwrap(
+        hinge_angle_rad(frames, rollout.rotation("first"), rollout.rotation("second"))
+    )
     expected = 2.0 * (scissors_angle_rad(rollout.times_s) - START_RAD)
     error = np.degrees(np.abs(angles - expected).max())
     hint = "it turns the other way" if angles[-1] < 0.0 else ""

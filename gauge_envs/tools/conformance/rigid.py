@@ -22,17 +22,28 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import (
+    COUNT,
+    Check,
+    Measurement,
+    Tolerance,
+    recorded,
+    rollout_of,
+)
 
 # --- free fall -------------------------------------------------------------------------------------------------------
 
 
 def _falling(gravity: float) -> Scene:
-    brick = box("brick", (0.3, -0.2, 3.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 30.0, 40.0))
+    brick = box(
+        "brick", (0.3, -0.2, 3.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 30.0, 40.0)
+    )
     return Scene(bodies=(brick,), duration_s=0.5, gravity_m_per_s2=gravity)
 
 
-_fall = rollout_of("a turned brick of 0.2 kg that falls by 1.2 m, without contacts", _falling(G))
+_fall = rollout_of(
+    "a turned brick of 0.2 kg that falls by 1.2 m, without contacts", _falling(G)
+)
 _slow_fall = rollout_of("the same brick at a gravity of 1.62 m/s^2", _falling(1.62))
 
 
@@ -58,7 +69,9 @@ def _limit_hint(rollout: Rollout) -> str:
     speed = np.linalg.norm(rollout.velocity("brick"), axis=1)
     late = speed[-len(speed) // 10 :]
     return (
-        f"it is never faster than {late[-1]:.3g} m/s: a limit of speed acts" if np.ptp(late) < 1e-3 * late[-1] else ""
+        f"it is never faster than {late[-1]:.3g} m/s: a limit of speed acts"
+        if np.ptp(late) < 1e-3 * late[-1]
+        else ""
     )
 
 
@@ -89,7 +102,9 @@ def _free_fall_spinning(lab: Lab) -> Measurement:
 
 @_fall.check("free-fall-drift")
 def _free_fall_drift(rollout: Rollout) -> Measurement:
-    return Measurement(measured=1e3 * float(np.abs(rollout.displacement("brick")[:, :2]).max()))
+    return Measurement(
+        measured=1e3 * float(np.abs(rollout.displacement("brick")[:, :2]).max())
+    )
 
 
 @_fall.check("free-fall-turn")
@@ -111,13 +126,21 @@ KINDS: dict[str, Shape] = {
 @Check("all-bodies-move", tolerance=COUNT)
 def _all_bodies_move(lab: Lab) -> Measurement:
     bodies = tuple(
-        body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0))) for index, (name, shape) in enumerate(KINDS.items())
+        body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0)))
+        for index, (name, shape) in enumerate(KINDS.items())
     )
     rollout = lab.rollout(Scene(bodies=bodies, duration_s=0.3))
     expected = 0.5 * G * 0.3**2
     fallen = {name: 0.0 - float(rollout.displacement(name)[-1, 2]) for name in KINDS}
-    wrong = [name for name, fall in fallen.items() if not abs(fall - expected) < 0.02 * expected]
-    hint = "; ".join(f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m" for name in wrong)
+    wrong = [
+        name
+        for name, fall in fallen.items()
+        if not abs(fall - expected) < 0.02 * expected
+    ]
+    hint = "; ".join(
+        f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m"
+        for name in wrong
+    )
     return Measurement(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)
 
 
@@ -127,7 +150,9 @@ PENDULUM_M, BOB_M, AMPLITUDE_RAD = 0.2, 0.05, np.radians(60.0)
 PIVOT_M = (0.1, 0.2, 1.0)
 
 
-@recorded("a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical")
+@recorded(
+    "a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical"
+)
 def _pendulum(lab: Lab) -> Rollout:
     x, z = PENDULUM_M * np.sin(AMPLITUDE_RAD), -PENDULUM_M * np.cos(AMPLITUDE_RAD)
     bob = ball("bob", vector(np.add(PIVOT_M, (x, 0.0, z))), radius_m=BOB_M)
@@ -139,11 +164,18 @@ def _pendulum(lab: Lab) -> Rollout:
 def _pendulum_period(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt(0.4) * BOB_M)
     expected = pendulum_period_s(
-        length_m=PENDULUM_M, gyration_m=gyration, amplitude_rad=float(AMPLITUDE_RAD), gravity_m_per_s2=G
+        length_m=PENDULUM_M,
+        gyration_m=gyration,
+        amplitude_rad=float(AMPLITUDE_RAD),
+        gravity_m_per_s2=G,
     )
     arm = rollout.position("bob") - np.asarray(PIVOT_M)
     measured = mean_period_s(rollout.times_s, np.arctan2(arm[:, 0], -arm[:, 2]))
-    hint = "" if np.isfinite(measured) else "it does not swing: the hinge is missing, or gravity is"
+    hint = (
+        ""
+        if np.isfinite(measured)
+        else "it does not swing: the hinge is missing, or gravity is"
+    )
     return Measurement(measured=measured, expected=expected, hint=hint)
 
 
@@ -173,10 +205,19 @@ def _pendulum_energy(rollout: Rollout) -> Measurement:
 @_pendulum.check("hinge-radius")
 def _hinge_radius(rollout: Rollout) -> Measurement:
     arm = rollout.position("bob") - np.asarray(PIVOT_M)
-    radial, along = np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M), np.abs(arm[:, 1])
+    radial, along = (
+        np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M),
+        np.abs(arm[:, 1]),
+    )
     # A tilted axis moves the bob along the prescribed axis at once; a soft joint yields in both directions.
-    tilted = along.max() > 10.0 * radial.max() or (along.max() > 1e-3 and radial.max() < 0.2 * along.max())
-    hint = "the bob leaves its plane of rotation: the hinge's axis is tilted" if tilted else ""
+    tilted = along.max() > 10.0 * radial.max() or (
+        along.max() > 1e-3 and radial.max() < 0.2 * along.max()
+    )
+    hint = (
+        "the bob leaves its plane of rotation: the hinge's axis is tilted"
+        if tilted
+        else ""
+    )
     return Measurement(measured=1e3 * float(np.maximum(radial, along).max()), hint=hint)
 
 
@@ -185,7 +226,9 @@ def _hinge_radius(rollout: Rollout) -> Measurement:
 STRING_M, SLACK_M = 0.3, 0.1
 
 
-@recorded("a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut")
+@recorded(
+    "a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut"
+)
 def _tether(lab: Lab) -> Rollout:
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M + SLACK_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
@@ -195,10 +238,16 @@ def _tether(lab: Lab) -> Rollout:
 @_tether.check("tether-slack")
 def _tether_slack(rollout: Rollout) -> Measurement:
     falling = rollout.between(0.0, 0.13)
-    measured = -acceleration_m_per_s2(rollout.times_s[falling], rollout.position("bob")[falling, 2])
+    measured = -acceleration_m_per_s2(
+        rollout.times_s[falling], rollout.position("bob")[falling, 2]
+    )
     fallen_m = -float(rollout.displacement("bob")[rollout.sample_at(0.13), 2])
     early = fallen_m < 0.9 * 0.5 * G * 0.13**2
-    hint = f"it fell by {1e3 * fallen_m:.3g} mm before 0.13 s: the string is shorter than its length_m" if early else ""
+    hint = (
+        f"it fell by {1e3 * fallen_m:.3g} mm before 0.13 s: the string is shorter than its length_m"
+        if early
+        else ""
+    )
     return Measurement(measured=measured, expected=G, hint=hint)
 
 
@@ -206,15 +255,23 @@ def _tether_slack(rollout: Rollout) -> Measurement:
 def _tether_length(rollout: Rollout) -> Measurement:
     distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
     missing = distance.max() > 2.0 * STRING_M
-    hint = "the string is missing: the ball falls on" if missing else f"it is {1e3 * distance.max():.4g} mm long"
-    return Measurement(measured=1e3 * float(distance.max()), expected=1e3 * STRING_M, hint=hint)
+    hint = (
+        "the string is missing: the ball falls on"
+        if missing
+        else f"it is {1e3 * distance.max():.4g} mm long"
+    )
+    return Measurement(
+        measured=1e3 * float(distance.max()), expected=1e3 * STRING_M, hint=hint
+    )
 
 
 @Check("tether-rest")
 def _tether_rest(lab: Lab) -> Measurement:
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
-    rollout = lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0)).cut(0.8, 1.0)
+    rollout = lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0)).cut(
+        0.8, 1.0
+    )
     distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
     return Measurement(measured=1e3 * float(distance.mean()), expected=1e3 * STRING_M)
 
@@ -222,19 +279,28 @@ def _tether_rest(lab: Lab) -> Measurement:
 # --- pairs that collide ----------------------------------------------------------------------------------------------
 
 
-@recorded("three balls of radius 30 mm over a plane; only one of them has a contact with it")
+@recorded(
+    "three balls of radius 30 mm over a plane; only one of them has a contact with it"
+)
 def _pairs(lab: Lab) -> Rollout:
-    places = {"listed": (-0.1, 0.0, 0.03), "unlisted": (0.1, 0.0, 0.03), "upper": (-0.1, 0.0, 0.2)}
+    places = {
+        "listed": (-0.1, 0.0, 0.03),
+        "unlisted": (0.1, 0.0, 0.03),
+        "upper": (-0.1, 0.0, 0.2),
+    }
     balls = [ball(name, place) for name, place in places.items()]
     contacts = (contact("listed", "ground", friction=0.5),)
-    return lab.rollout(Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=0.5))
+    return lab.rollout(
+        Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=0.5)
+    )
 
 
 @_pairs.check("contact-unlisted")
 def _contact_unlisted(rollout: Rollout) -> Measurement:
     # A fit, since after 0.5 s a semi-implicit step of 1/180 s has fallen by 1.1 % more than the law.
     falls = {
-        name: -acceleration_m_per_s2(rollout.times_s, rollout.position(name)[:, 2]) for name in ("unlisted", "upper")
+        name: -acceleration_m_per_s2(rollout.times_s, rollout.position(name)[:, 2])
+        for name in ("unlisted", "upper")
     }
     slow = min(falls, key=lambda name: falls[name])
     what = {"unlisted": "the plane", "upper": "the plane or the other ball"}[slow]

@@ -14,7 +14,14 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, raised_at
 from gauge_envs.tools.conformance.lab import Lab, RefusedSettingsError
-from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Outcome, Status, checks
+from gauge_envs.tools.conformance.model import (
+    Check,
+    CheckResult,
+    Measurement,
+    Outcome,
+    Status,
+    checks,
+)
 
 FINITE = "finite"
 """Id of the check that reports states that are not finite."""
@@ -67,15 +74,22 @@ def run_checks(
         try:
             versions = worker.call(versions_of, backend)
         except CrashError as error:
-            raise CrashError(f"backend {backend!r} cannot be imported: {error}") from None
-        return _results(backend, versions, lambda one: _run_there(worker, task, one), chosen)
+            raise CrashError(
+                f"backend {backend!r} cannot be imported: {error}"
+            ) from None
+        return _results(
+            backend, versions, lambda one: _run_there(worker, task, one), chosen
+        )
     engine = find_backend(backend) if isinstance(backend, str) else backend
     lab = Lab(engine, settings)
     return _results(engine.name, engine.versions(), lambda one: _run(lab, one), chosen)
 
 
 def _results(
-    name: str, versions: Mapping[str, str], run: Callable[[Check], _Run], chosen: Sequence[Check]
+    name: str,
+    versions: Mapping[str, str],
+    run: Callable[[Check], _Run],
+    chosen: Sequence[Check],
 ) -> Iterator[CheckResult]:
     reported_by = ""
     for one in chosen:
@@ -89,7 +103,9 @@ def _results(
                 outcome = replace(outcome, diagnosis=diagnosis, reported_by=reported_by)
             reported_by = reported_by or one.id
         fields = vars(outcome) | {"wall_s": time.perf_counter() - started}
-        yield CheckResult(of=one, backend=name, settings=settings, versions=versions, **fields)
+        yield CheckResult(
+            of=one, backend=name, settings=settings, versions=versions, **fields
+        )
 
 
 def _run_there(worker: Worker, task: bytes, one: Check) -> _Run:
@@ -126,7 +142,10 @@ def _run(lab: Lab, one: Check) -> _Run:
     # Whatever a backend raises is a result, and the next check may still pass; a panic of Rust is no `Exception`.
     except BaseException as error:
         is_finite = not isinstance(error, NotFiniteError)
-        outcome = Outcome(status=Status.ERROR, diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}")
+        outcome = Outcome(
+            status=Status.ERROR,
+            diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}",
+        )
     else:
         outcome = _judged(one, found)
         is_finite = not (math.isnan(found.measured) and not found.hint)
@@ -145,5 +164,7 @@ def _judged(one: Check, found: Measurement) -> Outcome:
         expected=expected,
         measured=measured,
         width=width,
-        diagnosis="" if passed else "; ".join(filter(None, (found.hint, one.diagnosis))),
+        diagnosis=""
+        if passed
+        else "; ".join(filter(None, (found.hint, one.diagnosis))),
     )

@@ -38,8 +38,18 @@ ALONG_X_DEG = (0.0, 90.0, 0.0)
 
 PRISM = ConvexUnion(
     pieces_m=(
-        tuple(vector((x, y, z)) for x in (-0.02, 0.03) for y in (-0.025, 0.02) for z in (-0.01, 0.02)),
-        tuple(vector((x, y, z)) for x in (-0.02, 0.03) for y in (-0.025, 0.02) for z in (0.02, 0.025)),
+        tuple(
+            vector((x, y, z))
+            for x in (-0.02, 0.03)
+            for y in (-0.025, 0.02)
+            for z in (-0.01, 0.02)
+        ),
+        tuple(
+            vector((x, y, z))
+            for x in (-0.02, 0.03)
+            for y in (-0.025, 0.02)
+            for z in (0.02, 0.025)
+        ),
     )
 )
 """Solid of two pieces whose body origin is 10 mm above its lower and 25 mm below its upper face."""
@@ -84,7 +94,11 @@ class _Resting:
     @property
     def kinds(self) -> list[str]:
         """Kinds of support; planes are not driven."""
-        return [kind for kind in SUPPORTS if self.supports is Motion.FIXED or kind != "plane"]
+        return [
+            kind
+            for kind in SUPPORTS
+            if self.supports is Motion.FIXED or kind != "plane"
+        ]
 
     def scene(self, on: list[str]) -> Scene:
         """Return a scene in which copies stand on bodies of the given kinds, each above the centre."""
@@ -95,18 +109,32 @@ class _Resting:
             x, z = 0.4 * index, 0.5
             name = f"on {kind}"
             place = (x - self.centre_m[0], -self.centre_m[1], z + top_m + self.height_m)
-            bodies.append(body(name, self.shape, Pose.from_euler_deg(place, self.euler_deg), mass_kg=0.2))
+            bodies.append(
+                body(
+                    name,
+                    self.shape,
+                    Pose.from_euler_deg(place, self.euler_deg),
+                    mass_kg=0.2,
+                )
+            )
             under = (x, 0.0, z)
             if isinstance(support, ConvexUnion):
                 under = (x - PRISM_CENTRE_M[0], -PRISM_CENTRE_M[1], z)
             mass_kg = 0.0 if isinstance(support, Plane) else 1.0
             pose = Pose.from_euler_deg(under, angles)
-            bodies.append(body(kind, support, pose, mass_kg=mass_kg, motion=self.supports))
+            bodies.append(
+                body(kind, support, pose, mass_kg=mass_kg, motion=self.supports)
+            )
             contacts.append(contact(name, kind, friction=0.5))
         driven = on if self.supports is Motion.KINEMATIC else []
         stay = ramp(0.0, start_s=0.0, duration_s=0.1, ramp_s=0.03)
         still = (driver(name, "translate", (1.0, 0.0, 0.0), stay) for name in driven)
-        return Scene(bodies=tuple(bodies), contacts=tuple(contacts), drivers=tuple(still), duration_s=REST_S)
+        return Scene(
+            bodies=tuple(bodies),
+            contacts=tuple(contacts),
+            drivers=tuple(still),
+            duration_s=REST_S,
+        )
 
     def hint(self, worst: str, heights: dict[str, float]) -> str:
         """Return what the heights [mm] say: a size of the shape, of one support, or a margin of all."""
@@ -120,14 +148,22 @@ class _Resting:
         if spread < 0.1 * abs(value):
             side = "floats above" if value > 0.0 else "sinks into"
             return f"the {self.what} {side} every support by {abs(value):.3g} mm: a margin, or its size"
-        wrong = [f"{kind} {height:.3g} mm" for kind, height in heights.items() if abs(height) > 0.2]
+        wrong = [
+            f"{kind} {height:.3g} mm"
+            for kind, height in heights.items()
+            if abs(height) > 0.2
+        ]
         return f"height of the {self.what} on each support that is wrong: {', '.join(wrong)}"
 
 
 def _rest_check(id: str, resting: _Resting) -> None:
     """Register the check of a shape that rests on every kind of support."""
     what, is_fixed = resting.what, resting.supports is Motion.FIXED
-    under, on = ("fixed plane, box", "") if is_fixed else ("driven, unmoving box", " on driven bodies")
+    under, on = (
+        ("fixed plane, box", "")
+        if is_fixed
+        else ("driven, unmoving box", " on driven bodies")
+    )
 
     @Check(
         id,
@@ -140,7 +176,8 @@ def _rest_check(id: str, resting: _Resting) -> None:
         source="sizes of both shapes (scene.Shape)",
         unit="mm",
         tolerance=Tolerance(
-            "a fifth of the real trials' scatter; default margins of collision shapes are 0.5 to 40 mm", absolute=0.2
+            "a fifth of the real trials' scatter; default margins of collision shapes are 0.5 to 40 mm",
+            absolute=0.2,
         ),
         diagnosis=f"the {what} or its support has another size in the engine: check half sizes, the cylinder's axis, "
         "collision margins, contact offsets and rounded edges",
@@ -148,17 +185,31 @@ def _rest_check(id: str, resting: _Resting) -> None:
     def measure(lab: Lab) -> Measurement:
         kinds = resting.kinds
         if not lab.backend.supports(resting.scene(kinds)):
-            kinds = [kind for kind in kinds if lab.backend.supports(resting.scene([kind]))] or kinds
+            kinds = [
+                kind for kind in kinds if lab.backend.supports(resting.scene([kind]))
+            ] or kinds
         rollout = lab.rollout(resting.scene(kinds))
         last = rollout.between(0.2, REST_S)
-        heights = {kind: 1e3 * float(rollout.displacement(f"on {kind}")[last, 2].mean()) for kind in kinds}
+        heights = {
+            kind: 1e3 * float(rollout.displacement(f"on {kind}")[last, 2].mean())
+            for kind in kinds
+        }
         worst = max(heights, key=lambda kind: abs(heights[kind]))
         return Measurement(measured=heights[worst], hint=resting.hint(worst, heights))
 
 
-_rest_check("rest-box", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02))
 _rest_check(
-    "rest-driven", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02, supports=Motion.KINEMATIC)
+    "rest-box",
+    _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02),
+)
+_rest_check(
+    "rest-driven",
+    _Resting(
+        what="box",
+        shape=Box(size_m=(0.06, 0.05, 0.04)),
+        height_m=0.02,
+        supports=Motion.KINEMATIC,
+    ),
 )
 _rest_check(
     "rest-sphere",
@@ -166,7 +217,10 @@ _rest_check(
         what="sphere",
         shape=Sphere(radius_m=0.02),
         height_m=0.02,
-        hints=((0.01, "its radius is half of that in the scene"), (-0.02, "its radius is taken for a diameter")),
+        hints=(
+            (0.01, "its radius is half of that in the scene"),
+            (-0.02, "its radius is taken for a diameter"),
+        ),
     ),
 )
 _rest_check(
@@ -176,8 +230,14 @@ _rest_check(
         shape=Cylinder(radius_m=0.025, length_m=0.05),
         height_m=0.025,
         hints=(
-            (0.0125, "its length is half of that in the scene: length_m is the full length"),
-            (-0.025, "its length is twice that in the scene: the engine's half length was given length_m"),
+            (
+                0.0125,
+                "its length is half of that in the scene: length_m is the full length",
+            ),
+            (
+                -0.025,
+                "its length is twice that in the scene: the engine's half length was given length_m",
+            ),
         ),
     ),
 )
@@ -195,7 +255,10 @@ _rest_check(
         ),
     ),
 )
-_rest_check("rest-convex", _Resting(what="convex solid", shape=PRISM, height_m=0.01, centre_m=PRISM_CENTRE_M))
+_rest_check(
+    "rest-convex",
+    _Resting(what="convex solid", shape=PRISM, height_m=0.01, centre_m=PRISM_CENTRE_M),
+)
 
 
 # --- leaning planes --------------------------------------------------------------------------------------------------
@@ -212,14 +275,19 @@ def _sine(plane: Pose) -> float:
     return math.sin(Slope.of(plane).angle_rad)
 
 
-def _down_acceleration(lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float) -> float:
+def _down_acceleration(
+    lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float
+) -> float:
     """Return the acceleration downhill of a body on a leaning plane [m/s^2]; a cylinder lies across the slope."""
     downhill, across, normal = Slope.of(plane).axes
     start = np.asarray(plane.position_m) + height_m * normal
     frame = Rotation.from_matrix(np.column_stack([downhill, normal, -across]))
     pose = Pose.from_rotation(vector(start), frame)
     scene = Scene(
-        bodies=(body("roller", shape, pose), replace(ground(), name="plane", pose=plane)),
+        bodies=(
+            body("roller", shape, pose),
+            replace(ground(), name="plane", pose=plane),
+        ),
         contacts=(contact("roller", "plane", friction=friction),),
         duration_s=ROLL_S,
     )
@@ -232,8 +300,15 @@ def _roll_check(id: str, shape: Shape, radius_m: float, share: float) -> None:
 
     @Check(id)
     def measure(lab: Lab) -> Measurement:
-        measured, sine = _down_acceleration(lab, shape, radius_m, LEANING, 0.5), _sine(LEANING)
-        return Measurement(measured=measured, expected=share * G * sine, hint=_roll_hint(measured, share, sine))
+        measured, sine = (
+            _down_acceleration(lab, shape, radius_m, LEANING, 0.5),
+            _sine(LEANING),
+        )
+        return Measurement(
+            measured=measured,
+            expected=share * G * sine,
+            hint=_roll_hint(measured, share, sine),
+        )
 
 
 def _roll_hint(measured: float, share: float, sine: float) -> str:
@@ -255,9 +330,14 @@ _roll_check("roll-cylinder", Cylinder(radius_m=0.03, length_m=0.06), 0.03, 2.0 /
 @Check("slide-plane")
 def _slide_plane(lab: Lab) -> Measurement:
     brick = Box(size_m=(0.06, 0.03, 0.05))
-    measured, sine = _down_acceleration(lab, brick, 0.015, STEEP, SLIDE_FRICTION), _sine(STEEP)
+    measured, sine = (
+        _down_acceleration(lab, brick, 0.015, STEEP, SLIDE_FRICTION),
+        _sine(STEEP),
+    )
     expected = G * (sine - SLIDE_FRICTION * float(np.sqrt(1.0 - sine**2)))
-    return Measurement(measured=measured, expected=expected, hint=_slide_hint(measured, sine))
+    return Measurement(
+        measured=measured, expected=expected, hint=_slide_hint(measured, sine)
+    )
 
 
 def _slide_hint(measured: float, sine: float) -> str:

@@ -12,7 +12,17 @@ from scipy.special import j0, jn_zeros
 
 from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Attachment,
+    Box,
+    Pose,
+    Region,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, driver, ramp
 from gauge_envs.tools.conformance.lab import Lab, clamped
@@ -28,7 +38,13 @@ from gauge_envs.tools.conformance.laws import (
     passive_energy_gain,
     stiffness,
 )
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, recorded, rollout_of
+from gauge_envs.tools.conformance.model import (
+    COUNT,
+    Check,
+    Measurement,
+    recorded,
+    rollout_of,
+)
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 DENSITY_KG_PER_M3, YOUNG_PA, POISSON = 100.0, 1e4, 0.3
@@ -46,7 +62,8 @@ UPPER_FACE = Region(axis="z", side="high")
 
 
 _hanging = rollout_of(
-    "a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face", clamped(BAR, UPPER_FACE, duration_s=0.8)
+    "a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
+    clamped(BAR, UPPER_FACE, duration_s=0.8),
 )
 """It sags by 2 mm, its largest strain is 2 %, and its period 80 ms."""
 
@@ -59,18 +76,27 @@ def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.floa
     return nodes[0, free], displacement[free]
 
 
-def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float64]) -> float:
+def _strain_rate_per_m(
+    rest: NDArray[np.float64], displacement: NDArray[np.float64]
+) -> float:
     """Return the growth of the axial strain with the distance from the lower end [1/m]: rho g / E.
 
     The exact field of a hanging bar has u_z = (rho g / 2E) (z^2 + nu r^2 - L^2), z from its lower end.
     """
     height = rest[:, 2] + 0.5 * LENGTH_M
-    return coefficient(displacement[:, 2], 0.5 * height**2, np.ones(len(rest)), np.square(rest[:, :2]).sum(axis=1))
+    return coefficient(
+        displacement[:, 2],
+        0.5 * height**2,
+        np.ones(len(rest)),
+        np.square(rest[:, :2]).sum(axis=1),
+    )
 
 
 @_hanging.check("foam-start", **NODES)
 def _foam_start(rollout: Rollout) -> Measurement:
-    return bounds_error(rollout.nodes_m["foam"][0] - np.asarray(CENTRE_M), BAR.shape.size_m)
+    return bounds_error(
+        rollout.nodes_m["foam"][0] - np.asarray(CENTRE_M), BAR.shape.size_m
+    )
 
 
 @_hanging.check("foam-tension")
@@ -86,17 +112,27 @@ def _foam_poisson(rollout: Rollout) -> Measurement:
     lever = height[:, None] * rest[:, :2]
     contraction = -float((lever * displacement[:, :2]).sum() / np.square(lever).sum())
     rate = _strain_rate_per_m(rest, displacement)
-    return Measurement(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
+    return Measurement(
+        measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON
+    )
 
 
 @Check("foam-pinned-face", **ATTACHED)
 def _foam_pinned_face(lab: Lab) -> Measurement:
     rotation = ramp(0.5, start_s=0.0, duration_s=0.2, ramp_s=0.08)
     scene = Scene(
-        bodies=(driven_box("plate", (0.0, 0.0, 1.0 + 0.5 * LENGTH_M + 0.005), (0.06, 0.06, 0.01)),),
+        bodies=(
+            driven_box(
+                "plate", (0.0, 0.0, 1.0 + 0.5 * LENGTH_M + 0.005), (0.06, 0.06, 0.01)
+            ),
+        ),
         deformables=(BAR,),
         attachments=(Attachment(deformable="foam", region=UPPER_FACE, to="plate"),),
-        drivers=(driver("plate", "rotate", (0.0, 0.0, 1.0), rotation, point_m=(0.02, 0.0, 0.0)),),
+        drivers=(
+            driver(
+                "plate", "rotate", (0.0, 0.0, 1.0), rotation, point_m=(0.02, 0.0, 0.0)
+            ),
+        ),
         duration_s=0.25,
     )
     return attachment_error(lab.rollout(scene), "foam")
@@ -108,7 +144,12 @@ ROPE_M = 0.3
 
 
 ROPE = Rope(
-    name="rope", pose=Pose(position_m=CENTRE_M), length_m=ROPE_M, radius_m=0.003, mass_kg=0.02, young_modulus_pa=1e6
+    name="rope",
+    pose=Pose(position_m=CENTRE_M),
+    length_m=ROPE_M,
+    radius_m=0.003,
+    mass_kg=0.02,
+    young_modulus_pa=1e6,
 )
 _falling_rope = rollout_of(
     "a horizontal rope of 0.3 m, held at one end and released",
@@ -147,7 +188,9 @@ def _rope_length(rollout: Rollout) -> Measurement:
     return Measurement(
         measured=1e3 * float(lengths[np.abs(lengths - ROPE_M).argmax()]),
         expected=1e3 * ROPE_M,
-        hint="it is wrong from the start: the rope was built with another length" if at_start else "",
+        hint="it is wrong from the start: the rope was built with another length"
+        if at_start
+        else "",
     )
 
 
@@ -170,17 +213,29 @@ FIRST_ZERO = float(jn_zeros(0, 1)[0])
 
 @Check("rope-period")
 def _rope_period(lab: Lab) -> Measurement:
-    hanging = replace(ROPE, pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0 - LEAN_DEG, 0.0)))
-    rollout = lab.rollout(clamped(hanging, Region(axis="x", side="low"), duration_s=0.75))
+    hanging = replace(
+        ROPE, pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0 - LEAN_DEG, 0.0))
+    )
+    rollout = lab.rollout(
+        clamped(hanging, Region(axis="x", side="low"), duration_s=0.75)
+    )
     nodes = rollout.nodes_m["rope"]
     tip_first = nodes[:, np.argsort(nodes[0, :, 2])]
     s = np.linalg.norm(tip_first[0] - tip_first[0, 0], axis=1)
     mode = j0(FIRST_ZERO * np.sqrt(s / ROPE_M)) * _mass_shares(s)
     swing = (tip_first[:, :, 0] - tip_first[:, -1:, 0]) @ mode
     before = np.flatnonzero(swing[:-1] * swing[1:] < 0.0)
-    zeros_s = rollout.times_s[before] + swing[before] / (swing[before] - swing[before + 1]) * SAMPLE_INTERVAL_S
-    measured = 2.0 * float(zeros_s[1] - zeros_s[0]) if len(zeros_s) > 1 else float("nan")
-    return Measurement(measured=measured, expected=4.0 * np.pi * float(np.sqrt(ROPE_M / G)) / FIRST_ZERO)
+    zeros_s = (
+        rollout.times_s[before]
+        + swing[before] / (swing[before] - swing[before + 1]) * SAMPLE_INTERVAL_S
+    )
+    measured = (
+        2.0 * float(zeros_s[1] - zeros_s[0]) if len(zeros_s) > 1 else float("nan")
+    )
+    return Measurement(
+        measured=measured,
+        expected=4.0 * np.pi * float(np.sqrt(ROPE_M / G)) / FIRST_ZERO,
+    )
 
 
 # --- rod -------------------------------------------------------------------------------------------------------------
@@ -204,7 +259,9 @@ def _drooping_rod(lab: Lab) -> Rollout:
         poisson_ratio=0.49,
     )
     clamp = Region(axis="z", side="low", depth_m=CLAMP_M)
-    return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
+    return lab.rollout(
+        clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY)
+    )
 
 
 _drooping_rod.check("rod-start")(_start_error)
@@ -215,6 +272,8 @@ def _rod_bending(rollout: Rollout) -> Measurement:
     nodes = rollout.nodes_m["rod"]
     droop = (nodes[0] - hann_mean(nodes[rollout.between(0.3, 1.1)]))[:, 2]
     s = nodes[0, :, 0] + 0.5 * (CLAMP_M + FREE_M) - CLAMP_M
-    slope = cantilever_load_over_stiffness(s, droop, length_m=FREE_M, weights=np.ones(len(s)))
+    slope = cantilever_load_over_stiffness(
+        s, droop, length_m=FREE_M, weights=np.ones(len(s))
+    )
     load, expected = ROD_DENSITY * SECTION_M2 * ROD_GRAVITY, ROD_YOUNG_PA * INERTIA_M4
     return stiffness(load, slope, expected, "bends")

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
@@ -39,9 +48,12 @@ def _thrown_scene(shape: Shape) -> Scene:
 
 
 BALL = _thrown_scene(Sphere(radius_m=0.03))
-_thrown_ball = rollout_of("a ball thrown with rotation, without gravity and contacts", BALL)
+_thrown_ball = rollout_of(
+    "a ball thrown with rotation, without gravity and contacts", BALL
+)
 _thrown_brick = rollout_of(
-    "a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts", _thrown_scene(BRICK)
+    "a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts",
+    _thrown_scene(BRICK),
 )
 _thrown_solid = rollout_of(
     "the same brick as a convex solid whose origin is one of its corners",
@@ -58,10 +70,14 @@ def _explained(
     errors = {text: error(assumed) for text, assumed in explanations.items()}
     text = min(errors, key=errors.__getitem__)
     measured = error(right)
-    return Measurement(measured=measured, hint=text if errors[text] < 0.05 * measured else "")
+    return Measurement(
+        measured=measured, hint=text if errors[text] < 0.05 * measured else ""
+    )
 
 
-def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[NDArray[np.float64]], float]:
+def _off_line_mm(
+    moved_m: NDArray[np.float64], rollout: Rollout
+) -> Callable[[NDArray[np.float64]], float]:
     """Return the function that gives the largest distance [mm] from a straight line with a velocity."""
     return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
@@ -75,7 +91,9 @@ def _start_velocity(rollout: Rollout) -> Measurement:
         "the velocity is taken in the body frame": POSE.rotation.apply(velocity),
         "the velocity is taken in mm/s": 1e-3 * velocity,
     }
-    return _explained(_off_line_mm(rollout.displacement("thrown"), rollout), velocity, explanations)
+    return _explained(
+        _off_line_mm(rollout.displacement("thrown"), rollout), velocity, explanations
+    )
 
 
 @_thrown_brick.check("start-spin")
@@ -107,7 +125,9 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved -= POSE.to_world(CENTRE_M)
     of_origin = np.array(LINEAR_M_PER_S)
     of_centre = of_origin + np.cross(ANGULAR_RAD_PER_S, POSE.rotation.apply(CENTRE_M))
-    explanations = {"the velocity is given to the centre of mass instead of the origin": of_origin}
+    explanations = {
+        "the velocity is given to the centre of mass instead of the origin": of_origin
+    }
     return _explained(_off_line_mm(moved, rollout), of_centre, explanations)
 
 
@@ -138,7 +158,14 @@ def _reported_hint(reported: NDArray[np.float64]) -> str:
             "is in degrees": np.degrees(right),
             "is in mm/s": 1e3 * right,
         }
-        text = next((text for text, form in forms.items() if np.allclose(values, form, rtol=1e-3)), "")
+        text = next(
+            (
+                text
+                for text, form in forms.items()
+                if np.allclose(values, form, rtol=1e-3)
+            ),
+            "",
+        )
         found += [f"the reported {what} velocity {text}"] if text else []
     return "; ".join(found)
 
@@ -146,14 +173,24 @@ def _reported_hint(reported: NDArray[np.float64]) -> str:
 SPIN_RAD_PER_S, SLOW_M_PER_S = 200.0, 0.003
 
 
-@recorded("a ball thrown with 3 mm/s and a spin of 200 rad/s, without gravity and contacts")
+@recorded(
+    "a ball thrown with 3 mm/s and a spin of 200 rad/s, without gravity and contacts"
+)
 def _extremes(lab: Lab) -> Rollout:
     thrown = replace(BALL.bodies[0], linear_velocity_m_per_s=(SLOW_M_PER_S, 0.0, 0.0))
     axis = np.array([1.0, 2.0, 2.0]) / 3.0
     thrown = replace(thrown, angular_velocity_rad_per_s=vector(SPIN_RAD_PER_S * axis))
-    slow = replace(BALL.bodies[0], name="slow", linear_velocity_m_per_s=(0.0, SLOW_M_PER_S, 0.0))
-    slow = replace(slow, pose=replace(POSE, position_m=(1.0, 0.0, 1.0)), angular_velocity_rad_per_s=(0.0, 0.0, 0.0))
-    return lab.rollout(Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0))
+    slow = replace(
+        BALL.bodies[0], name="slow", linear_velocity_m_per_s=(0.0, SLOW_M_PER_S, 0.0)
+    )
+    slow = replace(
+        slow,
+        pose=replace(POSE, position_m=(1.0, 0.0, 1.0)),
+        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
+    )
+    return lab.rollout(
+        Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0)
+    )
 
 
 @_extremes.check("spin-fast")
@@ -162,16 +199,24 @@ def _spin_fast(rollout: Rollout) -> Measurement:
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
     reported = float(np.linalg.norm(rollout.angular_velocity("thrown")[-1]))
     rate = float(turned.sum() / rollout.times_s[-1])
-    return Measurement(measured=rate, expected=SPIN_RAD_PER_S, hint=f"it reports {reported:.4g} rad/s at the end")
+    return Measurement(
+        measured=rate,
+        expected=SPIN_RAD_PER_S,
+        hint=f"it reports {reported:.4g} rad/s at the end",
+    )
 
 
 @_extremes.check("orientation-unit")
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
-    return Measurement(measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0)
+    return Measurement(
+        measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0
+    )
 
 
 @_extremes.check("slow-drift")
 def _slow_drift(rollout: Rollout) -> Measurement:
     moved = float(rollout.displacement("slow")[-1, 1])
-    return Measurement(measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1]))
+    return Measurement(
+        measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1])
+    )

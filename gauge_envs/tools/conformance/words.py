@@ -20,12 +20,32 @@ from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
 
-CLASSES = {Status.PASS: "inside", Status.FAIL: "wrong", Status.DECLINED: "declined", Status.ERROR: "wrong"}
+CLASSES = {
+    Status.PASS: "inside",
+    Status.FAIL: "wrong",
+    Status.DECLINED: "declined",
+    Status.ERROR: "wrong",
+}
 """Classes of outcomes on a page: blue, orange and grey, which colour-blind readers distinguish."""
 
-STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
-WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
-SIGNS = {Status.PASS: "✓", Status.FAIL: "✗ FAIL", Status.DECLINED: "- declined", Status.ERROR: "✗ error"}
+STYLES = {
+    Status.PASS: "green",
+    Status.FAIL: "bold red",
+    Status.DECLINED: "dim",
+    Status.ERROR: "bold red",
+}
+WORDS = {
+    Status.PASS: "pass",
+    Status.FAIL: "FAIL",
+    Status.DECLINED: "declined",
+    Status.ERROR: "error",
+}
+SIGNS = {
+    Status.PASS: "✓",
+    Status.FAIL: "✗ FAIL",
+    Status.DECLINED: "- declined",
+    Status.ERROR: "✗ error",
+}
 """Outcomes with a sign, which is visible without a colour."""
 
 LEAST_PERCENT = 1e-4
@@ -52,7 +72,11 @@ def backends_table() -> Table:
             rows.append({"name": name, "versions": _versions(name), "error": None})
         except GaugeError as error:
             rows.append({"name": name, "versions": {}, "error": str(error)})
-    engine = Column("", "engine", lambda row: row["error"] or pairs_text(row["versions"]).replace(" = ", " "))
+    engine = Column(
+        "",
+        "engine",
+        lambda row: row["error"] or pairs_text(row["versions"]).replace(" = ", " "),
+    )
     return Table(columns=(Column("name", "backend"), engine), rows=rows)
 
 
@@ -74,7 +98,10 @@ def checks_table(checks: Sequence[Check]) -> Table:
             Column("measures", "measures", place=Place.BELOW),
         ),
         rows=[
-            {key: getattr(one, key) for key in ("id", "title", "scene", "measures", "law", "source", "unit")}
+            {
+                key: getattr(one, key)
+                for key in ("id", "title", "scene", "measures", "law", "source", "unit")
+            }
             for one in checks
         ],
     )
@@ -97,12 +124,16 @@ def findings_document(findings: Sequence[CheckResult]) -> Document:
     )
 
 
-def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult], str]) -> Table:
+def _findings_table(
+    findings: Sequence[CheckResult], name: Callable[[CheckResult], str]
+) -> Table:
     rows: dict[str, dict[str, CheckResult]] = {}
     for finding in findings:
         rows.setdefault(finding.check, {})[finding.backend] = finding
 
-    def first(text: Callable[[CheckResult], str]) -> Callable[[Mapping[str, CheckResult]], str]:
+    def first(
+        text: Callable[[CheckResult], str],
+    ) -> Callable[[Mapping[str, CheckResult]], str]:
         return lambda row: text(next(iter(row.values())))
 
     def measured(finding: CheckResult) -> str:
@@ -115,8 +146,13 @@ def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult
         columns=(
             Column("", "check", first(name)),
             Column("", "law", first(lambda one: one.of.law), wide_only=True),
-            Column("", "expected", lambda row: expected_text(row.values(), exactly=True)),
-            *(Column(backend, backend, measured, style=style) for backend in _backends(findings)),
+            Column(
+                "", "expected", lambda row: expected_text(row.values(), exactly=True)
+            ),
+            *(
+                Column(backend, backend, measured, style=style)
+                for backend in _backends(findings)
+            ),
         ),
         rows=list(rows.values()),
     )
@@ -130,18 +166,38 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """Yield the titles and lines below the table; diagnoses last, where a terminal shows the end of a long output."""
     left = [one for one in findings if one.status is Status.DECLINED]
     if declined := _checks_by(left, lambda one: "; ".join(one.missing)):
-        yield "Declined", [f"{name}: {reason} ({', '.join(ids)})" for (name, reason), ids in declined.items()]
+        yield (
+            "Declined",
+            [
+                f"{name}: {reason} ({', '.join(ids)})"
+                for (name, reason), ids in declined.items()
+            ],
+        )
     for name in _backends(findings):
         of_backend = [finding for finding in findings if finding.backend == name]
-        versions = ", ".join(f"{key} {value}" for key, value in of_backend[0].versions.items())
-        yield f"{name}: {versions}; settings in force", list(_settings_lines(of_backend))
+        versions = ", ".join(
+            f"{key} {value}" for key, value in of_backend[0].versions.items()
+        )
+        yield (
+            f"{name}: {versions}; settings in force",
+            list(_settings_lines(of_backend)),
+        )
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
-        told = _checks_by([one for one in bad if not one.reported_by], lambda one: f"{_what(one)}{one.diagnosis}")
-        more = _checks_by([one for one in bad if one.reported_by], lambda one: one.reported_by)
-        lines = [f"{name}, {', '.join(ids)}: {text}" for (name, text), ids in told.items()]
+        told = _checks_by(
+            [one for one in bad if not one.reported_by],
+            lambda one: f"{_what(one)}{one.diagnosis}",
+        )
+        more = _checks_by(
+            [one for one in bad if one.reported_by], lambda one: one.reported_by
+        )
+        lines = [
+            f"{name}, {', '.join(ids)}: {text}" for (name, text), ids in told.items()
+        ]
         for (name, first), ids in more.items():
-            lines.append(f"{name}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}")
+            lines.append(
+                f"{name}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}"
+            )
         yield "Diagnoses", lines
 
 
@@ -152,7 +208,9 @@ def _what(finding: CheckResult) -> str:
     return f"{with_unit(text, finding.of.unit)} ({finding.of.measures}). "
 
 
-def _checks_by(findings: Sequence[CheckResult], text: Callable[[CheckResult], str]) -> dict[tuple[str, str], list[str]]:
+def _checks_by(
+    findings: Sequence[CheckResult], text: Callable[[CheckResult], str]
+) -> dict[tuple[str, str], list[str]]:
     """Return the checks of each backend that have a text in common."""
     groups: dict[tuple[str, str], list[str]] = {}
     for one in findings:
@@ -164,7 +222,9 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     """Yield the settings that all checks share, then those of each group of checks."""
     groups: list[tuple[Mapping[str, Any], list[str]]] = []
     for finding in filter(lambda one: one.settings, findings):
-        known = next((ids for settings, ids in groups if settings == finding.settings), None)
+        known = next(
+            (ids for settings, ids in groups if settings == finding.settings), None
+        )
         if known is None:
             groups.append((finding.settings, [finding.check]))
         else:
@@ -172,7 +232,11 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     if not groups:
         return
     first = groups[0][0]
-    shared = {key: value for key, value in first.items() if all(key in s and s[key] == value for s, _ in groups)}
+    shared = {
+        key: value
+        for key, value in first.items()
+        if all(key in s and s[key] == value for s, _ in groups)
+    }
     yield f"all: {pairs_text(shared) or 'nothing in common'}"
     for settings, ids in groups:
         if differing := pairs_text(settings, skip=tuple(shared)):
@@ -182,7 +246,9 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
 # --- one result ------------------------------------------------------------------------------------------------------
 
 
-def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = False) -> str:
+def expected_text(
+    findings: Iterable[CheckResult | None], *, exactly: bool = False
+) -> str:
     """Return the expected value of the first result that has one, with tolerance and unit; empty if none has.
 
     Args:
@@ -190,7 +256,11 @@ def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = Fal
         exactly: Whether to write `exactly` in place of a tolerance of zero.
     """
     for finding in findings:
-        if finding is not None and finding.expected is not None and finding.width is not None:
+        if (
+            finding is not None
+            and finding.expected is not None
+            and finding.width is not None
+        ):
             text = f"{finding.expected:.4g} +- {finding.width:.2g}"
             if exactly and not finding.width:
                 text = f"exactly {finding.expected:.4g}"
@@ -200,19 +270,30 @@ def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = Fal
 
 def measured_text(finding: CheckResult | None) -> str:
     """Return the measured value; empty if nothing was measured."""
-    return "" if finding is None or finding.measured is None else f"{finding.measured:.4g}"
+    return (
+        "" if finding is None or finding.measured is None else f"{finding.measured:.4g}"
+    )
 
 
 def error_text(finding: CheckResult | None) -> str:
     """Return the error relative to the expected value, or in tolerances where that is 0."""
-    if finding is None or finding.measured is None or finding.expected is None or finding.width is None:
+    if (
+        finding is None
+        or finding.measured is None
+        or finding.expected is None
+        or finding.width is None
+    ):
         return ""
     difference = finding.measured - finding.expected
     if not math.isfinite(difference):
         return "not finite"
     if finding.expected:
         percent = 100.0 * difference / abs(finding.expected)
-        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"<{LEAST_PERCENT:g} %"
+        return (
+            f"{percent:+.3g} %"
+            if abs(percent) >= LEAST_PERCENT
+            else f"<{LEAST_PERCENT:g} %"
+        )
     if not finding.width:
         return f"{difference:+.2g}" if difference else "exact"
     return f"{_two_digits(abs(difference) / finding.width)} tol."
@@ -225,7 +306,11 @@ def cost_text(finding: CheckResult) -> str:
     if finding.cpu_s < LEAST_COST_S:
         return "<1 ms"
     is_short = finding.cpu_s < MOST_IN_MS_S
-    return f"{_two_digits(1e3 * finding.cpu_s)} ms" if is_short else f"{_two_digits(finding.cpu_s)} s"
+    return (
+        f"{_two_digits(1e3 * finding.cpu_s)} ms"
+        if is_short
+        else f"{_two_digits(finding.cpu_s)} s"
+    )
 
 
 def _two_digits(value: float) -> str:
@@ -241,7 +326,9 @@ def tally(column: MatrixColumn) -> str:
     return f"{statuses.count(Status.PASS)} of {sum(status is not Status.DECLINED for status in statuses)}"
 
 
-def matrix_document(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Document:
+def matrix_document(
+    columns: Sequence[MatrixColumn], checks: Sequence[Check]
+) -> Document:
     """Return a matrix: columns with their versions, then a table of the default and of each other configuration.
 
     A cell has the outcome, the measured value, its error and the CPU time.
@@ -250,9 +337,18 @@ def matrix_document(columns: Sequence[MatrixColumn], checks: Sequence[Check]) ->
     names = [column.name for column in ran]
     engines = {column.backend for column in ran}
     # Configurations that most engines have are tables of their own; the others share one.
-    shared = [name for name in dict.fromkeys(names) if name == "default" or 2 * names.count(name) > len(engines) > 1]
-    groups = {f"Configuration `{name}`": [column for column in ran if column.name == name] for name in shared}
-    groups["Other configurations"] = [column for column in ran if column.name not in shared]
+    shared = [
+        name
+        for name in dict.fromkeys(names)
+        if name == "default" or 2 * names.count(name) > len(engines) > 1
+    ]
+    groups = {
+        f"Configuration `{name}`": [column for column in ran if column.name == name]
+        for name in shared
+    }
+    groups["Other configurations"] = [
+        column for column in ran if column.name not in shared
+    ]
     parts: list[Heading | Table] = [Heading("Columns", 3), _columns_table(columns)]
     for title, group in groups.items():
         if group:
@@ -272,9 +368,23 @@ def _columns_table(columns: Sequence[MatrixColumn]) -> Table:
         columns=(
             Column("backend", "engine"),
             Column("name", "configuration"),
-            Column("settings", "settings", lambda settings: pairs_text(settings) or "its presets"),
-            Column("", "passed", lambda one: tally(one) if one.findings else "not run", is_number=True),
-            Column("", "CPU time", lambda one: "" if one.cpu_s is None else f"{one.cpu_s:.3g} s", is_number=True),
+            Column(
+                "settings",
+                "settings",
+                lambda settings: pairs_text(settings) or "its presets",
+            ),
+            Column(
+                "",
+                "passed",
+                lambda one: tally(one) if one.findings else "not run",
+                is_number=True,
+            ),
+            Column(
+                "",
+                "CPU time",
+                lambda one: "" if one.cpu_s is None else f"{one.cpu_s:.3g} s",
+                is_number=True,
+            ),
             Column("", "run", run),
             Column("", "versions", lambda one: pairs_text(one.versions) or one.reason),
         ),
@@ -282,7 +392,9 @@ def _columns_table(columns: Sequence[MatrixColumn]) -> Table:
     )
 
 
-def matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check], titles: Sequence[str]) -> Table:
+def matrix_table(
+    columns: Sequence[MatrixColumn], checks: Sequence[Check], titles: Sequence[str]
+) -> Table:
     """Return one row per check and one column per configuration: the outcome, the value, its error and the CPU time."""
     current = [column.current() for column in columns]
     cells = [partial(_cell, column, column.outdated) for column in columns]
@@ -294,9 +406,18 @@ def matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check], title
                 lambda check: Markdown(f"{markdown_text(check.title)}<br>`{check.id}`"),
                 html=lambda check: element("a", check.title, href=f"#{check.id}"),
             ),
-            Column("id", "expected", lambda check: expected_text(found.get(check) for found in current)),
+            Column(
+                "id",
+                "expected",
+                lambda check: expected_text(found.get(check) for found in current),
+            ),
             *(
-                Column("id", title, partial(_cell_markdown, cell), html=partial(_cell_html, cell))
+                Column(
+                    "id",
+                    title,
+                    partial(_cell_markdown, cell),
+                    html=partial(_cell_html, cell),
+                )
                 for title, cell in zip(titles, cells, strict=True)
             ),
         ),
@@ -329,7 +450,9 @@ Cell = Callable[[str], tuple[str, list[str], str]]
 """Class, lines and hint of the cell of a check."""
 
 
-def _cell(column: MatrixColumn, outdated: Mapping[str, str], check: str) -> tuple[str, list[str], str]:
+def _cell(
+    column: MatrixColumn, outdated: Mapping[str, str], check: str
+) -> tuple[str, list[str], str]:
     finding = column.findings.get(check)
     if finding is None:
         word = "- refused" if check in column.refused else "- not run"
@@ -340,7 +463,11 @@ def _cell(column: MatrixColumn, outdated: Mapping[str, str], check: str) -> tupl
     lines = [f"{SIGNS[finding.status]} {measured_text(finding)}".rstrip()]
     if finding.status is not Status.DECLINED:
         lines += [error_text(finding), cost_text(finding)]
-    return CLASSES[finding.status], lines, "; ".join(finding.missing) or finding.diagnosis
+    return (
+        CLASSES[finding.status],
+        lines,
+        "; ".join(finding.missing) or finding.diagnosis,
+    )
 
 
 def _cell_markdown(cell: Cell, check: str) -> Markdown:
@@ -368,7 +495,13 @@ LEAD = (
 )
 
 
-def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *, command: str, when: datetime) -> str:
+def conformance_page(
+    columns: Sequence[MatrixColumn],
+    checks: Sequence[Check],
+    *,
+    command: str,
+    when: datetime,
+) -> str:
     """Return the self-contained page of a matrix.
 
     Args:
@@ -378,8 +511,12 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
         when: Time of the run.
     """
     ran = [column for column in columns if column.findings]
-    left_out = [f"{column.title}: {column.reason}" for column in columns if column.reason]
-    missing: list[Part] = [Heading("Not run, or not to the end"), listed(left_out)] if left_out else []
+    left_out = [
+        f"{column.title}: {column.reason}" for column in columns if column.reason
+    ]
+    missing: list[Part] = (
+        [Heading("Not run, or not to the end"), listed(left_out)] if left_out else []
+    )
     origin = f"{when.isoformat(timespec='minutes')}, {sum(column.cpu_s or 0.0 for column in ran):.0f} s of CPU time in "
     origin += f"the checks, {pairs_text(versions())}. Written by"
     parts: list[Part] = [
@@ -401,20 +538,39 @@ def _matrix(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Table:
     titles = []
     for column in columns:
         title = [column.backend, element("br"), column.name, below(tally(column))]
-        title += [] if column.is_of_this_version else [below(f"\u26a0 gauge-envs {column.gauge_envs}")]
+        title += (
+            []
+            if column.is_of_this_version
+            else [below(f"\u26a0 gauge-envs {column.gauge_envs}")]
+        )
         titles.append(join(title))
     return matrix_table(columns, checks, titles)
 
 
 def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
     """Return the description of a check, and its results with the commands that repeat them."""
-    facts = {"scene": check.scene, "measures": check.measures, "law": check.law, "source": check.source}
+    facts = {
+        "scene": check.scene,
+        "measures": check.measures,
+        "law": check.law,
+        "source": check.source,
+    }
     facts["tolerance"] = check.tolerance.rationale
-    found = [(column, column.findings[check.id]) for column in columns if check.id in column.findings]
+    found = [
+        (column, column.findings[check.id])
+        for column in columns
+        if check.id in column.findings
+    ]
     refused = [(column, None) for column in columns if check.id in column.refused]
 
     def outcome(one: CheckResult | None) -> Html | str:
-        return "refused" if one is None else badge(CLASSES[one.status], f"{SIGNS[one.status][0]} {WORDS[one.status]}")
+        return (
+            "refused"
+            if one is None
+            else badge(
+                CLASSES[one.status], f"{SIGNS[one.status][0]} {WORDS[one.status]}"
+            )
+        )
 
     def command(row: tuple[MatrixColumn, CheckResult | None]) -> Html | str:
         return "" if row[1] is None else code(row[0].command(check.id))

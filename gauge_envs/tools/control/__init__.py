@@ -8,7 +8,10 @@ if TYPE_CHECKING:
     from gauge_envs.tools.control.env import ControlEnv as ControlEnv
     from gauge_envs.tools.control.limit import LimitReport as LimitReport
     from gauge_envs.tools.control.play import Policy as Policy, play_paid as play_paid
-    from gauge_envs.tools.control.tasks import control_tasks as control_tasks, find_control_task as find_control_task
+    from gauge_envs.tools.control.tasks import (
+        control_tasks as control_tasks,
+        find_control_task as find_control_task,
+    )
     from gauge_envs.tools.control.vector import ControlWorlds as ControlWorlds
 else:
     __getattr__, __all__ = door(__name__)

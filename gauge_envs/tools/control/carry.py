@@ -8,7 +8,12 @@ import numpy as np
 from gauge_envs.scene import Cylinder, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.least_time import LeastTimeLimit
-from gauge_envs.tools.control.stage import X_AXIS, Y_AXIS, acceleration_to_rest, stage_driver
+from gauge_envs.tools.control.stage import (
+    X_AXIS,
+    Y_AXIS,
+    acceleration_to_rest,
+    stage_driver,
+)
 
 
 class CarryLimit(LeastTimeLimit):
@@ -39,30 +44,45 @@ class CarryLimit(LeastTimeLimit):
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene, in which actions translate the plate."""
         driver = stage_driver(
-            self.DRIVEN, (X_AXIS, Y_AXIS), largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S
+            self.DRIVEN,
+            (X_AXIS, Y_AXIS),
+            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S,
         )
         return replace(stated, drivers=(driver,))
 
     @staticmethod
-    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+    def time_to_go_s(
+        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
+    ) -> float:
         """Return the least time [s] to rest at the goal: a cube that is too fast passes the goal and comes back."""
         braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
         braked_m = 0.5 * speed_m_per_s * braked_s
         if 0.0 < braked_m <= distance_m:
-            fastest = math.sqrt(deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2)
+            fastest = math.sqrt(
+                deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2
+            )
             return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
-        return braked_s + 2.0 * math.sqrt(abs(distance_m - braked_m) / deceleration_m_per_s2)
+        return braked_s + 2.0 * math.sqrt(
+            abs(distance_m - braked_m) / deceleration_m_per_s2
+        )
 
     @staticmethod
-    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+    def least_deceleration_m_per_s2(
+        distance_m: float, time_s: float, speed_m_per_s: float
+    ) -> float:
         """Return the least acceleration a [m/s^2], with 4 a D = (a T + v)^2 - 2 v^2."""
         twice = 4.0 * distance_m - 2.0 * time_s * speed_m_per_s
-        return (twice + math.hypot(twice, 2.0 * time_s * speed_m_per_s)) / (2.0 * time_s**2)
+        return (twice + math.hypot(twice, 2.0 * time_s * speed_m_per_s)) / (
+            2.0 * time_s**2
+        )
 
     def _is_lost(self, cube_m: FloatArray) -> bool:
         plate = self.experiment.scene.body(self.DRIVEN).shape
         assert isinstance(plate, Cylinder)
-        return math.hypot(*self._from_cube_m.tolist()) > plate.radius_m or cube_m[2] < self._cube_start_m[2] - 0.01
+        return (
+            math.hypot(*self._from_cube_m.tolist()) > plate.radius_m
+            or cube_m[2] < self._cube_start_m[2] - 0.01
+        )
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""
@@ -71,6 +91,10 @@ class CarryLimit(LeastTimeLimit):
         across = np.array([-along[1], along[0]])
         left_m, speed = self.goal_m - self._moved_m, self._stage.rate_m_per_s
         # The little that brings a policy back to the line leaves the rest of the friction to the way.
-        aside = acceleration_to_rest(float(left_m @ across), float(speed @ across), 0.2 * most)
-        ahead = acceleration_to_rest(float(left_m @ along), float(speed @ along), math.sqrt(most**2 - aside**2))
+        aside = acceleration_to_rest(
+            float(left_m @ across), float(speed @ across), 0.2 * most
+        )
+        ahead = acceleration_to_rest(
+            float(left_m @ along), float(speed @ along), math.sqrt(most**2 - aside**2)
+        )
         return (ahead * along + aside * across) / self.ACCELERATION_M_PER_S2

@@ -95,10 +95,17 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     ) -> None:
         pictures = Pictures(render_mode, width=width, height=height)
         self._variant = find_variant(f"{self.SCENE}-{material}")
-        stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
+        stated = load_experiment(
+            self._variant, self._start_parameters(self._variant, parameters)
+        )
         scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
-        super().__init__(experiment, pictures, backend=backend, settings=settings or self.OWN_SETTINGS.get(backend))
+        super().__init__(
+            experiment,
+            pictures,
+            backend=backend,
+            settings=settings or self.OWN_SETTINGS.get(backend),
+        )
         if not is_world:
             self._build(experiment)
             check_drive_interval(self.simulation.settings)
@@ -109,7 +116,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self._observations: list[FloatArray] = []
         self._prepare(scene)
         self.limit = self._limit()
-        self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.OBSERVED),), np.float64)
+        self.observation_space = spaces.Box(
+            -np.inf, np.inf, (len(self.OBSERVED),), np.float64
+        )
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
@@ -147,7 +156,12 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _limit_of(self, quantity: str, unit: str, value: float, sigma: float) -> Limit:
         """Return a limit of the task's law; the arguments are those of `Limit`."""
         return Limit(
-            quantity=quantity, unit=unit, value=value, sigma=sigma, law=self.LAW, sigma_source=self.SIGMA_SOURCE
+            quantity=quantity,
+            unit=unit,
+            value=value,
+            sigma=sigma,
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
         )
 
     def _friction_limit(self, pair: tuple[str, str], quantity: str) -> Limit:
@@ -155,7 +169,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
         sigma = input_uncertainties().friction.std(calibrated, self._variant.material)
-        return self._limit_of(quantity, "1", pair_friction(self.experiment.scene, *pair), sigma)
+        return self._limit_of(
+            quantity, "1", pair_friction(self.experiment.scene, *pair), sigma
+        )
 
     @abstractmethod
     def _begin(self) -> None:
@@ -203,7 +219,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
                 1 succeeds and one just above 1 fails.
         """
-        return np.clip(np.atleast_1d(np.asarray(self._law_command(fraction), dtype=np.float32)), -1.0, 1.0)
+        return np.clip(
+            np.atleast_1d(np.asarray(self._law_command(fraction), dtype=np.float32)),
+            -1.0,
+            1.0,
+        )
 
     # --- episode ---
 
@@ -223,7 +243,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode. There are no options; bodies always start alike, and the seed sets a goal, if any."""
         self._check_open("reset")
         if options:
-            raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
+            raise ParameterError(
+                f"reset of {type(self).__name__} has no options, got {', '.join(options)}"
+            )
         self.simulation.reset(0 if seed is None else seed)
         return self.begin(seed)
 
@@ -247,7 +269,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         It yields where the world must advance by 1/180 s: up to six times, less often if the episode ends within the
         frame.
         """
-        self._check_running(started=self._frame is not None, is_over=self._ending is not None)
+        self._check_running(
+            started=self._frame is not None, is_over=self._ending is not None
+        )
         return self._run(checked_action(action, self.action_space))
 
     def _run(self, command: FloatArray) -> Generator[None, None, Step]:
@@ -282,7 +306,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self._ending is None:
             raise EpisodeError(f"{self._label}: an episode is reported when it is over")
         reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
-        return LimitReport(limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s)
+        return LimitReport(
+            limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
+        )
 
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
@@ -294,7 +320,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             return engine_fault
         scene = self.experiment.scene
         for name, nodes_m in self.nodes_m().items():
-            fault = DeformableBounds(name, scene, self.rest_nodes_m[name]).fault(nodes_m)
+            fault = DeformableBounds(name, scene, self.rest_nodes_m[name]).fault(
+                nodes_m
+            )
             if fault is not None:
                 return fault
         velocities = self.world.body_states(self._dynamic)[:, 7:10]
@@ -312,7 +340,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
         """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
         return pictures.draw(
-            self.experiment, self.rest_nodes_m, reach=self.reach(), poses=self.moving_poses(), nodes_m=self.nodes_m()
+            self.experiment,
+            self.rest_nodes_m,
+            reach=self.reach(),
+            poses=self.moving_poses(),
+            nodes_m=self.nodes_m(),
         )
 
     def reach(self) -> ReferencePath | None:
@@ -321,8 +353,13 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def moving_poses(self) -> dict[str, FloatArray]:
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""
-        return dict(zip(self.moving, self.world.body_states(self.moving)[:, :7], strict=True))
+        return dict(
+            zip(self.moving, self.world.body_states(self.moving)[:, :7], strict=True)
+        )
 
     def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
-        return {body.name: self.world.nodes(body.name) for body in self.experiment.scene.deformables}
+        return {
+            body.name: self.world.nodes(body.name)
+            for body in self.experiment.scene.deformables
+        }

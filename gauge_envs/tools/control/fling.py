@@ -58,7 +58,9 @@ class FlingLimit(ControlEnv):
 
     SCENE = "TextileFlinging"
     LAW = "seen from the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2 with U the sum of all |dv|"
-    SIGMA_SOURCE = "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
+    SIGMA_SOURCE = (
+        "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
+    )
 
     DURATION_S = 4.0
     """Time of an episode; the law's policy takes 2.7 s."""
@@ -66,7 +68,11 @@ class FlingLimit(ControlEnv):
     COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_y",)
     OBSERVED: ClassVar[tuple[str, ...]] = (
         *(f"{place}_{axis}_m" for place in ("centre", *LINES) for axis in "yz"),
-        *(f"{place}_velocity_{axis}_m_per_s" for place in ("centre", *LINES) for axis in "yz"),
+        *(
+            f"{place}_velocity_{axis}_m_per_s"
+            for place in ("centre", *LINES)
+            for axis in "yz"
+        ),
         "rod_y_m",
         "rod_velocity_y_m_per_s",
         "speed_left_m_per_s",
@@ -79,21 +85,34 @@ class FlingLimit(ControlEnv):
         """Return the scene, in which actions translate the rod."""
         (motion,) = stated.drivers[0].motions
         return replace(
-            stated, drivers=(stage_driver(ROD, (motion.axis,), largest_speed_m_per_s=motion.profiles[0].largest_rate),)
+            stated,
+            drivers=(
+                stage_driver(
+                    ROD,
+                    (motion.axis,),
+                    largest_speed_m_per_s=motion.profiles[0].largest_rate,
+                ),
+            ),
         )
 
     def _prepare(self, scene: Scene) -> None:
-        (recorded,) = load_experiment(self._variant).scene.drivers[0].motions[0].profiles
+        (recorded,) = (
+            load_experiment(self._variant).scene.drivers[0].motions[0].profiles
+        )
         assert isinstance(recorded, CosineProfile)
         self._most_m_per_s2 = recorded.largest_rate * math.pi / recorded.duration_s
         # The rod speeds up to its largest speed and brakes.
         self._speed_m_per_s = 2.0 * scene.drivers[0].motions[0].residual_rate
         self._stroke_m = 0.5 * abs(recorded.amount)
-        self._stage = Stage(scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m]))
+        self._stage = Stage(
+            scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m])
+        )
 
     def _limit(self) -> Limit:
         value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
-        return self._limit_of("rise of the centre of mass", "m", value, 2.0 * SPEED_SIGMA * value)
+        return self._limit_of(
+            "rise of the centre of mass", "m", value, 2.0 * SPEED_SIGMA * value
+        )
 
     # --- physics ---
 
@@ -101,7 +120,9 @@ class FlingLimit(ControlEnv):
         """Accelerate the rod, by no more than the speed that is left."""
         self._rate_before = self._stage.rate_m_per_s[0]
         most = self._left_m_per_s / SAMPLE_INTERVAL_S
-        self._stage.drive(self.world, np.clip(command * self._most_m_per_s2, -most, most))
+        self._stage.drive(
+            self.world, np.clip(command * self._most_m_per_s2, -most, most)
+        )
 
     def _places(self) -> FloatArray:
         """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
@@ -167,7 +188,11 @@ class FlingLimit(ControlEnv):
         swings_up = place_m * velocity >= 0.0
         is_low = abs(place_m) <= abs(velocity) * speed / self._most_m_per_s2
         wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
-        return (wanted - float(self._stage.rate_m_per_s[0])) / FRAME_S / self._most_m_per_s2
+        return (
+            (wanted - float(self._stage.rate_m_per_s[0]))
+            / FRAME_S
+            / self._most_m_per_s2
+        )
 
 
 def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:
@@ -184,8 +209,12 @@ def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:
     rows = (along, *(np.array([0.5 - depth]) for depth in LINES.values()))
     weights = np.zeros((len(rows), len(nodes_m)))
     for row, places in zip(weights, rows, strict=True):
-        points = np.stack(np.meshgrid(places, across, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+        points = np.stack(
+            np.meshgrid(places, across, [0.0], indexing="ij"), axis=-1
+        ).reshape(-1, 3)
         targets_m = cloth.pose.to_world(points * [*cloth.size_m, 1.0])
-        nodes, shares = material_points(targets_m, {cloth.name: nodes_m}, {cloth.name: cloth})
+        nodes, shares = material_points(
+            targets_m, {cloth.name: nodes_m}, {cloth.name: cloth}
+        )
         np.add.at(row, nodes, shares / len(points))
     return weights

@@ -42,7 +42,11 @@ class _Turned:
 
     def at(self, angle_rad: float) -> FloatArray:
         """Return the vector at an angle."""
-        return self._along + math.cos(angle_rad) * self._across + math.sin(angle_rad) * self._aside
+        return (
+            self._along
+            + math.cos(angle_rad) * self._across
+            + math.sin(angle_rad) * self._aside
+        )
 
     def rate(self, angle_rad: float) -> FloatArray:
         """Return its derivative by the angle."""
@@ -101,7 +105,9 @@ class FrictionLimit(ControlEnv):
         driver = stated.drivers[0]
         fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
         motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
-        return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
+        return replace(
+            stated, drivers=(replace(driver, motions=(motion,), provenance="action"),)
+        )
 
     def _prepare(self, scene: Scene) -> None:
         driver = scene.drivers[0]
@@ -110,19 +116,28 @@ class FrictionLimit(ControlEnv):
         self._carrier = driver.body
         self._axis = np.asarray(motion.axis)
         self._point_m = np.asarray(motion.point_m)
-        self._place = _Turned(self._axis, np.asarray(self._start.position_m) - self._point_m)
+        self._place = _Turned(
+            self._axis, np.asarray(self._start.position_m) - self._point_m
+        )
         self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
         self._quaternion = np.array(self._start.quaternion)
         # After half a turn: the product of the quaternion (0, axis) and that of the start.
         real, imaginary = self._quaternion[0], self._quaternion[1:]
-        self._half_turned = np.array([-self._axis @ imaginary, *(real * self._axis + np.cross(self._axis, imaginary))])
+        self._half_turned = np.array(
+            [
+                -self._axis @ imaginary,
+                *(real * self._axis + np.cross(self._axis, imaginary)),
+            ]
+        )
         # The matrix of the cross product with the axis.
         self._turning = np.cross(np.eye(3), self._axis)
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
         self._corners_m = scene.body(CUBE).shape.corners_m
 
     def _limit(self) -> Limit:
-        return self._friction_limit((CUBE, self.experiment.scene.drivers[0].body), "friction used")
+        return self._friction_limit(
+            (CUBE, self.experiment.scene.drivers[0].body), "friction used"
+        )
 
     # --- physics ---
 
@@ -136,20 +151,38 @@ class FrictionLimit(ControlEnv):
         # A uniform acceleration that ends exactly at the pose.
         moved_m = np.subtract(pose.position_m, self._pose.position_m)
         mean = np.concatenate([moved_m, (self._angle - before) * self._axis]) / step
-        self.world.drive(self._carrier, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        self.world.drive(
+            self._carrier,
+            self._pose,
+            self._velocity,
+            2.0 / step * (mean - self._velocity),
+        )
         self._pose = pose
-        self._velocity = self._rate * np.concatenate([self._place.rate(self._angle), self._axis])
+        self._velocity = self._rate * np.concatenate(
+            [self._place.rate(self._angle), self._axis]
+        )
 
     def _carrier_pose(self) -> Pose:
         """Return the pose of the carrier at its angle."""
         half = 0.5 * self._angle
-        w, x, y, z = (math.cos(half) * self._quaternion + math.sin(half) * self._half_turned).tolist()
-        return Pose(position_m=vector(self._point_m + self._place.at(self._angle)), quaternion=(w, x, y, z))
+        w, x, y, z = (
+            math.cos(half) * self._quaternion + math.sin(half) * self._half_turned
+        ).tolist()
+        return Pose(
+            position_m=vector(self._point_m + self._place.at(self._angle)),
+            quaternion=(w, x, y, z),
+        )
 
     def _friction_used(self) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
-        around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
-        force = self._acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
+        around = self._turning @ (
+            self.world.body_states((CUBE,))[0, :3] - self._point_m
+        )
+        force = (
+            self._acceleration * around
+            + self._rate**2 * (self._turning @ around)
+            - self._gravity
+        )
         normal = float(force @ self._normal.at(self._angle))
         return math.sqrt(max(float(force @ force) - normal**2, 0.0)) / normal
 
@@ -162,7 +195,9 @@ class FrictionLimit(ControlEnv):
     def _slip(self) -> float:
         """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
         corners = self._corners()
-        displacement_m = np.linalg.norm(corners - self._corners_on_carrier, axis=1).max()
+        displacement_m = np.linalg.norm(
+            corners - self._corners_on_carrier, axis=1
+        ).max()
         self._corners_on_carrier = corners
         return float(displacement_m) * FRAME_RATE_HZ
 
@@ -214,4 +249,8 @@ class FrictionLimit(ControlEnv):
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:
             return 0.0
-        return float(np.convolve(self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid").max())
+        return float(
+            np.convolve(
+                self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid"
+            ).max()
+        )

@@ -91,7 +91,9 @@ class LeastTimeLimit(ControlEnv):
 
     def _prepare(self, scene: Scene) -> None:
         driven = scene.body(self.DRIVEN).pose
-        self._stage = Stage(scene.drivers[0], driven, stroke_m=np.full(2, self.ACCELERATION_M_PER_S2))
+        self._stage = Stage(
+            scene.drivers[0], driven, stroke_m=np.full(2, self.ACCELERATION_M_PER_S2)
+        )
         self._cube_start = scene.body(CUBE).pose
         self._cube_start_m = np.array(self._cube_start.position_m)
         self._driven_start_m = np.array(driven.position_m[:2])
@@ -103,20 +105,33 @@ class LeastTimeLimit(ControlEnv):
     def reach(self) -> ReferencePath:
         """Return the goals, and the places of the driven body as far from the cube as at the start."""
         angles = np.linspace(-self.WIDEST_RAD, self.WIDEST_RAD, GOALS_IN_VIEW)
-        away = self.DISTANCE_M * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(GOALS_IN_VIEW)])
-        starts = [self.experiment.scene.body(name).pose.position_m for name in (CUBE, self.DRIVEN)]
-        return ReferencePath(names=(CUBE, self.DRIVEN), places_m=away[:, None] + np.asarray(starts), is_full=True)
+        away = self.DISTANCE_M * np.column_stack(
+            [np.cos(angles), np.sin(angles), np.zeros(GOALS_IN_VIEW)]
+        )
+        starts = [
+            self.experiment.scene.body(name).pose.position_m
+            for name in (CUBE, self.DRIVEN)
+        ]
+        return ReferencePath(
+            names=(CUBE, self.DRIVEN),
+            places_m=away[:, None] + np.asarray(starts),
+            is_full=True,
+        )
 
     # --- what a subclass states ---
 
     @staticmethod
     @abstractmethod
-    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+    def least_deceleration_m_per_s2(
+        distance_m: float, time_s: float, speed_m_per_s: float
+    ) -> float:
         """Return mu g of the smallest friction that allows a distance in a time with a speed left, at least 0."""
 
     @staticmethod
     @abstractmethod
-    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+    def time_to_go_s(
+        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
+    ) -> float:
         """Return the time [s] that is left at a distance from the goal with a speed towards it, negative if away."""
 
     @abstractmethod
@@ -206,13 +221,20 @@ class LeastTimeLimit(ControlEnv):
         most = self.limit.value * self.experiment.scene.gravity_m_per_s2
         way, left_m = self.goal_m - self._moved_m, self._left_m
         speed = float(self._cube_velocity @ way) / left_m if left_m > 0.0 else 0.0
-        across = math.sqrt(max(float(self._cube_velocity @ self._cube_velocity) - speed**2, 0.0))
-        return (self.time_to_go_s(left_m, speed, most) + across / most) / self.time_to_go_s(self.DISTANCE_M, 0.0, most)
+        across = math.sqrt(
+            max(float(self._cube_velocity @ self._cube_velocity) - speed**2, 0.0)
+        )
+        return (
+            self.time_to_go_s(left_m, speed, most) + across / most
+        ) / self.time_to_go_s(self.DISTANCE_M, 0.0, most)
 
     def _reached(self) -> float:
         if self._arrived_s == 0.0:
             return 0.0
-        distance_m, speed = float(np.linalg.norm(self._moved_m)), float(np.linalg.norm(self._cube_velocity))
+        distance_m, speed = (
+            float(np.linalg.norm(self._moved_m)),
+            float(np.linalg.norm(self._cube_velocity)),
+        )
         needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
         return needed / self.experiment.scene.gravity_m_per_s2
 
@@ -223,7 +245,11 @@ def _turned_rad(now: Sequence[float], start: Sequence[float]) -> float:
     # The start's inverse.
     a, b, c, d = start[0], -start[1], -start[2], -start[3]
     real = w * a - x * b - y * c - z * d
-    imaginary = (w * b + x * a + y * d - z * c, w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a)
+    imaginary = (
+        w * b + x * a + y * d - z * c,
+        w * c - x * d + y * a + z * b,
+        w * d + x * c - y * b + z * a,
+    )
     size = math.hypot(*imaginary)
     # The shorter way round; q and -q are the same orientation.
     angle = 2.0 * math.atan2(size if real >= 0.0 else -size, abs(real))

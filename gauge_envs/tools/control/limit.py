@@ -73,4 +73,6 @@ class LimitReport:
 
 def pair_friction(scene: Scene, first: str, second: str) -> float:
     """Return the friction coefficient of two bodies of a scene that touch."""
-    return next(c.friction for c in scene.contacts if {first, second} <= {*c.first, *c.second})
+    return next(
+        c.friction for c in scene.contacts if {first, second} <= {*c.first, *c.second}
+    )

@@ -19,7 +19,11 @@ def control_description(task: ControlTask) -> dict[str, Any]:
     """Return what defines one control task, JSON-ready."""
     env = gymnasium.make(task.id).unwrapped
     assert isinstance(env, ControlEnv)
-    bases = [base for base in type(env).__mro__ if issubclass(base, ControlEnv) and base is not ControlEnv]
+    bases = [
+        base
+        for base in type(env).__mro__
+        if issubclass(base, ControlEnv) and base is not ControlEnv
+    ]
     return json_ready(
         {
             "id": task.id,
@@ -27,7 +31,9 @@ def control_description(task: ControlTask) -> dict[str, Any]:
             "duration_s": env.DURATION_S,
             "observed": env.OBSERVED,
             "limit": dataclasses.asdict(env.limit),
-            "task": "\n\n".join((inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases),
+            "task": "\n\n".join(
+                (inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases
+            ),
         }
     )
 
@@ -46,5 +52,7 @@ def control_document(values: Mapping[str, Any]) -> Document:
     }
     title = Paragraph(f"{values['id']}  control task", Tone.ANSWER)
     # Docstrings are wrapped at the width of the code.
-    task = (Paragraph(" ".join(lines.split())) for lines in values["task"].split("\n\n"))
+    task = (
+        Paragraph(" ".join(lines.split())) for lines in values["task"].split("\n\n")
+    )
     return Document(parts=(title, Facts(facts), Heading("Task"), *task), rows=[values])

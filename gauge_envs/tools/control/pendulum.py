@@ -62,12 +62,15 @@ class PendulumLimit(ControlEnv):
     SCENE = "Pendulum"
     LAW = "W >= m g h, so h / W <= 1 / (m g)"
     SIGMA_SOURCE = (
-        "length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g"
+        "length from the recorded period, 0.270 +- 0.004 m, "
+        "which gives the height at an angle; mass to 0.1 g"
     )
 
     DURATION_S = 6.0
     """Time of five full swings; at full torque three are enough."""
-    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"mujoco": {"timestep_s": 1 / 180}}
+    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "mujoco": {"timestep_s": 1 / 180}
+    }
     """The law's policy succeeds up to 0.99995 of the limit with this and shorter steps (studies/control_steps)."""
 
     COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
@@ -82,7 +85,9 @@ class PendulumLimit(ControlEnv):
 
     def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
         """Return the parameters, with the ball hanging straight down."""
-        return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
+        return dict(load_experiment(variant, parameters).overrides) | {
+            f"{BALL}.euler_deg": (0.0, 0.0, 0.0)
+        }
 
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene without drivers: the motor is a torque."""
@@ -97,7 +102,9 @@ class PendulumLimit(ControlEnv):
         self._sideways = np.cross(self._axis, self._hanging)
         self._length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
         self._weight_n = ball.mass_kg * scene.gravity_m_per_s2
-        self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
+        self._inertia_kg_m2 = ball.mass_kg * (
+            self._length_m**2 + 0.4 * ball.shape.radius_m**2
+        )
         self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
         self._target_m = self._length_m * (1.0 - math.cos(TARGET_RAD))
 
@@ -110,14 +117,20 @@ class PendulumLimit(ControlEnv):
     def reach(self) -> ReferencePath:
         """Return the ball's places from the target on one side to that on the other."""
         angles = np.linspace(-TARGET_RAD, TARGET_RAD, PLACES_IN_VIEW)
-        arms = np.outer(np.cos(angles), self._hanging) + np.outer(np.sin(angles), self._sideways)
-        return ReferencePath(names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True)
+        arms = np.outer(np.cos(angles), self._hanging) + np.outer(
+            np.sin(angles), self._sideways
+        )
+        return ReferencePath(
+            names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True
+        )
 
     # --- physics ---
 
     def _start_frame(self, command: FloatArray) -> None:
         self._torque_n_m = float(command[0]) * self._largest_torque_n_m
-        self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(self._torque_n_m * self._axis)]))
+        self.world.apply_wrench(
+            BALL, np.array([0.0, 0.0, 0.0, *(self._torque_n_m * self._axis)])
+        )
 
     def _swing(self) -> tuple[float, float]:
         """Return the angle from hanging [rad] and its rate [rad/s]."""
@@ -128,7 +141,9 @@ class PendulumLimit(ControlEnv):
 
     def _acceleration(self, torque: float) -> float:
         """Return the angular acceleration [rad/s^2]."""
-        return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
+        return (
+            torque - self._weight_n * self._length_m * math.sin(self._angle)
+        ) / self._inertia_kg_m2
 
     def _rotation(self, torque: float, seconds: float) -> float:
         """Return the rotation in the next `seconds` [rad], to second order."""
@@ -152,7 +167,13 @@ class PendulumLimit(ControlEnv):
     def _observation(self) -> FloatArray:
         least_j = self._weight_n * self._target_m
         return np.array(
-            [self._angle, self._rate, self._highest_m / self._target_m, self._work_j / least_j, self.time_s]
+            [
+                self._angle,
+                self._rate,
+                self._highest_m / self._target_m,
+                self._work_j / least_j,
+                self.time_s,
+            ]
         )
 
     # --- reward ---
@@ -165,7 +186,9 @@ class PendulumLimit(ControlEnv):
         return 2.0 * gained - spent
 
     def _reached(self) -> float:
-        return self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
+        return (
+            self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
+        )
 
     # --- policy of the law ---
 
@@ -178,10 +201,18 @@ class PendulumLimit(ControlEnv):
         frame_s = 1.0 / FRAME_RATE_HZ
         direction = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
         torque = direction * self._largest_torque_n_m
-        rotation, rate = self._rotation(torque, frame_s), self._rate + self._acceleration(torque) * frame_s
+        rotation, rate = (
+            self._rotation(torque, frame_s),
+            self._rate + self._acceleration(torque) * frame_s,
+        )
         # Near a turning point a push would brake in the second half of the frame.
-        if left_j <= 0.0 or (self._work_j > 0.0 and (rotation * direction <= 0.0 or rate * direction <= 0)):
+        if left_j <= 0.0 or (
+            self._work_j > 0.0
+            and (rotation * direction <= 0.0 or rate * direction <= 0)
+        ):
             return 0.0
         for _ in range(5):
-            torque = direction * min(self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s)))
+            torque = direction * min(
+                self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s))
+            )
         return torque / self._largest_torque_n_m

@@ -24,7 +24,9 @@ def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
     return play_paid(env, policy, seed=seed)[1]
 
 
-def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float, LimitReport]:
+def play_paid(
+    env: ControlEnv, policy: Policy, *, seed: int = 0
+) -> tuple[float, LimitReport]:
     """Run one episode and return the sum of its rewards and its report.
 
     Args:
@@ -41,7 +43,12 @@ def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float,
     return paid, env.report()
 
 
-def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), resolution: float = 0.002) -> float:
+def engine_limit(
+    env: ControlEnv,
+    *,
+    bounds: tuple[float, float] = (0.2, 1.5),
+    resolution: float = 0.002,
+) -> float:
     """Return the largest share of the law's limit that the law's policy can use in the engine, by bisection.
 
     It is 1 in an engine that obeys the law. Above 1 the engine allows more than reality.
@@ -54,12 +61,17 @@ def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), r
     low, high = bounds
 
     def succeeds(fraction: float) -> bool:
-        return play(env, lambda _: env.law_action(fraction)).ending in (Ending.HELD, Ending.REACHED)
+        return play(env, lambda _: env.law_action(fraction)).ending in (
+            Ending.HELD,
+            Ending.REACHED,
+        )
 
     for bound, wanted in ((low, True), (high, False)):
         if succeeds(bound) is not wanted:
             outcome = "fails" if wanted else "succeeds"
-            raise ParameterError(f"{type(env).__name__}: the law's policy {outcome} with {bound} of the limit")
+            raise ParameterError(
+                f"{type(env).__name__}: the law's policy {outcome} with {bound} of the limit"
+            )
     while high - low > resolution:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if succeeds(middle) else (low, middle)

@@ -8,7 +8,13 @@ import numpy as np
 from gauge_envs.scene import Box, Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.least_time import CUBE, LeastTimeLimit
-from gauge_envs.tools.control.stage import FRAME_S, X_AXIS, Y_AXIS, stage_driver, with_stage
+from gauge_envs.tools.control.stage import (
+    FRAME_S,
+    X_AXIS,
+    Y_AXIS,
+    stage_driver,
+    with_stage,
+)
 
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
@@ -67,16 +73,33 @@ class PushLimit(LeastTimeLimit):
         assert isinstance(cube.shape, Box)
         x, y, z = cube.pose.position_m
         behind = 0.5 * (cube.shape.size_m[0] + PUSHER_SIZE_M[0]) + GAP_M
-        (on_board,) = (contact for contact in stated.contacts if self.FLOOR in contact.second)
-        bodies = tuple(replace(board, motion=Motion.FIXED) if body is board else body for body in stated.bodies)
+        (on_board,) = (
+            contact for contact in stated.contacts if self.FLOOR in contact.second
+        )
+        bodies = tuple(
+            replace(board, motion=Motion.FIXED) if body is board else body
+            for body in stated.bodies
+        )
         driver = stage_driver(
-            PUSHER, (X_AXIS, Y_AXIS), largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S
+            PUSHER,
+            (X_AXIS, Y_AXIS),
+            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S,
         )
         still = replace(stated, bodies=bodies)
-        return with_stage(still, PUSHER, PUSHER_SIZE_M, (x - behind, y, z), driver, pushes=CUBE, like=on_board)
+        return with_stage(
+            still,
+            PUSHER,
+            PUSHER_SIZE_M,
+            (x - behind, y, z),
+            driver,
+            pushes=CUBE,
+            like=on_board,
+        )
 
     @staticmethod
-    def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
+    def time_to_go_s(
+        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
+    ) -> float:
         """Return the time [s] of coasting to the goal, or past it and, if that were possible, back."""
         braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
         over_m = 0.5 * speed_m_per_s * braked_s - distance_m
@@ -85,7 +108,9 @@ class PushLimit(LeastTimeLimit):
         return braked_s + math.sqrt(2.0 * over_m / deceleration_m_per_s2)
 
     @staticmethod
-    def least_deceleration_m_per_s2(distance_m: float, time_s: float, speed_m_per_s: float) -> float:
+    def least_deceleration_m_per_s2(
+        distance_m: float, time_s: float, speed_m_per_s: float
+    ) -> float:
         """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
         return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)
 

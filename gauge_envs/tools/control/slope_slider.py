@@ -28,7 +28,9 @@ class SlopeSliderLimit(FrictionLimit):
     ACCELERATION_RAD_PER_S2 = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
-    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"mujoco": {"timestep_s": 1 / 1800}}
+    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "mujoco": {"timestep_s": 1 / 1800}
+    }
     """The law's policy holds the cube up to 0.998 to 1.002 of the limit from this step on (studies/control_steps)."""
 
     _RAMP_S = 3.0
@@ -37,7 +39,11 @@ class SlopeSliderLimit(FrictionLimit):
     def _law_command(self, fraction: float) -> float:
         """Return the action that tilts to tan theta = fraction mu along two parabolas, and stays there."""
         half_s = 0.5 * self._RAMP_S
-        command = math.atan(fraction * self.limit.value) / half_s**2 / self.ACCELERATION_RAD_PER_S2
+        command = (
+            math.atan(fraction * self.limit.value)
+            / half_s**2
+            / self.ACCELERATION_RAD_PER_S2
+        )
         if self.time_s < half_s:
             return command
         return -command if self.time_s < self._RAMP_S else 0.0

@@ -17,7 +17,9 @@ FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
 
 
-def stage_driver(body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: float) -> Driver:
+def stage_driver(
+    body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: float
+) -> Driver:
     """Return a driver that translates a body by actions alone.
 
     Args:
@@ -26,13 +28,26 @@ def stage_driver(body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: 
         largest_speed_m_per_s: Largest speed along each axis.
     """
     motions = tuple(
-        DriverMotion(kind="translate", axis=axis, residual_rate=largest_speed_m_per_s, profiles=()) for axis in axes
+        DriverMotion(
+            kind="translate",
+            axis=axis,
+            residual_rate=largest_speed_m_per_s,
+            profiles=(),
+        )
+        for axis in axes
     )
     return Driver(body=body, motions=motions, provenance="action")
 
 
 def with_stage(
-    stated: Scene, body: str, size_m: Vector, position_m: Vector, driver: Driver, *, pushes: str, like: Contact
+    stated: Scene,
+    body: str,
+    size_m: Vector,
+    position_m: Vector,
+    driver: Driver,
+    *,
+    pushes: str,
+    like: Contact,
 ) -> Scene:
     """Return a scene with a box that actions move.
 
@@ -46,10 +61,19 @@ def with_stage(
         like: Contact of that body whose constants and mode the contact with the box has.
     """
     box = RigidBody(
-        name=body, shape=Box(size_m=size_m), motion=Motion.KINEMATIC, pose=Pose(position_m=position_m), mass_kg=1.0
+        name=body,
+        shape=Box(size_m=size_m),
+        motion=Motion.KINEMATIC,
+        pose=Pose(position_m=position_m),
+        mass_kg=1.0,
     )
     contact = replace(like, first=(pushes,), second=(body,))
-    return replace(stated, bodies=(*stated.bodies, box), contacts=(*stated.contacts, contact), drivers=(driver,))
+    return replace(
+        stated,
+        bodies=(*stated.bodies, box),
+        contacts=(*stated.contacts, contact),
+        drivers=(driver,),
+    )
 
 
 class Stage:
@@ -70,7 +94,9 @@ class Stage:
 
     def __init__(self, driver: Driver, start: Pose, *, stroke_m: FloatArray) -> None:
         self.driver = driver
-        self.largest_speed_m_per_s = np.array([motion.residual_rate for motion in driver.motions])
+        self.largest_speed_m_per_s = np.array(
+            [motion.residual_rate for motion in driver.motions]
+        )
         self._start, self._stroke_m = start, stroke_m
         self._axes = np.array([motion.axis for motion in driver.motions])
         self.begin()
@@ -79,13 +105,19 @@ class Stage:
         """Bring the body back to its start, at rest."""
         self.offset_m = np.zeros(len(self.driver.motions))
         self.rate_m_per_s = np.zeros(len(self.driver.motions))
-        self._pose, self._moved_m, self._velocity = self._start, np.zeros(3), np.zeros(6)
+        self._pose, self._moved_m, self._velocity = (
+            self._start,
+            np.zeros(3),
+            np.zeros(6),
+        )
 
     def drive(self, world: World, acceleration_m_per_s2: FloatArray) -> None:
         """Drive the body for the next 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
         step = SAMPLE_INTERVAL_S
         fastest = self.largest_speed_m_per_s
-        rate = np.clip(self.rate_m_per_s + acceleration_m_per_s2 * step, -fastest, fastest)
+        rate = np.clip(
+            self.rate_m_per_s + acceleration_m_per_s2 * step, -fastest, fastest
+        )
         wanted = self.offset_m + 0.5 * (self.rate_m_per_s + rate) * step
         self.offset_m = np.clip(wanted, -self._stroke_m, self._stroke_m)
         self.rate_m_per_s = np.where(self.offset_m == wanted, rate, 0.0)
@@ -94,11 +126,19 @@ class Stage:
         acceleration = -2.0 / step * self._velocity
         acceleration[:3] += 2.0 / step**2 * (moved_m - self._moved_m)
         world.drive(self.driver.body, self._pose, self._velocity, acceleration)
-        self._moved_m, self._velocity = moved_m, np.concatenate([self.rate_m_per_s @ self._axes, np.zeros(3)])
-        self._pose = Pose(position_m=vector(self._start.position_m + moved_m), quaternion=self._start.quaternion)
+        self._moved_m, self._velocity = (
+            moved_m,
+            np.concatenate([self.rate_m_per_s @ self._axes, np.zeros(3)]),
+        )
+        self._pose = Pose(
+            position_m=vector(self._start.position_m + moved_m),
+            quaternion=self._start.quaternion,
+        )
 
 
-def acceleration_to_rest(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> float:
+def acceleration_to_rest(
+    distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float
+) -> float:
     """Return the acceleration of the next frame on the fastest way to rest at a distance.
 
     The body speeds up with the largest acceleration, and brakes with it. In the frame between, the acceleration is the
@@ -113,7 +153,9 @@ def acceleration_to_rest(distance_m: float, speed_m_per_s: float, acceleration_m
         return -acceleration_to_rest(-distance_m, -speed_m_per_s, acceleration_m_per_s2)
     # The speed w after the frame: distance = (v + w) t / 2 + w^2 / (2 a).
     half = 0.5 * acceleration_m_per_s2 * FRAME_S
-    left = half**2 + 2.0 * acceleration_m_per_s2 * (distance_m - 0.5 * speed_m_per_s * FRAME_S)
+    left = half**2 + 2.0 * acceleration_m_per_s2 * (
+        distance_m - 0.5 * speed_m_per_s * FRAME_S
+    )
     speed = math.sqrt(left) - half if left > 0.0 else -math.inf
     change = (speed - speed_m_per_s) / FRAME_S
     return min(max(change, -acceleration_m_per_s2), acceleration_m_per_s2)

@@ -26,10 +26,19 @@ class ControlTask:
 
 
 _TASKS = {
-    "Turntable": ("gauge_envs.tools.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
-    "SlopeSlider": ("gauge_envs.tools.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
+    "Turntable": (
+        "gauge_envs.tools.control.turntable:TurntableLimit",
+        ("wood", "plastic", "metal"),
+    ),
+    "SlopeSlider": (
+        "gauge_envs.tools.control.slope_slider:SlopeSliderLimit",
+        ("wood", "plastic", "metal"),
+    ),
     "Pendulum": ("gauge_envs.tools.control.pendulum:PendulumLimit", ("metal",)),
-    "Carry": ("gauge_envs.tools.control.carry:CarryLimit", ("wood", "plastic", "metal")),
+    "Carry": (
+        "gauge_envs.tools.control.carry:CarryLimit",
+        ("wood", "plastic", "metal"),
+    ),
     "Push": ("gauge_envs.tools.control.push:PushLimit", ("wood", "plastic", "metal")),
     "Throw": ("gauge_envs.tools.control.throw:ThrowLimit", ("rubber",)),
     "Fling": ("gauge_envs.tools.control.fling:FlingLimit", ("satin",)),
@@ -39,7 +48,11 @@ _TASKS = {
 def control_tasks() -> tuple[ControlTask, ...]:
     """Return all control tasks; `gauge_envs.variants` does not list them."""
     return tuple(
-        ControlTask(name=f"{family}-Limit-{material}", entry_point=entry_point, material=material)
+        ControlTask(
+            name=f"{family}-Limit-{material}",
+            entry_point=entry_point,
+            material=material,
+        )
         for family, (entry_point, materials) in _TASKS.items()
         for material in materials
     )

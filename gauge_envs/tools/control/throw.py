@@ -46,7 +46,9 @@ IMPACTS = 3
 """Number of impacts, after which the highest place counts."""
 
 
-def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float, impacts: int = IMPACTS) -> float:
+def highest_m(
+    drop_m: float, restitution: float, gravity_m_per_s2: float, impacts: int = IMPACTS
+) -> float:
     """Return the largest height that a ball can reach with some impacts on the plate [m].
 
     A ball that comes from the height H to the place z of the plate has the speed v = sqrt(2 g (H - z)) there. It leaves
@@ -71,7 +73,9 @@ def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float, impact
 
     for _ in range(impacts):
         height = after(drop_m)
-        inside = minimize_scalar(lambda z, of=height: -of(z), bounds=(-STROKE_M, STROKE_M), method="bounded")
+        inside = minimize_scalar(
+            lambda z, of=height: -of(z), bounds=(-STROKE_M, STROKE_M), method="bounded"
+        )
         drop_m = max(height(-STROKE_M), height(STROKE_M), -float(inside.fun))
     return drop_m
 
@@ -133,14 +137,20 @@ class ThrowLimit(ControlEnv):
         x, y, _ = stated.body(BALL).pose.position_m
         top_m = stated.body("ground").pose.position_m[2] + PLATE_TOP_M
         place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
-        driver = stage_driver(PLATE, (X_AXIS, Z_AXIS), largest_speed_m_per_s=SPEED_M_PER_S)
+        driver = stage_driver(
+            PLATE, (X_AXIS, Z_AXIS), largest_speed_m_per_s=SPEED_M_PER_S
+        )
         (on_ground,) = stated.contacts
-        return with_stage(stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground)
+        return with_stage(
+            stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground
+        )
 
     def _prepare(self, scene: Scene) -> None:
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
-        self._stage = Stage(scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M]))
+        self._stage = Stage(
+            scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M])
+        )
         self._plate_x_m = plate.position_m[0]
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
@@ -154,19 +164,40 @@ class ThrowLimit(ControlEnv):
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         (calibrated,) = load_experiment(self._variant).scene.contacts
         std = known.restitution.std(calibrated.restitution, self._variant.material)
-        by_restitution_m = highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value
-        by_start_m = highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value
-        return self._limit_of("height after three impacts", "m", value, math.hypot(by_restitution_m, by_start_m))
+        by_restitution_m = (
+            highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value
+        )
+        by_start_m = (
+            highest_m(
+                self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2
+            )
+            - value
+        )
+        return self._limit_of(
+            "height after three impacts",
+            "m",
+            value,
+            math.hypot(by_restitution_m, by_start_m),
+        )
 
     def reach(self) -> ReferencePath:
         """Return the largest height of the ball that the law allows, the plate below it, and the ends of its stroke."""
         scene = self.experiment.scene
-        ball, plate = (np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE))
+        ball, plate = (
+            np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE)
+        )
         highest = np.array([*ball[:2], self._zero_m + self.limit.value])
         below = np.array([*ball[:2], plate[2]])
         stroke = np.array([0.0, 0.0, STROKE_M])
-        places = [[ball, plate], [highest, below], [ball, below - stroke], [ball, below + stroke]]
-        return ReferencePath(names=(BALL, PLATE), places_m=np.array(places), is_full=True)
+        places = [
+            [ball, plate],
+            [highest, below],
+            [ball, below - stroke],
+            [ball, below + stroke],
+        ]
+        return ReferencePath(
+            names=(BALL, PLATE), places_m=np.array(places), is_full=True
+        )
 
     # --- physics ---
 
@@ -244,11 +275,23 @@ class ThrowLimit(ControlEnv):
         gravity = self.experiment.scene.gravity_m_per_s2
         most, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S
         place_m = 0.8 * STROKE_M
-        square = self._ball_velocity[1] ** 2 + 2.0 * gravity * (self._height_m - place_m)
+        square = self._ball_velocity[1] ** 2 + 2.0 * gravity * (
+            self._height_m - place_m
+        )
         meets_s = (self._ball_velocity[1] + math.sqrt(max(square, 0.0))) / gravity
-        across_m = self._ball_x_m + self._ball_velocity[0] * meets_s - self._plate_x_m - self._stage.offset_m[0]
-        across = acceleration_to_rest(float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * most)
-        height_m, rate = float(self._stage.offset_m[1]), float(self._stage.rate_m_per_s[1])
+        across_m = (
+            self._ball_x_m
+            + self._ball_velocity[0] * meets_s
+            - self._plate_x_m
+            - self._stage.offset_m[0]
+        )
+        across = acceleration_to_rest(
+            float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * most
+        )
+        height_m, rate = (
+            float(self._stage.offset_m[1]),
+            float(self._stage.rate_m_per_s[1]),
+        )
         # A plate that is on this line in time, half a frame from now, meets the ball at its place with its speed.
         if place_m - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate) / FRAME_S

@@ -76,7 +76,9 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
     ) -> None:
         constants = world_constants(num_envs, world_parameters)
         pictures = Pictures(render_mode, width=width, height=height)
-        self.worlds = ControlWorlds(task, constants, parameters=parameters, backend=backend, settings=settings)
+        self.worlds = ControlWorlds(
+            task, constants, parameters=parameters, backend=backend, settings=settings
+        )
         first = self.worlds.envs[0]
         super().__init__(first.experiment, pictures, backend=backend, settings=settings)
         self._set_spaces(num_envs, first)
@@ -84,7 +86,10 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._over = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[FloatArray, dict[str, Any]]:
         """Start a new episode in every world.
 
@@ -95,7 +100,9 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         """
         self._check_open("reset")
         if options:
-            raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
+            raise ParameterError(
+                f"reset of {type(self).__name__} has no options, got {', '.join(options)}"
+            )
         seeds = [None] * self.num_envs if seed is None else self._seeds(seed)
         super().reset(seed=seeds[0])
         self._is_reset = True
@@ -103,13 +110,19 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         infos = self._begin(dict(enumerate(seeds)), {})
         return self._observations.copy(), infos
 
-    def _begin(self, seeds: Mapping[int, int | None], infos: dict[str, Any]) -> dict[str, Any]:
+    def _begin(
+        self, seeds: Mapping[int, int | None], infos: dict[str, Any]
+    ) -> dict[str, Any]:
         for number, (observation, info) in self.worlds.begin(seeds).items():
             self._observations[number] = observation
             infos = self._add_info(infos, info, number)
         return infos
 
-    def step(self, actions: Any) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(
+        self, actions: Any
+    ) -> tuple[
+        FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+    ]:
         """Simulate one frame, 1/30 s, in every world; a world whose episode was over starts the next one instead.
 
         Args:
@@ -121,9 +134,17 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         terminations, truncations = np.zeros((2, self.num_envs), dtype=np.bool_)
         infos: dict[str, Any] = {}
         ended = np.flatnonzero(self._over).tolist()
-        steps = self.worlds.step({number: actions[number] for number in np.flatnonzero(~self._over).tolist()})
+        steps = self.worlds.step(
+            {number: actions[number] for number in np.flatnonzero(~self._over).tolist()}
+        )
         for number, step in steps.items():
-            self._observations[number], rewards[number], terminations[number], truncations[number], info = step
+            (
+                self._observations[number],
+                rewards[number],
+                terminations[number],
+                truncations[number],
+                info,
+            ) = step
             infos = self._add_info(infos, info, number)
         # The worlds of one model advance together, so that the others restart after them.
         infos = self._begin(dict.fromkeys(ended), infos)
@@ -168,14 +189,22 @@ class ControlWorlds:
         make = load_env_creator(found.entry_point)
 
         def world(chosen: Parameters) -> ControlEnv:
-            env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
+            env = make(
+                material=found.material,
+                parameters=chosen,
+                backend=backend,
+                settings=settings,
+                is_world=True,
+            )
             assert isinstance(env, ControlEnv)
             return env
 
         first = world(parameters)
         settings = settings or first.OWN_SETTINGS.get(backend)
         common = dict(first.experiment.overrides)
-        self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
+        self.envs = [
+            world(common | dict(one)) if one else world(parameters) for one in constants
+        ]
         scenes = [env.experiment.scene for env in self.envs]
         engine = backend_for(backend, first.experiment.model_file)
         worlds = worlds_of(engine, scenes, settings, restart_alone=True)
@@ -184,7 +213,9 @@ class ControlWorlds:
             check_drive_interval(view.settings)
             env.world = view
 
-    def begin(self, seeds: Mapping[int, int | None]) -> dict[int, tuple[FloatArray, dict[str, Any]]]:
+    def begin(
+        self, seeds: Mapping[int, int | None]
+    ) -> dict[int, tuple[FloatArray, dict[str, Any]]]:
         """Start a new episode in some worlds, as `ControlEnv.reset` does.
 
         Args:
@@ -199,7 +230,12 @@ class ControlWorlds:
         Args:
             actions: Action for the number of each world whose episode is running.
         """
-        steps = self._stepper.run({number: self.envs[number].frame(action) for number, action in actions.items()})
+        steps = self._stepper.run(
+            {
+                number: self.envs[number].frame(action)
+                for number, action in actions.items()
+            }
+        )
         for number, (_, _, terminated, truncated, info) in steps.items():
             if terminated or truncated:
                 info["limit"] = self.envs[number].report()

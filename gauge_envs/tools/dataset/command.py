@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, echo, message, print_document, print_json_lines
+from gauge_envs.cli.output import (
+    Format,
+    Progress,
+    echo,
+    message,
+    print_document,
+    print_json_lines,
+)
 from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
@@ -20,9 +27,14 @@ if TYPE_CHECKING:
 def data_download(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PATTERN]...", help="Files, as 'data/rigid/slope slider/*'; all trials by default."),
+        typer.Argument(
+            metavar="[PATTERN]...",
+            help="Files, as 'data/rigid/slope slider/*'; all trials by default.",
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; by default below the user's data.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder; by default below the user's data.")
+    ] = None,
 ) -> None:
     """Download the GAUGE dataset (10 GB in all); an interrupted download resumes.
 
@@ -34,13 +46,20 @@ def data_download(
     wanted = details.get("revision", download.PINNED_REVISION)
     commit = download.resolved_revision(wanted)
     message(f"{download.DATASET}, revision {wanted} is {commit}")
-    path, _ = download.download_dataset(out, patterns=patterns or [download.TRIAL_FILES], revision=commit)
+    path, _ = download.download_dataset(
+        out, patterns=patterns or [download.TRIAL_FILES], revision=commit
+    )
     echo(path)
     message(f"gauge data import '{path}' makes bands and drivers from it")
 
 
 def data_import(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset, which holds 'data'.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder of the dataset, which holds 'data'."
+        ),
+    ],
     only: Annotated[
         list[str] | None,
         typer.Argument(
@@ -79,9 +98,13 @@ def data_import(
     else:
         print_document(import_document(imports), form)
     kept = sum(one.record is not None for one in imports)
-    message(f"{counted(sum(one.used for one in imports), 'trial')} of {counted(kept, 'experiment')} imported")
+    message(
+        f"{counted(sum(one.used for one in imports), 'trial')} of {counted(kept, 'experiment')} imported"
+    )
     if kept:
-        message("Use them with `gauge run ID --use imported`; the default stays bundled.")
+        message(
+            "Use them with `gauge run ID --use imported`; the default stays bundled."
+        )
     return any(finding.left_out for finding in findings)
 
 
@@ -90,5 +113,9 @@ def list_references(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.experiments.variants import matching_variants
     from gauge_envs.tools.dataset.words import status_rows, status_table
 
-    variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
+    variants = dict.fromkeys(
+        variant
+        for pattern in patterns or ["*"]
+        for variant in matching_variants(pattern)
+    )
     return [status_table(status_rows(variants))]

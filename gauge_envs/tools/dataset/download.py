@@ -23,7 +23,10 @@ FULL_HASH = re.compile(r"[0-9a-f]{40}")
 
 
 def download_dataset(
-    folder: Path | None = None, *, patterns: Sequence[str] = (TRIAL_FILES,), revision: str = PINNED_REVISION
+    folder: Path | None = None,
+    *,
+    patterns: Sequence[str] = (TRIAL_FILES,),
+    revision: str = PINNED_REVISION,
 ) -> tuple[Path, str]:
     """Download the dataset, or continue an interrupted download.
 
@@ -37,10 +40,16 @@ def download_dataset(
     """
     hub = _hub()
     commit = resolved_revision(revision)
-    folder = folder if folder is not None else user_data_folder() / "dataset" / commit[:12]
+    folder = (
+        folder if folder is not None else user_data_folder() / "dataset" / commit[:12]
+    )
     try:
         hub.snapshot_download(
-            repo_id=DATASET, repo_type="dataset", revision=commit, local_dir=folder, allow_patterns=list(patterns)
+            repo_id=DATASET,
+            repo_type="dataset",
+            revision=commit,
+            local_dir=folder,
+            allow_patterns=list(patterns),
         )
         write_revision(folder, commit)
     except Exception as error:  # The client raises the errors of its HTTP library, which differ between versions.
@@ -59,19 +68,28 @@ def resolved_revision(revision: str) -> str:
     api = _hub().HfApi()
     try:
         if SHORT_HASH.fullmatch(revision):
-            commits = [commit.commit_id for commit in api.list_repo_commits(DATASET, repo_type="dataset")]
+            commits = [
+                commit.commit_id
+                for commit in api.list_repo_commits(DATASET, repo_type="dataset")
+            ]
             matching = [commit for commit in commits if commit.startswith(revision)]
             if len(matching) == 1:
                 return str(matching[0])
             if matching:
-                raise DatasetError(f"{DATASET}: revision {revision!r} is ambiguous: {', '.join(matching)}")
+                raise DatasetError(
+                    f"{DATASET}: revision {revision!r} is ambiguous: {', '.join(matching)}"
+                )
         found = api.dataset_info(DATASET, revision=revision).sha
     except DatasetError:
         raise
     except Exception as error:  # As in `download_dataset`.
-        raise DatasetError(f"{DATASET}: revision {revision!r} cannot be resolved: {_cause(error)}") from error
+        raise DatasetError(
+            f"{DATASET}: revision {revision!r} cannot be resolved: {_cause(error)}"
+        ) from error
     if not isinstance(found, str) or not FULL_HASH.fullmatch(found):
-        raise DatasetError(f"{DATASET}: revision {revision!r} resolves to {found!r}, which is no commit")
+        raise DatasetError(
+            f"{DATASET}: revision {revision!r} resolves to {found!r}, which is no commit"
+        )
     return found
 
 

@@ -44,4 +44,10 @@ class TrialError(Exception):
 
     def finding(self, file: str, *, left_out: bool) -> ImportFinding:
         """Return the problem as one of a file."""
-        return ImportFinding(file=file, key=self.key, problem=self.problem, expected=self.expected, left_out=left_out)
+        return ImportFinding(
+            file=file,
+            key=self.key,
+            problem=self.problem,
+            expected=self.expected,
+            left_out=left_out,
+        )

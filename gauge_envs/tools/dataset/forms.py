@@ -36,14 +36,33 @@ SPELLINGS = {
     TIME: "time times timestamp t",
     FRAME: "frame frames frameindex framenumber",
 }
-HEADS = {spelling: key for key, spellings in SPELLINGS.items() for spelling in spellings.split()}
+HEADS = {
+    spelling: key
+    for key, spellings in SPELLINGS.items()
+    for spelling in spellings.split()
+}
 
-WRAPPERS = {"bodies", "rigidbodies", "assets", "objects", "data", "trajectory", "trajectories", "trial"}
+WRAPPERS = {
+    "bodies",
+    "rigidbodies",
+    "assets",
+    "objects",
+    "data",
+    "trajectory",
+    "trajectories",
+    "trial",
+}
 """Names of objects that hold assets."""
 
-ROWS: dict[str, tuple[str, ...]] = dict.fromkeys(("position", "positions", "pos", "translation"), ("x", "y", "z"))
-ROWS |= dict.fromkeys(("quatxyzw", "quaternionxyzw", "quaternionsxyzw", "xyzw"), ("qx", "qy", "qz", "qw"))
-ROWS |= dict.fromkeys(("quatwxyz", "quaternionwxyz", "quaternionswxyz", "wxyz"), ("qw", "qx", "qy", "qz"))
+ROWS: dict[str, tuple[str, ...]] = dict.fromkeys(
+    ("position", "positions", "pos", "translation"), ("x", "y", "z")
+)
+ROWS |= dict.fromkeys(
+    ("quatxyzw", "quaternionxyzw", "quaternionsxyzw", "xyzw"), ("qx", "qy", "qz", "qw")
+)
+ROWS |= dict.fromkeys(
+    ("quatwxyz", "quaternionwxyz", "quaternionswxyz", "wxyz"), ("qw", "qx", "qy", "qz")
+)
 """Columns of rows of numbers, by the name of the list or array."""
 
 COLUMN = re.compile(
@@ -91,7 +110,9 @@ def published_form(content: bytes, suffix: str, stated: Stated) -> dict[str, Any
         suffix: Suffix of the file, in lower case: one of `FORMS`.
         stated: Unit and rate of files that do not state them.
     """
-    entries = {".json": _json_entries, ".csv": _csv_entries, ".npz": _npz_entries}[suffix](content)
+    entries = {".json": _json_entries, ".csv": _csv_entries, ".npz": _npz_entries}[
+        suffix
+    ](content)
     form = _Form()
     for path, name, values in entries:
         form.add(path, name, values)
@@ -125,9 +146,15 @@ class _Form:
             self._add_rows(path, ROWS[_plain(name)], values, ".".join((*path, name)))
         elif found := COLUMN.fullmatch(name):
             axis = found["axis"].lower()
-            is_quaternion = axis[0] in "qw" or (found["kind"] or "").lower().startswith("quat")
+            is_quaternion = axis[0] in "qw" or (found["kind"] or "").lower().startswith(
+                "quat"
+            )
             key = f"q{axis[-1]}" if is_quaternion else axis[-1]
-            listed = values.reshape(-1).tolist() if isinstance(values, np.ndarray) else values
+            listed = (
+                values.reshape(-1).tolist()
+                if isinstance(values, np.ndarray)
+                else values
+            )
             self._put(path or _path(found["asset"] or ""), key, listed, name)
             self._note_unit(found["unit"], name)
         elif len(path) == 1:
@@ -140,7 +167,9 @@ class _Form:
         if isinstance(values, np.ndarray):
             values = values.reshape(-1).tolist()
         if head in (RATE, UNIT):
-            self.heads[head] = values[0] if isinstance(values, list) and values else values
+            self.heads[head] = (
+                values[0] if isinstance(values, list) and values else values
+            )
         elif isinstance(values, list):
             self.heads[head] = values
 
@@ -154,7 +183,9 @@ class _Form:
             self._add_rows(_path(asset), columns, array.tolist(), name)
         elif array.ndim == 3 and array.shape[2] == len(columns) == 3:
             for marker in range(array.shape[1]):
-                self._add_rows((asset, str(marker)), columns, array[:, marker].tolist(), name)
+                self._add_rows(
+                    (asset, str(marker)), columns, array[:, marker].tolist(), name
+                )
         else:
             raise TrialError(
                 name,
@@ -163,21 +194,34 @@ class _Form:
             )
         self._note_unit(found["unit"], name)
 
-    def _add_rows(self, path: Path, columns: tuple[str, ...], rows: list[Any], place: str) -> None:
+    def _add_rows(
+        self, path: Path, columns: tuple[str, ...], rows: list[Any], place: str
+    ) -> None:
         if not all(isinstance(row, list) and len(row) == len(columns) for row in rows):
-            raise TrialError(place, "its rows differ in length", f"rows of {', '.join(columns)} are expected")
+            raise TrialError(
+                place,
+                "its rows differ in length",
+                f"rows of {', '.join(columns)} are expected",
+            )
         for index, key in enumerate(columns):
             self._put(path, key, [row[index] for row in rows], place)
 
     def _put(self, path: Path, key: str, values: Any, place: str) -> None:
         # Columns of one body may spell it in several ways.
-        name = next((known for known in self.assets if _plain(known) == _plain(path[0])), path[0])
+        name = next(
+            (known for known in self.assets if _plain(known) == _plain(path[0])),
+            path[0],
+        )
         lists = self.assets.setdefault(name, {})
         for marker in path[1:]:
             lists = lists.setdefault(marker, {})
         if key in lists:
             of = ".".join(path) or "the file"
-            raise TrialError(place, f"the key occurs twice, as {key} of {of}", "unique names are expected")
+            raise TrialError(
+                place,
+                f"the key occurs twice, as {key} of {of}",
+                "unique names are expected",
+            )
         lists[key] = values
 
     def _note_unit(self, unit: str | None, name: str) -> None:
@@ -187,7 +231,11 @@ class _Form:
     def published(self, stated: Stated) -> dict[str, Any]:
         """Return the object of a published file."""
         if not self.assets:
-            unknown = f"; no name of a column is known: {', '.join(self.unknown[:6])}" if self.unknown else ""
+            unknown = (
+                f"; no name of a column is known: {', '.join(self.unknown[:6])}"
+                if self.unknown
+                else ""
+            )
             raise TrialError(
                 "(file)",
                 f"it holds no asset{unknown}",
@@ -195,20 +243,34 @@ class _Form:
             )
         if len(self.units) > 1:
             first = next(iter(self.units.values()))
-            raise TrialError(first, f"columns are in {', '.join(self.units)}", "one unit is expected")
+            raise TrialError(
+                first, f"columns are in {', '.join(self.units)}", "one unit is expected"
+            )
         column_unit = next(iter(self.units), None)
         unit = self.heads.get(UNIT, column_unit)
         if self.units and unit != column_unit:
-            raise TrialError(UNIT, f"it is {unit}, and columns are in {column_unit}", "one unit is expected")
+            raise TrialError(
+                UNIT,
+                f"it is {unit}, and columns are in {column_unit}",
+                "one unit is expected",
+            )
         rate = self.heads.get(RATE)
         if TIME in self.heads:
             timed = _rate_hz(self.heads[TIME])
             rate = timed if rate is None else rate
             if not isinstance(rate, int | float) or abs(timed / rate - 1.0) > 1e-2:
-                raise TrialError(TIME, f"its spacing is that of {timed:.4g} Hz", f"{rate} Hz is stated")
-        if FRAME in self.heads and set(np.diff(_numbers(FRAME, self.heads[FRAME]))) - {1.0}:
+                raise TrialError(
+                    TIME,
+                    f"its spacing is that of {timed:.4g} Hz",
+                    f"{rate} Hz is stated",
+                )
+        if FRAME in self.heads and set(np.diff(_numbers(FRAME, self.heads[FRAME]))) - {
+            1.0
+        }:
             raise TrialError(
-                FRAME, "it does not count by 1", "a row for each frame is expected, empty where none was captured"
+                FRAME,
+                "it does not count by 1",
+                "a row for each frame is expected, empty where none was captured",
             )
         return {
             RATE: stated.rate_hz if rate is None else rate,
@@ -231,7 +293,9 @@ def _numbers(key: str, values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError, OverflowError):
-        raise TrialError(key, "it is not a list of numbers", "one number a frame is expected") from None
+        raise TrialError(
+            key, "it is not a list of numbers", "one number a frame is expected"
+        ) from None
 
 
 def _rate_hz(values: Any) -> float:
@@ -239,9 +303,17 @@ def _rate_hz(values: Any) -> float:
     span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
     even = np.linspace(times[0], times[-1], len(times)) if span > 0.0 else times
     if not span > 0.0 or np.abs(times - even).max() > TIME_TOLERANCE_S:
-        raise TrialError(TIME, "its times [s] are not evenly spaced", f"{FRAME_RATE_HZ:g} frames a second are expected")
+        raise TrialError(
+            TIME,
+            "its times [s] are not evenly spaced",
+            f"{FRAME_RATE_HZ:g} frames a second are expected",
+        )
     rate = (len(times) - 1) / span
-    return FRAME_RATE_HZ if abs(rate / FRAME_RATE_HZ - 1.0) < TIME_TOLERANCE_S / span + 1e-6 else rate
+    return (
+        FRAME_RATE_HZ
+        if abs(rate / FRAME_RATE_HZ - 1.0) < TIME_TOLERANCE_S / span + 1e-6
+        else rate
+    )
 
 
 # --- the three kinds of files ---
@@ -257,21 +329,39 @@ def _json_entries(content: bytes) -> Iterator[Entry]:
         check_json_size(content)
         values = json.loads(content, object_pairs_hook=_unique)
     except RecursionError:
-        raise TrialError("(file)", "its objects are nested too deeply", "assets hold lists of numbers") from None
+        raise TrialError(
+            "(file)",
+            "its objects are nested too deeply",
+            "assets hold lists of numbers",
+        ) from None
     except UnicodeDecodeError as error:
-        raise TrialError("(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected") from None
+        raise TrialError(
+            "(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected"
+        ) from None
     except ValueError as error:
-        raise TrialError("(file)", f"it is not JSON: {error}", "a complete JSON object is expected") from None
+        raise TrialError(
+            "(file)", f"it is not JSON: {error}", "a complete JSON object is expected"
+        ) from None
     if not isinstance(values, dict):
-        raise TrialError("(file)", f"it is a JSON {type(values).__name__}", "a JSON object is expected")
+        raise TrialError(
+            "(file)",
+            f"it is a JSON {type(values).__name__}",
+            "a JSON object is expected",
+        )
     yield from _object_entries(values, ())
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) < len(pairs):
-        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
+        twice = next(
+            key for key, count in Counter(key for key, _ in pairs).items() if count > 1
+        )
+        raise TrialError(
+            twice,
+            "the key occurs twice",
+            "unique names of assets, markers and lists are expected",
+        )
     return values
 
 
@@ -289,7 +379,9 @@ def _csv_entries(content: bytes) -> Iterator[Entry]:
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
-        raise TrialError("(file)", f"it is not text: {error.reason}", "CSV in UTF-8 is expected") from None
+        raise TrialError(
+            "(file)", f"it is not text: {error.reason}", "CSV in UTF-8 is expected"
+        ) from None
     for line in lines:
         comment = COMMENT.match(line)
         if comment is not None and _plain(comment[1]) in HEADS:
@@ -299,10 +391,16 @@ def _csv_entries(content: bytes) -> Iterator[Entry]:
     try:
         table = list(csv.reader(rows, delimiter=max(",;\t", key=header.count)))
     except csv.Error as error:
-        raise TrialError("(file)", f"it is not CSV: {error}", "a header and rows of numbers are expected") from None
+        raise TrialError(
+            "(file)",
+            f"it is not CSV: {error}",
+            "a header and rows of numbers are expected",
+        ) from None
     if len(table) < 2 or any(NUMBER.fullmatch(name) for name in table[0]):
         raise TrialError(
-            "(file)", "it has no header, or no row", "names as cube.x, and a row for each frame, are expected"
+            "(file)",
+            "it has no header, or no row",
+            "names as cube.x, and a row for each frame, are expected",
         )
     width = len(table[0])
     for number, row in enumerate(table[1:], start=1):
@@ -329,5 +427,7 @@ def _npz_entries(content: bytes) -> Iterator[Entry]:
             yield (), name, array
     except ValueError as error:
         raise TrialError(
-            "(file)", f"it is not an NPZ file of numbers: {error}", "arrays of numbers are expected"
+            "(file)",
+            f"it is not an NPZ file of numbers: {error}",
+            "arrays of numbers are expected",
         ) from None

@@ -13,7 +13,11 @@ from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, os_errors, read_regular
-from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
+from gauge_envs.observables.deformation import (
+    STATISTICS,
+    marked_solid,
+    trial_statistics,
+)
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.references.deformation import DeformationReference
@@ -136,12 +140,17 @@ class ImportedTrials:
             "revision": record and record.revision,
             "sha256": record and record.files_sha256,
             "baselines": [row.to_dict() for row in self.rows],
-            "drivers": [driver.model_dump() for driver in record.drivers] if record else [],
+            "drivers": [driver.model_dump() for driver in record.drivers]
+            if record
+            else [],
         }
 
 
 def import_trials(
-    layout: Layout, *, stated: Stated | None = None, advance: Callable[[Path], None] | None = None
+    layout: Layout,
+    *,
+    stated: Stated | None = None,
+    advance: Callable[[Path], None] | None = None,
 ) -> Iterator[ImportedTrials]:
     """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
 
@@ -175,7 +184,13 @@ class _VariantImporter:
         stated: Unit and rate of files that do not state them.
     """
 
-    def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str], stated: Stated | None) -> None:
+    def __init__(
+        self,
+        variant: Variant,
+        layout: Layout,
+        seen: dict[str, str],
+        stated: Stated | None,
+    ) -> None:
         self._stated = stated
         # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
         self._experiment = load_experiment(variant)
@@ -183,10 +198,17 @@ class _VariantImporter:
         self._seen = seen
         self._coordinates = self._experiment.coordinates
         self.spool = TrialSpool((self._experiment.frame_count, len(self._coordinates)))
-        frame_count, drivers = self._experiment.frame_count, self._experiment.scene.drivers
-        self._drivers = {driver.body: _DriverMean(driver, frame_count) for driver in drivers}
+        frame_count, drivers = (
+            self._experiment.frame_count,
+            self._experiment.scene.drivers,
+        )
+        self._drivers = {
+            driver.body: _DriverMean(driver, frame_count) for driver in drivers
+        }
         metrics = self._experiment.score.metrics
-        self._events: dict[str, list[float]] = {metric: [] for metric in metrics if metric in EVENT_METRICS}
+        self._events: dict[str, list[float]] = {
+            metric: [] for metric in metrics if metric in EVENT_METRICS
+        }
         self._solid = marked_solid(self._experiment.scene)
         self._statistics: list[FloatArray] = []
         self._starts: list[FloatArray] = []
@@ -198,12 +220,24 @@ class _VariantImporter:
         file = self._layout.relative(path)
         try:
             if not self._layout.holds(path):
-                raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of it is expected")
-            with os_errors(lambda cause: TrialError("(file)", f"it cannot be read: {cause}", "a file is expected")):
+                raise TrialError(
+                    "(file)",
+                    "it links to a file outside of the dataset",
+                    "a copy of it is expected",
+                )
+            with os_errors(
+                lambda cause: TrialError(
+                    "(file)", f"it cannot be read: {cause}", "a file is expected"
+                )
+            ):
                 content = read_regular(path, MOST_TRIAL_BYTES)
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
-                raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
+                raise TrialError(
+                    "(file)",
+                    f"it is a copy of {self._seen[digest]}",
+                    "each trial counts once",
+                )
             trial = parse_trial(content, path.suffix.lower(), self._stated)
             trajectory = trial_trajectory(trial, self._experiment)
             is_rigid = self._experiment.score.observable is Observable.POSITION
@@ -217,7 +251,11 @@ class _VariantImporter:
         self._starts += starts
         if _is_doubled(trajectory):
             twice = "every frame occurs twice"
-            note = TrialError("(file)", twice, f"{FRAME_RATE_HZ:g} different frames a second are expected")
+            note = TrialError(
+                "(file)",
+                twice,
+                f"{FRAME_RATE_HZ:g} different frames a second are expected",
+            )
             self._findings.append(note.finding(file, left_out=False))
         self._add_statistics(trial)
         self._add_events(file, trajectory)
@@ -225,14 +263,21 @@ class _VariantImporter:
 
     def finish(self) -> ImportedTrials:
         """Store the variant."""
-        used, left_out = len(self.spool), sum(finding.left_out for finding in self._findings)
+        used, left_out = (
+            len(self.spool),
+            sum(finding.left_out for finding in self._findings),
+        )
         statistics = self.spool.statistics() if used else None
         rows = self._rows(statistics)
         record = None
         if statistics is not None and used >= LEAST_TRIALS:
             record = self._store(statistics, rows, left_out)
         else:
-            error = TrialError("(folder)", f"{used} of its trials can be used", f"{LEAST_TRIALS} or more are needed")
+            error = TrialError(
+                "(folder)",
+                f"{used} of its trials can be used",
+                f"{LEAST_TRIALS} or more are needed",
+            )
             self._findings.append(error.finding(self._experiment.name, left_out=True))
         return ImportedTrials(
             variant=self._experiment.variant,
@@ -247,7 +292,9 @@ class _VariantImporter:
         """Add the statistics of deformation at the frames of the experiment; rest is the first frame of the trial."""
         if self._solid is None:
             return
-        markers_m = trial_markers_m(trial, self._experiment)[: self._experiment.frame_count]
+        markers_m = trial_markers_m(trial, self._experiment)[
+            : self._experiment.frame_count
+        ]
         found = trial_statistics(markers_m, self._solid)
         padding = ((0, self._experiment.frame_count - len(found)), (0, 0))
         self._statistics.append(np.pad(found, padding, constant_values=np.nan))
@@ -278,12 +325,16 @@ class _VariantImporter:
         if np.isnan(trajectory).any():
             frame = int(np.isnan(trajectory).any(axis=1).argmax())
             error = TrialError(
-                f"[{frame}]", "a sample is missing", "period and pauses need all samples; the band does not"
+                f"[{frame}]",
+                "a sample is missing",
+                "period and pauses need all samples; the band does not",
             )
             self._findings.append(error.finding(file, left_out=False))
             return
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
-        score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
+        score = score_trajectory(
+            self._experiment, None, times_s=times_s, values=trajectory
+        )
         for metric, values in self._events.items():
             value = getattr(score, METRICS[metric].score_field)
             values.append(np.nan if value is None else value)
@@ -291,7 +342,9 @@ class _VariantImporter:
     def _add_drivers(self, file: str, trial: Trial) -> None:
         """Add the driver's motion; a trial without it still counts for the band."""
         # Faults of assets that the experiment does not use are stated too, as of a board that never moves.
-        unused = [error for name, error in trial.faults.items() if name not in self._drivers]
+        unused = [
+            error for name, error in trial.faults.items() if name not in self._drivers
+        ]
         try:
             for track in driver_tracks(trial, self._experiment):
                 self._drivers[track.body].add_track(track)
@@ -305,21 +358,30 @@ class _VariantImporter:
         if statistics is not None:
             values = {"rmse": statistics.rmse, "dtw": statistics.dtw, **values}
         unit = self._experiment.score.observable.unit
-        units = {metric: METRICS[metric].unit_of(unit) for metric in (*values, *published)}
+        units = {
+            metric: METRICS[metric].unit_of(unit) for metric in (*values, *published)
+        }
         return tuple(
             BaselineRow(
                 metric=metric,
                 unit=units[metric],
-                own=SpreadRecord.of(values[metric], units[metric]) if metric in values else None,
+                own=SpreadRecord.of(values[metric], units[metric])
+                if metric in values
+                else None,
                 published=published.get(metric),
             )
             for metric in units
         )
 
-    def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
+    def _store(
+        self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int
+    ) -> VariantRecord:
         experiment = self._experiment
         # Intervals of scores resample the trials, if they are not too many numbers to keep.
-        is_small = len(self.spool) * experiment.frame_count * len(self._coordinates) <= MOST_TRIAL_NUMBERS
+        is_small = (
+            len(self.spool) * experiment.frame_count * len(self._coordinates)
+            <= MOST_TRIAL_NUMBERS
+        )
         band = Band(
             grade=BandGrade.TRIALS,
             unit=experiment.score.observable.unit,
@@ -332,14 +394,18 @@ class _VariantImporter:
             source="import",
             trials=np.stack(list(self.spool)) if is_small else None,
         )
-        drivers = {body: driven for body, driven in self._drivers.items() if driven.is_usable}
+        drivers = {
+            body: driven for body, driven in self._drivers.items() if driven.is_usable
+        }
         deformation = self._deformation()
         facts = ImportFacts(
             variant=experiment.name,
             left_out=left_out,
             revision=self._layout.revision,
             files=tuple(self._files),
-            files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
+            files_sha256=hashlib.sha256(
+                "\n".join(self._files.values()).encode()
+            ).hexdigest(),
             task_sha256=experiment.file_sha256,
             metrics={row.metric: row.own for row in rows if row.own is not None},
             drivers=tuple(driven.record() for driven in drivers.values()),
@@ -383,18 +449,23 @@ class _DriverMean(CoordinateMean):
 
     def record(self) -> DriverRecord:
         """Return the record that is stored beside the coordinates."""
-        spread = np.where(self.counts > 1, self._squares.mean - np.square(self.mean), 0.0)
+        spread = np.where(
+            self.counts > 1, self._squares.mean - np.square(self.mean), 0.0
+        )
         factor = self.counts / np.maximum(self.counts - 1, 1)
         # The largest standard deviation (n - 1) over frames, shape [motion_count].
         scatter = np.sqrt(np.maximum(factor * spread, 0.0).max(axis=0))
         lengths, angles = (
-            scatter[[motion.kind == kind for motion in self._driver.motions]] for kind in ("translate", "rotate")
+            scatter[[motion.kind == kind for motion in self._driver.motions]]
+            for kind in ("translate", "rotate")
         )
         return DriverRecord(
             body=self._driver.body,
             trial_count=len(self._offsets_mm),
             residual_mm=float(np.sqrt(np.mean(self._squares_mm))),
-            residual_deg=float(np.degrees(np.sqrt(np.mean(self._squares_rad)))) if self._squares_rad else None,
+            residual_deg=float(np.degrees(np.sqrt(np.mean(self._squares_rad))))
+            if self._squares_rad
+            else None,
             start_offset_mm=float(np.mean(self._offsets_mm)),
             scatter_mm=_largest(1e3 * lengths),
             scatter_deg=_largest(np.degrees(angles)),
@@ -408,8 +479,16 @@ def _largest(values: FloatArray) -> float | None:
 def _is_doubled(trajectory: FloatArray) -> bool:
     """Return whether every frame of a moving trajectory occurs twice in a row, from the first or the second frame."""
     for first in (0, 1):
-        pairs = trajectory[first : first + (len(trajectory) - first) // 2 * 2].reshape(-1, 2, trajectory.shape[1])
-        changes = (pairs[1:, 0] != pairs[:-1, 0]) & ~np.isnan(pairs[1:, 0]) & ~np.isnan(pairs[:-1, 0])
-        if changes.any(axis=1).sum() >= DOUBLED_CHANGES and np.array_equal(pairs[:, 0], pairs[:, 1], equal_nan=True):
+        pairs = trajectory[first : first + (len(trajectory) - first) // 2 * 2].reshape(
+            -1, 2, trajectory.shape[1]
+        )
+        changes = (
+            (pairs[1:, 0] != pairs[:-1, 0])
+            & ~np.isnan(pairs[1:, 0])
+            & ~np.isnan(pairs[:-1, 0])
+        )
+        if changes.any(axis=1).sum() >= DOUBLED_CHANGES and np.array_equal(
+            pairs[:, 0], pairs[:, 1], equal_nan=True
+        ):
             return True
     return False

@@ -41,7 +41,19 @@ REVISION_FILE = "gauge-dataset.json"
 FOLDER_SPELLINGS = {"foam compression": "foam compressing"}
 """Task folders whose spelling differs from the metadata's."""
 
-NEUTRAL = {*Group, "data", "json", "csv", "npz", "mocap", "motion", "trial", "trials", "trajectory", "trajectories"}
+NEUTRAL = {
+    *Group,
+    "data",
+    "json",
+    "csv",
+    "npz",
+    "mocap",
+    "motion",
+    "trial",
+    "trials",
+    "trajectory",
+    "trajectories",
+}
 """Names of folders that say nothing about a trial."""
 
 TRIAL_FOLDER = re.compile(r"(trial|run|take)\W*_?\d+", re.IGNORECASE)
@@ -49,7 +61,9 @@ DOCUMENTS = ("", ".md", ".txt")
 MOST_FILES = 200_000
 
 UNREAD = {
-    **dict.fromkeys((".mp4", ".avi", ".mov", ".webm", ".png", ".jpg"), "pictures hold no positions"),
+    **dict.fromkeys(
+        (".mp4", ".avi", ".mov", ".webm", ".png", ".jpg"), "pictures hold no positions"
+    ),
     **dict.fromkeys((".obj", ".stl", ".usd", ".xml"), "models hold no motion"),
     ".parquet": "pandas.read_parquet(file).to_csv makes a CSV file of it",
 }
@@ -102,12 +116,16 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     found: dict[Variant, list[Path]] = {}
     findings: list[ImportFinding] = []
     if not root.is_dir():
-        raise DatasetError(f"{root}: is not a folder; the folder of the dataset is expected")
+        raise DatasetError(
+            f"{root}: is not a folder; the folder of the dataset is expected"
+        )
     try:
         _read_folders(root, found, findings)
         revision = _revision(root)
     except OSError as error:
-        raise DatasetError(f"{error.filename or root}: cannot be read: {error.strerror or error}") from error
+        raise DatasetError(
+            f"{error.filename or root}: cannot be read: {error.strerror or error}"
+        ) from error
     files = {v: _one_form(root, v, found[v], findings) for v in wanted if v in found}
     if not files:
         of = "" if len(wanted) == len(variants()) else f" of {', '.join(only)}"
@@ -120,14 +138,18 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
 
 def write_revision(root: Path, revision: str) -> None:
     """State the revision in a dataset's folder."""
-    (root / REVISION_FILE).write_text(json.dumps({"revision": revision}) + "\n", encoding="utf-8")
+    (root / REVISION_FILE).write_text(
+        json.dumps({"revision": revision}) + "\n", encoding="utf-8"
+    )
 
 
 def _revision(root: Path) -> str | None:
     """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
     for folder in (root, root.parent):
         try:
-            revision = json_document(read_regular(folder / REVISION_FILE, MEGABYTE))["revision"]
+            revision = json_document(read_regular(folder / REVISION_FILE, MEGABYTE))[
+                "revision"
+            ]
         except (OSError, ValueError, TypeError, KeyError):
             continue
         if isinstance(revision, str) and revision:
@@ -138,17 +160,34 @@ def _revision(root: Path) -> str | None:
 def _wanted(patterns: Sequence[str]) -> list[Variant]:
     known = variants()
     for pattern in patterns:
-        if not any(fnmatchcase(variant.name, pattern.removeprefix("GAUGE/")) for variant in known):
-            raise UnknownNameError("experiment", pattern, (variant.name for variant in known))
-    return [v for v in known if any(fnmatchcase(v.name, pattern.removeprefix("GAUGE/")) for pattern in patterns)]
+        if not any(
+            fnmatchcase(variant.name, pattern.removeprefix("GAUGE/"))
+            for variant in known
+        ):
+            raise UnknownNameError(
+                "experiment", pattern, (variant.name for variant in known)
+            )
+    return [
+        v
+        for v in known
+        if any(
+            fnmatchcase(v.name, pattern.removeprefix("GAUGE/")) for pattern in patterns
+        )
+    ]
 
 
-def _read_folders(root: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]) -> None:
+def _read_folders(
+    root: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]
+) -> None:
     """Find the trial files in a folder; add a finding for each other folder, and for each suffix that is not read."""
 
     def unreadable(error: OSError) -> None:
         problem = f"it cannot be read: {error.strerror or error}"
-        findings.append(_finding(root, Path(error.filename), problem, "a readable folder is expected"))
+        findings.append(
+            _finding(
+                root, Path(error.filename), problem, "a readable folder is expected"
+            )
+        )
 
     places: dict[Path, Variant | ImportFinding] = {}
     others: dict[str, list[Path]] = {}
@@ -157,8 +196,14 @@ def _read_folders(root: Path, found: dict[Variant, list[Path]], findings: list[I
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         count += len(names)
         if count > MOST_FILES:
-            raise DatasetError(f"{root}: has more than {MOST_FILES} files; the folder of the dataset is expected")
-        for path in sorted(Path(parent, name) for name in [*names, *folders] if not name.startswith(".")):
+            raise DatasetError(
+                f"{root}: has more than {MOST_FILES} files; the folder of the dataset is expected"
+            )
+        for path in sorted(
+            Path(parent, name)
+            for name in [*names, *folders]
+            if not name.startswith(".")
+        ):
             suffix, is_folder = path.suffix.lower(), path.name in folders
             if suffix in FORMS and path.name != REVISION_FILE:
                 place = places.setdefault(path.parent, _place(root, path.parent))
@@ -170,7 +215,9 @@ def _read_folders(root: Path, found: dict[Variant, list[Path]], findings: list[I
     for suffix, files in sorted(others.items()):
         why = UNREAD.get(suffix, f"trials are {', '.join(FORMS)}")
         problem = f"{len(files)} files {suffix} are not read"
-        findings.append(replace(_finding(root, files[0].parent, problem, why), left_out=False))
+        findings.append(
+            replace(_finding(root, files[0].parent, problem, why), left_out=False)
+        )
 
 
 def _place(root: Path, folder: Path) -> Variant | ImportFinding:
@@ -180,44 +227,82 @@ def _place(root: Path, folder: Path) -> Variant | ImportFinding:
     if not any(_plain(part) in families for part in parts):
         # The folder of a task, or one below it, was given as that of the dataset.
         above = root.resolve().parts
-        task = next((number for number, part in enumerate(above) if _plain(part) in families), len(above))
+        task = next(
+            (number for number, part in enumerate(above) if _plain(part) in families),
+            len(above),
+        )
         parts = [*(part for part in above[task:] if _is_known(part)), *parts]
-    family = next((families[_plain(part)] for part in parts if _plain(part) in families), None)
+    family = next(
+        (families[_plain(part)] for part in parts if _plain(part) in families), None
+    )
     if family is not None:
         others = [part for part in parts if families.get(_plain(part)) != family]
-        variant = _variant(task_spec(family), [part for part in others if _plain(part) not in NEUTRAL])
+        variant = _variant(
+            task_spec(family), [part for part in others if _plain(part) not in NEUTRAL]
+        )
         if isinstance(variant, Variant):
             return variant
         # Where the published form is, folders of unknown names beside it are extra ones.
         is_named = all(_plain(part) in NEUTRAL or _is_known(part) for part in others)
-        is_extra = not is_named and "json" not in map(_plain, parts) and (root / "data").is_dir()
+        is_extra = (
+            not is_named
+            and "json" not in map(_plain, parts)
+            and (root / "data").is_dir()
+        )
         return replace(_finding(root, folder, *variant), left_out=not is_extra)
-    near = [hit for part in parts for hit in get_close_matches(_plain(part), families, n=1)]
-    hint = f"did you mean that of {families[near[0]]}?" if near else f"that of a task below {', '.join(Group)}"
+    near = [
+        hit for part in parts for hit in get_close_matches(_plain(part), families, n=1)
+    ]
+    hint = (
+        f"did you mean that of {families[near[0]]}?"
+        if near
+        else f"that of a task below {', '.join(Group)}"
+    )
     is_data = bool(parts) and _plain(parts[0]) in NEUTRAL
-    return replace(_finding(root, folder, "no folder above it is a known task", hint), left_out=is_data)
+    return replace(
+        _finding(root, folder, "no folder above it is a known task", hint),
+        left_out=is_data,
+    )
 
 
 def _is_known(part: str) -> bool:
     """Return whether a folder's name is that of a task, a material or a subtask."""
     plain = _plain(part)
     specs = [task_spec(family) for family in set(_families().values())]
-    materials = {_plain(name) for spec in specs for name in (*spec.materials, *spec.metadata_materials.values())}
-    return plain in _families() or plain in materials or SUBTASK_FOLDER.fullmatch(part) is not None
+    materials = {
+        _plain(name)
+        for spec in specs
+        for name in (*spec.materials, *spec.metadata_materials.values())
+    }
+    return (
+        plain in _families()
+        or plain in materials
+        or SUBTASK_FOLDER.fullmatch(part) is not None
+    )
 
 
-def _one_form(root: Path, variant: Variant, files: list[Path], findings: list[ImportFinding]) -> tuple[Path, ...]:
+def _one_form(
+    root: Path, variant: Variant, files: list[Path], findings: list[ImportFinding]
+) -> tuple[Path, ...]:
     """Return the files of the first form and place of a variant's trials; add a finding for each other one."""
     places: dict[tuple[bool, int, tuple[str, ...]], list[Path]] = {}
     for path in files:
-        words = tuple(part for part in path.parent.relative_to(root).parts if _plain(part) in NEUTRAL)
+        words = tuple(
+            part
+            for part in path.parent.relative_to(root).parts
+            if _plain(part) in NEUTRAL
+        )
         is_published = path.suffix.lower() == ".json" and "json" in map(_plain, words)
-        places.setdefault((not is_published, FORMS.index(path.suffix.lower()), words), []).append(path)
+        places.setdefault(
+            (not is_published, FORMS.index(path.suffix.lower()), words), []
+        ).append(path)
     first, *others = sorted(places)
     for place in others:
         problem = f"{len(places[place])} files {places[place][0].suffix} of {variant.name} are not read"
         kept = printable(places[first][0].relative_to(root).parent.as_posix())
-        finding = _finding(root, places[place][0].parent, problem, f"its trials in {kept} count")
+        finding = _finding(
+            root, places[place][0].parent, problem, f"its trials in {kept} count"
+        )
         findings.append(replace(finding, left_out=False))
     return tuple(sorted(places[first], key=_natural))
 
@@ -241,9 +326,15 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
     if material is None and len(spec.materials) == 1:
         material = spec.materials[0]
     if material is None:
-        return f"it names no material of {spec.family}", f"a folder of {', '.join(names)} is expected"
+        return (
+            f"it names no material of {spec.family}",
+            f"a folder of {', '.join(names)} is expected",
+        )
     if subtask not in (spec.subtasks or (None, "1")):
-        return f"{spec.family} has no subtask {subtask!r} in the data", f"{subtasks} is expected"
+        return (
+            f"{spec.family} has no subtask {subtask!r} in the data",
+            f"{subtasks} is expected",
+        )
     return Variant(spec.family, subtask if spec.subtasks else None, material)
 
 
@@ -252,7 +343,9 @@ def _families() -> dict[str, str]:
     """Return the family of each task folder, by the folder's letters and digits in lower case."""
     families = {}
     wrong = task_file_faults()
-    for family in dict.fromkeys(variant.family for variant in variants() if variant.family not in wrong):
+    for family in dict.fromkeys(
+        variant.family for variant in variants() if variant.family not in wrong
+    ):
         metadata = task_spec(family).source.metadata
         name = metadata.partition(".json")[0].rpartition("/")[2]
         families[_plain(name)] = family
@@ -270,9 +363,13 @@ def _plain(name: str) -> str:
 def _natural(path: Path) -> tuple[list[tuple[int, str]], str]:
     """Return a sort key that puts trial-2 before trial-10."""
     parts = re.split(r"(\d+)", path.as_posix())
-    return [(int(part), "") if part.isdecimal() else (0, part) for part in parts], path.as_posix()
+    return [
+        (int(part), "") if part.isdecimal() else (0, part) for part in parts
+    ], path.as_posix()
 
 
 def _finding(root: Path, path: Path, problem: str, expected: str) -> ImportFinding:
     file = printable(path.relative_to(root).as_posix())
-    return ImportFinding(file=file, key="(folder)", problem=printable(problem), expected=expected)
+    return ImportFinding(
+        file=file, key="(folder)", problem=printable(problem), expected=expected
+    )

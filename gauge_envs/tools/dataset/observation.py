@@ -71,25 +71,40 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
         for name, positions in zip(names, tracks, strict=True):
             if len(positions) != len(tracks[0]):
                 raise TrialError(
-                    name, f"it has {len(positions)} frames", f"{len(tracks[0])} are expected, as {names[0]} has"
+                    name,
+                    f"it has {len(positions)} frames",
+                    f"{len(tracks[0])} are expected, as {names[0]} has",
                 )
-            _check_start(name, positions, np.asarray(experiment.scene.body(name).pose.position_m))
+            _check_start(
+                name, positions, np.asarray(experiment.scene.body(name).pose.position_m)
+            )
         values = np.concatenate(tracks, axis=1)
     else:
-        markers_m, markers = trial_markers_m(trial, experiment), experiment.scene.markers
+        markers_m, markers = (
+            trial_markers_m(trial, experiment),
+            experiment.scene.markers,
+        )
         assert markers is not None
         try:
             values = observe_markers(markers_m, markers, experiment.score.observable)
         except ShapeError as error:
-            raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
+            raise TrialError(
+                "markers", str(error), "markers as in the metadata are expected"
+            ) from None
     needed = experiment.frame_count if published_baselines(experiment.name) else 2
     if len(values) < needed:
-        raise TrialError("(file)", f"it has {len(values)} frames", f"{needed} or more are needed")
+        raise TrialError(
+            "(file)", f"it has {len(values)} frames", f"{needed} or more are needed"
+        )
     frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
     count = min(len(values), experiment.frame_count)
     frames[:count] = values[:count]
     if np.isnan(frames).all():
-        raise TrialError("(file)", "no frame of what is recorded was captured", "samples are expected")
+        raise TrialError(
+            "(file)",
+            "no frame of what is recorded was captured",
+            "samples are expected",
+        )
     return frames
 
 
@@ -111,7 +126,10 @@ def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ..
     """Return the recorded motion of the driven bodies, in the order of the scene's drivers."""
     return tuple(
         _driver_track(
-            driver, _pose(trial, driver.body), experiment.scene.body(driver.body).pose, experiment.frame_count
+            driver,
+            _pose(trial, driver.body),
+            experiment.scene.body(driver.body).pose,
+            experiment.frame_count,
         )
         for driver in experiment.scene.drivers
     )
@@ -130,9 +148,16 @@ def _check_faults(trial: Trial, names: Container[str]) -> None:
 
 def _pose(trial: Trial, name: str) -> PoseTrack:
     _check_faults(trial, {_plain(name)})
-    found = next((track for key, track in trial.poses.items() if _plain(key) == _plain(name)), None)
+    found = next(
+        (track for key, track in trial.poses.items() if _plain(key) == _plain(name)),
+        None,
+    )
     if found is None:
-        raise TrialError(name, "the rigid body is missing", f"the file has {_listed([*trial.poses, *trial.markers])}")
+        raise TrialError(
+            name,
+            "the rigid body is missing",
+            f"the file has {_listed([*trial.poses, *trial.markers])}",
+        )
     return found
 
 
@@ -165,32 +190,52 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
     """
     markers = experiment.scene.markers
     if markers is None:
-        raise TrialError("(file)", "the experiment has no markers", "its task file lists them")
+        raise TrialError(
+            "(file)", "the experiment has no markers", "its task file lists them"
+        )
     ids, positions_mm = _markers(trial, markers.bodies, len(markers.positions_m))
     rest_mm = 1e3 * np.asarray(markers.positions_m)
     _check_order(ids, positions_mm, rest_mm)
     return 1e-3 * positions_mm
 
 
-def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str], FloatArray]:
+def _markers(
+    trial: Trial, bodies: Iterable[str], count: int
+) -> tuple[list[str], FloatArray]:
     """Return marker ids in the metadata's order, and positions [mm], shape [frame_count, marker_count, 3]."""
     names = {_plain(name) for name in (*bodies, "markers")}
     _check_faults(trial, names)
-    sets = {key: found for key, found in trial.markers.items() if _plain(key) in names} or trial.markers
+    sets = {
+        key: found for key, found in trial.markers.items() if _plain(key) in names
+    } or trial.markers
     if not sets:
-        raise TrialError("markers", "the marker set is missing", f"the file has {_listed([*trial.poses])}")
+        raise TrialError(
+            "markers",
+            "the marker set is missing",
+            f"the file has {_listed([*trial.poses])}",
+        )
     merged: dict[str, FloatArray] = {}
     for name, found in sets.items():
         for marker, positions in found.items():
             if marker in merged:
-                raise TrialError(f"{name}.{marker}", "another marker set has the same id", "ids are unique")
+                raise TrialError(
+                    f"{name}.{marker}",
+                    "another marker set has the same id",
+                    "ids are unique",
+                )
             merged[marker] = positions
     if len(merged) != count:
-        raise TrialError(", ".join(sets), f"it has {len(merged)} markers", f"{count} are expected")
+        raise TrialError(
+            ", ".join(sets), f"it has {len(merged)} markers", f"{count} are expected"
+        )
     lengths = {name: len(next(iter(found.values()))) for name, found in sets.items()}
     for name, length in lengths.items():
         if length != max(lengths.values()):
-            raise TrialError(name, f"it has {length} frames", f"{max(lengths.values())} are expected, as others have")
+            raise TrialError(
+                name,
+                f"it has {length} frames",
+                f"{max(lengths.values())} are expected, as others have",
+            )
     ids = _sorted_ids(merged)
     return ids, np.stack([merged[marker] for marker in ids], axis=1)
 
@@ -198,22 +243,33 @@ def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str]
 def _sorted_ids(ids: Iterable[str]) -> list[str]:
     """Return ids sorted as numbers if all are numbers, so that 10 comes after 9; else sorted as text."""
     ids = sorted(ids)
-    if all(marker.isascii() and marker.isdecimal() and len(marker) < 19 for marker in ids):
+    if all(
+        marker.isascii() and marker.isdecimal() and len(marker) < 19 for marker in ids
+    ):
         return sorted(ids, key=int)
     return ids
 
 
-def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray) -> None:
+def _check_order(
+    ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray
+) -> None:
     """Raise if the markers start in a clearly permuted order."""
     captured = np.asarray(~np.isnan(positions_mm).any(axis=2))
     seen = np.flatnonzero(captured.any(axis=0))
     if not seen.size:
-        raise TrialError("markers", "no marker was ever captured", "samples are expected")
+        raise TrialError(
+            "markers", "no marker was ever captured", "samples are expected"
+        )
     starts = positions_mm[np.argmax(captured[:, seen], axis=0), seen]
-    _check_start("markers", starts.mean(axis=0, keepdims=True), 1e-3 * rest_mm[seen].mean(axis=0))
+    _check_start(
+        "markers", starts.mean(axis=0, keepdims=True), 1e-3 * rest_mm[seen].mean(axis=0)
+    )
     squares = cdist(starts, rest_mm[seen], "sqeuclidean")
     rows, places = linear_sum_assignment(squares)
-    given, best = np.sqrt(np.diag(squares).mean()), np.sqrt(squares[rows, places].mean())
+    given, best = (
+        np.sqrt(np.diag(squares).mean()),
+        np.sqrt(squares[rows, places].mean()),
+    )
     if given > SWAPPED_MARKERS_MM and best < 0.5 * given:
         wrong = int(np.argmax(rows != places))
         raise TrialError(
@@ -226,7 +282,9 @@ def _check_order(ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArr
 # --- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def _driver_track(driver: Driver, track: PoseTrack, start: Pose, frame_count: int) -> DriverTrack:
+def _driver_track(
+    driver: Driver, track: PoseTrack, start: Pose, frame_count: int
+) -> DriverTrack:
     """Return the coordinates whose poses are nearest to the recorded ones, frame by frame."""
     calibrated = np.asarray(start.position_m)
     _check_start(driver.body, track.positions_mm, calibrated)
@@ -238,23 +296,44 @@ def _driver_track(driver: Driver, track: PoseTrack, start: Pose, frame_count: in
             "one rotation at most is expected, as several cannot be separated",
         )
     if rotation_count and track.quaternions_xyzw is None:
-        raise TrialError(f"{driver.body}.qx", "it is missing", "a driver that rotates needs qx, qy, qz and qw")
+        raise TrialError(
+            f"{driver.body}.qx",
+            "it is missing",
+            "a driver that rotates needs qx, qy, qz and qw",
+        )
 
     positions = 1e-3 * track.positions_mm[:frame_count]
-    quaternions = np.zeros((0, 4)) if track.quaternions_xyzw is None else track.quaternions_xyzw[:frame_count]
-    captured = positions if not len(quaternions) else np.column_stack([positions, quaternions])
+    quaternions = (
+        np.zeros((0, 4))
+        if track.quaternions_xyzw is None
+        else track.quaternions_xyzw[:frame_count]
+    )
+    captured = (
+        positions if not len(quaternions) else np.column_stack([positions, quaternions])
+    )
     known = np.flatnonzero(~np.isnan(captured).any(axis=1))
     if known[:1].tolist() != [0]:
         raise TrialError(
-            f"{driver.body}[0]", "frame 0 was not captured", "the motion of a driver is measured from frame 0"
+            f"{driver.body}[0]",
+            "frame 0 was not captured",
+            "the motion of a driver is measured from frame 0",
         )
 
     first = positions[0]
     offset = first - calibrated
     # The axis of a motion belongs to the body, so it is shifted by the offset of the trial's start.
-    motions = [replace(motion, point_m=tuple((motion.point_m + offset).tolist())) for motion in driver.motions]
-    rotations = Rotation.from_quat(quaternions[known]) if len(quaternions) else Rotation.identity(len(known))
-    values, missed_m, rest_rad = motion_coordinates(motions, first, positions[known], rotations * rotations[0].inv())
+    motions = [
+        replace(motion, point_m=tuple((motion.point_m + offset).tolist()))
+        for motion in driver.motions
+    ]
+    rotations = (
+        Rotation.from_quat(quaternions[known])
+        if len(quaternions)
+        else Rotation.identity(len(known))
+    )
+    values, missed_m, rest_rad = motion_coordinates(
+        motions, first, positions[known], rotations * rotations[0].inv()
+    )
     coordinates = np.full((frame_count, len(driver.motions)), np.nan)
     residual_mm, residual_rad = (np.full(frame_count, np.nan) for _ in range(2))
     coordinates[known], residual_mm[known] = values, 1e3 * missed_m
@@ -312,7 +391,12 @@ class CoordinateMean:
     @property
     def mean(self) -> FloatArray:
         """Mean over the trials with an entry; NaN without one."""
-        return np.divide(self._sum, self.counts, out=np.full(self._sum.shape, np.nan), where=self.counts > 0)
+        return np.divide(
+            self._sum,
+            self.counts,
+            out=np.full(self._sum.shape, np.nan),
+            where=self.counts > 0,
+        )
 
     def scatter(self, trials: TrialSpool | Sequence[FloatArray]) -> FloatArray:
         """Return the standard deviation (n - 1); NaN where fewer than two, or fewer than half, have an entry.
@@ -324,7 +408,14 @@ class CoordinateMean:
         for trial in trials:
             squares += np.square(np.where(np.isnan(trial), 0.0, trial - mean))
         often = (2 * self.counts >= len(trials)) & (self.counts > 1)
-        return np.sqrt(np.divide(squares, self.counts - 1, out=np.full(squares.shape, np.nan), where=often))
+        return np.sqrt(
+            np.divide(
+                squares,
+                self.counts - 1,
+                out=np.full(squares.shape, np.nan),
+                where=often,
+            )
+        )
 
 
 class TrialSpool(CoordinateMean):
@@ -360,7 +451,10 @@ class TrialSpool(CoordinateMean):
     def statistics(self) -> TrialStatistics:
         """Return the statistics of the trials that were added, one or more."""
         mean = self.mean
-        distances = [(trajectory_rmse(trial, mean, allow_missing=True), _dtw(trial, mean)) for trial in self]
+        distances = [
+            (trajectory_rmse(trial, mean, allow_missing=True), _dtw(trial, mean))
+            for trial in self
+        ]
         rmse, dtw = np.array(distances).T
         return TrialStatistics(
             mean=mean,
@@ -375,4 +469,6 @@ def _dtw(trial: FloatArray, mean: FloatArray) -> float:
     try:
         return trajectory_dtw(trial, mean, allow_missing=True)
     except ShapeError:
-        return float("nan")  # Frames that share no coordinate cannot be aligned. The spread counts the other trials.
+        return float(
+            "nan"
+        )  # Frames that share no coordinate cannot be aligned. The spread counts the other trials.

@@ -23,7 +23,15 @@ Lengths = dict[str, int]
 
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
-MILLIMETRES = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "cm": 10.0, "m": 1e3, "meter": 1e3, "metre": 1e3}
+MILLIMETRES = {
+    "mm": 1.0,
+    "millimeter": 1.0,
+    "millimetre": 1.0,
+    "cm": 10.0,
+    "m": 1e3,
+    "meter": 1e3,
+    "metre": 1e3,
+}
 """Millimetres in a unit of length, by its spelling without a plural s."""
 
 NORM_TOLERANCE = 0.01
@@ -64,7 +72,9 @@ class Trial:
     faults: Mapping[str, TrialError]
 
 
-def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = None) -> Trial:
+def parse_trial(
+    content: bytes, suffix: str = ".json", stated: Stated | None = None
+) -> Trial:
     """Read and check one trial file.
 
     Args:
@@ -74,13 +84,21 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
     """
     values = published_form(content, suffix, stated or Stated())
     rate, unit = values.pop(RATE), values.pop(UNIT)
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
+    if (
+        isinstance(rate, bool)
+        or not isinstance(rate, int | float)
+        or rate != FRAME_RATE_HZ
+    ):
         says = "; rate=30 says that of files without one" if rate is None else ""
-        raise TrialError(RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}")
+        raise TrialError(
+            RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}"
+        )
     scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
     if scale is None:
         says = "; unit=mm says that of files without one" if unit is None else ""
-        raise TrialError(UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}")
+        raise TrialError(
+            UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}"
+        )
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
@@ -89,7 +107,8 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
         try:
             if any(isinstance(entry, dict) for entry in asset.values()):
                 markers[name] = {
-                    marker: _marker(f"{name}.{marker}", entry, lengths, scale) for marker, entry in asset.items()
+                    marker: _marker(f"{name}.{marker}", entry, lengths, scale)
+                    for marker, entry in asset.items()
                 }
             else:
                 poses[name] = _pose(name, asset, lengths, scale)
@@ -98,7 +117,9 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
     return Trial(poses=poses, markers=markers, faults=faults)
 
 
-def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -> FloatArray:
+def _positions(
+    name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float
+) -> FloatArray:
     positions = scale * _table(name, asset, POSITION_KEYS, lengths)
     far = np.abs(positions) > LARGEST_MM
     if far.any():
@@ -111,65 +132,107 @@ def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: flo
     return positions
 
 
-def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -> PoseTrack:
+def _pose(
+    name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float
+) -> PoseTrack:
     positions = _positions(name, asset, lengths, scale)
     given = [key for key in QUATERNION_KEYS if key in asset]
     if not given:
         return PoseTrack(positions, None)
     quaternions = _table(name, asset, QUATERNION_KEYS, lengths)
-    with np.errstate(over="ignore"):  # a component whose square is no float has an infinite norm
+    with np.errstate(
+        over="ignore"
+    ):  # a component whose square is no float has an infinite norm
         norms = np.linalg.norm(quaternions, axis=1)
     wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
     if wrong.any():
         frame = int(wrong.argmax())
-        raise TrialError(f"{name}.q[{frame}]", f"the quaternion's norm is {norms[frame]:.4g}", "1 is expected")
+        raise TrialError(
+            f"{name}.q[{frame}]",
+            f"the quaternion's norm is {norms[frame]:.4g}",
+            "1 is expected",
+        )
     return PoseTrack(positions, quaternions / norms[:, None])
 
 
 def _marker(key: str, entry: Any, lengths: Lengths, scale: float) -> FloatArray:
     if not isinstance(entry, dict):
-        raise TrialError(key, f"it is {_shown(entry)}", "a marker is an object with x, y, z")
+        raise TrialError(
+            key, f"it is {_shown(entry)}", "a marker is an object with x, y, z"
+        )
     positions = _positions(key, entry, lengths, scale)
     # A marker is captured in all three coordinates or not at all.
     positions[np.isnan(positions).any(axis=1)] = np.nan
     return positions
 
 
-def _table(name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: Lengths) -> FloatArray:
+def _table(
+    name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: Lengths
+) -> FloatArray:
     """Return lists of an asset as columns, shape [frame_count, column_count]."""
     missing = [key for key in keys if key not in asset]
     if missing:
-        raise TrialError(f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}")
+        raise TrialError(
+            f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}"
+        )
     columns = [_numbers(f"{name}.{key}", asset[key]) for key in keys]
     for key, column in zip(keys, columns, strict=True):
         lengths[f"{name}.{key}"] = len(column)
         first, count = next(iter(lengths.items()))
         if len(column) != count:
-            raise TrialError(f"{name}.{key}", f"it has {len(column)} samples", f"{count} are expected, as in {first}")
+            raise TrialError(
+                f"{name}.{key}",
+                f"it has {len(column)} samples",
+                f"{count} are expected, as in {first}",
+            )
     return np.column_stack(columns)
 
 
 def _numbers(key: str, values: Any) -> FloatArray:
     if not isinstance(values, list) or not values:
-        raise TrialError(key, f"it is {_shown(values)}", "a list of numbers, one a frame, is expected")
+        raise TrialError(
+            key,
+            f"it is {_shown(values)}",
+            "a list of numbers, one a frame, is expected",
+        )
     kinds = set(map(type, values))
     if not kinds <= {int, float, type(None)}:
-        frame = next(i for i, value in enumerate(values) if type(value) not in (int, float, type(None)))
-        raise TrialError(f"{key}[{frame}]", f"it is {_shown(values[frame])}", "a number or null is expected")
+        frame = next(
+            i
+            for i, value in enumerate(values)
+            if type(value) not in (int, float, type(None))
+        )
+        raise TrialError(
+            f"{key}[{frame}]",
+            f"it is {_shown(values[frame])}",
+            "a number or null is expected",
+        )
     try:
         numbers = np.array(values, dtype=np.float64)
     except OverflowError:
-        raise TrialError(key, "a number is too large", "finite numbers are expected") from None
+        raise TrialError(
+            key, "a number is too large", "finite numbers are expected"
+        ) from None
     infinite = np.isinf(numbers)
     if infinite.any():
         frame = int(infinite.argmax())
-        raise TrialError(f"{key}[{frame}]", f"it is {numbers[frame]}", "a finite number, or null, is expected")
+        raise TrialError(
+            f"{key}[{frame}]",
+            f"it is {numbers[frame]}",
+            "a finite number, or null, is expected",
+        )
     return numbers
 
 
 def _shown(value: Any) -> str:
     """Return a short text of a value, for a message."""
-    text = "missing" if value is None else repr(value) if isinstance(value, str | int | float) else type(value).__name__
+    text = (
+        "missing"
+        if value is None
+        else repr(value)
+        if isinstance(value, str | int | float)
+        else type(value).__name__
+    )
     if isinstance(value, list):
         text = "an empty list" if not value else "a list"
     return text if len(text) <= 40 else f"{text[:37]}..."

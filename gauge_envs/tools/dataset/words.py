@@ -15,7 +15,11 @@ from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.tools.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
+from gauge_envs.tools.dataset.importer import (
+    FLAGGED_DIFFERENCE,
+    BaselineRow,
+    ImportedTrials,
+)
 
 STATUS_NOTE = (
     "Baselines: mean (standard deviation) of the real trials. Own: from the trials of the reference band. Published: "
@@ -30,15 +34,31 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
     flagged = sum(row.is_flagged for one in imports for row in one.rows)
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
     drivers = [
-        {"name": one.variant.name, "driver": driver} for one in imports if one.record for driver in one.record.drivers
+        {"name": one.variant.name, "driver": driver}
+        for one in imports
+        if one.record
+        for driver in one.record.drivers
     ]
-    tables = [_baselines_table(imports), *([_drivers_table(drivers)] if drivers else [])]
-    return Document(parts=[*tables, Paragraph(""), Paragraph(note, Tone.WARNING if flagged else Tone.NOTE)])
+    tables = [
+        _baselines_table(imports),
+        *([_drivers_table(drivers)] if drivers else []),
+    ]
+    return Document(
+        parts=[
+            *tables,
+            Paragraph(""),
+            Paragraph(note, Tone.WARNING if flagged else Tone.NOTE),
+        ]
+    )
 
 
 def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
     def own(row: BaselineRow) -> str:
-        return "-" if row.own is None else with_unit(_spread(row.own.mean, row.own.std), row.unit)
+        return (
+            "-"
+            if row.own is None
+            else with_unit(_spread(row.own.mean, row.own.std), row.unit)
+        )
 
     def published(row: BaselineRow) -> str:
         return _spread(row.published.mean, row.published.std) if row.published else "-"
@@ -59,7 +79,11 @@ def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
             Column("row", "difference", difference, is_number=True, style=style),
         ),
         rows=[
-            {"name": one.variant.name, "trials": f"{one.used} trials, {one.left_out} left out", "row": row}
+            {
+                "name": one.variant.name,
+                "trials": f"{one.used} trials, {one.left_out} left out",
+                "row": row,
+            }
             for one in imports
             for row in one.rows
         ],
@@ -68,7 +92,11 @@ def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
 
 def _drivers_table(drivers: Sequence[Mapping[str, Any]]) -> Table:
     def amounts(length_mm: float | None, angle_deg: float | None) -> str:
-        texts = (f"{value:.2g} {unit}" for value, unit in ((length_mm, "mm"), (angle_deg, "deg")) if value is not None)
+        texts = (
+            f"{value:.2g} {unit}"
+            for value, unit in ((length_mm, "mm"), (angle_deg, "deg"))
+            if value is not None
+        )
         return ", ".join(texts) or "-"
 
     return Table(
@@ -77,9 +105,22 @@ def _drivers_table(drivers: Sequence[Mapping[str, Any]]) -> Table:
             EXPERIMENT,
             Column("driver.body", "body"),
             Column("driver.trial_count", "trials", is_number=True),
-            Column("driver", "left out by its motions", lambda one: amounts(one.residual_mm, one.residual_deg)),
-            Column("driver.start_offset_mm", "start off by", lambda value: f"{value:.2g} mm", is_number=True),
-            Column("driver", "scatter", lambda one: amounts(one.scatter_mm, one.scatter_deg)),
+            Column(
+                "driver",
+                "left out by its motions",
+                lambda one: amounts(one.residual_mm, one.residual_deg),
+            ),
+            Column(
+                "driver.start_offset_mm",
+                "start off by",
+                lambda value: f"{value:.2g} mm",
+                is_number=True,
+            ),
+            Column(
+                "driver",
+                "scatter",
+                lambda one: amounts(one.scatter_mm, one.scatter_deg),
+            ),
         ),
         rows=drivers,
     )
@@ -93,11 +134,17 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
         return f"{text}; task file changed" if row["is_current"] is False else text
 
     def baseline(line: Mapping[str, Any]) -> str:
-        own, published = (_spread(line[f"{whose}_mean"], line[f"{whose}_std"]) for whose in ("own", "published"))
+        own, published = (
+            _spread(line[f"{whose}_mean"], line[f"{whose}_std"])
+            for whose in ("own", "published")
+        )
         return f"{METRIC_TITLES[line['metric']]} own {own}, published {published}"
 
     def drivers(moved: Sequence[Mapping[str, Any]]) -> str:
-        return ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in moved) or "-"
+        return (
+            ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in moved)
+            or "-"
+        )
 
     return Table(
         columns=(
@@ -105,7 +152,12 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
             Column("", "grade", grade),
             Column("trials", "trials", is_number=True),
             Column("drivers", "driver", drivers),
-            Column("baselines", "baselines", lambda lines: "; ".join(map(baseline, lines)), place=Place.BELOW),
+            Column(
+                "baselines",
+                "baselines",
+                lambda lines: "; ".join(map(baseline, lines)),
+                place=Place.BELOW,
+            ),
         ),
         rows=rows,
         notes=(STATUS_NOTE,),
@@ -131,9 +183,16 @@ def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
 def _row(variant: Variant) -> dict[str, Any]:
     imported = load_imported(variant.name)
     source = DataSource.BUNDLED if imported is None else DataSource.IMPORTED
-    experiment, band = load_experiment(variant, drivers=source), load_band(variant.name, source)
+    experiment, band = (
+        load_experiment(variant, drivers=source),
+        load_band(variant.name, source),
+    )
     record = imported.record if imported else None
-    recorded = {driver.body: driver.model_dump() for driver in record.drivers} if record else {}
+    recorded = (
+        {driver.body: driver.model_dump() for driver in record.drivers}
+        if record
+        else {}
+    )
     return json_ready(
         {
             "id": variant.id,
@@ -141,9 +200,15 @@ def _row(variant: Variant) -> dict[str, Any]:
             "imported": record is not None,
             "trials": band.trial_count if band else None,
             "revision": record.revision if record else None,
-            "is_current": record.task_sha256 == task_sha256(variant.family) if record else None,
+            "is_current": record.task_sha256 == task_sha256(variant.family)
+            if record
+            else None,
             "drivers": [
-                {"body": driver.body, "provenance": driver.provenance, "recorded": recorded.get(driver.body)}
+                {
+                    "body": driver.body,
+                    "provenance": driver.provenance,
+                    "recorded": recorded.get(driver.body),
+                }
                 for driver in experiment.scene.drivers
             ],
             "baselines": _baselines(variant),
@@ -156,7 +221,11 @@ def _baselines(variant: Variant) -> list[dict[str, Any]]:
     published, imported = published_baselines(variant.name), load_imported(variant.name)
     sidecar = bundled_sidecar(variant.name) if imported is None else None
     scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
-    own = imported.record.metrics if imported else {metric: score for metric, score in scores.items() if score}
+    own = (
+        imported.record.metrics
+        if imported
+        else {metric: score for metric, score in scores.items() if score}
+    )
     return [
         {
             "metric": metric,

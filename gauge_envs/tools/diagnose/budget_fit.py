@@ -120,7 +120,11 @@ class NestedFits:
     def continued_frames(self, fit: StageFit) -> int:
         """Return the number of frames at which a fit needs the motion past the end of the simulation."""
         since_start = np.clip(self._frames_s - fit.shift_s, 0.0, self.motion.end_s)
-        return int((fit.rate * since_start > self.motion.end_s + 1e-9).sum()) if fit.rate > 1.0 else 0
+        return (
+            int((fit.rate * since_start > self.motion.end_s + 1e-9).sum())
+            if fit.rate > 1.0
+            else 0
+        )
 
     def likeness(self, fit: StageFit) -> float:
         """Return the squared cosine between changes of rate and of scale at a fit; 0 if the motion has only one."""
@@ -130,12 +134,19 @@ class NestedFits:
         rates = np.clip(fit.rate + np.array([-RATE_STEP, RATE_STEP]), low, high)
         played, basis = self.motion.at(self._frames_s, np.full(2, fit.shift_s), rates)
         known = np.isfinite(self._reference)
-        faster, larger = (np.where(known, change, 0.0) for change in (played[1] - played[0], basis.mean(axis=0)))
+        faster, larger = (
+            np.where(known, change, 0.0)
+            for change in (played[1] - played[0], basis.mean(axis=0))
+        )
         both = np.square(faster).sum() * np.square(larger).sum()
         return float(np.square((faster * larger).sum()) / both) if both > 0.0 else 0.0
 
     def _searched(self, stages: frozenset[BudgetStage]) -> StageFit:
-        smaller = [self.fit(some) for some in combinations(sorted(stages), len(stages) - 1)] if stages else []
+        smaller = (
+            [self.fit(some) for some in combinations(sorted(stages), len(stages) - 1)]
+            if stages
+            else []
+        )
         if stages == {BudgetStage.RELEASE}:
             # The score's own alignment, so that both give the same number.
             shift_s, _ = release_offset(
@@ -154,7 +165,9 @@ class NestedFits:
         least = min(smaller, key=lambda one: one.mean_square, default=None)
         return best if least is None or best.mean_square <= least.mean_square else least
 
-    def _refined(self, stages: frozenset[BudgetStage], smaller: Sequence[StageFit]) -> list[FloatArray]:
+    def _refined(
+        self, stages: frozenset[BudgetStage], smaller: Sequence[StageFit]
+    ) -> list[FloatArray]:
         """Return shift and rate of the best local minima, shape [2] each."""
         bounds = np.array([self._shift_bounds(stages), self._rate_bounds(stages)])
         free = bounds[:, 0] < bounds[:, 1]
@@ -178,9 +191,22 @@ class NestedFits:
             inside = np.clip(point[free], low + margin, high - margin)
             corners = np.tile(inside, (int(free.sum()) + 1, 1))
             for axis, step in enumerate(steps[free]):
-                corners[axis + 1, axis] += step if inside[axis] + step <= high[axis] else -step
-            options = {"initial_simplex": corners, "xatol": 1e-7, "fatol": math.inf, "maxfev": 400}
-            fitted = minimize(error, point[free], method="Nelder-Mead", bounds=bounds[free], options=options)
+                corners[axis + 1, axis] += (
+                    step if inside[axis] + step <= high[axis] else -step
+                )
+            options = {
+                "initial_simplex": corners,
+                "xatol": 1e-7,
+                "fatol": math.inf,
+                "maxfev": 400,
+            }
+            fitted = minimize(
+                error,
+                point[free],
+                method="Nelder-Mead",
+                bounds=bounds[free],
+                options=options,
+            )
             full = point.copy()
             full[free] = fitted.x
             found += [point, full]
@@ -202,13 +228,20 @@ class NestedFits:
         """Return the values of shift and rate on the grid, and their steps."""
         rate_step = RATE_STEP
         if self.motion.period_s is not None:
-            rate_step = min(rate_step, CYCLE_STEP * self.motion.period_s / self._frames_s[-1])
+            rate_step = min(
+                rate_step, CYCLE_STEP * self.motion.period_s / self._frames_s[-1]
+            )
         steps = np.array([SHIFT_STEP_S, rate_step])
         counts = np.ceil((bounds[:, 1] - bounds[:, 0]) / steps - 1e-9).astype(int) + 1
-        shifts, rates = (np.linspace(low, high, count) for (low, high), count in zip(bounds, counts, strict=True))
+        shifts, rates = (
+            np.linspace(low, high, count)
+            for (low, high), count in zip(bounds, counts, strict=True)
+        )
         return shifts, rates, steps
 
-    def _grid_errors(self, stages: frozenset[BudgetStage], shifts: FloatArray, rates: FloatArray) -> FloatArray:
+    def _grid_errors(
+        self, stages: frozenset[BudgetStage], shifts: FloatArray, rates: FloatArray
+    ) -> FloatArray:
         """Return the squared error on the grid, shape [shift_count, rate_count].
 
         The grid only gives starts for the refinement, so it takes the coordinates with the largest error and, for long
@@ -224,23 +257,39 @@ class NestedFits:
         reference = self._reference[::stride, columns]
         frames_s = self._frames_s[::stride]
 
-        shift_of_point, rate_of_point = (one.ravel() for one in np.meshgrid(shifts, rates, indexing="ij"))
+        shift_of_point, rate_of_point = (
+            one.ravel() for one in np.meshgrid(shifts, rates, indexing="ij")
+        )
         point_count = len(shift_of_point)
         errors = np.zeros(point_count)
         chunk_count = math.ceil(reference.size * point_count / CHUNK_NUMBERS)
         for chunk in np.array_split(np.arange(point_count), chunk_count):
-            played, basis = motion.at(frames_s, shift_of_point[chunk], rate_of_point[chunk])
+            played, basis = motion.at(
+                frames_s, shift_of_point[chunk], rate_of_point[chunk]
+            )
             left, _, _ = self._linear(stages, reference, played, basis)
             errors[chunk] = left.sum(axis=1)
         return errors.reshape(len(shifts), len(rates))
 
-    def _solved(self, stages: frozenset[BudgetStage], shift_s: float, rate: float) -> StageFit:
+    def _solved(
+        self, stages: frozenset[BudgetStage], shift_s: float, rate: float
+    ) -> StageFit:
         played = self.motion.at(self._frames_s, np.array([shift_s]), np.array([rate]))
         squares, scale, offsets = self._linear(stages, self._reference, *played)
-        return StageFit(float(shift_s), float(rate), float(scale[0]), offsets[0], squares[0] / self.frame_count)
+        return StageFit(
+            float(shift_s),
+            float(rate),
+            float(scale[0]),
+            offsets[0],
+            squares[0] / self.frame_count,
+        )
 
     def _linear(
-        self, stages: frozenset[BudgetStage], reference: FloatArray, played: FloatArray, basis: FloatArray
+        self,
+        stages: frozenset[BudgetStage],
+        reference: FloatArray,
+        played: FloatArray,
+        basis: FloatArray,
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Solve for scale and offsets of G motions.
 
@@ -265,7 +314,9 @@ class NestedFits:
         scale = np.zeros(len(played))
         if BudgetStage.RATE in stages:
             change, mean = centred(basis)
-            size, overlap = (np.einsum("gtc,gtc->g", change, other) for other in (change, deviation))
+            size, overlap = (
+                np.einsum("gtc,gtc->g", change, other) for other in (change, deviation)
+            )
             best = np.divide(overlap, size, out=np.zeros_like(size), where=size > 0.0)
             scale = np.clip(best, *self.motion.scale_bounds)
             deviation = deviation - scale[:, None, None] * change
@@ -273,10 +324,17 @@ class NestedFits:
         return np.einsum("gtc,gtc->gc", deviation, deviation), scale, offsets
 
 
-def _local_minima(shifts: FloatArray, rates: FloatArray, errors: FloatArray) -> list[FloatArray]:
+def _local_minima(
+    shifts: FloatArray, rates: FloatArray, errors: FloatArray
+) -> list[FloatArray]:
     """Return the deepest local minima of a grid, deepest first."""
     padded = np.pad(errors, 1, constant_values=np.inf)
-    around = [padded[i : i + len(shifts), j : j + len(rates)] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
+    around = [
+        padded[i : i + len(shifts), j : j + len(rates)]
+        for i in range(3)
+        for j in range(3)
+        if (i, j) != (1, 1)
+    ]
     rows, columns = np.nonzero(errors <= np.min(around, axis=0))
     order = np.argsort(errors[rows, columns], kind="stable")[:START_COUNT]
     return [np.array([shifts[rows[k]], rates[columns[k]]]) for k in order]

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 def diagnose(
     sources: arguments.Sources = None,
-    name: Annotated[str | None, typer.Option("--id", metavar="ID", help="Experiment of trajectory files.")] = None,
+    name: Annotated[
+        str | None,
+        typer.Option("--id", metavar="ID", help="Experiment of trajectory files."),
+    ] = None,
     use: arguments.Use = "",
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -48,12 +51,20 @@ def draw_diagnose(
     return [save_png(draw_diagnoses(pairs), out / "diagnosis.png")], skipped
 
 
-def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tuple[list[tuple[Result, Diagnosis]], int]:
+def _diagnoses(
+    sources: Sequence[str] | None, name: str | None, use: str
+) -> tuple[list[tuple[Result, Diagnosis]], int]:
     """Return results with their diagnoses, and the number of skipped files; report what is left out."""
     from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.diagnose.error_budget import DiagnosisError, diagnose, stage_order
+    from gauge_envs.tools.diagnose.error_budget import (
+        DiagnosisError,
+        diagnose,
+        stage_order,
+    )
 
-    files, details = arguments.split_details(sources, order=arguments.split_list, measured_only=bool)
+    files, details = arguments.split_details(
+        sources, order=arguments.split_list, measured_only=bool
+    )
     if "order" in details:
         details["order"] = stage_order(map(str.strip, details["order"]))
     used = arguments.parsed_use(use, "use_withheld")
@@ -63,7 +74,10 @@ def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tup
     elif not files:
         raise ParameterError("--id needs trajectory files: give one or more")
     else:
-        results, skipped = [score_file(Path(file), variant=name, **used)[0] for file in files], 0
+        results, skipped = (
+            [score_file(Path(file), variant=name, **used)[0] for file in files],
+            0,
+        )
     pairs: list[tuple[Result, Diagnosis]] = []
     reasons: dict[str, None] = {}
     for result in results:
@@ -74,7 +88,10 @@ def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tup
     if results and not pairs:
         raise DiagnosisError("; ".join(reasons))
     # The farthest from the real trials, over their scatter, comes first.
-    pairs.sort(key=lambda pair: pair[0].score.rmse_normalized or 0.0 if pair[0].score else 0.0, reverse=True)
+    pairs.sort(
+        key=lambda pair: pair[0].score.rmse_normalized or 0.0 if pair[0].score else 0.0,
+        reverse=True,
+    )
     for reason in reasons:
         message(reason, "left out")
     return pairs, skipped

@@ -81,27 +81,46 @@ def diagnose(
     """
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         reason = result.error or result.diverged_reason or "it holds no trajectory"
-        raise DiagnosisError(f"{result.id}: {result.outcome.value}, so there is no score to split: {reason}")
+        raise DiagnosisError(
+            f"{result.id}: {result.outcome.value}, so there is no score to split: {reason}"
+        )
     experiment = recorded_experiment(result)
     if band is None:
-        band = reference_band(experiment, use_withheld=use_withheld or result.score.withheld is not None)
+        band = reference_band(
+            experiment, use_withheld=use_withheld or result.score.withheld is not None
+        )
     times_s, values = result.trajectory.arrays(later=True)
-    if band is not None and (width := values.shape[1]) != (taken := band.projection.shape[1]):
+    if band is not None and (width := values.shape[1]) != (
+        taken := band.projection.shape[1]
+    ):
         raise DiagnosisError(
             f"{result.id}: its trajectory has {width} coordinates, the band needs {taken}. It was made with another "
             "version of the task file: run it again."
         )
     diagnosis = diagnose_trajectory(
-        experiment, band, times_s=times_s, values=values, order=order, measured_only=measured_only
+        experiment,
+        band,
+        times_s=times_s,
+        values=values,
+        order=order,
+        measured_only=measured_only,
     )
     rmse, dtw = result.score.rmse, result.score.dtw
     if measured_only:
         return diagnosis
-    if rmse is None or not math.isclose(rmse, diagnosis.rmse, rel_tol=1e-6, abs_tol=1e-9):
-        scored = "without an RMSE" if rmse is None else f"an RMSE of {rmse:.4g} {diagnosis.unit}"
+    if rmse is None or not math.isclose(
+        rmse, diagnosis.rmse, rel_tol=1e-6, abs_tol=1e-9
+    ):
+        scored = (
+            "without an RMSE"
+            if rmse is None
+            else f"an RMSE of {rmse:.4g} {diagnosis.unit}"
+        )
         note = f"the score in the result, {scored}, was not made against this band (its grade: {result.score.grade})"
         return replace(diagnosis, notes=(*diagnosis.notes, note))
-    return replace(diagnosis, dtw_over_rmse=None if dtw is None or rmse == 0.0 else dtw / rmse)
+    return replace(
+        diagnosis, dtw_over_rmse=None if dtw is None or rmse == 0.0 else dtw / rmse
+    )
 
 
 def diagnose_trajectory(
@@ -142,13 +161,23 @@ def diagnose_trajectory(
             "real trials (gauge data import), of a recording or of a law"
         )
     times_s, values = _checked(times_s, values, len(band.mean))
-    reference = np.where(band.measured[:, None], band.mean, np.nan) if measured_only else np.array(band.mean)
+    reference = (
+        np.where(band.measured[:, None], band.mean, np.nan)
+        if measured_only
+        else np.array(band.mean)
+    )
     if not np.isfinite(reference).any():
-        raise DiagnosisError(f"{experiment.id}: its band has no {'measured ' if measured_only else ''}frame")
+        raise DiagnosisError(
+            f"{experiment.id}: its band has no {'measured ' if measured_only else ''}frame"
+        )
     simulated = band.project(values)
-    last_s = float(np.flatnonzero(np.isfinite(reference).any(axis=1))[-1]) / FRAME_RATE_HZ
+    last_s = (
+        float(np.flatnonzero(np.isfinite(reference).any(axis=1))[-1]) / FRAME_RATE_HZ
+    )
     motion = recognized(experiment, band, times_s, simulated, until_s=last_s)
-    budget = NestedFits(reference, times_s, simulated, motion, _missing(band, simulated))
+    budget = NestedFits(
+        reference, times_s, simulated, motion, _missing(band, simulated)
+    )
     return _diagnosis(experiment, band, budget, stages, measured_only=measured_only)
 
 
@@ -157,20 +186,36 @@ def stage_order(names: Iterable[str]) -> tuple[BudgetStage, ...]:
     given = list(names)
     known = [stage.value for stage in DEFAULT_ORDER]
     if sorted(given) != sorted(known):
-        raise ParameterError(f"order is {', '.join(given) or 'empty'}, expected each of {', '.join(known)} once")
+        raise ParameterError(
+            f"order is {', '.join(given) or 'empty'}, expected each of {', '.join(known)} once"
+        )
     return tuple(BudgetStage(name) for name in given)
 
 
-def _checked(times_s: FloatArray, values: FloatArray, frame_count: int) -> tuple[FloatArray, FloatArray]:
-    times_s, values = np.asarray(times_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
-    if times_s.ndim != 1 or values.ndim != 2 or len(times_s) != len(values) or len(times_s) < 2:
+def _checked(
+    times_s: FloatArray, values: FloatArray, frame_count: int
+) -> tuple[FloatArray, FloatArray]:
+    times_s, values = (
+        np.asarray(times_s, dtype=np.float64),
+        np.asarray(values, dtype=np.float64),
+    )
+    if (
+        times_s.ndim != 1
+        or values.ndim != 2
+        or len(times_s) != len(values)
+        or len(times_s) < 2
+    ):
         raise ShapeError(
             f"times_s has shape {times_s.shape}, values {values.shape}; [T] and [T, C] with T > 1 are needed"
         )
     if not (np.isfinite(times_s).all() and np.isfinite(values).all()):
         raise ShapeError("the trajectory holds a value that is not finite")
     end_s = (frame_count - 1) / FRAME_RATE_HZ
-    if abs(times_s[0]) > 1e-6 or (np.diff(times_s) <= 0.0).any() or times_s[-1] < end_s - 1e-6:
+    if (
+        abs(times_s[0]) > 1e-6
+        or (np.diff(times_s) <= 0.0).any()
+        or times_s[-1] < end_s - 1e-6
+    ):
         raise ShapeError(
             f"times_s must increase from 0 to the last frame at {end_s:.4f} s; it runs to {times_s[-1]:.4f} s"
         )
@@ -182,12 +227,18 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
     missing = {}
     if not band.grade.is_real:
         # As in the score: a shift could only hide a drift.
-        missing[BudgetStage.RELEASE] = f"a {band.grade} has no release: it holds from frame 0 on"
-    real = float(np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0)))))
+        missing[BudgetStage.RELEASE] = (
+            f"a {band.grade} has no release: it holds from frame 0 on"
+        )
+    real = float(
+        np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0))))
+    )
     simulated_size = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
     scatter = float(np.sqrt(np.nanmean(np.square(band.sigma))))
     if real <= STILL_SHARE * scatter:
-        missing[BudgetStage.RATE] = "the real mean does not move by more than a tenth of its scatter, so it has no rate"
+        missing[BudgetStage.RATE] = (
+            "the real mean does not move by more than a tenth of its scatter, so it has no rate"
+        )
     elif simulated_size <= 1e-3 * real:
         missing[BudgetStage.RATE] = "the simulation does not move, so it has no rate"
     return missing
@@ -197,7 +248,12 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
 
 
 def _diagnosis(
-    experiment: Experiment, band: Band, budget: NestedFits, order: Sequence[BudgetStage], *, measured_only: bool
+    experiment: Experiment,
+    band: Band,
+    budget: NestedFits,
+    order: Sequence[BudgetStage],
+    *,
+    measured_only: bool,
 ) -> Diagnosis:
     baselines, recorded = experiment.baselines, experiment.recorded
     whole, left = budget.fit(()), budget.fit(order)
@@ -205,7 +261,11 @@ def _diagnosis(
     extrapolated = ~band.measured[budget.known]
 
     def part(index: int) -> StagePart:
-        stage, before, after = order[index], budget.fit(order[:index]), budget.fit(order[: index + 1])
+        stage, before, after = (
+            order[index],
+            budget.fit(order[:index]),
+            budget.fit(order[: index + 1]),
+        )
         alone, others = budget.fit([stage]), budget.fit(set(order) - {stage})
         return StagePart(
             stage=stage,
@@ -228,11 +288,17 @@ def _diagnosis(
         unit=band.unit,
         coordinates=band.coordinates,
         kind=budget.motion.kind,
-        subject=MARKERS if not recorded else f"the {recorded[0]}" if len(recorded) == 1 else SEVERAL_BODIES,
+        subject=MARKERS
+        if not recorded
+        else f"the {recorded[0]}"
+        if len(recorded) == 1
+        else SEVERAL_BODIES,
         driven=bool(experiment.scene.drivers),
         frames=budget.frame_count,
         extrapolated_frames=int(extrapolated.sum()),
-        extrapolated_share=_over(float(deviations[extrapolated].sum()), float(deviations.sum())),
+        extrapolated_share=_over(
+            float(deviations[extrapolated].sum()), float(deviations.sum())
+        ),
         mean_square=whole.mean_square,
         rmse=whole.rmse,
         dtw_over_rmse=None,
@@ -250,16 +316,30 @@ def _diagnosis(
     )
 
 
-def _changes(budget: NestedFits, band: Band, stages: Sequence[BudgetStage], fit: StageFit) -> tuple[Change, ...]:
+def _changes(
+    budget: NestedFits, band: Band, stages: Sequence[BudgetStage], fit: StageFit
+) -> tuple[Change, ...]:
     """Return the changes of a fit, in the order of the stages."""
     motion, late = budget.motion, _at_bound(fit.shift_s, (-MAX_SHIFT_S, MAX_SHIFT_S))
     offsets = zip(band.coordinates, fit.offsets.tolist(), strict=True)
     changes: dict[BudgetStage, tuple[Change, ...]] = {
         BudgetStage.RELEASE: (
-            Change(quantity="release_time", unit="s", simulated=0.0, fitted=fit.shift_s, at_bound=late),
+            Change(
+                quantity="release_time",
+                unit="s",
+                simulated=0.0,
+                fitted=fit.shift_s,
+                at_bound=late,
+            ),
         ),
         BudgetStage.OFFSET: tuple(
-            Change(quantity="offset", unit=band.unit, simulated=0.0, fitted=value, coordinate=name)
+            Change(
+                quantity="offset",
+                unit=band.unit,
+                simulated=0.0,
+                fitted=value,
+                coordinate=name,
+            )
             for name, value in offsets
         ),
         BudgetStage.RATE: motion.changes(
@@ -269,7 +349,12 @@ def _changes(budget: NestedFits, band: Band, stages: Sequence[BudgetStage], fit:
             scale_at_bound=_at_bound(fit.scale, motion.scale_bounds),
         ),
     }
-    return tuple(change for stage in stages if stage not in budget.missing for change in changes[stage])
+    return tuple(
+        change
+        for stage in stages
+        if stage not in budget.missing
+        for change in changes[stage]
+    )
 
 
 def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
@@ -277,7 +362,9 @@ def _at_bound(value: float, bounds: tuple[float, float]) -> bool:
     return min(abs(value - bound) for bound in bounds) <= close
 
 
-def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, measured_only: bool) -> Iterator[str]:
+def _notes(
+    budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, measured_only: bool
+) -> Iterator[str]:
     motion, fit = budget.motion, budget.fit(order)
     if late := budget.continued_frames(fit):
         how = "periodically" if motion.period_s is not None else "at constant velocity"
@@ -297,9 +384,13 @@ def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, meas
 def _published(baselines: Mapping[str, Baseline]) -> dict[str, PublishedScore]:
     found = {}
     for engine in next((line.engines for line in baselines.values()), {}):
-        normalized = {metric: line.engines[engine] for metric, line in baselines.items()}
+        normalized = {
+            metric: line.engines[engine] for metric, line in baselines.items()
+        }
         rmse, dtw = (
-            None if (value := normalized.get(metric)) is None else value * baselines[metric].mean
+            None
+            if (value := normalized.get(metric)) is None
+            else value * baselines[metric].mean
             for metric in ("rmse", "dtw")
         )
         found[engine] = PublishedScore(

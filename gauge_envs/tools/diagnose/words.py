@@ -13,11 +13,23 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import ENGINES, OURS, new_figure, tidy_axis
 from gauge_envs.pages.results import result_label
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import GRADE_NOTES, quantity_text, score_text, short_id, with_unit
+from gauge_envs.pages.text import (
+    GRADE_NOTES,
+    quantity_text,
+    score_text,
+    short_id,
+    with_unit,
+)
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.diagnose.model import MARKERS, SEVERAL_BODIES, BudgetStage, Diagnosis, StagePart
+from gauge_envs.tools.diagnose.model import (
+    MARKERS,
+    SEVERAL_BODIES,
+    BudgetStage,
+    Diagnosis,
+    StagePart,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,25 +57,43 @@ def diagnosis_document(pairs: Sequence[tuple[Result, Diagnosis]]) -> Document:
     ]
     parts: list[Part] = []
     for result, diagnosis in pairs:
-        parts += [_budget_table(diagnosis, result_label(result)), *_axis_tables(diagnosis)]
+        parts += [
+            _budget_table(diagnosis, result_label(result)),
+            *_axis_tables(diagnosis),
+        ]
         parts += [Paragraph(f"- {line}") for line in findings(diagnosis)]
         parts += [Paragraph(line, Tone.NOTE) for line in _budget_notes(diagnosis)]
     if pairs:
         published = f"Published engines: {pairs[0][1].published_note}"
-        parts += [Paragraph(""), Paragraph(LEGEND, Tone.NOTE), Paragraph(published, Tone.NOTE)]
+        parts += [
+            Paragraph(""),
+            Paragraph(LEGEND, Tone.NOTE),
+            Paragraph(published, Tone.NOTE),
+        ]
     return Document(parts=parts, rows=rows)
 
 
 def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
     rest = diagnosis.rest
-    rows: list[dict[str, Any]] = [{"part": "as it is", "rmse_after": diagnosis.rmse}, *map(_part_row, diagnosis.parts)]
+    rows: list[dict[str, Any]] = [
+        {"part": "as it is", "rmse_after": diagnosis.rmse},
+        *map(_part_row, diagnosis.parts),
+    ]
     rows.append({"part": "rest", "off": rest.rmse, "share": rest.share})
     return Table(
         title=f"{short_id(diagnosis.id)}  {label}",
         columns=(
             Column("part", "part"),
-            Column("rmse_after", "RMSE left", quantity_text, unit=diagnosis.unit, is_number=True),
-            Column("off", "taken off", quantity_text, unit=diagnosis.unit, is_number=True),
+            Column(
+                "rmse_after",
+                "RMSE left",
+                quantity_text,
+                unit=diagnosis.unit,
+                is_number=True,
+            ),
+            Column(
+                "off", "taken off", quantity_text, unit=diagnosis.unit, is_number=True
+            ),
             Column("share", "share", _share, is_number=True),
             Column("alone_share", "alone", _share, is_number=True),
             Column("last_share", "last", _share, is_number=True),
@@ -77,21 +107,37 @@ def _part_row(part: StagePart) -> dict[str, Any]:
     row: dict[str, Any] = {"part": part.stage.value, "rmse_after": part.rmse_after}
     if part.missing is not None:
         return row | {"changes": "does not apply"}
-    row |= {"off": part.rmse_before - part.rmse_after, "changes": f"fitted: {_changes(part)}"}
-    return row | {key: getattr(part, key) for key in ("share", "alone_share", "last_share")}
+    row |= {
+        "off": part.rmse_before - part.rmse_after,
+        "changes": f"fitted: {_changes(part)}",
+    }
+    return row | {
+        key: getattr(part, key) for key in ("share", "alone_share", "last_share")
+    }
 
 
 def _axis_tables(diagnosis: Diagnosis) -> list[Table]:
     """Return the shares of the squared error by axis; no table for one coordinate or for many axes."""
     axes = diagnosis.axes()
-    if len(diagnosis.coordinates) == 1 or len(axes) > MOST_AXES or diagnosis.mean_square == 0.0:
+    if (
+        len(diagnosis.coordinates) == 1
+        or len(axes) > MOST_AXES
+        or diagnosis.mean_square == 0.0
+    ):
         return []
     squares = {"all": diagnosis.by_coordinate}
-    squares |= {part.stage.value: part.by_coordinate for part in diagnosis.parts if part.missing is None}
+    squares |= {
+        part.stage.value: part.by_coordinate
+        for part in diagnosis.parts
+        if part.missing is None
+    }
     squares["rest"] = diagnosis.rest.by_coordinate
     rows = [
         {"axis": axis}
-        | {key: sum(values[index] for index in indices) / diagnosis.mean_square for key, values in squares.items()}
+        | {
+            key: sum(values[index] for index in indices) / diagnosis.mean_square
+            for key, values in squares.items()
+        }
         for axis, indices in axes.items()
     ]
     shares = (Column(key, key, _share, is_number=True) for key in squares)
@@ -110,9 +156,16 @@ def _changes(part: StagePart) -> str:
             values = f"{change.quantity} {change.simulated:.4g} -> {change.fitted:.4g}"
             texts.append(with_unit(values, change.unit) + mark)
         elif len(offsets) <= MOST_OFFSETS:
-            texts.append(with_unit(f"{change.coordinate} {change.fitted:+.3g}", change.unit))
+            texts.append(
+                with_unit(f"{change.coordinate} {change.fitted:+.3g}", change.unit)
+            )
         elif change is offsets[0]:
-            texts.append(with_unit(f"{len(offsets)} offsets, rms {quantity_text(_rms(offsets))}", change.unit))
+            texts.append(
+                with_unit(
+                    f"{len(offsets)} offsets, rms {quantity_text(_rms(offsets))}",
+                    change.unit,
+                )
+            )
     return ", ".join(texts)
 
 
@@ -140,10 +193,18 @@ def _budget_notes(diagnosis: Diagnosis) -> Iterator[str]:
             "DTW/RMSE": one.dtw_over_rmse,
             "period over the real one": one.period_ratio,
         }
-        texts = [f"{title} {value:.2f}" for title, value in values.items() if value is not None]
+        texts = [
+            f"{title} {value:.2f}"
+            for title, value in values.items()
+            if value is not None
+        ]
         engines += [f"{PUBLISHED_ENGINES[name]} {', '.join(texts)}"] if texts else []
     if engines:
-        here = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
+        here = (
+            ""
+            if diagnosis.dtw_over_rmse is None
+            else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
+        )
         yield f"Published{here}: {'; '.join(engines)}."
 
 
@@ -166,12 +227,19 @@ def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
     """Return one stage in words."""
     if part.missing is not None:
         return f"{part.stage.value.capitalize()} does not apply: {part.missing}."
-    first = all(other is part or other.missing for other in diagnosis.parts[: diagnosis.parts.index(part) + 1])
+    first = all(
+        other is part or other.missing
+        for other in diagnosis.parts[: diagnosis.parts.index(part) + 1]
+    )
     # Those of the stage itself, among all that are in force after it.
     quantities = {change.quantity for change in part.alone_changes}
     of_stage = [change for change in part.changes if change.quantity in quantities]
     rmses = _rmse_text(diagnosis, part.rmse_before, part.rmse_after)
-    bound = " (the limit of what was tried: it may be more)" if any(change.at_bound for change in of_stage) else ""
+    bound = (
+        " (the limit of what was tried: it may be more)"
+        if any(change.at_bound for change in of_stage)
+        else ""
+    )
     also = "" if first else " as well"
     return (
         f"{_percent(part.share)} of the squared error is gone ({rmses}) if "
@@ -179,7 +247,9 @@ def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
     )
 
 
-def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Change]) -> str:
+def _change_text(
+    diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Change]
+) -> str:
     subject = diagnosis.subject
     verb = "are" if subject in (SEVERAL_BODIES, MARKERS) else "is"
     if stage is BudgetStage.RELEASE:
@@ -195,9 +265,14 @@ def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Cha
                 f"each of {len(changes)} coordinates has a constant added, {_rms(changes):.3g} {diagnosis.unit} root "
                 f"mean square ({largest.fitted:+.3g} at most, {largest.coordinate})"
             )
-        offsets = ", ".join(f"{change.fitted:+.3g} {diagnosis.unit} along {change.coordinate}" for change in changes)
+        offsets = ", ".join(
+            f"{change.fitted:+.3g} {diagnosis.unit} along {change.coordinate}"
+            for change in changes
+        )
         return f"{subject} {verb} moved by {offsets}"
-    return " and ".join(RATE_TEXTS[change.quantity].format(**asdict(change)) for change in changes)
+    return " and ".join(
+        RATE_TEXTS[change.quantity].format(**asdict(change)) for change in changes
+    )
 
 
 def _percent(share: float) -> str:
@@ -218,21 +293,31 @@ def _rmse_text(diagnosis: Diagnosis, *rmses: float) -> str:
 def findings(diagnosis: Diagnosis) -> tuple[str, ...]:
     """Return an error budget in words, one line per finding."""
     if diagnosis.mean_square == 0.0:
-        return ("The simulation is on the mean of the band: there is no error to explain.",)
+        return (
+            "The simulation is on the mean of the band: there is no error to explain.",
+        )
     lines = [_finding(diagnosis, part) for part in diagnosis.parts]
     left = _rmse_text(diagnosis, diagnosis.rest.rmse)
-    lines.append(f"{_percent(diagnosis.rest.share)} of the squared error is none of these: {left} is left.")
+    lines.append(
+        f"{_percent(diagnosis.rest.share)} of the squared error is none of these: {left} is left."
+    )
     applied = [part for part in diagnosis.parts if part.missing is None]
     best = max(applied, key=lambda part: part.alone_share, default=None)
     if best is not None and best.alone_share > applied[0].alone_share + NOTABLE_SHARE:
         text = _change_text(diagnosis, best.stage, best.alone_changes)
-        lines.append(f"The order matters: {_percent(best.alone_share)} is gone already if {text}, and nothing else.")
+        lines.append(
+            f"The order matters: {_percent(best.alone_share)} is gone already if {text}, and nothing else."
+        )
     return tuple(lines)
 
 
 # --- figure ----------------------------------------------------------------------------------------------------------
 
-STAGE_COLORS = {BudgetStage.RELEASE: OURS[5], BudgetStage.OFFSET: OURS[2], BudgetStage.RATE: OURS[4]}
+STAGE_COLORS = {
+    BudgetStage.RELEASE: OURS[5],
+    BudgetStage.OFFSET: OURS[2],
+    BudgetStage.RATE: OURS[4],
+}
 """Colours of the parts, as on the pages of `gauge report`."""
 
 
@@ -250,13 +335,30 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
         left = 0.0
         for part in diagnosis.parts:
             label = part.stage.value if place == 0 else None
-            axis.barh(place, 100.0 * part.share, left=left, color=STAGE_COLORS[part.stage], height=0.72, label=label)
+            axis.barh(
+                place,
+                100.0 * part.share,
+                left=left,
+                color=STAGE_COLORS[part.stage],
+                height=0.72,
+                label=label,
+            )
             left += 100.0 * part.share
         rest = "rest" if place == 0 else None
-        axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[0], height=0.72, label=rest)
+        axis.barh(
+            place,
+            100.0 * diagnosis.rest.share,
+            left=left,
+            color=ENGINES[0],
+            height=0.72,
+            label=rest,
+        )
         text = f"{score_text(diagnosis.rmse)} to {score_text(diagnosis.rest.rmse)} {diagnosis.unit}"
         axis.text(101.0, place, text, va="center", fontsize=8, color="#404040")
-    names = [f"{short_id(diagnosis.id)}\n{result_label(result)}" for result, diagnosis in pairs]
+    names = [
+        f"{short_id(diagnosis.id)}\n{result_label(result)}"
+        for result, diagnosis in pairs
+    ]
     axis.set_yticks(range(len(pairs)), names, fontsize=8)
     axis.set_ylim(len(pairs) - 0.5, -0.5)
     axis.set_xlim(0.0, 128.0)
@@ -268,5 +370,7 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
-    axis.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False)
+    axis.legend(
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, fontsize=8, frameon=False
+    )
     return figure

@@ -23,7 +23,10 @@ COUNTS = dict.fromkeys(("width", "height", "columns", "strip"), int)
 def video_film(
     sources: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[DIR or FILE]... [NAME=VALUE]...", help="Results; results/ by default."),
+        typer.Argument(
+            metavar="[DIR or FILE]... [NAME=VALUE]...",
+            help="Results; results/ by default.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -31,7 +34,10 @@ def video_film(
             help="Film, .mp4, .webp or .gif; strip, .png or .webp; or .rrd for the Rerun viewer, of one result."
         ),
     ] = None,
-    only: Annotated[str | None, typer.Option(metavar="ID", help="Experiment, if the results are of several.")] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(metavar="ID", help="Experiment, if the results are of several."),
+    ] = None,
     use: arguments.Use = "",
 ) -> bool:
     """Film results of one experiment side by side, or write one for the Rerun viewer.
@@ -46,7 +52,13 @@ def video_film(
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is
     left.
     """
-    from gauge_envs.tools.film.film import FilmOptions, Recording, results_of_one_experiment, save_film, save_strip
+    from gauge_envs.tools.film.film import (
+        FilmOptions,
+        Recording,
+        results_of_one_experiment,
+        save_film,
+        save_strip,
+    )
     from gauge_envs.tools.film.rerun_file import write_rerun
 
     files, details = arguments.split_details(sources, **TIMES, **COUNTS, **RECORDING)
@@ -56,16 +68,25 @@ def video_film(
     if file.suffix == ".rrd":
         results = results_of_one_experiment(loaded, only)
         if details or len(results) != 1:
-            raise ParameterError(f"{file}: a recording for Rerun shows one result, and has no details")
+            raise ParameterError(
+                f"{file}: a recording for Rerun shows one result, and has no details"
+            )
         echo(write_rerun(next(iter(results.values())), file, **used))
         return bool(skipped)
     strip = details.pop("strip", None)
     real = {name: details.pop(name) for name in RECORDING if name in details}
     if real and "recording" not in real:
-        raise ParameterError("recording_start_s and recording_rate_hz need recording=FILE")
+        raise ParameterError(
+            "recording_start_s and recording_rate_hz need recording=FILE"
+        )
     if real:
-        start_s, rate_hz = real.get("recording_start_s", 0.0), real.get("recording_rate_hz")
-        details["recording"] = Recording(file=real["recording"], start_s=start_s, rate_hz=rate_hz)
+        start_s, rate_hz = (
+            real.get("recording_start_s", 0.0),
+            real.get("recording_rate_hz"),
+        )
+        details["recording"] = Recording(
+            file=real["recording"], start_s=start_s, rate_hz=rate_hz
+        )
     options = FilmOptions(**details, **used)
     results = results_of_one_experiment(loaded, only)
     with Progress("episodes", None) as progress:

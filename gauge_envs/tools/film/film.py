@@ -12,15 +12,32 @@ from numpy.typing import NDArray
 from gauge_envs.backends.registry import backend_title
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_text
-from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
+from gauge_envs.pages.results import (
+    PLAIN,
+    configuration_labels,
+    configuration_parts,
+    versions_text,
+)
 from gauge_envs.pages.text import short_id
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.layout import Caption, FilmLayout, strip_picture
-from gauge_envs.tools.film.panel import Panel, RecordedPanel, SimulatedPanel, Take, take_of
-from gauge_envs.tools.film.writer import STRIP_SUFFIXES, check_film_format, check_suffix, film_writer, save_still
+from gauge_envs.tools.film.panel import (
+    Panel,
+    RecordedPanel,
+    SimulatedPanel,
+    Take,
+    take_of,
+)
+from gauge_envs.tools.film.writer import (
+    STRIP_SUFFIXES,
+    check_film_format,
+    check_suffix,
+    film_writer,
+    save_still,
+)
 
 MOST_PANELS = 12
 """Largest number of panels of a film."""
@@ -107,20 +124,29 @@ class FilmOptions:
             value = getattr(self, name)
             # A comparison with NaN is false.
             if value is not None and not smallest <= value <= largest:
-                raise ParameterError(f"{name} is {value:g}, expected {smallest:g} to {largest:g}{unit}")
+                raise ParameterError(
+                    f"{name} is {value:g}, expected {smallest:g} to {largest:g}{unit}"
+                )
         if not 0.0 <= self.from_s < math.inf:
             raise ParameterError(f"from_s is {self.from_s:g}, expected 0 or more")
         if self.to_s is not None and not self.from_s <= self.to_s < math.inf:
-            raise ParameterError(f"to_s is {self.to_s:g}, expected from_s = {self.from_s:g} or more")
+            raise ParameterError(
+                f"to_s is {self.to_s:g}, expected from_s = {self.from_s:g} or more"
+            )
 
     @property
     def views_per_frame(self) -> int:
         """Views of a replay in each 30 Hz frame that the film can show."""
         wanted = self.fps / self.speed / FRAME_RATE_HZ
-        return next((views for views in VIEWS_PER_FRAME if views >= wanted - 1e-9), VIEWS_PER_FRAME[-1])
+        return next(
+            (views for views in VIEWS_PER_FRAME if views >= wanted - 1e-9),
+            VIEWS_PER_FRAME[-1],
+        )
 
 
-def results_of_one_experiment(results: Mapping[Path, Result], name: str | None = None) -> dict[Path, Result]:
+def results_of_one_experiment(
+    results: Mapping[Path, Result], name: str | None = None
+) -> dict[Path, Result]:
     """Return the results of one experiment.
 
     Args:
@@ -129,13 +155,21 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
     """
     ids = sorted({short_id(result.id) for result in results.values()})
     if name is None and len(ids) > 1:
-        raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only")
+        raise ResultFileError(
+            f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only"
+        )
     if name is None and not ids:
         raise ResultFileError("no result is left to film; gauge run writes them")
     wanted = ids[0] if name is None else short_id(name)
-    found = {file: result for file, result in results.items() if short_id(result.id) == wanted}
+    found = {
+        file: result
+        for file, result in results.items()
+        if short_id(result.id) == wanted
+    }
     if not found:
-        raise ResultFileError(f"no result is of {wanted}; the results are of: {', '.join(ids) or 'nothing'}")
+        raise ResultFileError(
+            f"no result is of {wanted}; the results are of: {', '.join(ids) or 'nothing'}"
+        )
     return found
 
 
@@ -143,15 +177,30 @@ def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
     """Return the times of the frames [s], shape [frame_count]."""
     end_s = last_s if options.to_s is None else options.to_s
     if options.from_s > last_s:
-        raise ParameterError(f"from_s is {options.from_s:g} s, and the longest episode ends at {last_s:.3f} s")
-    count = 1 + math.floor((end_s - options.from_s) * options.fps / options.speed + 1e-6)
+        raise ParameterError(
+            f"from_s is {options.from_s:g} s, and the longest episode ends at {last_s:.3f} s"
+        )
+    count = 1 + math.floor(
+        (end_s - options.from_s) * options.fps / options.speed + 1e-6
+    )
     if count > MOST_FRAMES:
-        raise ParameterError(f"the film would have {count} frames, at most {MOST_FRAMES}: raise speed, or lower fps")
-    return np.array([options.from_s + number * options.speed / options.fps for number in range(count)])
+        raise ParameterError(
+            f"the film would have {count} frames, at most {MOST_FRAMES}: raise speed, or lower fps"
+        )
+    return np.array(
+        [
+            options.from_s + number * options.speed / options.fps
+            for number in range(count)
+        ]
+    )
 
 
 def save_film(
-    results: Mapping[Path, Result], out: Path, options: FilmOptions, *, progress: Progress = _no_progress
+    results: Mapping[Path, Result],
+    out: Path,
+    options: FilmOptions,
+    *,
+    progress: Progress = _no_progress,
 ) -> list[LeftOut]:
     """Write a film of results of one experiment, and return the results that have no panel.
 
@@ -166,13 +215,22 @@ def save_film(
         panels, takes, left_out = _panels(results, options, stack)
         times_s = film_times(options, max(panel.last_s for panel in panels))
         size = {"width": options.width, "height": options.height}
-        layout = FilmLayout([panel.text for panel in panels], _caption(takes, options), columns=options.columns, **size)
+        layout = FilmLayout(
+            [panel.text for panel in panels],
+            _caption(takes, options),
+            columns=options.columns,
+            **size,
+        )
         last_frames = round(options.hold_s * options.fps)
-        writer = stack.enter_context(film_writer(out, size=layout.size, fps=options.fps))
+        writer = stack.enter_context(
+            film_writer(out, size=layout.size, fps=options.fps)
+        )
         for number, time_s in enumerate(times_s):
             pictures = [panel.picture(float(time_s)) for panel in panels]
             frame = layout.frame(pictures, f"t = {time_s:.3f} s")
-            writer.add(frame, times=1 + last_frames if number == len(times_s) - 1 else 1)
+            writer.add(
+                frame, times=1 + last_frames if number == len(times_s) - 1 else 1
+            )
             progress(number + 1, len(times_s))
     return left_out
 
@@ -201,13 +259,20 @@ def save_strip(
         panels, takes, left_out = _panels(results, options, stack)
         last_s = max(panel.last_s for panel in panels)
         film_times(options, last_s)
-        times_s = np.linspace(options.from_s, last_s if options.to_s is None else options.to_s, count)
+        times_s = np.linspace(
+            options.from_s, last_s if options.to_s is None else options.to_s, count
+        )
         rows: list[list[NDArray[np.uint8]]] = []
         for number, panel in enumerate(panels):
             rows.append([panel.picture(float(time_s)) for time_s in times_s])
             progress(number + 1, len(panels))
         clocks = [f"{time_s:.2f} s" for time_s in times_s]
-        save_still(strip_picture(rows, [panel.text for panel in panels], _caption(takes, options), clocks), out)
+        save_still(
+            strip_picture(
+                rows, [panel.text for panel in panels], _caption(takes, options), clocks
+            ),
+            out,
+        )
     return left_out
 
 
@@ -221,27 +286,44 @@ def _panels(
     recording = options.recording
     count = len(results) + (recording is not None)
     if count > MOST_PANELS:
-        raise ParameterError(f"{count} panels: at most {MOST_PANELS} have room; name fewer result files")
+        raise ParameterError(
+            f"{count} panels: at most {MOST_PANELS} have room; name fewer result files"
+        )
     panels: list[Panel] = []
     size = {"width": options.width, "height": options.height}
     # Before the runs, which may take minutes.
     if recording is not None:
-        panels.append(RecordedPanel(recording.file, start_s=recording.start_s, rate_hz=recording.rate_hz, **size))
+        panels.append(
+            RecordedPanel(
+                recording.file,
+                start_s=recording.start_s,
+                rate_hz=recording.rate_hz,
+                **size,
+            )
+        )
         stack.callback(panels[-1].close)
     takes: list[Take] = []
     left_out: list[LeftOut] = []
     views, use_withheld = options.views_per_frame, options.use_withheld
     for file, result in results.items():
         try:
-            takes.append(take_of(result, file, views_per_frame=views, use_withheld=use_withheld))
+            takes.append(
+                take_of(result, file, views_per_frame=views, use_withheld=use_withheld)
+            )
         except GaugeError as error:
             left_out.append(LeftOut(file=file, reason=str(error)))
     if not takes:
         reasons = "; ".join(f"{one.file.name}: {one.reason}" for one in left_out)
         raise ReplayError(f"no result can be drawn: {reasons}")
     configurations = [RunConfiguration.of(take.result) for take in takes]
-    for take, configuration, title in zip(takes, configurations, _titles(configurations), strict=True):
-        panels.append(SimulatedPanel(take, title=title, detail=versions_text(configuration), **size))
+    for take, configuration, title in zip(
+        takes, configurations, _titles(configurations), strict=True
+    ):
+        panels.append(
+            SimulatedPanel(
+                take, title=title, detail=versions_text(configuration), **size
+            )
+        )
         stack.callback(panels[-1].close)
     return panels, takes, left_out
 
@@ -251,7 +333,13 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
     labels = configuration_labels(configurations)
     if len(configurations) == 1:
         parts = configuration_parts(configurations[0])
-        labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
+        labels = [
+            ", ".join(
+                text
+                for kind, text in parts
+                if (kind, text) != PLAIN and kind != "jitter"
+            )
+        ]
     split = [label.partition(", ") for label in labels]
     return [f"{backend_title(engine)}{comma}{rest}" for engine, comma, rest in split]
 
@@ -259,7 +347,10 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:
     experiment = takes[0].experiment
     end_s = max(take.last_s for take in takes) if options.to_s is None else options.to_s
-    texts = [reference_text(one.band, one.reference, end_s=end_s, trial=one.experiment.trial) for one in takes]
+    texts = [
+        reference_text(one.band, one.reference, end_s=end_s, trial=one.experiment.trial)
+        for one in takes
+    ]
     remarks = []
     if options.speed != 1.0:
         remarks.append(f"speed x {options.speed:.3g}")

@@ -101,27 +101,52 @@ class FilmLayout:
     """
 
     def __init__(
-        self, texts: Sequence[PanelText], caption: Caption, *, width: int, height: int, columns: int | None = None
+        self,
+        texts: Sequence[PanelText],
+        caption: Caption,
+        *,
+        width: int,
+        height: int,
+        columns: int | None = None,
     ) -> None:
         scale = self._scale = _Scale(height)
         # Rows are as even as possible: five panels are three and two.
         rows = -(-len(texts) // (columns or MOST_ROW))
         in_row = min(columns or -(-len(texts) // rows), len(texts))
-        step = (width + scale.gap, scale.large_line + height + scale.small_line + scale.gap)
-        sheet = _Sheet(scale.gap + in_row * step[0], rows * step[1], caption, scale, is_even=True)
+        step = (
+            width + scale.gap,
+            scale.large_line + height + scale.small_line + scale.gap,
+        )
+        sheet = _Sheet(
+            scale.gap + in_row * step[0], rows * step[1], caption, scale, is_even=True
+        )
         self._ground, self.size = sheet, sheet.image.size
         sheet.head(caption, self.size[0] - 2 * scale.gap - 9 * scale.large)
         self._places = [
-            (scale.gap + (index % in_row) * step[0], sheet.top + (index // in_row) * step[1] + scale.large_line)
+            (
+                scale.gap + (index % in_row) * step[0],
+                sheet.top + (index // in_row) * step[1] + scale.large_line,
+            )
             for index in range(len(texts))
         ]
         for text, (left, top) in zip(texts, self._places, strict=True):
-            above, under = top - 0.5 * scale.large_line, top + height + 0.5 * scale.small_line
+            above, under = (
+                top - 0.5 * scale.large_line,
+                top + height + 0.5 * scale.small_line,
+            )
             used = sheet.write((left, above), text.title, width, is_large=True)
-            sheet.write((left + width, above), text.detail, width - used - scale.gap, color=QUIET, from_right=True)
+            sheet.write(
+                (left + width, above),
+                text.detail,
+                width - used - scale.gap,
+                color=QUIET,
+                from_right=True,
+            )
             sheet.write((left, under), text.note, width)
 
-    def frame(self, pictures: Sequence[NDArray[np.uint8]], clock: str) -> NDArray[np.uint8]:
+    def frame(
+        self, pictures: Sequence[NDArray[np.uint8]], clock: str
+    ) -> NDArray[np.uint8]:
         """Return a frame, shape [height, width, 3].
 
         Args:
@@ -132,12 +157,17 @@ class FilmLayout:
         for picture, place in zip(pictures, self._places, strict=True):
             frame.image.paste(Image.fromarray(picture), place)
         middle = scale.gap + 0.5 * scale.large_line
-        frame.write((self.size[0] - scale.gap, middle), clock, is_large=True, from_right=True)
+        frame.write(
+            (self.size[0] - scale.gap, middle), clock, is_large=True, from_right=True
+        )
         return np.array(frame.image)
 
 
 def strip_picture(
-    rows: Sequence[Sequence[NDArray[np.uint8]]], texts: Sequence[PanelText], caption: Caption, clocks: Sequence[str]
+    rows: Sequence[Sequence[NDArray[np.uint8]]],
+    texts: Sequence[PanelText],
+    caption: Caption,
+    clocks: Sequence[str],
 ) -> NDArray[np.uint8]:
     """Return pictures at a few times beside each other, a row for each panel, shape [height, width, 3].
 
@@ -150,15 +180,30 @@ def strip_picture(
     height, width = rows[0][0].shape[:2]
     scale = _Scale(height)
     row_height = scale.large_line + height + scale.gap
-    sheet = _Sheet(scale.gap + len(clocks) * (width + scale.gap), len(rows) * row_height, caption, scale)
+    sheet = _Sheet(
+        scale.gap + len(clocks) * (width + scale.gap),
+        len(rows) * row_height,
+        caption,
+        scale,
+    )
     room = sheet.image.width - 2 * scale.gap
     sheet.head(caption, room)
     for number, (pictures, text) in enumerate(zip(rows, texts, strict=True)):
         top = sheet.top + number * row_height
         middle = top + 0.5 * scale.large_line
-        left = sheet.write((scale.gap, middle), text.title, room, is_large=True) + 2 * scale.gap
-        taken = sheet.write((scale.gap + room, middle), text.note, room - left, from_right=True)
-        sheet.write((scale.gap + left, middle), text.detail, room - left - taken - scale.gap, color=QUIET)
+        left = (
+            sheet.write((scale.gap, middle), text.title, room, is_large=True)
+            + 2 * scale.gap
+        )
+        taken = sheet.write(
+            (scale.gap + room, middle), text.note, room - left, from_right=True
+        )
+        sheet.write(
+            (scale.gap + left, middle),
+            text.detail,
+            room - left - taken - scale.gap,
+            color=QUIET,
+        )
         for column, (picture, clock) in enumerate(zip(pictures, clocks, strict=True)):
             corner = (scale.gap + column * (width + scale.gap), top + scale.large_line)
             sheet.image.paste(Image.fromarray(picture), corner)
@@ -187,7 +232,15 @@ class _Sheet:
         top: Upper end of the panels [pixels].
     """
 
-    def __init__(self, width: int, height: int, caption: Caption, scale: _Scale, *, is_even: bool = False) -> None:
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        caption: Caption,
+        scale: _Scale,
+        *,
+        is_even: bool = False,
+    ) -> None:
         self._scale = scale
         self.top = scale.gap + scale.large_line + scale.small_line
         legend = _legend_lines(caption, width - 2 * scale.gap, scale)
@@ -195,11 +248,16 @@ class _Sheet:
         odd = (width % 2, full_height % 2) if is_even else (0, 0)
         self.image = Image.new("RGB", (width + odd[0], full_height + odd[1]), GROUND)
         for number, line in enumerate(legend):
-            left, middle = float(scale.gap), self.top + height + (number + 0.5) * scale.small_line
+            left, middle = (
+                float(scale.gap),
+                self.top + height + (number + 0.5) * scale.small_line,
+            )
             for color, text in line:
                 if color:
                     self._spot((left, middle), 0.38 * scale.small, color)
-                self.write((left + _spot_width(color, scale), middle), text, color=QUIET)
+                self.write(
+                    (left + _spot_width(color, scale), middle), text, color=QUIET
+                )
                 left += _entry_width(color, text, scale)
 
     def copy(self) -> _Sheet:
@@ -210,9 +268,15 @@ class _Sheet:
 
     def head(self, caption: Caption, width: float) -> None:
         """Write title and subtitle."""
-        gap, large, small = self._scale.gap, self._scale.large_line, self._scale.small_line
+        gap, large, small = (
+            self._scale.gap,
+            self._scale.large_line,
+            self._scale.small_line,
+        )
         self.write((gap, gap + 0.5 * large), caption.title, width, is_large=True)
-        self.write((gap, gap + large + 0.5 * small), caption.subtitle, width, color=QUIET)
+        self.write(
+            (gap, gap + large + 0.5 * small), caption.subtitle, width, color=QUIET
+        )
 
     def write(
         self,
@@ -240,7 +304,9 @@ class _Sheet:
             return 0.0
         width, height = round(_length(text, size)) + 4, 2 * size
         mask = Image.new("L", (FINER * width, FINER * height))
-        ImageDraw.Draw(mask).text((2 * FINER, FINER * size), text, fill=255, font=_font(size), anchor="lm")
+        ImageDraw.Draw(mask).text(
+            (2 * FINER, FINER * size), text, fill=255, font=_font(size), anchor="lm"
+        )
         mask = mask.resize((width, height), Image.Resampling.BOX)
         left = place[0] - width + 2 if from_right else place[0] - 2
         self.image.paste(color, (round(left), round(place[1]) - size), mask)
@@ -250,17 +316,23 @@ class _Sheet:
         """Write a time on a light field in the corner of a picture."""
         (left, top), size, line = corner, self._scale.small, self._scale.small_line
         pad = size // 2
-        self.image.paste(GROUND, (left, top, left + round(_length(text, size)) + 2 * pad, top + line))
+        self.image.paste(
+            GROUND, (left, top, left + round(_length(text, size)) + 2 * pad, top + line)
+        )
         self.write((left + pad, top + 0.5 * line), text)
 
     def _spot(self, place: tuple[float, float], radius: float, color: Color) -> None:
         """Draw a disk whose left end is at a place."""
         side = round(2 * radius) + 2
         mask = Image.new("L", (FINER * side, FINER * side))
-        ImageDraw.Draw(mask).ellipse((0, 0, FINER * 2 * radius, FINER * 2 * radius), fill=255)
+        ImageDraw.Draw(mask).ellipse(
+            (0, 0, FINER * 2 * radius, FINER * 2 * radius), fill=255
+        )
         red, green, blue = (round(255 * part) for part in color[:3])
         corner = (round(place[0]), round(place[1] - radius))
-        self.image.paste((red, green, blue), corner, mask.resize((side, side), Image.Resampling.BOX))
+        self.image.paste(
+            (red, green, blue), corner, mask.resize((side, side), Image.Resampling.BOX)
+        )
 
 
 @cache
@@ -287,7 +359,10 @@ def _fitted(text: str, size: int, width: float) -> str:
 
 def _legend_lines(caption: Caption, width: float, scale: _Scale) -> list[list[Entry]]:
     """Return the entries of the legend in lines that fit."""
-    entries: list[Entry] = [(SIMULATED_COLOR, caption.simulated), (RECORDED_COLOR, caption.reference)]
+    entries: list[Entry] = [
+        (SIMULATED_COLOR, caption.simulated),
+        (RECORDED_COLOR, caption.reference),
+    ]
     lines: list[list[Entry]] = []
     left = 0.0
     for color, text in (*entries, (None, caption.remark)):

@@ -14,11 +14,21 @@ from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.pages.results import SCORE_METRICS, normalized_score, raw_score, score_interval
+from gauge_envs.pages.results import (
+    SCORE_METRICS,
+    normalized_score,
+    raw_score,
+    score_interval,
+)
 from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.rendering.overlay import Overlay, between, tracked_overlay
-from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
+from gauge_envs.runs.replay import (
+    Replay,
+    default_views_per_frame,
+    load_or_replay,
+    replayed_experiment,
+)
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -78,13 +88,18 @@ class Take:
     def last_s(self) -> float:
         """Time of the last view in which all bodies have a place [s]; an episode that diverged may have others."""
         replay = self.replay
-        known = [np.isfinite(points).all(axis=(1, 2)) for points in (replay.poses, *replay.nodes_m.values())]
+        known = [
+            np.isfinite(points).all(axis=(1, 2))
+            for points in (replay.poses, *replay.nodes_m.values())
+        ]
         is_known = np.logical_and.reduce(known)
         count = len(is_known) if is_known.all() else int(np.argmin(is_known))
         return max(count - 1, 0) / replay.rate_hz
 
 
-def take_of(result: Result, file: Path, *, views_per_frame: int = 1, use_withheld: bool = False) -> Take:
+def take_of(
+    result: Result, file: Path, *, views_per_frame: int = 1, use_withheld: bool = False
+) -> Take:
     """Run the episode of a result again and return what can be drawn of it.
 
     Args:
@@ -95,11 +110,22 @@ def take_of(result: Result, file: Path, *, views_per_frame: int = 1, use_withhel
     """
     experiment = replayed_experiment(result)
     # The default is stored beside the result, so that it is run once.
-    needs_more = not experiment.scene.deformables and views_per_frame > default_views_per_frame(experiment.scene)
-    replay = load_or_replay(result, file, views_per_frame=views_per_frame if needs_more else None)
+    needs_more = (
+        not experiment.scene.deformables
+        and views_per_frame > default_views_per_frame(experiment.scene)
+    )
+    replay = load_or_replay(
+        result, file, views_per_frame=views_per_frame if needs_more else None
+    )
     band = reference_band(experiment, use_withheld=use_withheld)
     reference = reference_path(experiment, band)
-    return Take(result=result, experiment=experiment, replay=replay, band=band, reference=reference)
+    return Take(
+        result=result,
+        experiment=experiment,
+        replay=replay,
+        band=band,
+        reference=reference,
+    )
 
 
 class SimulatedPanel:
@@ -113,11 +139,18 @@ class SimulatedPanel:
         height: Height of the pictures [pixels].
     """
 
-    def __init__(self, take: Take, *, title: str, detail: str, width: int, height: int) -> None:
-        self.text = PanelText(title=title, detail=detail, note=score_line(take.result, take.band))
+    def __init__(
+        self, take: Take, *, title: str, detail: str, width: int, height: int
+    ) -> None:
+        self.text = PanelText(
+            title=title, detail=detail, note=score_line(take.result, take.band)
+        )
         self.last_s = take.last_s
         self._take = take
-        self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
+        self._rest_nodes_m = {
+            name: points[0].astype(np.float64)
+            for name, points in take.replay.nodes_m.items()
+        }
         self._canvas = Pictures("rgb_array", width=width, height=height)
 
     def picture(self, time_s: float) -> NDArray[np.uint8]:
@@ -166,15 +199,27 @@ class SimulatedPanel:
 def score_line(result: Result, band: Band | None) -> str:
     """Return the scores of a result in a line, the primary one first."""
     if result.outcome is Outcome.DIVERGED:
-        return f"diverged: {result.diverged_reason}" if result.diverged_reason else "diverged"
+        return (
+            f"diverged: {result.diverged_reason}"
+            if result.diverged_reason
+            else "diverged"
+        )
     score = result.score
     texts = []
     for key in sorted(SCORE_METRICS, key=lambda key: key != score.primary):
-        metric, raw, normalized = SCORE_METRICS[key], raw_score(score, key), normalized_score(score, key)
+        metric, raw, normalized = (
+            SCORE_METRICS[key],
+            raw_score(score, key),
+            normalized_score(score, key),
+        )
         if normalized is not None:
-            texts.append(f"{metric.title} {interval_text(normalized, score_interval(score, key))}")
+            texts.append(
+                f"{metric.title} {interval_text(normalized, score_interval(score, key))}"
+            )
         elif raw is not None:
-            texts.append(f"{metric.title} {with_unit(score_text(raw), metric.unit_of(score.unit))}")
+            texts.append(
+                f"{metric.title} {with_unit(score_text(raw), metric.unit_of(score.unit))}"
+            )
     if texts:
         return ", ".join(texts[:SHOWN_SCORES])
     return "not scored" if band is None else "not scored: the reference is withheld"
@@ -191,17 +236,33 @@ class RecordedPanel:
         height: Height of the pictures [pixels].
     """
 
-    def __init__(self, file: Path, *, start_s: float, rate_hz: float | None, width: int, height: int) -> None:
+    def __init__(
+        self,
+        file: Path,
+        *,
+        start_s: float,
+        rate_hz: float | None,
+        width: int,
+        height: int,
+    ) -> None:
         self._frames = FileFrames(file, fps=rate_hz)
         self._size = (width, height)
         count = sum(1 for _ in self._frames.native())
         times_s = self._frames.times_s
         # With a stated rate the times follow from it.
-        self._times_s = np.arange(count) / self._frames.fps if times_s is None else times_s
+        self._times_s = (
+            np.arange(count) / self._frames.fps if times_s is None else times_s
+        )
         ends_s = float(self._times_s[-1])
         if not 0.0 <= start_s <= ends_s:
-            raise VideoError(f"{file}: its pictures are from 0 s to {ends_s:.3f} s; the start is at {start_s:g} s")
-        self.text = PanelText(title="real", detail=file.name, note=f"recording from {start_s:.3f} s of the file")
+            raise VideoError(
+                f"{file}: its pictures are from 0 s to {ends_s:.3f} s; the start is at {start_s:g} s"
+            )
+        self.text = PanelText(
+            title="real",
+            detail=file.name,
+            note=f"recording from {start_s:.3f} s of the file",
+        )
         self.last_s = ends_s - start_s
         self._start_s = start_s
         self._pictures: Iterator[NDArray[np.uint8]] = iter(())
@@ -211,7 +272,14 @@ class RecordedPanel:
     def picture(self, time_s: float) -> NDArray[np.uint8]:
         """Return the picture that is shown at a time [s], shape [height, width, 3]; the last one stays."""
         # Times in files are whole milliseconds or ticks.
-        wanted = int(np.searchsorted(self._times_s, self._start_s + time_s + 5e-4, side="right")) - 1
+        wanted = (
+            int(
+                np.searchsorted(
+                    self._times_s, self._start_s + time_s + 5e-4, side="right"
+                )
+            )
+            - 1
+        )
         if self._index < 0:
             self._pictures = self._frames.native()
         latest = None
@@ -231,7 +299,10 @@ class RecordedPanel:
         """Return a picture of blue, green and red as one of red, green and blue that fits, on a grey ground."""
         image = Image.fromarray(np.ascontiguousarray(picture[:, :, ::-1]))
         scale = min(self._size[0] / image.width, self._size[1] / image.height)
-        fitted = (max(1, round(scale * image.width)), max(1, round(scale * image.height)))
+        fitted = (
+            max(1, round(scale * image.width)),
+            max(1, round(scale * image.height)),
+        )
         ground = Image.new("RGB", self._size, GREY)
         corner = ((self._size[0] - fitted[0]) // 2, (self._size[1] - fitted[1]) // 2)
         ground.paste(image.resize(fitted, Image.Resampling.LANCZOS), corner)

@@ -105,7 +105,9 @@ class _Recording:
         again: The episode.
     """
 
-    def __init__(self, rerun: Any, stream: Any, experiment: Experiment, again: Replay) -> None:
+    def __init__(
+        self, rerun: Any, stream: Any, experiment: Experiment, again: Replay
+    ) -> None:
         self._rerun = rerun
         self._stream = stream
         self._experiment = experiment
@@ -118,7 +120,11 @@ class _Recording:
         """Log the bodies, the surfaces and lines of deformable ones at each view, and their markers at each frame."""
         for body in self._scene.bodies:
             path = f"world/bodies/{body.name}"
-            self._shape(path, body.shape, PLANE_COLOR if isinstance(body.shape, Plane) else COLORS[body.motion])
+            self._shape(
+                path,
+                body.shape,
+                PLANE_COLOR if isinstance(body.shape, Plane) else COLORS[body.motion],
+            )
             if body.name in self._again.bodies:
                 poses = self._again.poses[:, self._again.bodies.index(body.name)]
                 self._poses(path, self._view_times_s, poses[:, :3], poses[:, 3:])
@@ -126,13 +132,21 @@ class _Recording:
                 self._stream.log(path, self._transform(body.pose), static=True)
         for soft in self._scene.deformables:
             nodes = np.asarray(self._again.nodes_m[soft.name], dtype=np.float64)
-            faces = Skin(soft, nodes[0]).faces if isinstance(soft, Cloth | SoftBody) else None
+            faces = (
+                Skin(soft, nodes[0]).faces
+                if isinstance(soft, Cloth | SoftBody)
+                else None
+            )
             for time_s, points in zip(self._view_times_s, nodes, strict=True):
                 self._stream.set_time(TIMELINE, duration=float(time_s))
-                self._stream.log(f"world/bodies/{soft.name}", self._surface(soft, points, faces))
+                self._stream.log(
+                    f"world/bodies/{soft.name}", self._surface(soft, points, faces)
+                )
         for frame, points in enumerate(self._again.markers_m):
             if len(points):
-                self._points("world/markers", frame / FRAME_RATE_HZ, points, MARKER_COLOR)
+                self._points(
+                    "world/markers", frame / FRAME_RATE_HZ, points, MARKER_COLOR
+                )
 
     def ghost(self, band: Band, frames: FloatArray) -> None:
         """Log the recorded mean where it is a place in space: as bodies, or as markers.
@@ -153,13 +167,21 @@ class _Recording:
         views = round(self._again.rate_hz / FRAME_RATE_HZ)
         for number, name in enumerate(self._experiment.recorded):
             path = f"world/mean/{name}"
-            turned = self._again.poses[::views, self._again.bodies.index(name), 3:][: len(frames)]
+            turned = self._again.poses[::views, self._again.bodies.index(name), 3:][
+                : len(frames)
+            ]
             self._shape(path, self._scene.body(name).shape, GHOST_COLOR)
             self._poses(path, times_s, points[known, number], turned[known])
             self._path(f"world/paths/{name}/mean", points[known, number], GHOST_COLOR)
-            self._path(f"world/paths/{name}/simulated", simulated[:, number], COLORS[Motion.DYNAMIC])
+            self._path(
+                f"world/paths/{name}/simulated",
+                simulated[:, number],
+                COLORS[Motion.DYNAMIC],
+            )
 
-    def plots(self, band: Band | None, times_s: FloatArray, samples: FloatArray) -> None:
+    def plots(
+        self, band: Band | None, times_s: FloatArray, samples: FloatArray
+    ) -> None:
         """Log the scored coordinates with the mean and two standard deviations, or g(t) without a band.
 
         Args:
@@ -171,23 +193,41 @@ class _Recording:
         values = samples if band is None else band.project(samples)
         for number, name in enumerate(names[:MOST_PLOTTED]):
             path = f"g/{name}"
-            self._series(f"{path}/simulated", times_s, values[:, number], COLORS[Motion.DYNAMIC], width=2.0)
+            self._series(
+                f"{path}/simulated",
+                times_s,
+                values[:, number],
+                COLORS[Motion.DYNAMIC],
+                width=2.0,
+            )
             if band is None:
                 continue
             frames_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
             mean, spread = band.mean[:, number], 2.0 * band.sigma[:, number]
             self._series(f"{path}/mean", frames_s, mean, GHOST_COLOR, width=2.0)
             self._series(f"{path}/low", frames_s, mean - spread, GHOST_COLOR, width=0.7)
-            self._series(f"{path}/high", frames_s, mean + spread, GHOST_COLOR, width=0.7)
+            self._series(
+                f"{path}/high", frames_s, mean + spread, GHOST_COLOR, width=0.7
+            )
 
     # --- parts ---
 
     def _series(
-        self, path: str, times_s: FloatArray, values: FloatArray, color: tuple[int, ...], *, width: float
+        self,
+        path: str,
+        times_s: FloatArray,
+        values: FloatArray,
+        color: tuple[int, ...],
+        *,
+        width: float,
     ) -> None:
         known = np.isfinite(values)
         self._stream.log(
-            path, self._rerun.SeriesLines(colors=[color], widths=[width], names=[path.removeprefix("g/")]), static=True
+            path,
+            self._rerun.SeriesLines(
+                colors=[color], widths=[width], names=[path.removeprefix("g/")]
+            ),
+            static=True,
         )
         self._rerun.send_columns(
             path,
@@ -196,42 +236,66 @@ class _Recording:
             recording=self._stream,
         )
 
-    def _poses(self, path: str, times_s: FloatArray, positions_m: Any, quaternions: Any) -> None:
+    def _poses(
+        self, path: str, times_s: FloatArray, positions_m: Any, quaternions: Any
+    ) -> None:
         self._rerun.send_columns(
             path,
             indexes=[self._rerun.TimeColumn(TIMELINE, duration=times_s)],
             columns=self._rerun.Transform3D.columns(
-                translation=np.asarray(positions_m), quaternion=np.roll(np.asarray(quaternions), -1, axis=1)
+                translation=np.asarray(positions_m),
+                quaternion=np.roll(np.asarray(quaternions), -1, axis=1),
             ),
             recording=self._stream,
         )
 
-    def _points(self, path: str, time_s: float, points_m: Any, color: tuple[int, ...]) -> None:
+    def _points(
+        self, path: str, time_s: float, points_m: Any, color: tuple[int, ...]
+    ) -> None:
         self._stream.set_time(TIMELINE, duration=time_s)
-        self._stream.log(path, self._rerun.Points3D(np.asarray(points_m), radii=MARKER_RADIUS_M, colors=[color]))
+        self._stream.log(
+            path,
+            self._rerun.Points3D(
+                np.asarray(points_m), radii=MARKER_RADIUS_M, colors=[color]
+            ),
+        )
 
     def _path(self, path: str, points_m: FloatArray, color: tuple[int, ...]) -> None:
-        lines = self._rerun.LineStrips3D([points_m], radii=PATH_RADIUS_M, colors=[color])
+        lines = self._rerun.LineStrips3D(
+            [points_m], radii=PATH_RADIUS_M, colors=[color]
+        )
         self._stream.log(path, lines, static=True)
 
     def _transform(self, pose: Pose) -> Any:
         w, x, y, z = pose.quaternion
         return self._rerun.Transform3D(
-            translation=pose.position_m, quaternion=self._rerun.Quaternion(xyzw=(x, y, z, w))
+            translation=pose.position_m,
+            quaternion=self._rerun.Quaternion(xyzw=(x, y, z, w)),
         )
 
-    def _surface(self, body: Deformable, points_m: FloatArray, faces: NDArray[np.intp] | None) -> Any:
+    def _surface(
+        self, body: Deformable, points_m: FloatArray, faces: NDArray[np.intp] | None
+    ) -> Any:
         color = COLORS[Motion.DYNAMIC]
         if faces is None:
             assert isinstance(body, Rope | Rod)
-            return self._rerun.LineStrips3D([points_m], radii=body.radius_m, colors=[color])
+            return self._rerun.LineStrips3D(
+                [points_m], radii=body.radius_m, colors=[color]
+            )
         normals = trimesh.Trimesh(points_m, faces, process=False).vertex_normals
         return self._rerun.Mesh3D(
-            vertex_positions=points_m, triangle_indices=faces, vertex_normals=normals, albedo_factor=color
+            vertex_positions=points_m,
+            triangle_indices=faces,
+            vertex_normals=normals,
+            albedo_factor=color,
         )
 
     def _shape(self, path: str, shape: Shape, color: tuple[int, ...]) -> None:
         """Log a shape in the frame of its body."""
         mesh = shape.mesh()
-        drawn = self._rerun.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, albedo_factor=color)
+        drawn = self._rerun.Mesh3D(
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.faces,
+            albedo_factor=color,
+        )
         self._stream.log(f"{path}/shape", drawn, static=True)

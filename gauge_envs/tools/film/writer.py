@@ -9,7 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gauge_envs.errors import MissingExtraError, ParameterError, ResultFileError, VideoError
+from gauge_envs.errors import (
+    MissingExtraError,
+    ParameterError,
+    ResultFileError,
+    VideoError,
+)
 from gauge_envs.files import MEGABYTE, replaced_whole
 
 FILM_SUFFIXES = (".mp4", ".webp", ".gif")
@@ -27,7 +32,18 @@ COLOR_COUNT = 255
 WEBP_QUALITY = 82
 """Quality of WebP, from 0 to 100."""
 
-MP4_OPTIONS = ("-crf", "20", "-threads", "1", "-fflags", "+bitexact", "-movflags", "+faststart", "-f", "mp4")
+MP4_OPTIONS = (
+    "-crf",
+    "20",
+    "-threads",
+    "1",
+    "-fflags",
+    "+bitexact",
+    "-movflags",
+    "+faststart",
+    "-f",
+    "mp4",
+)
 """Options of ffmpeg: one thread and no date give the same file for the same frames."""
 
 PALETTE_FRAMES = 4
@@ -42,7 +58,9 @@ class FilmWriter(Protocol):
 
 
 @contextmanager
-def film_writer(file: Path, *, size: tuple[int, int], fps: float) -> Iterator[FilmWriter]:
+def film_writer(
+    file: Path, *, size: tuple[int, int], fps: float
+) -> Iterator[FilmWriter]:
     """Yield a writer of a film, which is in its place once all frames are there; after an error there is no file.
 
     Args:
@@ -81,17 +99,23 @@ def check_film_format(file: Path) -> None:
     try:
         import imageio_ffmpeg
     except ImportError as error:
-        raise MissingExtraError("an MP4 film (a WebP or GIF needs no extra)", "video", error) from error
+        raise MissingExtraError(
+            "an MP4 film (a WebP or GIF needs no extra)", "video", error
+        ) from error
     try:
         imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
-        raise VideoError(f"there is no ffmpeg: {error} Or write a .webp or .gif") from error
+        raise VideoError(
+            f"there is no ffmpeg: {error} Or write a .webp or .gif"
+        ) from error
 
 
 def check_suffix(file: Path, known: tuple[str, ...]) -> None:
     """Check that the suffix of a file names a known format."""
     if file.suffix.lower() not in known:
-        raise ParameterError(f"{file}: the suffix states the format: choose {', '.join(known[:-1])} or {known[-1]}")
+        raise ParameterError(
+            f"{file}: the suffix states the format: choose {', '.join(known[:-1])} or {known[-1]}"
+        )
 
 
 @contextmanager
@@ -103,7 +127,9 @@ def _written(file: Path) -> Iterator[Path]:
     except ResultFileError:
         raise
     except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
+        raise ResultFileError(
+            f"{file}: cannot be written: {error.strerror or error}"
+        ) from error
 
 
 @contextmanager
@@ -122,7 +148,9 @@ def _mp4_writer(file: Path, size: tuple[int, int], fps: float) -> Iterator[FilmW
         )
         stream.send(None)
     except (OSError, RuntimeError) as error:
-        raise VideoError(f"ffmpeg does not start: {error}; set IMAGEIO_FFMPEG_EXE, or write a .webp or .gif") from error
+        raise VideoError(
+            f"ffmpeg does not start: {error}; set IMAGEIO_FFMPEG_EXE, or write a .webp or .gif"
+        ) from error
     try:
         yield _StreamWriter(stream)
     finally:
@@ -168,18 +196,33 @@ class _PictureWriter:
         """Write the frames."""
         # Files count in 10 ms (GIF) or 1 ms: rounding the ends, and not the lengths, keeps the clock.
         tick_ms = 10 if self._is_gif else 1
-        ends = np.rint(np.cumsum([0, *self._counts]) * 1000.0 / self._fps / tick_ms).astype(int) * tick_ms
+        ends = (
+            np.rint(
+                np.cumsum([0, *self._counts]) * 1000.0 / self._fps / tick_ms
+            ).astype(int)
+            * tick_ms
+        )
         first, *rest = _in_one_palette(self._frames) if self._is_gif else self._frames
         options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
         if self._is_gif:
             options = {"disposal": 1, "optimize": False}
-        options |= {"save_all": True, "append_images": rest, "duration": np.diff(ends).tolist(), "loop": 0}
+        options |= {
+            "save_all": True,
+            "append_images": rest,
+            "duration": np.diff(ends).tolist(),
+            "loop": 0,
+        }
         first.save(file, format="GIF" if self._is_gif else "WEBP", **options)
 
 
 def _in_one_palette(frames: list[Image.Image]) -> list[Image.Image]:
     """Return frames with the colours of a palette that they share, so that what stands still keeps its colour."""
-    chosen = [frames[index] for index in np.linspace(0, len(frames) - 1, PALETTE_FRAMES).round().astype(int)]
+    chosen = [
+        frames[index]
+        for index in np.linspace(0, len(frames) - 1, PALETTE_FRAMES).round().astype(int)
+    ]
     samples = Image.fromarray(np.concatenate([np.asarray(frame) for frame in chosen]))
     palette = samples.quantize(COLOR_COUNT, method=Image.Quantize.MEDIANCUT)
-    return [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    return [
+        frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames
+    ]

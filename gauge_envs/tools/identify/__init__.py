@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.identify.fit import Identified as Identified, Setting as Setting, identify as identify
+    from gauge_envs.tools.identify.fit import (
+        Identified as Identified,
+        Setting as Setting,
+        identify as identify,
+    )
     from gauge_envs.tools.identify.logs import Log as Log, read_log as read_log
     from gauge_envs.tools.identify.rig import one_joint as one_joint
 else:

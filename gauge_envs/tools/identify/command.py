@@ -15,12 +15,21 @@ if TYPE_CHECKING:
     from gauge_envs.scene import Scene
 
 PASSIVE = ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2")
-SERVO = ("dry_friction_n_m", "armature_kg_m2", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+SERVO = (
+    "dry_friction_n_m",
+    "armature_kg_m2",
+    "kp_n_m_per_rad",
+    "kv_n_m_s_per_rad",
+    "delay_s",
+)
 """What is identified unless `fit` says otherwise; kv holds the viscous friction of a servo's joint."""
 
 
 def recipe_joint(
-    words: Annotated[list[str], typer.Argument(metavar="LOG... [NAME=VALUE]...", help="CSV or NPZ files.")],
+    words: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG... [NAME=VALUE]...", help="CSV or NPZ files."),
+    ],
     engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -39,17 +48,26 @@ def recipe_joint(
     from gauge_envs.tools.identify import identify, read_log
     from gauge_envs.tools.identify.words import identified_document, snippet
 
-    numbers = dict.fromkeys(("mass_kg", "length_m", "inertia_kg_m2", "part_s", "timestep_s"), float)
-    names, details = arguments.split_details(words, **numbers, scene=str, fit=str, test=str)
+    numbers = dict.fromkeys(
+        ("mass_kg", "length_m", "inertia_kg_m2", "part_s", "timestep_s"), float
+    )
+    names, details = arguments.split_details(
+        words, **numbers, scene=str, fit=str, test=str
+    )
     if not names:
         raise ParameterError("no log: name one or more CSV or NPZ files")
     logs, tests = (
-        [read_log(Path(name)) for name in some if name] for some in (names, details.pop("test", "").split(","))
+        [read_log(Path(name)) for name in some if name]
+        for some in (names, details.pop("test", "").split(","))
     )
     for log in (*logs, *tests):
         if (reach_rad := float(abs(log.position_rad).max())) > 6.2832:
-            note(f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?")
-    wanted = details.pop("fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)).split(",")
+            note(
+                f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?"
+            )
+    wanted = details.pop(
+        "fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)
+    ).split(",")
     part_s = details.pop("part_s", None)
     settings = {name: details.pop(name) for name in ("timestep_s",) if name in details}
     with Progress("simulations", None) as bar:
@@ -67,7 +85,9 @@ def recipe_joint(
     if form is not Format.JSON:
         echo(f"\npaste\n{snippet(found)}", nl=False)
     for name in found.lost:
-        note(f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?")
+        note(
+            f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?"
+        )
     return any(one.unknown for one in found.settings) or bool(found.lost)
 
 
@@ -75,14 +95,20 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
     """Return the scene of an id or a file, or one joint with a load."""
     from gauge_envs.experiments.scene_builder import SceneBuilder
     from gauge_envs.experiments.task_files import task_spec
-    from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
+    from gauge_envs.experiments.variants import (
+        find_variant,
+        is_experiment_file,
+        task_path,
+    )
     from gauge_envs.registry import scene_suffixes
     from gauge_envs.tools.identify import one_joint
     from gauge_envs.tools.usd import load_experiment_file, read_usd
 
     if scene is not None:
         if load:
-            raise ParameterError(f"scene= states the load: leave {' and '.join(load)} out")
+            raise ParameterError(
+                f"scene= states the load: leave {' and '.join(load)} out"
+            )
         path = Path(scene)
         if is_experiment_file(path):
             return load_experiment_file(path).scene
@@ -95,8 +121,12 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
             )
         variant = find_variant(scene)
         # An experiment of recorded motions starts at the angles of one.
-        return SceneBuilder(task_path(variant.family), task_spec(variant.family), variant, {}).build()
+        return SceneBuilder(
+            task_path(variant.family), task_spec(variant.family), variant, {}
+        ).build()
     for name in ("mass_kg", "length_m"):
         if name not in load:
-            raise ParameterError(f"{name}= of the load is missing: without it a log tells only ratios of torques")
+            raise ParameterError(
+                f"{name}= of the load is missing: without it a log tells only ratios of torques"
+            )
     return one_joint(**load)

@@ -28,7 +28,15 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.rig import DYNAMICS, SERVO, Terms, check_joints, numbers, simulated, with_terms
+from gauge_envs.tools.identify.rig import (
+    DYNAMICS,
+    SERVO,
+    Terms,
+    check_joints,
+    numbers,
+    simulated,
+    with_terms,
+)
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
@@ -92,7 +100,11 @@ class Identified:
     def lost(self) -> list[str]:
         """Names of the fitted logs of which the error is above a third of the motion, and above 0.01 rad."""
         motion = self.motion_rad
-        return [name for name, error in self.error_rad.items() if (error > np.maximum(motion[name] / 3.0, 0.01)).any()]
+        return [
+            name
+            for name, error in self.error_rad.items()
+            if (error > np.maximum(motion[name] / 3.0, 0.01)).any()
+        ]
 
 
 @dataclass
@@ -123,16 +135,30 @@ class _Problem:
         """Number of unknowns of a joint in all parts: its numbers, and the log's angle at rest."""
         return len(self.names) + self.zero
 
-    def unknowns(self, scaled: FloatArray) -> tuple[list[Terms], FloatArray, FloatArray]:
+    def unknowns(
+        self, scaled: FloatArray
+    ) -> tuple[list[Terms], FloatArray, FloatArray]:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
         of_joints = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
         values = of_joints[: len(self.names)] * self.sizes
-        terms: list[Terms] = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
-        moved = scaled[of_joints.size :].reshape(-1, 2, self.joints) if self.free_starts else None
+        terms: list[Terms] = [
+            dict(zip(self.names, column.tolist(), strict=True)) for column in values.T
+        ]
+        moved = (
+            scaled[of_joints.size :].reshape(-1, 2, self.joints)
+            if self.free_starts
+            else None
+        )
         still = np.zeros((len(self.parts), 2, self.joints))
-        return terms, of_joints[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
+        return (
+            terms,
+            of_joints[-1] if self.zero else np.zeros(self.joints),
+            still if moved is None else moved,
+        )
 
-    def errors(self, scaled: FloatArray, *, may_diverge: bool = False) -> list[FloatArray]:
+    def errors(
+        self, scaled: FloatArray, *, may_diverge: bool = False
+    ) -> list[FloatArray]:
         """Return simulated less measured angles of each part [rad], shape [N, J] each."""
         terms, zero, moved = self.unknowns(scaled)
         self.simulations += len(self.parts)
@@ -140,7 +166,9 @@ class _Problem:
         for part, start, shift in zip(self.parts, self.starts, moved, strict=True):
             begin = (start[0] - zero + shift[0], start[1] + shift[1])
             try:
-                angles = zero + simulated(self.engine, self.scene, part, terms, begin, self.settings)
+                angles = zero + simulated(
+                    self.engine, self.scene, part, terms, begin, self.settings
+                )
                 errors.append(angles - part.position_rad)
             except DivergedError:
                 if not may_diverge:
@@ -150,7 +178,9 @@ class _Problem:
 
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
-        return np.concatenate([errors.T.ravel() for errors in self.errors(scaled, may_diverge=True)])
+        return np.concatenate(
+            [errors.T.ravel() for errors in self.errors(scaled, may_diverge=True)]
+        )
 
     def jacobian(self, scaled: FloatArray) -> FloatArray:
         """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
@@ -165,14 +195,25 @@ class _Problem:
                 inside = rows[:, 1] == joint
                 jacobian[inside, column] = change[inside]
         for kind in range(2 if self.free_starts else 0):
-            places = first_start + np.arange(len(self.parts) * 2 * self.joints).reshape(-1, 2, self.joints)[:, kind]
+            places = (
+                first_start
+                + np.arange(len(self.parts) * 2 * self.joints).reshape(
+                    -1, 2, self.joints
+                )[:, kind]
+            )
             change = self._changed(scaled, places.ravel(), before, STEP)
             for number, joint in np.ndindex(places.shape):
                 inside = (rows == (number, joint)).all(axis=1)
                 jacobian[inside, places[number, joint]] = change[inside]
         return jacobian
 
-    def _changed(self, scaled: FloatArray, columns: NDArray[np.intp], before: FloatArray, step: float) -> FloatArray:
+    def _changed(
+        self,
+        scaled: FloatArray,
+        columns: NDArray[np.intp],
+        before: FloatArray,
+        step: float,
+    ) -> FloatArray:
         moved = scaled.copy()
         moved[columns] += step
         return (self.residuals(moved) - before) / step
@@ -190,15 +231,25 @@ class _Problem:
     def best_start(self) -> FloatArray:
         """Return the first guesses: of seven stiffnesses of a servo, and two angles at rest, what follows best."""
         guesses = []
-        middle = float(np.mean(np.concatenate([part.position_rad for part in self.parts])))
-        for scale in (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,):
-            joint_guess = [{SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0) for name in self.names]
+        middle = float(
+            np.mean(np.concatenate([part.position_rad for part in self.parts]))
+        )
+        for scale in (
+            (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,)
+        ):
+            joint_guess = [
+                {SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0)
+                for name in self.names
+            ]
             guesses += [
-                np.repeat([*joint_guess, *zero], self.joints) for zero in ([[0.0], [middle]] if self.zero else [[]])
+                np.repeat([*joint_guess, *zero], self.joints)
+                for zero in ([[0.0], [middle]] if self.zero else [[]])
             ]
         return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
 
-    def solved(self, first: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+    def solved(
+        self, first: FloatArray, tolerance: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the unknowns of the least squares, and their covariance."""
         low = np.full(first.size, -np.inf)
         low[: len(self.names) * self.joints] = 0.0
@@ -217,16 +268,30 @@ class _Problem:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
         larger, count = scaled.copy(), len(self.names) * self.joints
         larger[:count] *= 1.1
-        if max(np.abs(one).max() for one in self.errors(larger, may_diverge=True)) < LOST_RAD:
+        if (
+            max(np.abs(one).max() for one in self.errors(larger, may_diverge=True))
+            < LOST_RAD
+        ):
             return
-        step_s = float(self.engine.build(self.scene, self.settings).settings["timestep_s"])
-        advice = f"also with a step of {step_s / 64:.6g} s: choose another engine or preset"
+        step_s = float(
+            self.engine.build(self.scene, self.settings).settings["timestep_s"]
+        )
+        advice = (
+            f"also with a step of {step_s / 64:.6g} s: choose another engine or preset"
+        )
         for shorter_s in step_s / 2.0 ** np.arange(1, 7):
-            other = replace(self, settings={**(self.settings or {}), "timestep_s": shorter_s})
-            if max(np.abs(one).max() for one in other.errors(larger, may_diverge=True)) < LOST_RAD:
+            other = replace(
+                self, settings={**(self.settings or {}), "timestep_s": shorter_s}
+            )
+            if (
+                max(np.abs(one).max() for one in other.errors(larger, may_diverge=True))
+                < LOST_RAD
+            ):
                 advice = f"give timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
                 break
-        raise DivergedError(f"{self.engine.name} diverges close to the best settings: {advice}")
+        raise DivergedError(
+            f"{self.engine.name} diverges close to the best settings: {advice}"
+        )
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
         """Return the covariance of the unknowns under lasting noise, shape [unknown_count, unknown_count].
@@ -238,7 +303,10 @@ class _Problem:
         inverse = np.linalg.pinv(jacobian.T @ jacobian)
         middle = np.zeros_like(inverse)
         for joint in range(self.joints):
-            parts = [np.flatnonzero((rows == (number, joint)).all(axis=1)) for number in range(len(self.parts))]
+            parts = [
+                np.flatnonzero((rows == (number, joint)).all(axis=1))
+                for number in range(len(self.parts))
+            ]
             variance, neighbours, decay = self._noise_of(parts, jacobian, residuals)
             # N samples count as N / (1 + 2 sum of the correlation), a geometric series.
             correlation = neighbours / max(variance * (1.0 - decay), 1e-300)
@@ -248,11 +316,16 @@ class _Problem:
                 lags = np.arange(len(part) - 1)
                 covariance = np.concatenate([[variance], neighbours * decay**lags])
                 sensitivity = jacobian[part]
-                middle += sensitivity.T @ matmul_toeplitz(covariance, sensitivity) * wider**2
+                middle += (
+                    sensitivity.T @ matmul_toeplitz(covariance, sensitivity) * wider**2
+                )
         return np.asarray(inverse @ middle @ inverse)
 
     def _noise_of(
-        self, parts: Sequence[NDArray[np.intp]], jacobian: FloatArray, residuals: FloatArray
+        self,
+        parts: Sequence[NDArray[np.intp]],
+        jacobian: FloatArray,
+        residuals: FloatArray,
     ) -> tuple[float, float, float]:
         """Return the noise of one joint, from the rows of its residuals in each part; see `_noise`."""
         inside = np.concatenate(parts)
@@ -277,14 +350,27 @@ def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
         """Return the two numbers of the process, the sum of its squared shocks, and what is to be minimized."""
         decay = min(float(expit(logits[0])), 1.0 - 1e-6)
         forgotten = decay * float(expit(logits[1]))
-        table = np.concatenate([lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts])
+        table = np.concatenate(
+            [lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts]
+        )
         turned, corner = np.linalg.qr(table[:, :-1])
-        power = max(float(table[:, -1] @ table[:, -1] - ((turned.T @ table[:, -1]) ** 2).sum()), 1e-300)
+        power = max(
+            float(table[:, -1] @ table[:, -1] - ((turned.T @ table[:, -1]) ** 2).sum()),
+            1e-300,
+        )
         freedom = len(table) - len(corner)
         shock = power / freedom
-        return decay, forgotten, shock, freedom * np.log(shock) + 2.0 * np.log(np.abs(np.diag(corner))).sum()
+        return (
+            decay,
+            forgotten,
+            shock,
+            freedom * np.log(shock) + 2.0 * np.log(np.abs(np.diag(corner))).sum(),
+        )
 
-    found = [minimize(lambda logits: whitened(logits)[3], [first, 0.0], method="Nelder-Mead") for first in LASTING]
+    found = [
+        minimize(lambda logits: whitened(logits)[3], [first, 0.0], method="Nelder-Mead")
+        for first in LASTING
+    ]
     decay, forgotten, shock, _ = whitened(min(found, key=lambda one: float(one.fun)).x)
     apart = shock * (decay - forgotten) / (1.0 - decay**2)
     return shock + apart * (decay - forgotten), apart * (1.0 - decay * forgotten), decay
@@ -322,7 +408,9 @@ def identify(
     for log in (*logs, *held_out):
         check_joints(scene, log)
         if (log.command_rad is not None) != servo:
-            raise ParameterError(f"{log.name}: all logs must state commands of servos, or none")
+            raise ParameterError(
+                f"{log.name}: all logs must state commands of servos, or none"
+            )
     for name in names:
         if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
             known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
@@ -331,10 +419,18 @@ def identify(
     built = with_terms(scene, terms, logs[0], np.zeros(len(scene.hinges)))
     support = scene_support(engine, built)
     if not support:
-        raise UnsupportedSceneError(f"backend {engine.name!r}: {'; '.join(support.missing)}")
+        raise UnsupportedSceneError(
+            f"backend {engine.name!r}: {'; '.join(support.missing)}"
+        )
     sizes = np.array([[one[name] for one in terms] for name in names])
     problem = partial(
-        _Problem, engine, scene, settings, names=tuple(names), sizes=sizes, zero=len(scene.hinges) == 1 and not servo
+        _Problem,
+        engine,
+        scene,
+        settings,
+        names=tuple(names),
+        sizes=sizes,
+        zero=len(scene.hinges) == 1 and not servo,
     )
     stages = []
     first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
@@ -345,24 +441,41 @@ def identify(
             reason = f"samples are {apart_s:.3g} s apart, and at least 10 in {first_s:g} s are needed"
             raise ParameterError(f"{log.name}: {reason}; time_s is in seconds")
     for longest_s, free in ((first_s, False), (part_s, not servo)):
-        parts = [part for log in logs for part in log.pieces(longest_s) if len(part.times_s) >= 10]
-        stages.append(problem(parts, [part.start() for part in parts], free_starts=free))
+        parts = [
+            part
+            for log in logs
+            for part in log.pieces(longest_s)
+            if len(part.times_s) >= 10
+        ]
+        stages.append(
+            problem(parts, [part.start() for part in parts], free_starts=free)
+        )
     short, long = stages
     unknowns = short.best_start()
     progress(f"{len(short.parts)} short parts of {len(logs)} logs")
     unknowns, _ = short.solved(unknowns, 1e-2)
     progress(f"{len(long.parts)} long parts")
     if long.free_starts:
-        unknowns = np.concatenate([unknowns, np.zeros(2 * len(long.parts) * len(scene.hinges))])
+        unknowns = np.concatenate(
+            [unknowns, np.zeros(2 * len(long.parts) * len(scene.hinges))]
+        )
     unknowns, covariance = long.solved(unknowns, 1e-4)
     found = _settings(long, unknowns, covariance)
     return Identified(
         engine=engine.name,
         settings=found,
-        joints=numbers(with_terms(scene, long.unknowns(unknowns)[0], logs[0], np.zeros(long.joints))),
+        joints=numbers(
+            with_terms(
+                scene, long.unknowns(unknowns)[0], logs[0], np.zeros(long.joints)
+            )
+        ),
         error_rad=_errors(long, unknowns),
-        held_out_rad=_held_out(problem, held_out, part_s, long, unknowns) if held_out else {},
-        motion_rad={log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)},
+        held_out_rad=_held_out(problem, held_out, part_s, long, unknowns)
+        if held_out
+        else {},
+        motion_rad={
+            log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)
+        },
         simulations=short.simulations + long.simulations,
     )
 
@@ -373,10 +486,21 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
     One size does for all joints of an arm: the search starts from seven stiffnesses, and its steps are relative.
     """
     bodies, anchor_m = scene.dynamic_bodies, scene.hinges[0].anchor_m
-    load = [(body, np.linalg.norm(np.subtract(body.pose.position_m, anchor_m))) for body in bodies]
-    about_centres = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies)
-    inertia = about_centres + sum(body.mass_kg * float(arm_m) ** 2 for body, arm_m in load)
-    weight = max(scene.gravity_m_per_s2 * sum(body.mass_kg * float(arm_m) for body, arm_m in load), 40.0 * inertia)
+    load = [
+        (body, np.linalg.norm(np.subtract(body.pose.position_m, anchor_m)))
+        for body in bodies
+    ]
+    about_centres = sum(
+        float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies
+    )
+    inertia = about_centres + sum(
+        body.mass_kg * float(arm_m) ** 2 for body, arm_m in load
+    )
+    weight = max(
+        scene.gravity_m_per_s2
+        * sum(body.mass_kg * float(arm_m) for body, arm_m in load),
+        40.0 * inertia,
+    )
     rate = float(np.sqrt(weight / inertia))
     guesses = {
         "dry_friction_n_m": 0.01 * weight,
@@ -386,10 +510,15 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
     }
-    return [{name: known[name] or guesses[name] for name in names} for known in numbers(scene)]
+    return [
+        {name: known[name] or guesses[name] for name in names}
+        for known in numbers(scene)
+    ]
 
 
-def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -> tuple[Setting, ...]:
+def _settings(
+    problem: _Problem, unknowns: FloatArray, covariance: FloatArray
+) -> tuple[Setting, ...]:
     std = np.sqrt(np.diag(covariance))
     found = []
     for joint in range(problem.joints):
@@ -398,18 +527,37 @@ def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -
         sizes = np.sqrt(np.diag(block))
         alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
         torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
-        is_scale = len(torques) > 2 and bool((alike[np.ix_(torques, torques)] > ALIKE).all())
+        is_scale = len(torques) > 2 and bool(
+            (alike[np.ix_(torques, torques)] > ALIKE).all()
+        )
         for kind, name in enumerate(problem.names):
             value, half = unknowns[columns[kind]], 1.96 * std[columns[kind]]
-            twins = [other for k, other in enumerate(problem.names) if k != kind and abs(alike[kind, k]) > ALIKE]
-            unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
+            twins = [
+                other
+                for k, other in enumerate(problem.names)
+                if k != kind and abs(alike[kind, k]) > ALIKE
+            ]
+            unknown = (
+                f"goes with {' and '.join(twins)}"
+                if twins and half > 0.1 * value
+                else ""
+            )
             if is_scale and unknown and kind in torques:
                 unknown = "only ratios of torques are told: a weight or a known armature would tell their scale"
             if not unknown and half >= value:
                 unknown = "0 is in the interval"
             size = problem.sizes[kind, joint]
             low, high = max(value - half, 0.0) * size, (value + half) * size
-            found.append(Setting(joint=joint, name=name, value=value * size, low=low, high=high, unknown=unknown))
+            found.append(
+                Setting(
+                    joint=joint,
+                    name=name,
+                    value=value * size,
+                    low=low,
+                    high=high,
+                    unknown=unknown,
+                )
+            )
     return tuple(found)
 
 
@@ -418,11 +566,18 @@ def _errors(problem: _Problem, unknowns: FloatArray) -> dict[str, FloatArray]:
     squares: dict[str, list[FloatArray]] = {}
     for errors, part in zip(problem.errors(unknowns), problem.parts, strict=True):
         squares.setdefault(part.name.split(", part ")[0], []).append(errors**2)
-    return {name: np.sqrt(np.concatenate(parts).mean(axis=0)) for name, parts in squares.items()}
+    return {
+        name: np.sqrt(np.concatenate(parts).mean(axis=0))
+        for name, parts in squares.items()
+    }
 
 
 def _held_out(
-    problem: Callable[..., _Problem], logs: Sequence[Log], longest_s: float, fitted: _Problem, unknowns: FloatArray
+    problem: Callable[..., _Problem],
+    logs: Sequence[Log],
+    longest_s: float,
+    fitted: _Problem,
+    unknowns: FloatArray,
 ) -> dict[str, FloatArray]:
     """Return the errors of other logs [rad], in parts of at most a length, as those that are fitted.
 
@@ -432,12 +587,16 @@ def _held_out(
     errors: dict[str, FloatArray] = {}
     for log in logs:
         parts = list(log.pieces(longest_s))
-        other = problem(parts, [part.start() for part in parts], free_starts=fitted.free_starts)
+        other = problem(
+            parts, [part.start() for part in parts], free_starts=fitted.free_starts
+        )
         if not fitted.free_starts:
             errors |= _errors(other, of_joints)
             continue
         starts = least_squares(
-            lambda starts, one=other: one.residuals(np.concatenate([of_joints, starts])),
+            lambda starts, one=other: one.residuals(
+                np.concatenate([of_joints, starts])
+            ),
             np.zeros(2 * len(parts) * fitted.joints),
             diff_step=STEP,
             x_scale=0.01,

@@ -44,12 +44,23 @@ class Log:
     def pieces(self, length_s: float) -> Iterator[Log]:
         """Yield the log in parts of equal length, at most the given one [s]."""
         count = max(1, int(np.ceil(self.duration_s / length_s - 1e-9)))
-        edges = np.searchsorted(self.times_s, np.linspace(self.times_s[0], self.times_s[-1], count + 1))
+        edges = np.searchsorted(
+            self.times_s, np.linspace(self.times_s[0], self.times_s[-1], count + 1)
+        )
         edges[-1] = len(self.times_s)
         for number, (first, last) in enumerate(pairwise(edges.tolist())):
             name = self.name if count == 1 else f"{self.name}, part {number + 1}"
-            command, torque = (None if one is None else one[first:last] for one in (self.command_rad, self.torque_n_m))
-            yield Log(name, self.times_s[first:last], self.position_rad[first:last], command, torque)
+            command, torque = (
+                None if one is None else one[first:last]
+                for one in (self.command_rad, self.torque_n_m)
+            )
+            yield Log(
+                name,
+                self.times_s[first:last],
+                self.position_rad[first:last],
+                command,
+                torque,
+            )
 
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each, of parabolas through 0.05 s."""
@@ -73,44 +84,86 @@ def read_log(path: Path) -> Log:
     try:
         named = _npz(path) if path.suffix == ".npz" else _csv(path)
     except (OSError, ValueError, KeyError) as error:
-        raise AssetError(path, "log", f"cannot be read as CSV or NPZ: {error}") from None
+        raise AssetError(
+            path, "log", f"cannot be read as CSV or NPZ: {error}"
+        ) from None
     kinds = {name: name.split(".")[0] for name in named}
     motors = [kind for kind in (COMMAND, TORQUE) if kind in kinds.values()]
-    joints = [name.removeprefix(POSITION) for name, kind in kinds.items() if kind == POSITION] or [""]
-    for name in ("time_s", *(kind + joint for kind in (POSITION, *motors) for joint in joints)):
+    joints = [
+        name.removeprefix(POSITION) for name, kind in kinds.items() if kind == POSITION
+    ] or [""]
+    for name in (
+        "time_s",
+        *(kind + joint for kind in (POSITION, *motors) for joint in joints),
+    ):
         if name not in named:
-            raise AssetError(path, name, f"the column is missing; the file has {', '.join(named) or 'none'}")
+            raise AssetError(
+                path,
+                name,
+                f"the column is missing; the file has {', '.join(named) or 'none'}",
+            )
         if not np.isfinite(named[name]).all():
             row = int(np.argwhere(~np.isfinite(named[name]))[0][0])
             raise AssetError(path, name, f"row {row + 1} is not a finite number")
     if len(motors) > 1:
-        raise AssetError(path, TORQUE, f"a log states {COMMAND} of servos or {TORQUE} of motors, not both: remove one")
-    if not motors and (strange := [name for name, kind in kinds.items() if kind not in ("time_s", POSITION)]):
+        raise AssetError(
+            path,
+            TORQUE,
+            f"a log states {COMMAND} of servos or {TORQUE} of motors, not both: remove one",
+        )
+    if not motors and (
+        strange := [
+            name for name, kind in kinds.items() if kind not in ("time_s", POSITION)
+        ]
+    ):
         free = f"without {COMMAND} of a servo or {TORQUE} of a motor, a joint swings freely"
         raise AssetError(path, strange[0], f"{free}: rename this column, or remove it")
-    columns = {kind: np.hstack([named[kind + joint] for joint in joints]) for kind in (POSITION, *motors)}
+    columns = {
+        kind: np.hstack([named[kind + joint] for joint in joints])
+        for kind in (POSITION, *motors)
+    }
     _check(path, named["time_s"][:, 0], columns)
-    return Log(str(path), named["time_s"][:, 0], columns[POSITION], columns.get(COMMAND), columns.get(TORQUE))
+    return Log(
+        str(path),
+        named["time_s"][:, 0],
+        columns[POSITION],
+        columns.get(COMMAND),
+        columns.get(TORQUE),
+    )
 
 
 def _check(path: Path, times_s: FloatArray, columns: Mapping[str, FloatArray]) -> None:
     for name, values in columns.items():
         if values.shape != (shape := (len(times_s), columns[POSITION].shape[1])):
-            raise AssetError(path, name, f"{values.shape} numbers, where time_s and {POSITION} have {shape}")
+            raise AssetError(
+                path,
+                name,
+                f"{values.shape} numbers, where time_s and {POSITION} have {shape}",
+            )
     if len(times_s) < 20:
-        raise AssetError(path, "time_s", f"{len(times_s)} samples: 20 or more are needed")
+        raise AssetError(
+            path, "time_s", f"{len(times_s)} samples: 20 or more are needed"
+        )
     late = np.flatnonzero(np.diff(times_s) <= 0.0)
     if len(late):
-        raise AssetError(path, "time_s", f"row {late[0] + 2} is not later than the row before it")
+        raise AssetError(
+            path, "time_s", f"row {late[0] + 2} is not later than the row before it"
+        )
 
 
 def _npz(path: Path) -> dict[str, FloatArray]:
     with np.load(path, allow_pickle=False) as data:
-        return {name: np.asarray(data[name], dtype=np.float64).reshape(len(data[name]), -1) for name in data}
+        return {
+            name: np.asarray(data[name], dtype=np.float64).reshape(len(data[name]), -1)
+            for name in data
+        }
 
 
 def _csv(path: Path) -> dict[str, FloatArray]:
     """Return the columns by name, NaN where there is no number."""
     header, _, rows = csv_text(path.read_bytes()).read().partition("\n")
     table = np.genfromtxt(io.StringIO(rows or "nan"), delimiter=",", ndmin=2)
-    return {name.strip(): table[:, [place]] for place, name in enumerate(next(csv.reader([header]), []))}
+    return {
+        name.strip(): table[:, [place]]
+        for place, name in enumerate(next(csv.reader([header]), []))
+    }

@@ -12,14 +12,32 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import Rollout, record
-from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    BodyHinge,
+    Hinge,
+    JointDynamics,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, joint_sign, other_end, parent_hinges
+from gauge_envs.scene.hinged import (
+    hinge_angle_rad,
+    hinge_frames,
+    joint_sign,
+    other_end,
+    parent_hinges,
+)
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify.logs import Log
 
-DYNAMICS = tuple(one.name for one in fields(JointDynamics) if one.name != "backlash_rad")
+DYNAMICS = tuple(
+    one.name for one in fields(JointDynamics) if one.name != "backlash_rad"
+)
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
 LIMIT = "torque_limit_n_m"
 
@@ -29,11 +47,19 @@ Terms = Mapping[str, float]
 """Numbers of one joint, by name of the field of `JointDynamics` or `Servo`."""
 
 
-WORLD = RigidBody(name="world", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0)
+WORLD = RigidBody(
+    name="world",
+    shape=Plane(),
+    motion=Motion.FIXED,
+    pose=Pose(position_m=(0.0, 0.0, 0.0)),
+    mass_kg=0.0,
+)
 """What a hinge to the world hangs on."""
 
 
-def one_joint(mass_kg: float, length_m: float, inertia_kg_m2: float | None = None) -> Scene:
+def one_joint(
+    mass_kg: float, length_m: float, inertia_kg_m2: float | None = None
+) -> Scene:
     """Return a joint about y that carries a load, which hangs straight down at angle 0.
 
     Args:
@@ -41,7 +67,11 @@ def one_joint(mass_kg: float, length_m: float, inertia_kg_m2: float | None = Non
         length_m: Distance from the axis to its centre of mass; 0 for a load that gravity does not turn.
         inertia_kg_m2: Moment of inertia about its centre of mass; None is that of a ball a tenth of the length wide.
     """
-    radius_m = 0.05 * (length_m or 1.0) if inertia_kg_m2 is None else float(np.sqrt(2.5 * inertia_kg_m2 / mass_kg))
+    radius_m = (
+        0.05 * (length_m or 1.0)
+        if inertia_kg_m2 is None
+        else float(np.sqrt(2.5 * inertia_kg_m2 / mass_kg))
+    )
     load = RigidBody(
         name="load",
         shape=Sphere(radius_m=radius_m),
@@ -53,7 +83,11 @@ def one_joint(mass_kg: float, length_m: float, inertia_kg_m2: float | None = Non
     return Scene(bodies=(load,), joints=(hinge,), duration_s=1.0)
 
 
-def posed(scene: Scene, angles_rad: Sequence[float] | FloatArray, rates: Sequence[float] | FloatArray) -> Scene:
+def posed(
+    scene: Scene,
+    angles_rad: Sequence[float] | FloatArray,
+    rates: Sequence[float] | FloatArray,
+) -> Scene:
     """Return a scene whose hinges start at other angles, and turn.
 
     Args:
@@ -62,14 +96,21 @@ def posed(scene: Scene, angles_rad: Sequence[float] | FloatArray, rates: Sequenc
         rates: Rates of its hinges [rad/s].
     """
     pairs = zip(angles_rad, rates, strict=True)
-    moving = {id(hinge): (float(angle), float(rate)) for hinge, (angle, rate) in zip(scene.hinges, pairs, strict=True)}
+    moving = {
+        id(hinge): (float(angle), float(rate))
+        for hinge, (angle, rate) in zip(scene.hinges, pairs, strict=True)
+    }
     parents = parent_hinges(scene.body_hinges, scene.hung)
     bodies = {body.name: body for body in scene.bodies}
     placed: dict[str, BodyHinge] = {}
-    order: list[tuple[str, Hinge | BodyHinge]] = [(one.body, one) for one in scene.joints if isinstance(one, Hinge)]
+    order: list[tuple[str, Hinge | BodyHinge]] = [
+        (one.body, one) for one in scene.joints if isinstance(one, Hinge)
+    ]
     for name, hinge in [*order, *parents.items()]:
         angle, rate = (joint_sign(hinge, name) * one for one in moving[id(hinge)])
-        carrier = bodies[other_end(hinge, name)] if isinstance(hinge, BodyHinge) else WORLD
+        carrier = (
+            bodies[other_end(hinge, name)] if isinstance(hinge, BodyHinge) else WORLD
+        )
         before = scene.body(carrier.name).pose if carrier is not WORLD else WORLD.pose
         anchor_m = carrier.pose.to_world(before.to_body(np.asarray(hinge.anchor_m)))
         carried = carrier.pose.rotation * before.rotation.inv()
@@ -79,7 +120,9 @@ def posed(scene: Scene, angles_rad: Sequence[float] | FloatArray, rates: Sequenc
         arm_m = turn.apply(np.subtract(old.pose.position_m, hinge.anchor_m))
         spin = rate * axis + carrier.angular_velocity_rad_per_s
         reach_m = anchor_m - np.asarray(carrier.pose.position_m)
-        speed = carrier.linear_velocity_m_per_s + np.cross(carrier.angular_velocity_rad_per_s, reach_m)
+        speed = carrier.linear_velocity_m_per_s + np.cross(
+            carrier.angular_velocity_rad_per_s, reach_m
+        )
         bodies[name] = replace(
             old,
             pose=Pose.from_rotation(vector(anchor_m + arm_m), turn * old.pose.rotation),
@@ -87,14 +130,22 @@ def posed(scene: Scene, angles_rad: Sequence[float] | FloatArray, rates: Sequenc
             angular_velocity_rad_per_s=vector(spin),
         )
         if isinstance(hinge, BodyHinge):
-            placed[name] = replace(hinge, anchor_m=vector(anchor_m), axis=vector(axis / np.linalg.norm(axis)))
+            placed[name] = replace(
+                hinge,
+                anchor_m=vector(anchor_m),
+                axis=vector(axis / np.linalg.norm(axis)),
+            )
     by_hinge = {id(parents[name]): hinge for name, hinge in placed.items()}
     return replace(
-        scene, bodies=tuple(bodies.values()), body_hinges=tuple(by_hinge[id(hinge)] for hinge in scene.body_hinges)
+        scene,
+        bodies=tuple(bodies.values()),
+        body_hinges=tuple(by_hinge[id(hinge)] for hinge in scene.body_hinges),
     )
 
 
-def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatArray) -> Scene:
+def with_terms(
+    scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatArray
+) -> Scene:
     """Return a scene whose hinges have the terms, and the motors that follow a log.
 
     Args:
@@ -106,7 +157,9 @@ def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatA
 
     def changed(place: int, hinge: AnyHinge) -> AnyHinge:
         given = terms[place]
-        dynamics = replace(hinge.dynamics, **{name: given[name] for name in DYNAMICS if name in given})
+        dynamics = replace(
+            hinge.dynamics, **{name: given[name] for name in DYNAMICS if name in given}
+        )
         motor, profile = hinge.motor, partial(_profile, log, place)
         gains: dict[str, Any] = {name: given[name] for name in SERVO if name in given}
         if log.command_rad is not None:
@@ -116,20 +169,28 @@ def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatA
             else:
                 motor = replace(Servo(command=command, kp_n_m_per_rad=1.0), **gains)
         elif log.torque_n_m is not None:
-            motor = TorqueMotor(command=profile(log.torque_n_m, 0.0), delay_s=given.get("delay_s", 0.0))
+            motor = TorqueMotor(
+                command=profile(log.torque_n_m, 0.0), delay_s=given.get("delay_s", 0.0)
+            )
         return replace(hinge, dynamics=dynamics, motor=motor)
 
     places = {id(hinge): place for place, hinge in enumerate(scene.hinges)}
     return replace(
         scene,
-        joints=tuple(changed(places[id(one)], one) if isinstance(one, Hinge) else one for one in scene.joints),
+        joints=tuple(
+            changed(places[id(one)], one) if isinstance(one, Hinge) else one
+            for one in scene.joints
+        ),
         body_hinges=tuple(changed(places[id(one)], one) for one in scene.body_hinges),
     )
 
 
 def _profile(log: Log, joint: int, values: FloatArray, zero: float) -> SampledProfile:
     times_s = log.times_s - log.times_s[0]
-    return SampledProfile(times_s=tuple(times_s.tolist()), values=tuple((values[:, joint] - zero).tolist()))
+    return SampledProfile(
+        times_s=tuple(times_s.tolist()),
+        values=tuple((values[:, joint] - zero).tolist()),
+    )
 
 
 def simulated(
@@ -158,8 +219,12 @@ def simulated(
         rollout = record(simulation, moving, log.duration_s + 0.02)
     finally:
         simulation.close()
-    angles = start[0] + np.stack([_angle_rad(rollout, hinge) for hinge in moving.hinges], axis=1)
-    return np.asarray(CubicSpline(rollout.times_s, angles)(log.times_s - log.times_s[0]))
+    angles = start[0] + np.stack(
+        [_angle_rad(rollout, hinge) for hinge in moving.hinges], axis=1
+    )
+    return np.asarray(
+        CubicSpline(rollout.times_s, angles)(log.times_s - log.times_s[0])
+    )
 
 
 def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
@@ -168,24 +233,40 @@ def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
     name = hinge.body if isinstance(hinge, Hinge) else hinge.second
     still = Rotation.identity(len(rollout.times_s))
     if isinstance(hinge, Hinge):
-        joined = BodyHinge(first="", second=name, anchor_m=hinge.anchor_m, axis=hinge.axis)
+        joined = BodyHinge(
+            first="", second=name, anchor_m=hinge.anchor_m, axis=hinge.axis
+        )
         return np.unwrap(
-            hinge_angle_rad(hinge_frames(joined, world, scene.body(name).pose), still, rollout.rotation(name))
+            hinge_angle_rad(
+                hinge_frames(joined, world, scene.body(name).pose),
+                still,
+                rollout.rotation(name),
+            )
         )
     frames = hinge_frames(hinge, scene.body(hinge.first).pose, scene.body(name).pose)
-    return np.unwrap(hinge_angle_rad(frames, rollout.rotation(hinge.first), rollout.rotation(name)))
+    return np.unwrap(
+        hinge_angle_rad(frames, rollout.rotation(hinge.first), rollout.rotation(name))
+    )
 
 
 def numbers(scene: Scene) -> list[dict[str, float]]:
     """Return the numbers of each hinge by name, in the order of `Scene.hinges`; 0 is none."""
-    known = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
-    return [{name: float(one.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)} for one in known]
+    known = [
+        vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {})
+        for hinge in scene.hinges
+    ]
+    return [
+        {name: float(one.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)}
+        for one in known
+    ]
 
 
 def check_joints(scene: Scene, log: Log) -> None:
     """Raise `ParameterError` unless a log has as many joints as a scene has hinges, which have no play."""
     if any(hinge.dynamics.backlash_rad for hinge in scene.hinges):
-        raise ParameterError("the scene has joints with backlash_rad, which is not identified: set it to 0")
+        raise ParameterError(
+            "the scene has joints with backlash_rad, which is not identified: set it to 0"
+        )
     if log.position_rad.shape[1] != len(scene.hinges):
         raise ParameterError(
             f"{log.name} has {log.position_rad.shape[1]} joints, and the scene {len(scene.hinges)} hinges: one column "

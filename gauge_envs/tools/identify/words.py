@@ -29,13 +29,28 @@ def identified_document(found: Identified) -> Document:
             Column("unknown", "not determined"),
         ),
         rows=[asdict(one) for one in found.settings],
-        notes=("low and high are the ends of the 95 % interval.", *([KV_NOTE] if has_kv else []), ""),
+        notes=(
+            "low and high are the ends of the 95 % interval.",
+            *([KV_NOTE] if has_kv else []),
+            "",
+        ),
     )
     rows = [
-        {"log": name, "used": used, "joint": joint, "error": 1e3 * float(error), "motion": 1e3 * float(motion)}
-        for used, errors in (("fitted", found.error_rad), ("held out", found.held_out_rad))
+        {
+            "log": name,
+            "used": used,
+            "joint": joint,
+            "error": 1e3 * float(error),
+            "motion": 1e3 * float(motion),
+        }
+        for used, errors in (
+            ("fitted", found.error_rad),
+            ("held out", found.held_out_rad),
+        )
         for name, values in errors.items()
-        for joint, (error, motion) in enumerate(zip(values, found.motion_rad[name], strict=True))
+        for joint, (error, motion) in enumerate(
+            zip(values, found.motion_rad[name], strict=True)
+        )
     ]
     errors = Table(
         columns=(
@@ -47,19 +62,31 @@ def identified_document(found: Identified) -> Document:
         ),
         rows=rows,
     )
-    return Document(parts=(numbers, errors), rows=[{"engine": found.engine, "settings": numbers.rows, "errors": rows}])
+    return Document(
+        parts=(numbers, errors),
+        rows=[{"engine": found.engine, "settings": numbers.rows, "errors": rows}],
+    )
 
 
 def snippet(found: Identified) -> str:
     """Return all numbers of each joint in the language of the engine, and those that no line of it sets."""
-    engines = tomllib.loads((Path(__file__).parent / "snippets.toml").read_text(encoding="utf-8"))
+    engines = tomllib.loads(
+        (Path(__file__).parent / "snippets.toml").read_text(encoding="utf-8")
+    )
     lines = []
     for joint, terms in enumerate(found.joints):
-        values, said = {name: f"{value:.5g}" for name, value in terms.items()}, set[str]()
+        values, said = (
+            {name: f"{value:.5g}" for name, value in terms.items()},
+            set[str](),
+        )
         for one in engines.get(found.engine, ()):
-            if all(map(terms.get, one.get("needs", ()))) and not any(map(terms.get, one.get("without", ()))):
+            if all(map(terms.get, one.get("needs", ()))) and not any(
+                map(terms.get, one.get("without", ()))
+            ):
                 lines.append(one["line"].format(joint=joint, **values))
-                said |= {name for _, name, _, _ in Formatter().parse(one["line"]) if name}
+                said |= {
+                    name for _, name, _, _ in Formatter().parse(one["line"]) if name
+                }
         lines += [
             f"# joint {joint}: {name} = {values[name]}, which no line above sets: apply it in your controller"
             for name, value in terms.items()

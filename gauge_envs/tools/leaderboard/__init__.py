@@ -24,7 +24,10 @@ if TYPE_CHECKING:
         check_leaderboard as check_leaderboard,
     )
     from gauge_envs.tools.leaderboard.reruns import Rerun as Rerun
-    from gauge_envs.tools.leaderboard.submission import Fault as Fault, Statement as Statement
+    from gauge_envs.tools.leaderboard.submission import (
+        Fault as Fault,
+        Statement as Statement,
+    )
     from gauge_envs.tools.leaderboard.trajectory import false_scores as false_scores
 else:
     __getattr__, __all__ = door(__name__)

@@ -32,7 +32,11 @@ from gauge_envs.tools.leaderboard.submission import (
     relative_name,
     submission_files,
 )
-from gauge_envs.tools.leaderboard.trajectory import differing_scores, rescored, trajectory_faults
+from gauge_envs.tools.leaderboard.trajectory import (
+    differing_scores,
+    rescored,
+    trajectory_faults,
+)
 
 Found = Iterator[tuple[str, str]]
 
@@ -99,7 +103,10 @@ class LeaderboardCheck:
     @property
     def all_faults(self) -> tuple[Fault, ...]:
         """All faults, those of submissions included."""
-        return (*self.faults, *(fault for one in self.submissions for fault in one.faults))
+        return (
+            *self.faults,
+            *(fault for one in self.submissions for fault in one.faults),
+        )
 
     @property
     def ok(self) -> bool:
@@ -108,7 +115,11 @@ class LeaderboardCheck:
 
 
 def check_leaderboard(
-    root: Path, *, rerun_count: int = 0, salt: str = "", advance: Callable[[str], None] = lambda text: None
+    root: Path,
+    *,
+    rerun_count: int = 0,
+    salt: str = "",
+    advance: Callable[[str], None] = lambda text: None,
 ) -> LeaderboardCheck:
     """Check all submissions of a leaderboard, or a single one.
 
@@ -123,9 +134,16 @@ def check_leaderboard(
     """
     folders, faults = find_submissions(root)
     if not folders and not faults:
-        raise ResultFileError(f"{root}: holds no submission, as <engine>/<version>/<configuration>/{STATEMENT_FILE}")
-    checks = [_check_submission(folder, root, rerun_count, salt, advance) for folder in folders]
-    return LeaderboardCheck(submissions=tuple(_without_doubles(checks)), faults=tuple(faults))
+        raise ResultFileError(
+            f"{root}: holds no submission, as <engine>/<version>/<configuration>/{STATEMENT_FILE}"
+        )
+    checks = [
+        _check_submission(folder, root, rerun_count, salt, advance)
+        for folder in folders
+    ]
+    return LeaderboardCheck(
+        submissions=tuple(_without_doubles(checks)), faults=tuple(faults)
+    )
 
 
 def _without_doubles(checks: Sequence[SubmissionCheck]) -> Iterator[SubmissionCheck]:
@@ -134,16 +152,24 @@ def _without_doubles(checks: Sequence[SubmissionCheck]) -> Iterator[SubmissionCh
     for one in checks:
         if one.results:
             configuration = RunConfiguration.of(one.results[0])
-            first = next((folder for known, folder in earlier if known == configuration), None)
+            first = next(
+                (folder for known, folder in earlier if known == configuration), None
+            )
             if first is not None:
                 reason = f"has the engine, versions, parameters and settings of {first}; a configuration counts once"
-                one = replace(one, faults=(*one.faults, Fault(file=one.folder, reason=reason)))
+                one = replace(
+                    one, faults=(*one.faults, Fault(file=one.folder, reason=reason))
+                )
             earlier.append((configuration, one.folder))
         yield one
 
 
 def _check_submission(
-    folder: Path, root: Path, rerun_count: int, salt: str, advance: Callable[[str], None]
+    folder: Path,
+    root: Path,
+    rerun_count: int,
+    salt: str,
+    advance: Callable[[str], None],
 ) -> SubmissionCheck:
     files = submission_files(folder, root)
     name = relative_name(folder, root)
@@ -154,34 +180,55 @@ def _check_submission(
     statement = read_statement(files.statement, where)
     if isinstance(statement, Fault):
         return SubmissionCheck(folder=name, faults=(*faults, statement))
-    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, statement)]
+    faults += [
+        Fault(file=where, key=key, reason=reason)
+        for key, reason in _path_faults(folder, statement)
+    ]
     names = board_experiments(root)
     results, seen, found = _checked_results(files, statement, root, names, advance)
     faults += found
-    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(statement, seen, names)]
+    faults += [
+        Fault(file=where, key=key, reason=reason)
+        for key, reason in _coverage_faults(statement, seen, names)
+    ]
     content = files.sha256(folder)
     reruns: list[Rerun] = []
     by_id = {result.id: file for file, result in results.items()}
     if rerun_count:
-        for result in rerun_sample(list(results.values()), rerun_count, content_sha256=content, salt=salt):
+        for result in rerun_sample(
+            list(results.values()), rerun_count, content_sha256=content, salt=salt
+        ):
             advance(f"run {result.id}")
             compared, again = rerun(result)
             reruns.append(compared)
             if again is not None:
-                results[by_id[result.id]] = rescored(again, load_experiment(result.id, statement.parameters))
+                results[by_id[result.id]] = rescored(
+                    again, load_experiment(result.id, statement.parameters)
+                )
     faults += [
-        Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
+        Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}")
+        for one in reruns
+        if one.is_fault
     ]
     return SubmissionCheck(
         folder=name,
         statement=statement,
-        results=tuple(sorted(results.values(), key=lambda result: names.index(short_id(result.id)))),
+        results=tuple(
+            sorted(
+                results.values(), key=lambda result: names.index(short_id(result.id))
+            )
+        ),
         faults=tuple(faults),
         notes=(*_notes(results.values()), *_package_notes(statement)),
         reruns=tuple(reruns),
         content_sha256=content,
         asked=len(names),
-        unverified=tuple(_unverified(statement, set(names) - {short_id(result.id) for result in results.values()})),
+        unverified=tuple(
+            _unverified(
+                statement,
+                set(names) - {short_id(result.id) for result in results.values()},
+            )
+        ),
     )
 
 
@@ -203,7 +250,11 @@ def _path_faults(folder: Path, statement: Statement) -> Found:
 
 
 def _checked_results(
-    files: SubmissionFiles, statement: Statement, root: Path, names: Collection[str], advance: Callable[[str], None]
+    files: SubmissionFiles,
+    statement: Statement,
+    root: Path,
+    names: Collection[str],
+    advance: Callable[[str], None],
 ) -> tuple[dict[str, Result], set[str], list[Fault]]:
     """Return the rescored results without faults by file, the ids of all that can be read, and the faults."""
     results: dict[str, Result] = {}
@@ -221,11 +272,25 @@ def _checked_results(
         found = list(_result_faults(file, result, statement, names))
         first = earlier.setdefault(result.id, name)
         if first != name:
-            found.append(("id", f"is {result.id}, which {first} has too; one result for each experiment is expected"))
-        common = {key: text for key, text in result.versions.items() if key not in versions() or key == "gauge-envs"}
+            found.append(
+                (
+                    "id",
+                    f"is {result.id}, which {first} has too; one result for each experiment is expected",
+                )
+            )
+        common = {
+            key: text
+            for key, text in result.versions.items()
+            if key not in versions() or key == "gauge-envs"
+        }
         engine_versions = engine_versions or common
         if common != engine_versions:
-            found.append(("versions", f"are {_listed(common)}, but {_listed(engine_versions)} in the first file"))
+            found.append(
+                (
+                    "versions",
+                    f"are {_listed(common)}, but {_listed(engine_versions)} in the first file",
+                )
+            )
         if not found:
             experiment = load_experiment(result.id, statement.parameters)
             found = list(trajectory_faults(result, experiment))
@@ -237,10 +302,15 @@ def _checked_results(
     return results, set(earlier), faults
 
 
-def _result_faults(file: Path, result: Result, statement: Statement, names: Collection[str]) -> Found:
+def _result_faults(
+    file: Path, result: Result, statement: Statement, names: Collection[str]
+) -> Found:
     """Yield what a result states that the submission or the rules of the leaderboard do not allow."""
     if short_id(result.id) not in names:
-        yield "id", f"is {result.id!r}, which is not one of the {len(names)} experiments of the leaderboard"
+        yield (
+            "id",
+            f"is {result.id!r}, which is not one of the {len(names)} experiments of the leaderboard",
+        )
         return
     expected = {
         "backend": statement.engine,
@@ -255,14 +325,23 @@ def _result_faults(file: Path, result: Result, statement: Statement, names: Coll
     }
     for key, value in expected.items():
         if getattr(result, key) != value:
-            yield key, f"is {getattr(result, key)!r}, expected {value!r}{HINTS.get(key, '')}"
+            yield (
+                key,
+                f"is {getattr(result, key)!r}, expected {value!r}{HINTS.get(key, '')}",
+            )
     if result.outcome not in (Outcome.FINISHED, Outcome.DIVERGED):
-        yield "outcome", f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out"
+        yield (
+            "outcome",
+            f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out",
+        )
     if result.score.withheld is not None:
         yield "score.withheld", "the reference is withheld: run without --use withheld"
     if statement.package in versions():
         packages = ", ".join(sorted(set(result.versions) - set(versions())))
-        yield f"versions.{statement.package}", f"is no package of the engine, whose packages are {packages}"
+        yield (
+            f"versions.{statement.package}",
+            f"is no package of the engine, whose packages are {packages}",
+        )
     version = result.versions.get(statement.package)
     if version != statement.version:
         yield (
@@ -272,10 +351,15 @@ def _result_faults(file: Path, result: Result, statement: Statement, names: Coll
     if "gauge-envs" not in result.versions:
         yield "versions.gauge-envs", "is missing"
     if file.name != result_file_name(result):
-        yield "", f"is named otherwise than gauge run names it: {result_file_name(result)}"
+        yield (
+            "",
+            f"is named otherwise than gauge run names it: {result_file_name(result)}",
+        )
 
 
-def _coverage_faults(statement: Statement, seen: set[str], names: Sequence[str]) -> Found:
+def _coverage_faults(
+    statement: Statement, seen: set[str], names: Sequence[str]
+) -> Found:
     """Yield each experiment of the leaderboard that has neither a result nor a reason, and each reason for none."""
     present = {short_id(name) for name in seen}
     left_out: set[str] = set()
@@ -290,13 +374,20 @@ def _coverage_faults(statement: Statement, seen: set[str], names: Sequence[str])
     missing = [name for name in names if name not in present | left_out]
     if missing:
         some = f"{', '.join(missing[:6])}{f' and {len(missing) - 6} more' if len(missing) > 6 else ''}"
-        yield "left_out", f"no result and no reason for {some}: add the files, or the reason in left_out"
+        yield (
+            "left_out",
+            f"no result and no reason for {some}: add the files, or the reason in left_out",
+        )
 
 
 def _notes(results: Collection[Result]) -> Iterator[str]:
     made_with = {result.versions["gauge-envs"] for result in results}
-    families = {find_variant(result.id).family: result.task_sha256 for result in results}
-    if other := [family for family, sha256 in families.items() if sha256 != task_sha256(family)]:
+    families = {
+        find_variant(result.id).family: result.task_sha256 for result in results
+    }
+    if other := [
+        family for family, sha256 in families.items() if sha256 != task_sha256(family)
+    ]:
         yield f"task files of the same revision, but with another text than those installed: {', '.join(other)}"
     installed = versions()["gauge-envs"]
     for version in sorted(made_with - {installed}):
@@ -308,7 +399,10 @@ def _notes(results: Collection[Result]) -> Iterator[str]:
 
 def _package_notes(statement: Statement) -> Iterator[str]:
     """Yield what is known of the files of the engine's package: those of the submission, and those installed here."""
-    name, here = f"{statement.package} {statement.version}", f"{statement.package} as installed here"
+    name, here = (
+        f"{statement.package} {statement.version}",
+        f"{statement.package} as installed here",
+    )
     installed, changed = installed_package(statement.package)
     if changed:
         yield f"{here} differs from its release in {counted(len(changed), 'file')}, as {changed[0]}: install it again"

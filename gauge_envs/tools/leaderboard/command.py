@@ -18,9 +18,13 @@ if TYPE_CHECKING:
 
 def leaderboard_check(
     words: Annotated[
-        list[str] | None, typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission.")
+        list[str] | None,
+        typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission."),
     ] = None,
-    rerun: Annotated[int, typer.Option(min=0, help="Run this many episodes of each submission again.")] = 0,
+    rerun: Annotated[
+        int,
+        typer.Option(min=0, help="Run this many episodes of each submission again."),
+    ] = 0,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check submissions: layout, versions, task hashes, trajectories and scores.
@@ -37,13 +41,20 @@ def leaderboard_check(
         raise ParameterError(f"{' and '.join(names)}: expected one folder")
     check = _checked(Path(*names or ["leaderboard"]), rerun, **details)
     print_document(check_document(check), form)
-    message(f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}")
+    message(
+        f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}"
+    )
     return not check.ok
 
 
 def leaderboard_table(
-    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="The leaderboard.")] = Path("leaderboard"),
-    out: Annotated[Path | None, typer.Option(help="Folder for leaderboard.json and leaderboard.md.")] = None,
+    folder: Annotated[
+        Path, typer.Argument(metavar="[DIR]", help="The leaderboard.")
+    ] = Path("leaderboard"),
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for leaderboard.json and leaderboard.md."),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Print scores of all submissions without faults: intervals, ranks and pairs.
@@ -58,7 +69,10 @@ def leaderboard_table(
     check = _checked(folder)
     document = leaderboard_document(check)
     if out is not None:
-        texts = (json.dumps(as_rows(document), allow_nan=False, indent=1) + "\n", as_markdown(document))
+        texts = (
+            json.dumps(as_rows(document), allow_nan=False, indent=1) + "\n",
+            as_markdown(document),
+        )
         for name, text in zip(GENERATED, texts, strict=True):
             message(save_file(out / name, text))
     if out is None or form is not Format.TEXT:
@@ -72,4 +86,6 @@ def _checked(folder: Path, rerun: int = 0, salt: str = "") -> LeaderboardCheck:
     from gauge_envs.tools.leaderboard import check_leaderboard
 
     with Progress("files", None) as progress:
-        return check_leaderboard(folder, rerun_count=rerun, salt=salt, advance=progress.advance)
+        return check_leaderboard(
+            folder, rerun_count=rerun, salt=salt, advance=progress.advance
+        )

@@ -78,7 +78,9 @@ class Rerun:
         return f"{self.status.value}: {apart}{f'; {self.cause}' if self.cause else ''}"
 
 
-def rerun_sample(results: Sequence[Result], count: int, *, content_sha256: str, salt: str = "") -> list[Result]:
+def rerun_sample(
+    results: Sequence[Result], count: int, *, content_sha256: str, salt: str = ""
+) -> list[Result]:
     """Return a random sample of results, which nobody can choose without changing the submission.
 
     Args:
@@ -133,9 +135,15 @@ def _compared(result: Result, again: Result, request: RunRequest) -> Rerun:
         return replace(different, cause=f"{in_file}, {here}; {cause}")
     missing = object()
     names = sorted({**result.settings, **again.settings})
-    changed = [name for name in names if result.settings.get(name, missing) != again.settings.get(name, missing)]
+    changed = [
+        name
+        for name in names
+        if result.settings.get(name, missing) != again.settings.get(name, missing)
+    ]
     if changed and result.versions == again.versions:
-        return replace(different, cause=f"settings in force differ: {', '.join(changed)}")
+        return replace(
+            different, cause=f"settings in force differ: {', '.join(changed)}"
+        )
     largest, rmse = _distance(stored, repeated)
     allowed = _allowed(result, np.nan_to_num(stored)[::SAMPLES_PER_FRAME])
     if rmse > allowed:
@@ -145,25 +153,41 @@ def _compared(result: Result, again: Result, request: RunRequest) -> Rerun:
             if one.trajectory is not None:
                 samples = one.trajectory.arrays(later=True)[1]
                 alike += [samples] if samples.shape == stored.shape else []
-        spread = max((_distance(one, other)[1] for one, other in combinations(alike, 2)), default=0.0)
+        spread = max(
+            (_distance(one, other)[1] for one, other in combinations(alike, 2)),
+            default=0.0,
+        )
         if 0.0 < spread < np.inf:
-            largest, rmse = min((_distance(stored, one) for one in alike), key=itemgetter(1))
+            largest, rmse = min(
+                (_distance(stored, one) for one in alike), key=itemgetter(1)
+            )
             allowed = max(allowed, REPEAT_FACTOR * spread)
             cause = f"runs of this engine differ by up to {spread:.3g} {unit} RMS here; {cause}"
     status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
     if largest == 0.0:
         status = RerunStatus.EQUAL
         cause = ""
-    return replace(different, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause)
+    return replace(
+        different,
+        status=status,
+        largest_difference=largest,
+        rmse=rmse,
+        allowed=allowed,
+        cause=cause,
+    )
 
 
-def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
+def _distance(
+    one: NDArray[np.float64], other: NDArray[np.float64]
+) -> tuple[float, float]:
     """Return the largest difference of two trajectories, and the distance of the phase that is farthest."""
     both = np.isnan(one) & np.isnan(other)
     apart = np.where(both, 0.0, np.nan_to_num(np.abs(one - other), nan=np.inf))
     # A score reads one phase, so a difference must not be diluted by the samples that no score reads.
     squares = np.square(apart).sum(axis=1)
-    phases = (squares[phase::SAMPLES_PER_FRAME].mean() for phase in range(SAMPLES_PER_FRAME))
+    phases = (
+        squares[phase::SAMPLES_PER_FRAME].mean() for phase in range(SAMPLES_PER_FRAME)
+    )
     return float(apart.max()), float(np.sqrt(max(phases)))
 
 
@@ -171,7 +195,9 @@ def _allowed(result: Result, frames: NDArray[np.float64]) -> float:
     """Return the largest distance of a repeated trajectory that counts as the same."""
     baseline = published_baselines(result.id.removeprefix("GAUGE/")).get("rmse")
     motion = trajectory_rmse(frames, np.broadcast_to(frames[0], frames.shape))
-    return RERUN_SHARE * (baseline.mean if baseline is not None and baseline.mean else motion)
+    return RERUN_SHARE * (
+        baseline.mean if baseline is not None and baseline.mean else motion
+    )
 
 
 def _cause(result: Result, again: Result) -> str:

@@ -18,7 +18,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, first_fault
 from gauge_envs.experiments.variants import matching_variants
-from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, printable, read_regular, toml_document
+from gauge_envs.files import (
+    MEGABYTE,
+    MOST_TOML_BYTES,
+    printable,
+    read_regular,
+    toml_document,
+)
 from gauge_envs.runs.result_file import MAX_RESULT_BYTES
 
 STATEMENT_FILE = "submission.toml"
@@ -44,7 +50,9 @@ MAX_TOTAL_BYTES = 256 * MEGABYTE
 LEVELS = ("engine", "version", "configuration")
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Line = Annotated[
+    str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
+]
 Setting = bool | int | float | Annotated[str, Field(max_length=200)]
 
 
@@ -92,10 +100,14 @@ class Statement(BaseModel):
     package_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
     configuration: Name
     submitter: Line
-    url: Annotated[str, Field(max_length=200, pattern=r"^(https://[^\s\x00-\x1f\x7f]+)?$")] = ""
+    url: Annotated[
+        str, Field(max_length=200, pattern=r"^(https://[^\s\x00-\x1f\x7f]+)?$")
+    ] = ""
     parameters: Name = "calibrated"
     settings: dict[str, Setting] = Field(default_factory=dict)
-    left_out: dict[Line, Literal["not supported", "error", "too slow", "not run"]] = Field(default_factory=dict)
+    left_out: dict[Line, Literal["not supported", "error", "too slow", "not run"]] = (
+        Field(default_factory=dict)
+    )
 
 
 def read_statement(file: Path, name: str) -> Statement | Fault:
@@ -106,7 +118,9 @@ def read_statement(file: Path, name: str) -> Statement | Fault:
         name: Its name in messages.
     """
     try:
-        return Statement.model_validate(toml_document(read_regular(file, MOST_TOML_BYTES)))
+        return Statement.model_validate(
+            toml_document(read_regular(file, MOST_TOML_BYTES))
+        )
     except OSError as error:
         return Fault(file=name, reason=f"cannot be read: {error.strerror or error}")
     except ValidationError as error:
@@ -117,7 +131,9 @@ def read_statement(file: Path, name: str) -> Statement | Fault:
 
 
 @cache
-def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tuple[str, ...]]:
+def installed_package(
+    package: str, *, has_parts: bool = True
+) -> tuple[str, tuple[str, ...]]:
     """Return a hash of the installed files of a package, and which of them differ from its release.
 
     The RECORD of a package lists the files of its release. Packages that it pins to one version belong to it. Metadata
@@ -127,7 +143,11 @@ def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tup
         found = distribution(package)
     except (PackageNotFoundError, ValueError):
         return "", ()
-    listed = [file for file in found.files or () if file.hash is not None and ".." not in file.parts]
+    listed = [
+        file
+        for file in found.files or ()
+        if file.hash is not None and ".." not in file.parts
+    ]
     if any("editable" in file.name and file.suffix == ".pth" for file in listed):
         return "", ()
     lines: list[str] = []
@@ -141,7 +161,11 @@ def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tup
     for file in listed:
         if file.parts[0].endswith(".dist-info"):
             continue
-        digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
+        digest = (
+            hashlib.sha256(file.read_binary()).digest()
+            if Path(file.locate()).exists()
+            else b""
+        )
         lines.append(f"{file.as_posix()} {digest.hex()}\n")
         assert file.hash is not None
         if file.hash.value != urlsafe_b64encode(digest).rstrip(b"=").decode():
@@ -170,7 +194,9 @@ class SubmissionFiles:
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
             try:
-                content = hashlib.sha256(read_regular(file, MAX_RESULT_BYTES)).hexdigest()
+                content = hashlib.sha256(
+                    read_regular(file, MAX_RESULT_BYTES)
+                ).hexdigest()
             except OSError:
                 return ""
             digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
@@ -191,7 +217,9 @@ def _entries(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
     except OSError as error:
         if isinstance(error, ResultFileError):
             raise
-        raise ResultFileError(f"{folder}: cannot be listed: {error.strerror or error}") from error
+        raise ResultFileError(
+            f"{folder}: cannot be listed: {error.strerror or error}"
+        ) from error
 
 
 def relative_name(path: Path, root: Path) -> str:
@@ -201,13 +229,36 @@ def relative_name(path: Path, root: Path) -> str:
 
 def board_experiments(root: Path) -> tuple[str, ...]:
     """Return the names of the experiments of the leaderboard that a folder is, or that a submission is in."""
-    above = root.resolve().parents[: len(LEVELS)] if (root / STATEMENT_FILE).exists() else ()
-    file = next((folder / BOARD_FILE for folder in (root, *above) if (folder / BOARD_FILE).is_file()), None)
+    above = (
+        root.resolve().parents[: len(LEVELS)]
+        if (root / STATEMENT_FILE).exists()
+        else ()
+    )
+    file = next(
+        (
+            folder / BOARD_FILE
+            for folder in (root, *above)
+            if (folder / BOARD_FILE).is_file()
+        ),
+        None,
+    )
     try:
-        patterns = ["*"] if file is None else toml_document(read_regular(file, MOST_TOML_BYTES))["experiments"]
-        return tuple(dict.fromkeys(variant.name for pattern in patterns for variant in matching_variants(pattern)))
+        patterns = (
+            ["*"]
+            if file is None
+            else toml_document(read_regular(file, MOST_TOML_BYTES))["experiments"]
+        )
+        return tuple(
+            dict.fromkeys(
+                variant.name
+                for pattern in patterns
+                for variant in matching_variants(pattern)
+            )
+        )
     except (OSError, ValueError, LookupError, TypeError, GaugeError) as error:
-        raise ResultFileError(f"{file}: expected `experiments`, a list of ids or patterns: {error}") from error
+        raise ResultFileError(
+            f"{file}: expected `experiments`, a list of ids or patterns: {error}"
+        ) from error
 
 
 def find_submissions(root: Path) -> tuple[list[Path], list[Fault]]:
@@ -226,14 +277,26 @@ def find_submissions(root: Path) -> tuple[list[Path], list[Fault]]:
                 name = relative_name(path, root)
                 allowed = (README, BOARD_FILE, *GENERATED) if depth == 0 else ()
                 if S_ISLNK(status.st_mode):
-                    faults.append(Fault(file=name, reason="is a link: add the folder itself"))
+                    faults.append(
+                        Fault(file=name, reason="is a link: add the folder itself")
+                    )
                 elif S_ISDIR(status.st_mode):
                     if re.match(NAME_PATTERN, path.name):
                         inner.append(path)
                     else:
-                        faults.append(Fault(file=name, reason=f"is no name of a folder of one {level}"))
+                        faults.append(
+                            Fault(
+                                file=name,
+                                reason=f"is no name of a folder of one {level}",
+                            )
+                        )
                 elif not (S_ISREG(status.st_mode) and path.name in allowed):
-                    faults.append(Fault(file=name, reason=f"is unexpected here; a folder for each {level} is expected"))
+                    faults.append(
+                        Fault(
+                            file=name,
+                            reason=f"is unexpected here; a folder for each {level} is expected",
+                        )
+                    )
         folders = inner
     return folders, faults
 
@@ -260,7 +323,9 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
         elif path.name == STATEMENT_FILE:
             files.statement = path
     where = relative_name(folder, root)
-    if files.statement is None and not any(fault.file.endswith(STATEMENT_FILE) for fault in files.faults):
+    if files.statement is None and not any(
+        fault.file.endswith(STATEMENT_FILE) for fault in files.faults
+    ):
         files.faults.append(Fault(file=where, reason=f"has no {STATEMENT_FILE}"))
     if total > MAX_TOTAL_BYTES:
         reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MAX_TOTAL_BYTES / MEGABYTE:.0f} MB"
@@ -270,7 +335,12 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
 
 
 def _file_fault(
-    file: Path, status: os.stat_result, root: Path, *, names: tuple[str, ...] = (), suffix: str = ""
+    file: Path,
+    status: os.stat_result,
+    root: Path,
+    *,
+    names: tuple[str, ...] = (),
+    suffix: str = "",
 ) -> Fault | None:
     """Return why an entry must not be read, or None."""
     name = relative_name(file, root)
@@ -278,11 +348,20 @@ def _file_fault(
         return Fault(file=name, reason="is a link: add the file itself")
     if not S_ISREG(status.st_mode):
         return Fault(file=name, reason="is not a regular file")
-    if not (file.name in names or (suffix and file.suffix == suffix and not file.name.startswith("."))):
+    if not (
+        file.name in names
+        or (suffix and file.suffix == suffix and not file.name.startswith("."))
+    ):
         expected = ", ".join(names) or f"result files *{suffix}"
-        expected += "; gauge report kept poses in it: delete it" if file.name.endswith(".replay.npz") else ""
+        expected += (
+            "; gauge report kept poses in it: delete it"
+            if file.name.endswith(".replay.npz")
+            else ""
+        )
         return Fault(file=name, reason=f"is unexpected here; expected: {expected}")
     if status.st_size > MAX_RESULT_BYTES:
         size, limit = status.st_size / MEGABYTE, MAX_RESULT_BYTES / MEGABYTE
-        return Fault(file=name, reason=f"has {size:.0f} MB, the limit is {limit:.0f} MB")
+        return Fault(
+            file=name, reason=f"has {size:.0f} MB, the limit is {limit:.0f} MB"
+        )
     return None

@@ -59,9 +59,13 @@ def start_values(experiment: Experiment) -> FloatArray:
     """Return g(0) of an experiment from its scene alone, without an engine, shape [coordinate_count]."""
     scene, observable = experiment.scene, experiment.score.observable
     if observable is Observable.POSITION:
-        return 1e3 * np.concatenate([scene.body(name).pose.position_m for name in experiment.recorded])
+        return 1e3 * np.concatenate(
+            [scene.body(name).pose.position_m for name in experiment.recorded]
+        )
     assert scene.markers is not None
-    return observe_markers(np.asarray(scene.markers.positions_m)[None], scene.markers, observable)[0]
+    return observe_markers(
+        np.asarray(scene.markers.positions_m)[None], scene.markers, observable
+    )[0]
 
 
 def trajectory_faults(result: Result, experiment: Experiment) -> Iterator[Found]:
@@ -84,10 +88,16 @@ def trajectory_faults(result: Result, experiment: Experiment) -> Iterator[Found]
     wrong = np.abs(times_s - grid_s) > TIME_TOLERANCE_S
     if wrong.any():
         number = int(wrong.argmax())
-        yield "trajectory.times_s", f"sample {number} is at {times_s[number]:.9g} s, expected {grid_s[number]:.9g} s"
+        yield (
+            "trajectory.times_s",
+            f"sample {number} is at {times_s[number]:.9g} s, expected {grid_s[number]:.9g} s",
+        )
     finite = np.isfinite(samples).all(axis=1)
     if result.outcome is Outcome.FINISHED and not finite.all():
-        yield "trajectory.samples", f"sample {int((~finite).argmax())} holds a value that is not finite"
+        yield (
+            "trajectory.samples",
+            f"sample {int((~finite).argmax())} holds a value that is not finite",
+        )
         return
     yield from _start_faults(samples[0], trajectory, experiment)
     yield from _speed_faults(samples, experiment)
@@ -97,14 +107,22 @@ def trajectory_faults(result: Result, experiment: Experiment) -> Iterator[Found]
             yield "trajectory.samples", copied
 
 
-def _shape_faults(result: Result, trajectory: RecordedTrajectory, experiment: Experiment) -> Iterator[Found]:
+def _shape_faults(
+    result: Result, trajectory: RecordedTrajectory, experiment: Experiment
+) -> Iterator[Found]:
     unit = experiment.score.observable.unit
     if trajectory.unit != unit:
         yield "trajectory.unit", f"is {trajectory.unit!r}, expected {unit!r}"
     if trajectory.coordinates != list(experiment.coordinates):
-        yield "trajectory.coordinates", f"are {_few(trajectory.coordinates)}, expected {_few(experiment.coordinates)}"
+        yield (
+            "trajectory.coordinates",
+            f"are {_few(trajectory.coordinates)}, expected {_few(experiment.coordinates)}",
+        )
     if result.diverged != (result.outcome is Outcome.DIVERGED):
-        yield "diverged", f"is {result.diverged} with the outcome {result.outcome.value!r}"
+        yield (
+            "diverged",
+            f"is {result.diverged} with the outcome {result.outcome.value!r}",
+        )
     needed = experiment.frame_count
     if result.outcome is Outcome.FINISHED and result.frames != needed:
         yield "frames", f"is {result.frames}, expected {needed}"
@@ -115,17 +133,25 @@ def _shape_faults(result: Result, trajectory: RecordedTrajectory, experiment: Ex
         reason = f"has {len(trajectory.times_s)} samples, expected {count}: 180 a second for {result.frames} frames"
         yield "trajectory.times_s", reason
     if len(trajectory.later_times_s) > LATER_FRAMES * SAMPLES_PER_FRAME:
-        yield "trajectory.later_times_s", f"has {len(trajectory.later_times_s)} samples, expected at most 60"
+        yield (
+            "trajectory.later_times_s",
+            f"has {len(trajectory.later_times_s)} samples, expected at most 60",
+        )
     seconds = (result.frames - 1) / FRAME_RATE_HZ
     if abs(result.sim_s - seconds) > TIME_TOLERANCE_S:
-        yield "sim_s", f"is {result.sim_s:.9g}, expected {seconds:.9g} for {result.frames} frames"
+        yield (
+            "sim_s",
+            f"is {result.sim_s:.9g}, expected {seconds:.9g} for {result.frames} frames",
+        )
 
 
 def _few(names: Sequence[str]) -> str:
     return f"{', '.join(names[:3])}{', ...' if len(names) > 3 else ''} ({len(names)})"
 
 
-def _start_faults(first: FloatArray, trajectory: RecordedTrajectory, experiment: Experiment) -> Iterator[Found]:
+def _start_faults(
+    first: FloatArray, trajectory: RecordedTrajectory, experiment: Experiment
+) -> Iterator[Found]:
     expected = start_values(experiment)
     apart = np.abs(np.nan_to_num(first, nan=np.inf) - expected)
     allowed = START_TOLERANCE[trajectory.unit]
@@ -144,7 +170,9 @@ def _speed_faults(samples: FloatArray, experiment: Experiment) -> Iterator[Found
         return
     points = 1e-3 * samples.reshape(len(samples), -1, 3)
     with np.errstate(invalid="ignore"):
-        speeds = np.abs(np.diff(points, axis=0)).max(axis=2, initial=0.0) / SAMPLE_INTERVAL_S
+        speeds = (
+            np.abs(np.diff(points, axis=0)).max(axis=2, initial=0.0) / SAMPLE_INTERVAL_S
+        )
     limit = experiment.scene.speed_limit_m_per_s
     fast = np.nan_to_num(speeds) > limit
     if fast.any():
@@ -177,7 +205,12 @@ def copied_reference(samples: FloatArray, experiment: Experiment) -> str | None:
             continue
         path = CubicSpline(known, real[known], extrapolate=False)
         nearness = [
-            _nearness(ours, path(phase / SAMPLES_PER_FRAME + np.arange(len(ours))), experiment, band)
+            _nearness(
+                ours,
+                path(phase / SAMPLES_PER_FRAME + np.arange(len(ours))),
+                experiment,
+                band,
+            )
             for phase in range(SAMPLES_PER_FRAME)
             for ours in [simulated[phase::SAMPLES_PER_FRAME]]
         ]
@@ -196,19 +229,25 @@ def _real_trajectories(band: Band) -> Iterator[tuple[str, FloatArray]]:
         yield f"real trial {number}", trial
 
 
-def _nearness(simulated: FloatArray, real: FloatArray, experiment: Experiment, band: Band) -> tuple[float, float]:
+def _nearness(
+    simulated: FloatArray, real: FloatArray, experiment: Experiment, band: Band
+) -> tuple[float, float]:
     """Return the distance of a trajectory from a real one, without a constant offset, and that of a copy."""
     count = min(len(simulated), len(real))
     seen = np.isfinite(real[:count]).all(axis=1)
     if seen.sum() < 2:
         return np.inf, 0.0
     known, ours = real[:count][seen], simulated[:count][seen]
-    allowed = COPY_OF_MOTION * trajectory_rmse(known, np.broadcast_to(known[0], known.shape))
+    allowed = COPY_OF_MOTION * trajectory_rmse(
+        known, np.broadcast_to(known[0], known.shape)
+    )
     baseline = band_baseline(experiment, band)
     if baseline is not None:
         allowed = min(allowed, COPY_OF_BASELINE * baseline.mean)
     apart = ours - known
-    return trajectory_rmse(apart, np.broadcast_to(apart.mean(axis=0), apart.shape)), allowed
+    return trajectory_rmse(
+        apart, np.broadcast_to(apart.mean(axis=0), apart.shape)
+    ), allowed
 
 
 def rescored(result: Result, experiment: Experiment) -> Result:
@@ -224,7 +263,9 @@ def rescored(result: Result, experiment: Experiment) -> Result:
     if result.outcome is Outcome.FINISHED and result.trajectory is not None:
         times_s, values = result.trajectory.arrays(later=True)
         backend = None if result.settings_given else result.backend
-        score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=backend)
+        score = score_trajectory(
+            experiment, band, times_s=times_s, values=values, backend=backend
+        )
     else:
         grade = BandGrade.NONE if band is None else band.grade
         score = Score(grade=grade.value, unit=experiment.score.observable.unit)
@@ -233,14 +274,24 @@ def rescored(result: Result, experiment: Experiment) -> Result:
 
 def false_scores(result: Result) -> list[str]:
     """Return what a result of an engine states of its bundled experiment that its own trajectory does not give."""
-    is_bundled = result.dataset == BUNDLED_DATA and not result.asset and result.score.withheld is None
-    if not is_bundled or result.backend is None or result.outcome is not Outcome.FINISHED:
+    is_bundled = (
+        result.dataset == BUNDLED_DATA
+        and not result.asset
+        and result.score.withheld is None
+    )
+    if (
+        not is_bundled
+        or result.backend is None
+        or result.outcome is not Outcome.FINISHED
+    ):
         return []
     try:
         computed = rescored(result, recorded_experiment(result))
     except GaugeError as error:
         return [str(error)]
-    return [f"{key}: {reason}" for key, reason in differing_scores(result, computed.score)]
+    return [
+        f"{key}: {reason}" for key, reason in differing_scores(result, computed.score)
+    ]
 
 
 def differing_scores(result: Result, computed: Score) -> Iterator[tuple[str, str]]:
@@ -256,28 +307,46 @@ def differing_scores(result: Result, computed: Score) -> Iterator[tuple[str, str
         if key in WRITTEN_ANEW or key.endswith("_95"):
             continue
         for place, said, given in _differences(f"score.{key}", theirs[key], value):
-            yield place, f"the file states {_text(said)}, its trajectory gives {_text(given)}"
+            yield (
+                place,
+                f"the file states {_text(said)}, its trajectory gives {_text(given)}",
+            )
 
 
 def _differences(place: str, said: Any, given: Any) -> Iterator[tuple[str, Any, Any]]:
     """Yield place and both values of each difference in two JSON values."""
-    if isinstance(said, dict) and isinstance(given, dict) and said.keys() == given.keys():
+    if (
+        isinstance(said, dict)
+        and isinstance(given, dict)
+        and said.keys() == given.keys()
+    ):
         for key in given:
             yield from _differences(f"{place}.{key}", said[key], given[key])
     elif isinstance(said, list) and isinstance(given, list) and len(said) == len(given):
         for number, (one, other) in enumerate(zip(said, given, strict=True)):
             yield from _differences(f"{place}.{number}", one, other)
     elif _are_numbers(said, given):
-        if not math.isclose(said, given, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE):
+        if not math.isclose(
+            said, given, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE
+        ):
             yield place, said, given
     elif said != given:
         yield place, said, given
 
 
 def _are_numbers(*values: Any) -> bool:
-    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return all(
+        isinstance(value, int | float) and not isinstance(value, bool)
+        for value in values
+    )
 
 
 def _text(value: Any) -> str:
-    text = "nothing" if value is None else f"{value:.9g}" if isinstance(value, float) else repr(value)
+    text = (
+        "nothing"
+        if value is None
+        else f"{value:.9g}"
+        if isinstance(value, float)
+        else repr(value)
+    )
     return text if len(text) <= 80 else f"{text[:77]}..."

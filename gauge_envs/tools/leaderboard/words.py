@@ -10,13 +10,20 @@ from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
 
-RESULTS = Column("", "results", lambda row: f"{row['results']} of {row['of']}", is_number=True)
+RESULTS = Column(
+    "", "results", lambda row: f"{row['results']} of {row['of']}", is_number=True
+)
 
 
 def check_document(check: LeaderboardCheck) -> Document:
     """Return the submissions, the episodes that were run again, and the faults; `record` of a row states which."""
-    submissions = [_submission_row(one) | {"notes": list(one.notes)} for one in check.submissions]
-    reruns = {one.folder: [{"folder": one.folder} | asdict(two) for two in one.reruns] for one in check.submissions}
+    submissions = [
+        _submission_row(one) | {"notes": list(one.notes)} for one in check.submissions
+    ]
+    reruns = {
+        one.folder: [{"folder": one.folder} | asdict(two) for two in one.reruns]
+        for one in check.submissions
+    }
     numbers = {"largest_difference": "largest", "rmse": "RMS", "allowed": "allowed RMS"}
     tables = (
         Table(
@@ -25,7 +32,10 @@ def check_document(check: LeaderboardCheck) -> Document:
                 Column("folder", "", place=Place.HEADING),
                 Column("id", "experiment"),
                 Column("status", "trajectory"),
-                *(Column(key, title, lambda value: f"{value:.3g}", is_number=True) for key, title in numbers.items()),
+                *(
+                    Column(key, title, lambda value: f"{value:.3g}", is_number=True)
+                    for key, title in numbers.items()
+                ),
                 Column("unit", "unit"),
                 Column("cause", "cause", place=Place.BELOW),
             ),
@@ -46,16 +56,26 @@ def check_document(check: LeaderboardCheck) -> Document:
         columns=(
             Column("folder", "folder"),
             RESULTS,
-            Column("faults", "faults", is_number=True, style=lambda count: "red" if count else "green"),
+            Column(
+                "faults",
+                "faults",
+                is_number=True,
+                style=lambda count: "red" if count else "green",
+            ),
         ),
         rows=submissions,
         notes=tuple(note for one in check.submissions for note in one.notes),
     )
     rows: list[dict[str, Any]] = []
     for row in submissions:
-        rows += [{"record": "submission"} | row, *({"record": "rerun"} | again for again in reruns[row["folder"]])]
+        rows += [
+            {"record": "submission"} | row,
+            *({"record": "rerun"} | again for again in reruns[row["folder"]]),
+        ]
     rows += [{"record": "fault"} | asdict(fault) for fault in check.all_faults]
-    return Document(parts=(listed, *(table for table in tables if table.rows)), rows=rows)
+    return Document(
+        parts=(listed, *(table for table in tables if table.rows)), rows=rows
+    )
 
 
 def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
@@ -79,12 +99,27 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
     comparison = compare(result for one in _ranked(check) for result in one.results)
     left_out = Column("left_out", "left out", _left_out_text, place=Place.BELOW)
-    columns = (*(Column(key, key) for key in ("engine", "version", "configuration", "submitter")), RESULTS, left_out)
+    columns = (
+        *(
+            Column(key, key)
+            for key in ("engine", "version", "configuration", "submitter")
+        ),
+        RESULTS,
+        left_out,
+    )
     standing = Table(
         title="Submissions",
-        columns=(Column("label", "column"), *columns, Column("diverged", "diverged", is_number=True)),
+        columns=(
+            Column("label", "column"),
+            *columns,
+            Column("diverged", "diverged", is_number=True),
+        ),
         rows=[
-            {"label": comparison.labels[comparison.configurations.index(RunConfiguration.of(one.results[0]))]}
+            {
+                "label": comparison.labels[
+                    comparison.configurations.index(RunConfiguration.of(one.results[0]))
+                ]
+            }
             | _submission_row(one)
             for one in _ranked(check)
         ],
@@ -96,7 +131,11 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
     apart = Table(
         title="Partial submissions",
         columns=columns,
-        rows=[_submission_row(one) for one in check.submissions if one.ok and one.is_partial],
+        rows=[
+            _submission_row(one)
+            for one in check.submissions
+            if one.ok and one.is_partial
+        ],
         notes=(
             "They lack results of experiments that their engine builds, or an engine that is installed here. They are "
             "not compared, so that the experiments of the others stay the same.",
@@ -104,13 +143,25 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
     )
     # Wall times are those of the submitters' machines, which no trajectory proves.
     compared = comparison_document(comparison, with_costs=False)
-    parts = (standing, *([apart] if apart.rows else ()), *(compared.parts if comparison.experiments else ()))
+    parts = (
+        standing,
+        *([apart] if apart.rows else ()),
+        *(compared.parts if comparison.experiments else ()),
+    )
     rows = [{"record": "submission"} | row for row in (*standing.rows, *apart.rows)]
-    return Document(parts=parts, rows=rows + as_rows(compared), markdown=(Heading("Leaderboard", 1), *parts))
+    return Document(
+        parts=parts,
+        rows=rows + as_rows(compared),
+        markdown=(Heading("Leaderboard", 1), *parts),
+    )
 
 
 def _ranked(check: LeaderboardCheck) -> list[SubmissionCheck]:
-    return [one for one in check.submissions if one.ok and one.results and not one.is_partial]
+    return [
+        one
+        for one in check.submissions
+        if one.ok and one.results and not one.is_partial
+    ]
 
 
 def _left_out_text(reasons: dict[str, str]) -> str:
@@ -118,4 +169,9 @@ def _left_out_text(reasons: dict[str, str]) -> str:
     by_reason: dict[str, list[str]] = {}
     for pattern, reason in reasons.items():
         by_reason.setdefault(reason, []).append(pattern)
-    return "; ".join(f"{', '.join(patterns)}: {reason}" for reason, patterns in by_reason.items()) or "none"
+    return (
+        "; ".join(
+            f"{', '.join(patterns)}: {reason}" for reason, patterns in by_reason.items()
+        )
+        or "none"
+    )

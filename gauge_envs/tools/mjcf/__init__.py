@@ -5,7 +5,11 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.mjcf.reader import DRIVER_PREFIX as DRIVER_PREFIX, PROBE as PROBE, driver_rows as driver_rows
+    from gauge_envs.tools.mjcf.reader import (
+        DRIVER_PREFIX as DRIVER_PREFIX,
+        PROBE as PROBE,
+        driver_rows as driver_rows,
+    )
     from gauge_envs.tools.mjcf.writer import (
         NUMBER as NUMBER,
         add_grips as add_grips,

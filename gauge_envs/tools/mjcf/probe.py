@@ -11,7 +11,11 @@ import mujoco
 def main(file: str | None) -> None:
     """Compile a model and allocate its state; a file that MuJoCo cannot load is no matter of limits."""
     try:
-        spec = mujoco.MjSpec.from_file(file) if file else mujoco.MjSpec.from_string(sys.stdin.read())
+        spec = (
+            mujoco.MjSpec.from_file(file)
+            if file
+            else mujoco.MjSpec.from_string(sys.stdin.read())
+        )
         mujoco.MjData(spec.compile())
     except ValueError:
         return

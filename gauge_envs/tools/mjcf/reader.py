@@ -28,13 +28,26 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import START_KEY, build_model, parents_first, start_rates
+from gauge_envs.backends.mujoco.model import (
+    START_KEY,
+    build_model,
+    parents_first,
+    start_rates,
+)
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
-from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import (
+    BodyHinge,
+    Hinge,
+    JointDynamics,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
@@ -53,7 +66,15 @@ AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
 
-STATED_SETTINGS = ("timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance")
+STATED_SETTINGS = (
+    "timestep_s",
+    "integrator",
+    "cone",
+    "solver",
+    "impratio",
+    "iterations",
+    "tolerance",
+)
 """Settings that a result of a file holds."""
 
 DRIVER_COLUMNS = 19
@@ -73,7 +94,9 @@ SAME_MOTION = 1e-6
 # --- loading ---------------------------------------------------------------------------------------------------------
 
 
-def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
+def load_model(
+    path: Path, scene: Scene
+) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
     """Compile an MJCF file for the scene that `read_model` returned for it.
 
     Returns:
@@ -106,7 +129,9 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         spec = mujoco.MjSpec.from_string(text)
         model = spec.compile()
     except ValueError as error:
-        raise AssetError(path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}") from None
+        raise AssetError(
+            path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}"
+        ) from None
     _complete(path, model)
     return spec, model
 
@@ -121,7 +146,11 @@ def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
     step_s = model.opt.timestep
     if not step_s >= SHORTEST_STEP_S:
-        raise AssetError(path, "option timestep", f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected")
+        raise AssetError(
+            path,
+            "option timestep",
+            f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected",
+        )
     steps = DRIVE_INTERVAL_S / step_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         raise AssetError(
@@ -148,11 +177,21 @@ def _complete(path: Path, model: mujoco.MjModel) -> None:
     for name, values in numbers.items():
         table, _, rest = name.partition("/")
         body, _, part = rest.rpartition("/")
-        if part not in ("kinds", "weight") or table not in ("flex_stiffness", "flex_bending"):
+        if part not in ("kinds", "weight") or table not in (
+            "flex_stiffness",
+            "flex_bending",
+        ):
             continue
-        flex, place = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body), f"{table}/{body}"
+        flex, place = (
+            mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body),
+            f"{table}/{body}",
+        )
         if flex < 0:
-            raise AssetError(path, place, "the file has no flex of this name: correct the name of the numeric")
+            raise AssetError(
+                path,
+                place,
+                "the file has no flex of this name: correct the name of the numeric",
+            )
         rows = flex_table(model, table, flex)
         if part == "weight":
             weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
@@ -160,18 +199,32 @@ def _complete(path: Path, model: mujoco.MjModel) -> None:
             continue
         kind = numbers.get(f"{place}/kind")
         if kind is None:
-            raise AssetError(path, name, f"custom numeric '{place}/kind', the index of each row, is missing: add it")
+            raise AssetError(
+                path,
+                name,
+                f"custom numeric '{place}/kind', the index of each row, is missing: add it",
+            )
         width = rows.size // _divided(path, f"{place}/kind", rows.size, len(kind))
-        kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
+        kinds = values.reshape(
+            _divided(path, name, len(values), len(values) // max(width, 1)), -1
+        )
         if kind.min() < 0 or kind.max() >= len(kinds):
-            raise AssetError(path, f"{place}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
+            raise AssetError(
+                path,
+                f"{place}/kind",
+                f"holds numbers beyond the {len(kinds)} rows of kinds",
+            )
         rows[:] = kinds[kind.astype(int)].ravel()
 
 
 def _divided(path: Path, name: str, size: int, count: int) -> int:
     """Return the row count if it divides the size of a table."""
     if count < 1 or size % count:
-        raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers: write all rows")
+        raise AssetError(
+            path,
+            name,
+            f"{count} rows do not fit a table of {size} numbers: write all rows",
+        )
     return count
 
 
@@ -191,16 +244,29 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     built = simulation.model
     _check_bodies(path, model, scene)
     _check_nodes(path, model, built, scene)
-    bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
-    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()}
+    bodies = tuple(
+        replace(body, mass_kg=_mass_kg(model, built, body))
+        for body in _started(path, model, scene)
+    )
+    hanging = {
+        hinge: name
+        for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
+    }
     placed = replace(
         scene,
         bodies=bodies,
         joints=tuple(
-            _hinge(model, built, joint, joint.body) if isinstance(joint, Hinge) else joint for joint in scene.joints
+            _hinge(model, built, joint, joint.body)
+            if isinstance(joint, Hinge)
+            else joint
+            for joint in scene.joints
         ),
-        body_hinges=tuple(_hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges),
-        gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
+        body_hinges=tuple(
+            _hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges
+        ),
+        gravity_m_per_s2=same_or(
+            float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2
+        ),
     )
     changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
     drivers = []
@@ -208,8 +274,12 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         read = _driver(path, model, placed, driver, simulation)
         drivers.append(read)
         if read != driver:
-            changes.append(f"driver of {driver.body}: its motion is sampled from other rows")
-    return ModelFile(scene=replace(placed, drivers=tuple(drivers)), changes=tuple(changes))
+            changes.append(
+                f"driver of {driver.body}: its motion is sampled from other rows"
+            )
+    return ModelFile(
+        scene=replace(placed, drivers=tuple(drivers)), changes=tuple(changes)
+    )
 
 
 def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
@@ -217,32 +287,70 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
     hinged = hinges_by_body(scene)
     for body in scene.bodies:
         if body.name not in known:
-            shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
-            raise AssetError(path, body.name, f"no body of that name: the file has {shown or 'none'}")
+            shown = ", ".join(known[:12]) + (
+                f" and {len(known) - 12} more" if len(known) > 12 else ""
+            )
+            raise AssetError(
+                path, body.name, f"no body of that name: the file has {shown or 'none'}"
+            )
         if body.motion is Motion.FIXED:
             continue
-        kind = mujoco.mjtJoint.mjJNT_HINGE if body.name in hinged else mujoco.mjtJoint.mjJNT_FREE
+        kind = (
+            mujoco.mjtJoint.mjJNT_HINGE
+            if body.name in hinged
+            else mujoco.mjtJoint.mjJNT_FREE
+        )
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
-        if joint < 0 or model.jnt_type[joint] != kind or model.jnt_bodyid[joint] != model.body(body.name).id:
+        if (
+            joint < 0
+            or model.jnt_type[joint] != kind
+            or model.jnt_bodyid[joint] != model.body(body.name).id
+        ):
             wanted = "hinge" if body.name in hinged else "free"
-            raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
+            raise AssetError(
+                path,
+                body.name,
+                f"it is {body.motion.value} and needs a {wanted} joint with its name",
+            )
         hinge = hinged.get(body.name)
         play = hinge and hinge.dynamics.backlash_rad
-        if play and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{body.name}/play") < 0:
-            raise AssetError(path, body.name, f"its joint has backlash and needs a second hinge '{body.name}/play'")
-        if hinge and hinge.motor and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0:
-            raise AssetError(path, body.name, "its joint has a motor and needs an actuator with its name")
+        if (
+            play
+            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{body.name}/play")
+            < 0
+        ):
+            raise AssetError(
+                path,
+                body.name,
+                f"its joint has backlash and needs a second hinge '{body.name}/play'",
+            )
+        if (
+            hinge
+            and hinge.motor
+            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0
+        ):
+            raise AssetError(
+                path,
+                body.name,
+                "its joint has a motor and needs an actuator with its name",
+            )
         if isinstance(hinge, BodyHinge):
             parent = other_end(hinge, body.name)
             if model.body(model.body(body.name).parentid[0]).name != parent:
-                raise AssetError(path, body.name, f"it hangs on {parent!r}: make it a child of that body")
+                raise AssetError(
+                    path,
+                    body.name,
+                    f"it hangs on {parent!r}: make it a child of that body",
+                )
         found = model.body(body.name)
         if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
             reason = "its mass and its moments of inertia must be the same number: it is driven"
             raise AssetError(path, body.name, reason)
 
 
-def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
+def _check_nodes(
+    path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene
+) -> None:
     """Check that the nodes of deformable bodies exist at the positions that the backend gives them."""
     rigid = {body.name for body in scene.bodies}
     for index in range(1, built.nbody):
@@ -251,13 +359,23 @@ def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene
             continue
         found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if found < 0:
-            raise AssetError(path, name, "the file lacks this node of a deformable body: restore it")
+            raise AssetError(
+                path, name, "the file lacks this node of a deformable body: restore it"
+            )
         if not is_same(model.body_pos[found], built.body_pos[index]):
-            raise AssetError(path, name, "nodes of a deformable body cannot be moved in MJCF: move the body in USD")
+            raise AssetError(
+                path,
+                name,
+                "nodes of a deformable body cannot be moved in MJCF: move the body in USD",
+            )
     for index in range(built.nflex):
         name = mujoco.mj_id2name(built, mujoco.mjtObj.mjOBJ_FLEX, index)
         if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name) < 0:
-            raise AssetError(path, name, "the file lacks the flex of this deformable body: restore it")
+            raise AssetError(
+                path,
+                name,
+                "the file lacks the flex of this deformable body: restore it",
+            )
 
 
 def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
@@ -277,14 +395,23 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
     """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
     rates = _start_qvel(path, model)
     hinges = hinges_by_body(scene)
-    poses = dict(zip((body.name for body in scene.bodies), _poses(model, scene), strict=True))
+    poses = dict(
+        zip((body.name for body in scene.bodies), _poses(model, scene), strict=True)
+    )
     found: dict[str, RigidBody] = {}
     # The velocity of a body that hangs on another one contains that of the other one.
     for body in parents_first(scene):
         started, hinge = replace(body, pose=poses[body.name]), hinges.get(body.name)
         if body.motion is Motion.DYNAMIC:
-            parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
-            expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
+            parent = (
+                found[other_end(hinge, body.name)]
+                if isinstance(hinge, BodyHinge)
+                else None
+            )
+            expected, first = (
+                start_rates(scene, started, hinge),
+                int(model.joint(body.name).dofadr[0]),
+            )
             own = rates[first : first + len(expected)]
             moving = _with_rates(model, started, own, parent)
             is_still = parent is None and is_same(own, expected)
@@ -321,7 +448,10 @@ def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
 
 
 def _with_rates(
-    model: mujoco.MjModel, body: RigidBody, rates: NDArray[np.float64], parent: RigidBody | None
+    model: mujoco.MjModel,
+    body: RigidBody,
+    rates: NDArray[np.float64],
+    parent: RigidBody | None,
 ) -> RigidBody:
     """Return a body whose joint to its parent, or to the world, starts with a velocity; see `start_rates`."""
     if len(rates) == 1:
@@ -332,12 +462,18 @@ def _with_rates(
         linear = np.zeros(3)
         if parent is not None:
             carried = np.asarray(parent.angular_velocity_rad_per_s)
-            linear = parent.linear_velocity_m_per_s + np.cross(carried, anchor - parent.pose.position_m)
+            linear = parent.linear_velocity_m_per_s + np.cross(
+                carried, anchor - parent.pose.position_m
+            )
             angular = angular + carried
         linear = linear + np.cross(angular, body.pose.position_m - anchor)
     else:
         linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
-    return replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
+    return replace(
+        body,
+        linear_velocity_m_per_s=vector(linear),
+        angular_velocity_rad_per_s=vector(angular),
+    )
 
 
 def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
@@ -356,10 +492,16 @@ def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> P
 def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
     """Return the mass of a body in a file. Driven bodies keep the scene's mass, since theirs is a numerical setting."""
     mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
-    return body.mass_kg if body.motion is not Motion.DYNAMIC or is_same(mass, expected) else mass
+    return (
+        body.mass_kg
+        if body.motion is not Motion.DYNAMIC or is_same(mass, expected)
+        else mass
+    )
 
 
-def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: str) -> AnyHinge:
+def _hinge(
+    model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: str
+) -> AnyHinge:
     """Return the hinge that is the joint of a body of a file."""
     found = []
     for one in (model, built):
@@ -370,10 +512,14 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: 
     joint, stated, motor = model.joint(body), hinge.dynamics, hinge.motor
     dynamics = JointDynamics(
         dry_friction_n_m=same_or(float(joint.frictionloss[0]), stated.dry_friction_n_m),
-        viscous_friction_n_m_s_per_rad=same_or(float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad),
+        viscous_friction_n_m_s_per_rad=same_or(
+            float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad
+        ),
         armature_kg_m2=same_or(float(joint.armature[0]), stated.armature_kg_m2),
         backlash_rad=stated.backlash_rad
-        and same_or(float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad),
+        and same_or(
+            float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad
+        ),
     )
     if isinstance(motor, Servo):
         actuator = model.actuator(body)
@@ -381,7 +527,9 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: 
         motor = replace(
             motor,
             kp_n_m_per_rad=same_or(float(actuator.gainprm[0]), motor.kp_n_m_per_rad),
-            kv_n_m_s_per_rad=same_or(-float(actuator.biasprm[2]), motor.kv_n_m_s_per_rad),
+            kv_n_m_s_per_rad=same_or(
+                -float(actuator.biasprm[2]), motor.kv_n_m_s_per_rad
+            ),
             torque_limit_n_m=limit and same_or(limit, motor.torque_limit_n_m or limit),
         )
     hinge = replace(hinge, dynamics=dynamics, motor=motor)
@@ -390,7 +538,9 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: 
     return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
 
 
-def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> NDArray[np.float64]:
+def driver_rows(
+    simulation: SimulationMuJoCo, path: DriverPath, count: int
+) -> NDArray[np.float64]:
     """Return the numbers that the backend writes to drive a body, interval by interval.
 
     Args:
@@ -414,37 +564,71 @@ def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> N
     return rows
 
 
-def _driver(path: Path, model: mujoco.MjModel, scene: Scene, driver: Driver, simulation: SimulationMuJoCo) -> Driver:
+def _driver(
+    path: Path,
+    model: mujoco.MjModel,
+    scene: Scene,
+    driver: Driver,
+    simulation: SimulationMuJoCo,
+) -> Driver:
     """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
     from gauge_envs.scene.driver_path import DriverPath
 
     name = f"{DRIVER_PREFIX}{driver.body}"
     numbers = _numerics(model).get(name)
     if numbers is None:
-        raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
+        raise AssetError(
+            path,
+            name,
+            "the custom numeric with the motion of this driven body is missing: add it",
+        )
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
-        raise AssetError(path, name, f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected")
+        raise AssetError(
+            path,
+            name,
+            f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected",
+        )
     rows = numbers.reshape(-1, DRIVER_COLUMNS)
     count = round(scene.duration_s / DRIVE_INTERVAL_S)
     rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
     frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
     expected = driver_rows(simulation, DriverPath(driver, scene, frame_count), count)
-    expected[:, 13:] *= model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
+    expected[:, 13:] *= (
+        model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
+    )
     if _same_rows(rows, expected):
         return driver
     if _same_rows(rows[:, :7], expected[:, :7]):
-        raise AssetError(path, name, "velocities or forces changed but poses did not: change the poses")
-    poses = [*(_pose(row[:3], row[3:7]) for row in rows), _end_of(rows[-1], model.body(driver.body).mass[0])]
+        raise AssetError(
+            path,
+            name,
+            "velocities or forces changed but poses did not: change the poses",
+        )
+    poses = [
+        *(_pose(row[:3], row[3:7]) for row in rows),
+        _end_of(rows[-1], model.body(driver.body).mass[0]),
+    ]
     start = scene.body(driver.body).pose
     if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
         raise AssetError(
-            path, name, f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal"
+            path,
+            name,
+            f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal",
         )
     try:
-        motions = sampled_motions(start, (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(), poses, like=driver.motions)
+        motions = sampled_motions(
+            start,
+            (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(),
+            poses,
+            like=driver.motions,
+        )
     except ShapeError as error:
         raise AssetError(path, name, str(error)) from error
-    return replace(driver, motions=motions, provenance=f"nominal: edited in {path.name}, was {driver.provenance}")
+    return replace(
+        driver,
+        motions=motions,
+        provenance=f"nominal: edited in {path.name}, was {driver.provenance}",
+    )
 
 
 def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
@@ -453,7 +637,10 @@ def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
     rotation = Rotation.from_quat(row[3:7], scalar_first=True)
     rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
     displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
-    return Pose.from_rotation(vector(row[:3] + displacement[:3]), Rotation.from_rotvec(displacement[3:]) * rotation)
+    return Pose.from_rotation(
+        vector(row[:3] + displacement[:3]),
+        Rotation.from_rotvec(displacement[3:]) * rotation,
+    )
 
 
 def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:

@@ -37,9 +37,13 @@ KINDS = re.compile(
 
 def start_notes(simulation: SimulationMuJoCo) -> list[str]:
     """Return instructions for a start with velocities and for motors; empty for a start at rest without motors."""
-    motors = [f"{simulation.model.actuator(index).name!r}" for index in range(simulation.model.nu)]
+    motors = [
+        f"{simulation.model.actuator(index).name!r}"
+        for index in range(simulation.model.nu)
+    ]
     notes = [
-        f"Motors {', '.join(motors)}: this file holds no commands and delays; write them to ctrl." for _ in motors[:1]
+        f"Motors {', '.join(motors)}: this file holds no commands and delays; write them to ctrl."
+        for _ in motors[:1]
     ]
     if not simulation.model.nkey:
         return notes
@@ -60,7 +64,11 @@ def without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def replay_note(
-    body: str, provenance: str, simulation: SimulationMuJoCo, rows: NDArray[np.float64], intervals: int
+    body: str,
+    provenance: str,
+    simulation: SimulationMuJoCo,
+    rows: NDArray[np.float64],
+    intervals: int,
 ) -> str:
     """Return instructions for replaying the rows of a driven body.
 
@@ -99,19 +107,31 @@ def add_grips(simulation: SimulationMuJoCo) -> list[str]:
 def add_stiffness_tables(simulation: SimulationMuJoCo) -> list[str]:
     """Add flex tables that MuJoCo does not compile from XML as custom numbers; return instructions for their use."""
     model = simulation.model
-    plain = mujoco.MjModel.from_xml_string(ElementTree.tostring(exact_xml(simulation), encoding="unicode"))
+    plain = mujoco.MjModel.from_xml_string(
+        ElementTree.tostring(exact_xml(simulation), encoding="unicode")
+    )
     notes = []
     for index in range(model.nflex):
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, index)
         for table in TABLES:
             values, compiled = (flex_table(one, table, index) for one in (model, plain))
-            if np.allclose(values, compiled, rtol=0.0, atol=SAME_TABLE * np.abs(values).max(initial=0.0)):
+            if np.allclose(
+                values,
+                compiled,
+                rtol=0.0,
+                atol=SAME_TABLE * np.abs(values).max(initial=0.0),
+            ):
                 continue
             values = values.reshape(_row_count(model, table, index), -1)
             title, start = f"{table}/{name}", int(getattr(model, f"{table}adr")[index])
-            place, width = f"model.{table}[{start} : {start + values.size}]", values.shape[1]
+            place, width = (
+                f"model.{table}[{start} : {start + values.size}]",
+                values.shape[1],
+            )
             if table == "flex_bending":
-                numbers: dict[str, NDArray[Any]] = {"weight": _weights(values, compiled.reshape(values.shape))}
+                numbers: dict[str, NDArray[Any]] = {
+                    "weight": _weights(values, compiled.reshape(values.shape))
+                }
                 recipe = (
                     f"Cloth {name!r}: weigh the folds about the diagonals of its mesh, after loading:\n"
                     f"        rows = {place}.reshape(-1, {width})\n"
@@ -128,7 +148,9 @@ def add_stiffness_tables(simulation: SimulationMuJoCo) -> list[str]:
                 )
             notes.append(recipe)
             for part, data in numbers.items():
-                simulation.spec.add_numeric(name=f"{title}/{part}", size=data.size, data=data.tolist())
+                simulation.spec.add_numeric(
+                    name=f"{title}/{part}", size=data.size, data=data.tolist()
+                )
     return notes
 
 
@@ -136,7 +158,11 @@ def _row_count(model: mujoco.MjModel, table: str, index: int) -> int:
     """Return the number of rows of a table of one flex, which has one row per edge, cell or element."""
     if table == "flex_bending":
         return int(model.flex_edgenum[index])
-    return int(np.prod(model.flex_cellnum[index]) if model.flex_interp[index] else model.flex_elemnum[index])
+    return int(
+        np.prod(model.flex_cellnum[index])
+        if model.flex_interp[index]
+        else model.flex_elemnum[index]
+    )
 
 
 def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -148,10 +174,14 @@ def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.i
     return first[order], rank[kind.ravel()]
 
 
-def _weights(rows: NDArray[np.float64], compiled: NDArray[np.float64]) -> NDArray[np.float64]:
+def _weights(
+    rows: NDArray[np.float64], compiled: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the factor on each compiled row that gives the desired row bit for bit."""
     largest = np.abs(compiled).argmax(axis=1)[:, None]
-    wanted, given = (np.take_along_axis(one, largest, axis=1)[:, 0] for one in (rows, compiled))
+    wanted, given = (
+        np.take_along_axis(one, largest, axis=1)[:, 0] for one in (rows, compiled)
+    )
     weights = np.divide(wanted, given, out=np.ones(len(rows)), where=given != 0.0)
     for weight in np.unique(weights):
         weights[(compiled * weight == rows).all(axis=1)] = weight
@@ -165,7 +195,9 @@ def expanded(text: str) -> str:
         kind = [int(index) for index in match["kind"].split()]
         numbers = match["kinds"].split()
         width = len(numbers) // (max(kind) + 1)
-        return "\n".join(" ".join(numbers[index * width : (index + 1) * width]) for index in kind)
+        return "\n".join(
+            " ".join(numbers[index * width : (index + 1) * width]) for index in kind
+        )
 
     return KINDS.sub(rows, text)
 
@@ -192,7 +224,9 @@ def exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:
     if simulation.model.nflex:
         _shorten(root)
     for element in root.findall("custom/numeric"):
-        element.set("data", _digits(np.asarray(spec.numeric(element.get("name", "")).data)))
+        element.set(
+            "data", _digits(np.asarray(spec.numeric(element.get("name", "")).data))
+        )
     return root
 
 
@@ -214,7 +248,9 @@ def _shorten(root: ElementTree.Element) -> None:
     root.insert(1, default)
 
 
-def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[ElementTree.Element, Any]]:
+def _sources(
+    root: ElementTree.Element, spec: mujoco.MjSpec
+) -> Iterator[tuple[ElementTree.Element, Any]]:
     """Yield each element with numbers and its object in the editable model."""
     for element in root.findall("option"):
         yield element, spec.option
@@ -239,7 +275,11 @@ def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[E
         yield element, body
         for inertial in element.findall("inertial"):
             yield inertial, body
-        for tag, parts in (("geom", body.geoms), ("joint", body.joints), ("site", body.sites)):
+        for tag, parts in (
+            ("geom", body.geoms),
+            ("joint", body.joints),
+            ("site", body.sites),
+        ):
             yield from zip(element.findall(tag), parts, strict=True)
 
 
@@ -247,7 +287,8 @@ LIMIT = {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"}
 ALIASES = {
     "mesh": {"vertex": "uservert"},
     "spatial": LIMIT,
-    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"} | LIMIT,
+    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"}
+    | LIMIT,
     "inertial": {"pos": "ipos", "diaginertia": "inertia"},
     "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
 }
@@ -263,10 +304,17 @@ def _restore_digits(element: ElementTree.Element, source: Any) -> None:
             continue
         written = np.array(text.split(), dtype=np.float64)
         # MuJoCo omits trailing defaults.
-        values = np.atleast_1d(np.asarray(exact, np.float32 if key == "vertex" and element.tag == "mesh" else None))
+        values = np.atleast_1d(
+            np.asarray(
+                exact, np.float32 if key == "vertex" and element.tag == "mesh" else None
+            )
+        )
         values = values[: written.size]
         # Deformable bodies have thousands of elements, and np.allclose takes most of the time.
-        if written.shape == values.shape and (np.abs(written - values) <= 1e-12 + 1e-5 * np.abs(values)).all():
+        if (
+            written.shape == values.shape
+            and (np.abs(written - values) <= 1e-12 + 1e-5 * np.abs(values)).all()
+        ):
             element.set(key, _digits(values))
 
 

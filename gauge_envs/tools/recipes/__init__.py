@@ -6,9 +6,22 @@ from gauge_envs.registry import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.recipes.aim import FREE_FRICTION as FREE_FRICTION, Aim as Aim
-    from gauge_envs.tools.recipes.engines import engine_names as engine_names, engine_settings as engine_settings
-    from gauge_envs.tools.recipes.measure import Measured as Measured, measured as measured
-    from gauge_envs.tools.recipes.probes import Probe as Probe, Rest as Rest, Spread as Spread
-    from gauge_envs.tools.recipes.search import Recipe as Recipe, find_recipe as find_recipe
+    from gauge_envs.tools.recipes.engines import (
+        engine_names as engine_names,
+        engine_settings as engine_settings,
+    )
+    from gauge_envs.tools.recipes.measure import (
+        Measured as Measured,
+        measured as measured,
+    )
+    from gauge_envs.tools.recipes.probes import (
+        Probe as Probe,
+        Rest as Rest,
+        Spread as Spread,
+    )
+    from gauge_envs.tools.recipes.search import (
+        Recipe as Recipe,
+        find_recipe as find_recipe,
+    )
 else:
     __getattr__, __all__ = door(__name__)

@@ -73,7 +73,9 @@ class Aim:
         if self.creep_m_s is not None:
             check_measurable("creep", self.creep_m_s, CREEP_RANGE_M_S, " m/s")
         if self.penetration_m is not None:
-            check_measurable("penetration", self.penetration_m, PENETRATION_RANGE_M, " m")
+            check_measurable(
+                "penetration", self.penetration_m, PENETRATION_RANGE_M, " m"
+            )
         if self.stiffness_n_per_m is not None:
             self._check_stiffness(self.stiffness_n_per_m)
         if self.damping_n_s_per_m is not None:
@@ -81,13 +83,20 @@ class Aim:
                 raise ParameterError(
                     "damping: it determines the rebound beside a stiffness: give a stiffness and no restitution"
                 )
-            check_measurable("damping", self.damping_n_s_per_m, (0.0, math.inf), " N s/m")
+            check_measurable(
+                "damping", self.damping_n_s_per_m, (0.0, math.inf), " N s/m"
+            )
 
     def _check_stiffness(self, stiffness: float) -> None:
         if self.penetration_m is not None:
-            raise ParameterError("stiffness and penetration both state the depth at rest: give one of them")
+            raise ParameterError(
+                "stiffness and penetration both state the depth at rest: give one of them"
+            )
         weight = self.mass_kg * GRAVITY_M_PER_S2
-        low, high = (float(f"{weight / depth_m:.3g}") for depth_m in reversed(PENETRATION_RANGE_M))
+        low, high = (
+            float(f"{weight / depth_m:.3g}")
+            for depth_m in reversed(PENETRATION_RANGE_M)
+        )
         check_measurable("stiffness", stiffness, (low, high), " N/m for this mass")
 
     @property
@@ -105,7 +114,11 @@ class Aim:
 
     def aimed_depth_m(self, margin: float) -> float | None:
         """Return the depth at rest that settings aim at [m]: a share of an allowed one, or that of the stiffness."""
-        return None if self.depth_m is None else (margin if self.stiffness_n_per_m is None else 1.0) * self.depth_m
+        return (
+            None
+            if self.depth_m is None
+            else (margin if self.stiffness_n_per_m is None else 1.0) * self.depth_m
+        )
 
     @property
     def rebound(self) -> float | None:
@@ -127,14 +140,23 @@ class Aim:
     def asked(self) -> dict[str, float | None]:
         """Return the request, JSON-ready."""
         values = asdict(self)
-        return values | {"friction": self.friction if values.pop("is_friction_asked") else None}
+        return values | {
+            "friction": self.friction if values.pop("is_friction_asked") else None
+        }
 
 
 def check_measurable(
-    name: str, value: float, limits: tuple[float, float], unit: str = "", *, what: str = "a recipe is"
+    name: str,
+    value: float,
+    limits: tuple[float, float],
+    unit: str = "",
+    *,
+    what: str = "a recipe is",
 ) -> None:
     """Raise an error for a value that the scenes do not measure."""
     low, high = limits
     if not low <= value <= high:
         upper = f" to {high:g}" if math.isfinite(high) else " or more"
-        raise ParameterError(f"{name} {value:g}{unit}: {what} measured for {low:g}{upper}{unit}")
+        raise ParameterError(
+            f"{name} {value:g}{unit}: {what} measured for {low:g}{upper}{unit}"
+        )

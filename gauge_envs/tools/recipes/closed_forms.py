@@ -74,7 +74,9 @@ class MuJoCoContact:
     is_elliptic: bool
     timestep_s: float
 
-    def form(self, *, contact_count: int, slope_rad: float, drop_m: float, phase_count: int) -> ContactForm:
+    def form(
+        self, *, contact_count: int, slope_rad: float, drop_m: float, phase_count: int
+    ) -> ContactForm:
         """Return what the equation gives for a body on equal contacts, and for a drop on one contact.
 
         Args:
@@ -84,11 +86,17 @@ class MuJoCoContact:
             phase_count: Number of drops, each at another phase of the impact within a step.
         """
         depth_m = self._depth_m(contact_count, G)
-        loss = self.timestep_s * self._share(self._impedance(depth_m), contact_count) * self._damping(self.solref)
+        loss = (
+            self.timestep_s
+            * self._share(self._impedance(depth_m), contact_count)
+            * self._damping(self.solref)
+        )
         rebounds = self.rebounds(drop_m=drop_m, phase_count=phase_count)
         return ContactForm(
             penetration_m=depth_m,
-            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss) if 0.0 < loss < 1.0 else None,
+            time_constant_s=-2.0 * self.timestep_s / math.log1p(-loss)
+            if 0.0 < loss < 1.0
+            else None,
             restitution=sum(rebounds) / phase_count,
             creep_m_s=self._creep_m_s(contact_count, slope_rad),
         )
@@ -100,7 +108,9 @@ class MuJoCoContact:
             drop_m: Height of the drop [m].
             phase_count: Number of drops.
         """
-        return tuple(self._rebound(drop_m, index / phase_count) for index in range(phase_count))
+        return tuple(
+            self._rebound(drop_m, index / phase_count) for index in range(phase_count)
+        )
 
     def _impedance(self, depth_m: float) -> float:
         return mujoco_impedance(self.solimp, depth_m)
@@ -109,18 +119,28 @@ class MuJoCoContact:
         """Return k of the reference acceleration [1/s^2]; MuJoCo keeps the time constant at two steps or more."""
         first, second = self.solref
         dmax = self.solimp[1]
-        return -first * d / dmax**2 if first <= 0.0 else d / (dmax * max(first, 2.0 * self.timestep_s) * second) ** 2
+        return (
+            -first * d / dmax**2
+            if first <= 0.0
+            else d / (dmax * max(first, 2.0 * self.timestep_s) * second) ** 2
+        )
 
     def _damping(self, solref: tuple[float, float]) -> float:
         """Return b of the reference acceleration [1/s]."""
         first, second = solref
         dmax = self.solimp[1]
-        return -second / dmax if first <= 0.0 else 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
+        return (
+            -second / dmax
+            if first <= 0.0
+            else 2.0 / (dmax * max(first, 2.0 * self.timestep_s))
+        )
 
     @property
     def _softness(self) -> float:
         square = self.friction**2
-        return 1.0 if self.is_elliptic else 0.5 * square * (1.0 + square) / self.impratio
+        return (
+            1.0 if self.is_elliptic else 0.5 * square * (1.0 + square) / self.impratio
+        )
 
     def _share(self, d: float, contact_count: int) -> float:
         return contact_count * d / (contact_count * d + self._softness * (1.0 - d))
@@ -141,15 +161,31 @@ class MuJoCoContact:
     def _creep_m_s(self, contact_count: int, slope_rad: float) -> float:
         depth_m = self._depth_m(contact_count, G * math.cos(slope_rad))
         d = self._impedance(min(depth_m, DEEPEST_M))
-        damping = self._damping(self.solreffriction if any(self.solreffriction) else self.solref)
-        load = (1.0 - d) * G * math.sin(slope_rad) * (1.0 if self.is_elliptic else 1.0 + self.friction**2)
-        return load / (contact_count * d * self.impratio * damping) if damping > 0.0 else math.inf
+        damping = self._damping(
+            self.solreffriction if any(self.solreffriction) else self.solref
+        )
+        load = (
+            (1.0 - d)
+            * G
+            * math.sin(slope_rad)
+            * (1.0 if self.is_elliptic else 1.0 + self.friction**2)
+        )
+        return (
+            load / (contact_count * d * self.impratio * damping)
+            if damping > 0.0
+            else math.inf
+        )
 
     def _rebound(self, drop_m: float, phase: float) -> float:
         """Return the restitution of a drop, by height, with the engine's steps: velocity first, then position."""
-        h, height_m = self.timestep_s, drop_m + phase * math.sqrt(2.0 * G * drop_m) * self.timestep_s
+        h, height_m = (
+            self.timestep_s,
+            drop_m + phase * math.sqrt(2.0 * G * drop_m) * self.timestep_s,
+        )
         # After n steps of the fall the speed is n g h, and the way n (n + 1) g h^2 / 2.
-        count = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * height_m / (G * h**2)) - 1.0)) + 1
+        count = (
+            math.floor(0.5 * (math.sqrt(1.0 + 8.0 * height_m / (G * h**2)) - 1.0)) + 1
+        )
         speed, depth_m = count * G * h, 0.5 * count * (count + 1) * G * h**2 - height_m
         has_turned = False
         for _ in range(math.ceil(LONGEST_IMPACT_S / h)):
@@ -164,4 +200,8 @@ class MuJoCoContact:
             return 0.0
         # Positions without force lie on a parabola, whose slope is that between two steps.
         rise = -speed - 0.5 * h * G
-        return math.sqrt(max(0.5 * rise**2 / G - depth_m, 0.0) / height_m) if rise > 0.0 else 0.0
+        return (
+            math.sqrt(max(0.5 * rise**2 / G - depth_m, 0.0) / height_m)
+            if rise > 0.0
+            else 0.0
+        )

@@ -18,7 +18,14 @@ if TYPE_CHECKING:
 
 HELD = ("torsion_m", "rolling_m", "creep_m_s")
 
-BEHAVIOUR = (*HELD, "friction", "restitution", "penetration_m", "stiffness_n_per_m", "damping_n_s_per_m")
+BEHAVIOUR = (
+    *HELD,
+    "friction",
+    "restitution",
+    "penetration_m",
+    "stiffness_n_per_m",
+    "damping_n_s_per_m",
+)
 
 NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
 
@@ -31,14 +38,21 @@ def recipe(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[MATERIAL] [NAME=VALUE]...", help="Pair or fabric, as satin; see gauge list materials."
+            metavar="[MATERIAL] [NAME=VALUE]...",
+            help="Pair or fabric, as satin; see gauge list materials.",
         ),
     ] = None,
     engine: Annotated[
-        str | None, typer.Option("--backend", help="Engine; also mujoco_warp, and isaac for a fabric.")
+        str | None,
+        typer.Option(
+            "--backend", help="Engine; also mujoco_warp, and isaac for a fabric."
+        ),
     ] = None,
     explain: Annotated[
-        str | None, typer.Option(metavar="TEXT", help="Settings, as 'solref=0.02 1': report what they give.")
+        str | None,
+        typer.Option(
+            metavar="TEXT", help="Settings, as 'solref=0.02 1': report what they give."
+        ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -54,7 +68,9 @@ def recipe(
     """
     names, numbers = arguments.split_details(words, **dict.fromkeys(NUMBERS, float))
     if len(names) > 1:
-        raise ParameterError(f"{' and '.join(names)}: expected one pair of materials or one fabric")
+        raise ParameterError(
+            f"{' and '.join(names)}: expected one pair of materials or one fabric"
+        )
     backend = _given(engine, "--backend", "--backend mujoco")
     material = names[0] if names else None
     behaviour = [name for name in BEHAVIOUR if name in numbers]
@@ -66,7 +82,9 @@ def recipe(
         return _explain(backend, explain, numbers, form)
     if material in _fabrics():
         if behaviour or "mass_kg" in numbers:
-            raise ParameterError("a fabric goes with timestep_s alone: leave the others out")
+            raise ParameterError(
+                "a fabric goes with timestep_s alone: leave the others out"
+            )
         return _print_fabric(str(material), backend, numbers.get("timestep_s"), form)
     return _print_recipe(backend, material, numbers, form)
 
@@ -85,29 +103,49 @@ def _print(document: Shown, snippet: str, form: Format) -> None:
         echo(f"\npaste\n{snippet}", nl=False)
 
 
-def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], form: Format) -> bool:
-    from gauge_envs.tools.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
+def _print_recipe(
+    engine: str, material: str | None, numbers: dict[str, float], form: Format
+) -> bool:
+    from gauge_envs.tools.recipes import (
+        FREE_FRICTION,
+        Aim,
+        engine_settings,
+        find_recipe,
+    )
     from gauge_envs.tools.recipes.materials import find_material
     from gauge_envs.tools.recipes.words import recipe_document
 
     settings = engine_settings(engine)
     pair = None if material is None else find_material(material, also=_fabrics())
     if pair is not None:
-        measured = {"mass_kg": pair.mass_kg, "friction": pair.friction, "restitution": pair.restitution}
+        measured = {
+            "mass_kg": pair.mass_kg,
+            "friction": pair.friction,
+            "restitution": pair.restitution,
+        }
         if "damping_n_s_per_m" in numbers:
             del measured["restitution"]
-        numbers = {name: value for name, value in measured.items() if value is not None} | numbers
+        numbers = {
+            name: value for name, value in measured.items() if value is not None
+        } | numbers
     if not any(name in numbers for name in BEHAVIOUR[:-1]):
-        raise ParameterError("nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m")
+        raise ParameterError(
+            "nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m"
+        )
     _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=0.5")
     _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
-    aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
+    aim = Aim(
+        **({"friction": FREE_FRICTION} | numbers),
+        is_friction_asked="friction" in numbers,
+    )
     found = find_recipe(settings, aim)
     _print(recipe_document(found, pair), found.snippet, form)
     return found.found is None
 
 
-def _explain(engine: str, text: str, numbers: Mapping[str, float], form: Format) -> bool:
+def _explain(
+    engine: str, text: str, numbers: Mapping[str, float], form: Format
+) -> bool:
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.words import meaning_document
@@ -121,7 +159,9 @@ def _explain(engine: str, text: str, numbers: Mapping[str, float], form: Format)
     return meaning.found is None
 
 
-def _print_fabric(name: str, engine: str, timestep_s: float | None, form: Format) -> bool:
+def _print_fabric(
+    name: str, engine: str, timestep_s: float | None, form: Format
+) -> bool:
     from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
     from gauge_envs.tools.recipes.words import fabric_document
 
@@ -149,7 +189,15 @@ def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
 def list_materials(patterns: Sequence[str]) -> list[Table]:
     """Return the tables of the measured pairs and fabrics."""
     from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
-    from gauge_envs.tools.recipes.words import fabric_table, material_table, published_table
+    from gauge_envs.tools.recipes.words import (
+        fabric_table,
+        material_table,
+        published_table,
+    )
 
-    tables = [material_table(material_pairs()), published_table(published_pairs()), fabric_table(_fabrics())]
+    tables = [
+        material_table(material_pairs()),
+        published_table(published_pairs()),
+        fabric_table(_fabrics()),
+    ]
     return arguments.matching(tables, patterns, kind="material")

@@ -11,10 +11,21 @@ from pydantic import ValidationError
 from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.tools.recipes.aim import FRICTION_RANGE, MASS_RANGE_KG, TIMESTEP_RANGE_S, check_measurable
+from gauge_envs.tools.recipes.aim import (
+    FRICTION_RANGE,
+    MASS_RANGE_KG,
+    TIMESTEP_RANGE_S,
+    check_measurable,
+)
 from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text, measured, scatter_texts
+from gauge_envs.tools.recipes.measure import (
+    REACHED,
+    Measured,
+    divergence_text,
+    measured,
+    scatter_texts,
+)
 
 MEASURED_IN = (
     "Drops from 0.2 m onto one contact; a plate of 0.12 m rests on four, creeps on a slope of half the friction, and "
@@ -22,7 +33,9 @@ MEASURED_IN = (
 )
 """The scenes in words."""
 
-ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)\s*=\s*(?:\"([^\"]*)\"|'([^']*)'|(.*?))(?=\s+[A-Za-z_]\w*\s*=|$)")
+ASSIGNMENT = re.compile(
+    r"([A-Za-z_]\w*)\s*=\s*(?:\"([^\"]*)\"|'([^']*)'|(.*?))(?=\s+[A-Za-z_]\w*\s*=|$)"
+)
 """One setting: a name, an equals sign, and values up to the next name; quotes as in XML are allowed."""
 
 MOST_CHARACTERS = 1000
@@ -60,14 +73,21 @@ class Meaning:
     def expected(self) -> dict[str, float | None] | None:
         """Values of the closed form by the same names; None without one."""
         form = self.closed_form
-        return None if form is None else {"friction": self.settings.sliding_friction, **asdict(form)}
+        return (
+            None
+            if form is None
+            else {"friction": self.settings.sliding_friction, **asdict(form)}
+        )
 
     def json(self) -> dict[str, Any]:
         """Return the meaning as one JSON-ready object."""
         return json_ready(
             {
                 "engine": self.engine,
-                "asked": {"mass_kg": self.mass_kg, "timestep_s": self.settings.timestep_s},
+                "asked": {
+                    "mass_kg": self.mass_kg,
+                    "timestep_s": self.settings.timestep_s,
+                },
                 "settings": self.settings.model_dump(mode="json"),
                 "snippet": self.settings.snippet(self.mass_kg),
                 "reached": self.reached,
@@ -78,7 +98,9 @@ class Meaning:
         )
 
 
-def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) -> ContactSettings:
+def parsed_contact(
+    engine: type[ContactSettings], text: str, timestep_s: float
+) -> ContactSettings:
     """Return the settings that a text states, as `solref=0.02 1 solimp=0.9 0.95 0.001`; others are the engine's.
 
     Args:
@@ -87,27 +109,42 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
         timestep_s: Time step [s].
     """
     if len(text) > MOST_CHARACTERS:
-        raise ParameterError(f"{engine.engine} contact: {len(text)} characters, at most {MOST_CHARACTERS} are read")
+        raise ParameterError(
+            f"{engine.engine} contact: {len(text)} characters, at most {MOST_CHARACTERS} are read"
+        )
     found: dict[str, Any] = {}
     for name, quoted, single, bare in ASSIGNMENT.findall(text.strip()):
         if name in found:
-            raise ParameterError(f"{engine.engine} contact {text!r}: {name} is stated twice")
+            raise ParameterError(
+                f"{engine.engine} contact {text!r}: {name} is stated twice"
+            )
         found[name] = _values(quoted or single or bare)
-    known = [*(name for name in engine.model_fields if name != "timestep_s"), *engine.also]
+    known = [
+        *(name for name in engine.model_fields if name != "timestep_s"),
+        *engine.also,
+    ]
     left = ASSIGNMENT.sub("", text.strip()).strip()
     if not found or left:
         raise ParameterError(
             f"{engine.engine} contact {text!r}: expected settings as name=values; settings: {', '.join(known)}"
         )
     if "timestep_s" in found:
-        raise ParameterError("the time step stands beside the settings: timestep_s=0.002")
+        raise ParameterError(
+            "the time step stands beside the settings: timestep_s=0.002"
+        )
     try:
         return engine.model_validate({**found, "timestep_s": timestep_s})
     except ValidationError as error:
         key, reason = first_fault(error, noun="setting")
         where = f"{key!r}: " if key else ""
-        hint = nearest(key, known) if reason == "unknown setting" else f"settings: {', '.join(known)}"
-        raise ParameterError(f"{engine.engine} contact: {where}{reason}; {hint}") from None
+        hint = (
+            nearest(key, known)
+            if reason == "unknown setting"
+            else f"settings: {', '.join(known)}"
+        )
+        raise ParameterError(
+            f"{engine.engine} contact: {where}{reason}; {hint}"
+        ) from None
 
 
 def _values(text: str) -> Any:
@@ -119,7 +156,9 @@ def _values(text: str) -> Any:
                 return kind(part)
         return part
 
-    parts = tuple(value(part) for part in re.split(r"[\s,]+", text.strip("[]() \t")) if part)
+    parts = tuple(
+        value(part) for part in re.split(r"[\s,]+", text.strip("[]() \t")) if part
+    )
     return parts[0] if len(parts) == 1 else parts
 
 

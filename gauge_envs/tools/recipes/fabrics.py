@@ -24,7 +24,9 @@ from gauge_envs.tools.conformance import (
 )
 from gauge_envs.tools.usd import surface_constants
 
-NOT_SIMULATED = {"isaac": "Isaac Sim is not run by this package, so that nothing is simulated"}
+NOT_SIMULATED = {
+    "isaac": "Isaac Sim is not run by this package, so that nothing is simulated"
+}
 """Engines that are not simulated, with the reason."""
 
 NOTHING_LOST = "Stretch and bending stiffness are reached in simulation, and shear by the law of the engine."
@@ -69,7 +71,9 @@ class FabricRecipe:
         return {
             "stretch_n_per_m": fabric.stretch_stiffness_n_per_m,
             "shear_n_per_m": fabric.shear_stiffness_n_per_m,
-            "bend_n_m": plate_bending_stiffness(hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad),
+            "bend_n_m": plate_bending_stiffness(
+                hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad
+            ),
             "bending_length_m": bending_length_m(fabric),
             "areal_density_kg_per_m2": fabric.areal_density_kg_per_m2,
             "thickness_m": fabric.thickness_m,
@@ -80,9 +84,18 @@ class FabricRecipe:
         """Stiffness of the simulated strips by name; None for what was not simulated."""
         length = None
         if self.bend_n_m is not None and self.bend_n_m > 0.0:
-            length = math.cbrt(self.bend_n_m / (self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
+            length = math.cbrt(
+                self.bend_n_m
+                / (self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2)
+            )
         values = (self.stretch_n_per_m, None, self.bend_n_m, length)
-        return dict(zip(("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m"), values, strict=True))
+        return dict(
+            zip(
+                ("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m"),
+                values,
+                strict=True,
+            )
+        )
 
     @property
     def mapping_gives(self) -> dict[str, float]:
@@ -96,13 +109,19 @@ class FabricRecipe:
     def error(self) -> dict[str, float | None]:
         """Reached less asked values by name; None for what was not simulated."""
         found = self.reached
-        return {key: None if value is None else value - self.asked[key] for key, value in found.items()}
+        return {
+            key: None if value is None else value - self.asked[key]
+            for key, value in found.items()
+        }
 
     @property
     def misses(self) -> tuple[str, ...]:
         """Simulated values beyond the tolerances of the conformance checks of cloth."""
         found: list[str] = []
-        for key, name in (("stretch_n_per_m", "cloth-stretch"), ("bend_n_m", "cloth-bending")):
+        for key, name in (
+            ("stretch_n_per_m", "cloth-stretch"),
+            ("bend_n_m", "cloth-bending"),
+        ):
             value, target = self.reached[key], self.asked[key]
             width = checks((name,))[0].tolerance.width(target)
             if value is not None and not abs(value - target) <= width:
@@ -118,7 +137,9 @@ class FabricRecipe:
             value = self.reached[key]
             assert value is not None, "a miss was simulated"
             ratio = value / self.asked[key]
-            texts.append(f"{key}: the simulated strip has {value:.4g}, {ratio:.3g} of what is asked.")
+            texts.append(
+                f"{key}: the simulated strip has {value:.4g}, {ratio:.3g} of what is asked."
+            )
         texts += [f"{fault}." for fault in self.faults]
         return " ".join(texts) or NOTHING_LOST
 
@@ -134,7 +155,10 @@ class FabricRecipe:
                 "reached": self.reached,
                 "error": self.error,
                 "misses": self.misses,
-                "detail": {"mapping_gives": self.mapping_gives, "timestep_s": self.timestep_s},
+                "detail": {
+                    "mapping_gives": self.mapping_gives,
+                    "timestep_s": self.timestep_s,
+                },
                 "wall_s": self.wall_s,
                 "explanation": self.explanation,
                 "versions": dict(self.versions),
@@ -152,7 +176,9 @@ def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
     return found
 
 
-def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | None = None) -> FabricRecipe:
+def fabric_recipe(
+    name: str, fabric: Fabric, engine: str, timestep_s: float | None = None
+) -> FabricRecipe:
     """Return a fabric in an engine's constants, and the stiffness that simulated strips have with them.
 
     Args:
@@ -164,12 +190,18 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     key = "isaac" if engine == "isaac_sim" else engine
     known = fabric_constants(fabric)
     if key not in known:
-        raise ParameterError(f"engine {engine!r} has no mapping of fabrics: choose one of {', '.join(known)}")
+        raise ParameterError(
+            f"engine {engine!r} has no mapping of fabrics: choose one of {', '.join(known)}"
+        )
     mapped = known[key]
     if key in NOT_SIMULATED:
-        return FabricRecipe(engine=key, name=name, mapped=mapped, faults=(NOT_SIMULATED[key],))
+        return FabricRecipe(
+            engine=key, name=name, mapped=mapped, faults=(NOT_SIMULATED[key],)
+        )
     simulated = backend(key)
-    given = dict(mapped.settings) | ({} if timestep_s is None else {"timestep_s": timestep_s})
+    given = dict(mapped.settings) | (
+        {} if timestep_s is None else {"timestep_s": timestep_s}
+    )
     start = time.perf_counter()
     free_m = BENT_SHARE * BENT_FREE_M
     hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
@@ -189,7 +221,9 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
             if math.isfinite(found.measured):
                 values[quantity] = found.measured
             else:
-                faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {found.hint}")
+                faults.append(
+                    f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {found.hint}"
+                )
         steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
     return FabricRecipe(
         engine=key,
@@ -205,5 +239,8 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
 
 def fabric_snippet(mapped: FabricConstants) -> str:
     """Return the constants of a fabric in the engine's own language."""
-    lines = (f"{name} = {value:.6g}  # {mapped.units[name]}\n" for name, value in mapped.constants.items())
+    lines = (
+        f"{name} = {value:.6g}  # {mapped.units[name]}\n"
+        for name, value in mapped.constants.items()
+    )
     return mapped.snippet or "".join(lines)

@@ -41,7 +41,12 @@ class MaterialPair:
 
 
 CUBES = {
-    f"{material}-on-wood{suffix}": (f"{material} cube on a {support}", family, "cube", material)
+    f"{material}-on-wood{suffix}": (
+        f"{material} cube on a {support}",
+        family,
+        "cube",
+        material,
+    )
     for suffix, support, family in (
         ("", "tilted wooden board", "SlopeSlider"),
         ("-plate", "turning wooden plate", "Turntable"),
@@ -51,7 +56,12 @@ CUBES = {
 DROP = ("BouncingBall", "ball", "rubber")
 CRADLE = ("NewtonsCradle", "ball-1", "metal")
 PLACES = CUBES | {
-    "wood-on-wood-block": ("wooden tetrahedron on the seam of a wooden block", "SlopeContact", "teh", "wood"),
+    "wood-on-wood-block": (
+        "wooden tetrahedron on the seam of a wooden block",
+        "SlopeContact",
+        "teh",
+        "wood",
+    ),
     "plastic-on-plastic-block": (
         "plastic tetrahedron on the seam of a plastic block",
         "SlopeContact",
@@ -59,10 +69,21 @@ PLACES = CUBES | {
         "plastic",
     ),
     "rubber-on-wood": ("rubber ball on a wooden plank", *DROP),
-    "rubber-on-wood-recorded": ("rubber ball on a wooden plank, restitution of the recorded drops", *DROP),
+    "rubber-on-wood-recorded": (
+        "rubber ball on a wooden plank, restitution of the recorded drops",
+        *DROP,
+    ),
     "metal-on-metal": ("balls of a cradle", *CRADLE),
-    "metal-on-metal-recorded": ("balls of a cradle, restitution that transfers the recorded momentum", *CRADLE),
-    "acrylic-on-table": ("acrylic cube tossed on a table", "CubeToss", "cube", "acrylic"),
+    "metal-on-metal-recorded": (
+        "balls of a cradle, restitution that transfers the recorded momentum",
+        *CRADLE,
+    ),
+    "acrylic-on-table": (
+        "acrylic cube tossed on a table",
+        "CubeToss",
+        "cube",
+        "acrylic",
+    ),
 }
 """The two bodies of each pair in words; then the family of the task file, and the body and material in it."""
 
@@ -94,11 +115,17 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     spec = task_spec(family)
     constants = spec.constants_of(body, material, None)
     uncertain = input_uncertainties()
-    friction, restitution, mass_kg = (constants[key] for key in ("friction", "restitution", "mass_kg"))
+    friction, restitution, mass_kg = (
+        constants[key] for key in ("friction", "restitution", "mass_kg")
+    )
     assert restitution is not None and mass_kg is not None, "task files state both"
     origin = spec.provenance_of(f"constants.{body}.{material}")
     # Only the ball's published restitution was compared with trials.
-    std = uncertain.restitution.std(restitution, material) if family == DROP[0] and name not in RECORDED else None
+    std = (
+        uncertain.restitution.std(restitution, material)
+        if family == DROP[0] and name not in RECORDED
+        else None
+    )
     if name in RECORDED:
         restitution = spec.parameters["effective"].values[f"{body}.restitution"]
         origin += f"; restitution: {spec.provenance_of('parameters.effective')}"
@@ -107,8 +134,12 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     friction_std = None
     if friction is not None and name not in NOT_CALIBRATED:
         friction_std = uncertain.friction.std(friction, material)
-    whence = [f"friction: {uncertain.friction.source}"] if friction_std is not None else []
-    whence += [f"restitution: {uncertain.restitution.source}"] if std is not None else []
+    whence = (
+        [f"friction: {uncertain.friction.source}"] if friction_std is not None else []
+    )
+    whence += (
+        [f"restitution: {uncertain.restitution.source}"] if std is not None else []
+    )
     return MaterialPair(
         name=name,
         what=what,
@@ -125,4 +156,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
 def published_pairs() -> list[dict[str, str]]:
     """Return friction of further pairs as tables in the literature state it: texts, of which some are ranges."""
     text = read_content(scoring_folder("facts") / "friction_tables.csv").decode()
-    return [{key: value or "-" for key, value in row.items()} for row in csv.DictReader(text.splitlines())]
+    return [
+        {key: value or "-" for key, value in row.items()}
+        for row in csv.DictReader(text.splitlines())
+    ]

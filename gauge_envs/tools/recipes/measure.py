@@ -17,7 +17,14 @@ LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
 
 
-REACHED = ("friction", "friction_hopping", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
+REACHED = (
+    "friction",
+    "friction_hopping",
+    "restitution",
+    "penetration_m",
+    "creep_m_s",
+    "time_constant_s",
+)
 """Names of the measured values; `friction` is that of bodies that hold contact."""
 
 
@@ -47,16 +54,26 @@ class Measured:
     def values(self) -> dict[str, float | None]:
         """Values by their names in `REACHED`; None for a time constant that is not resolved."""
         frictions, rest = (self.slide.mean, self.hopping.mean), self.rest
-        values = (*frictions, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
+        values = (
+            *frictions,
+            self.rebound.mean,
+            rest.penetration_m,
+            self.creep_m_s,
+            rest.time_constant_s,
+        )
         return {**dict(zip(REACHED, values, strict=True)), **self.turning}
 
 
 def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
     """Return the scenes on the engine of the settings."""
-    return Probe(backend=settings.backend(), mass_kg=mass_kg, timestep_s=settings.timestep_s)
+    return Probe(
+        backend=settings.backend(), mass_kg=mass_kg, timestep_s=settings.timestep_s
+    )
 
 
-def measured(settings: ContactSettings, mass_kg: float, *, friction: float | None = None) -> Measured:
+def measured(
+    settings: ContactSettings, mass_kg: float, *, friction: float | None = None
+) -> Measured:
     """Simulate all scenes.
 
     Args:
@@ -77,7 +94,11 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
-        turning={name: probe.turning(build, name) for name, value in build.turning.items() if value},
+        turning={
+            name: probe.turning(build, name)
+            for name, value in build.turning.items()
+            if value
+        },
     )
 
 
@@ -89,7 +110,12 @@ def divergence_text(error: DivergedError) -> str:
 def scatter_texts(found: Measured) -> list[str]:
     """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
     texts = []
-    slide, hopping, rebound, rest = found.slide, found.hopping, found.rebound, found.rest
+    slide, hopping, rebound, rest = (
+        found.slide,
+        found.hopping,
+        found.rebound,
+        found.rest,
+    )
     if slide.high - slide.low > SCATTER * abs(slide.mean):
         texts.append(
             f"Friction depends on the direction: it is {slide.low:.3g} to {slide.high:.3g} for a plate with its edges "
@@ -105,6 +131,10 @@ def scatter_texts(found: Measured) -> list[str]:
             f"Single drops rebound with {rebound.low:.3f} to {rebound.high:.3f}, depending on where in a time step "
             "they strike; the restitution is their mean."
         )
-    if abs(rest.drift_m_s) > max(MOST_DRIFT_PER_S * abs(rest.penetration_m), LEAST_DRIFT_M_PER_S):
-        texts.append(f"After 2 s the plate at rest still moves by {rest.drift_m_s:.1e} m/s, so its depth is not final.")
+    if abs(rest.drift_m_s) > max(
+        MOST_DRIFT_PER_S * abs(rest.penetration_m), LEAST_DRIFT_M_PER_S
+    ):
+        texts.append(
+            f"After 2 s the plate at rest still moves by {rest.drift_m_s:.1e} m/s, so its depth is not final."
+        )
     return texts

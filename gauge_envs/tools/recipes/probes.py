@@ -161,7 +161,10 @@ class Probe:
         """Return the friction of plates that cannot turn, that of their contacts; the expected one gives the slope."""
         slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
         leans = (_lean(slope, turn_deg) for turn_deg in (0.0, TURN_DEG))
-        found = [self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean)[0] for lean in leans]
+        found = [
+            self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean)[0]
+            for lean in leans
+        ]
         return Spread.of([one for one, _ in found])
 
     def hop(self, build: Build, friction: float) -> tuple[Spread, float]:
@@ -171,8 +174,14 @@ class Probe:
         """
         lean = _lean(math.atan(friction) + math.radians(SLIDE_BEYOND_DEG))
         plates = [
-            self._plate(lean, turn=Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn), place=place)
-            for place, (turn, tip) in enumerate(product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD), start=-4)
+            self._plate(
+                lean,
+                turn=Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn),
+                place=place,
+            )
+            for place, (turn, tip) in enumerate(
+                product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD), start=-4
+            )
         ]
         found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
         return Spread.of(found), max(lifts_m)
@@ -201,11 +210,18 @@ class Probe:
         falls_s = fall_s(DROP_M, G)
         # Each ball falls on for another part of a step.
         step_m = G * falls_s * self.timestep_s
-        drops_m = {f"ball{index}": DROP_M + step_m * index / BALL_COUNT for index in range(BALL_COUNT)}
-        balls = balls_above_ground(drops_m, spacing_m=BALL_DISTANCE_M, mass_kg=self.mass_kg)
+        drops_m = {
+            f"ball{index}": DROP_M + step_m * index / BALL_COUNT
+            for index in range(BALL_COUNT)
+        }
+        balls = balls_above_ground(
+            drops_m, spacing_m=BALL_DISTANCE_M, mass_kg=self.mass_kg
+        )
         rollout = self._rollout(balls, LEVEL, build, 2.6 * falls_s)
         bounces = [bounce_of(rollout, ball.name) for ball in balls]
-        return Spread.of([math.nan if bounce is None else bounce.restitution for bounce in bounces])
+        return Spread.of(
+            [math.nan if bounce is None else bounce.restitution for bounce in bounces]
+        )
 
     def turning(self, build: Build, name: str) -> float:
         """Return `torsion_m` or `rolling_m` from the spin that a ball loses, which the law stops after 0.5 s [m]."""
@@ -218,35 +234,57 @@ class Probe:
             linear_velocity_m_per_s=(RADIUS_M * float(spin_rad_per_s[1]), 0.0, 0.0),
             angular_velocity_rad_per_s=vector(spin_rad_per_s),
         )
-        return turning_arm_m(self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S), axis, start_s=SLIDE_FROM_S)
+        return turning_arm_m(
+            self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S),
+            axis,
+            start_s=SLIDE_FROM_S,
+        )
 
-    def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
+    def _frictions(
+        self, build: Build, plates: Sequence[RigidBody], lean: Rotation
+    ) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
         rollout = self._rollout(plates, lean, build, SLIDE_S)
         found = []
         for plate in plates:
             lift_m = moved_m(rollout, plate.name, "ground")[:, 2]
-            friction = friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
+            friction = friction_of_slide(
+                rollout, plate.name, "ground", start_s=SLIDE_FROM_S
+            )
             found.append((friction, float(lift_m.max())))
         return found
 
-    def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
+    def _plate(
+        self,
+        lean: Rotation,
+        *,
+        turn: Rotation = LEVEL,
+        place: int = 0,
+        gyration_m: float = 0.0,
+    ) -> RigidBody:
         """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""
         height_m = 0.5 * float(np.abs(turn.as_matrix()[2]) @ PLATE_M)
         return RigidBody(
             name=f"plate{place:+d}",
             shape=Box(size_m=PLATE_M),
             motion=Motion.DYNAMIC,
-            pose=Pose.from_rotation(vector(lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])), lean * turn),
+            pose=Pose.from_rotation(
+                vector(lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])),
+                lean * turn,
+            ),
             mass_kg=self.mass_kg,
             inertia_kg_m2=self.mass_kg * gyration_m**2 or None,
         )
 
-    def _rollout(self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float) -> Rollout:
+    def _rollout(
+        self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float
+    ) -> Rollout:
         """Record bodies on a leaning plane."""
         interval_s = self.timestep_s * max(1, round(SAMPLE_S / self.timestep_s))
         pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
-        ground = RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0)
+        ground = RigidBody(
+            name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0
+        )
         contact = Contact(
             first=tuple(body.name for body in bodies),
             second=("ground",),
@@ -257,12 +295,24 @@ class Probe:
         )
         scene = Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=seconds)
         if missing := scene_support(self.backend, scene).missing:
-            raise UnsupportedSceneError(f"{self.backend.name} cannot simulate the recipe: {'; '.join(missing)}")
-        given = {**build.settings, "timestep_s": self.timestep_s, "drive_interval_s": interval_s}
+            raise UnsupportedSceneError(
+                f"{self.backend.name} cannot simulate the recipe: {'; '.join(missing)}"
+            )
+        given = {
+            **build.settings,
+            "timestep_s": self.timestep_s,
+            "drive_interval_s": interval_s,
+        }
         with closing(self.backend.build(scene, given)) as simulation:
             simulation.reset(0)
             limit = scene.speed_limit_m_per_s + G * seconds
-            return record(simulation, scene, seconds, interval_s=interval_s, speed_limit_m_per_s=limit)
+            return record(
+                simulation,
+                scene,
+                seconds,
+                interval_s=interval_s,
+                speed_limit_m_per_s=limit,
+            )
 
 
 MOST_NOISE = 0.01

@@ -12,7 +12,14 @@ from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.aim import TIMESTEP_RANGE_S, Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text, measured, probe_of, scatter_texts
+from gauge_envs.tools.recipes.measure import (
+    REACHED,
+    Measured,
+    divergence_text,
+    measured,
+    probe_of,
+    scatter_texts,
+)
 
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
@@ -68,21 +75,30 @@ class Recipe:
     def asked(self) -> dict[str, float | None]:
         """Asked values by name; None for what was not asked."""
         friction = self.aim.friction if self.aim.is_friction_asked else None
-        asked = {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+        asked = {
+            "friction": friction,
+            "restitution": self.aim.rebound,
+            "penetration_m": self.aim.depth_m,
+        }
         return {**asked, "creep_m_s": self.aim.creep_m_s, **self.aim.turning}
 
     @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
         names = (*REACHED[:-1], *self.aim.turning)
-        return {name: None if self.found is None else self.found.values[name] for name in names}
+        return {
+            name: None if self.found is None else self.found.values[name]
+            for name in names
+        }
 
     @property
     def error(self) -> dict[str, float | None]:
         """Reached less asked values by name; None for what was not asked or not measured."""
         reached = self.reached
         return {
-            name: None if target is None or (value := reached[name]) is None else value - target
+            name: None
+            if target is None or (value := reached[name]) is None
+            else value - target
             for name, target in self.asked.items()
         }
 
@@ -90,16 +106,28 @@ class Recipe:
     def detail(self) -> dict[str, float | None]:
         """What the reached values leave out, by name: the ranges of their means, and the height of hops."""
         found = self.found
-        spreads = {"friction": "slide", "friction_hopping": "hopping", "restitution": "rebound"}
-        values: dict[str, float | None] = {"hop_m": None if found is None else found.hop_m}
+        spreads = {
+            "friction": "slide",
+            "friction_hopping": "hopping",
+            "restitution": "rebound",
+        }
+        values: dict[str, float | None] = {
+            "hop_m": None if found is None else found.hop_m
+        }
         for (name, attribute), end in product(spreads.items(), ("low", "high")):
-            values[f"{name}_{end}"] = None if found is None else getattr(getattr(found, attribute), end)
+            values[f"{name}_{end}"] = (
+                None if found is None else getattr(getattr(found, attribute), end)
+            )
         return values
 
     @property
     def misses(self) -> tuple[str, ...]:
         """Names of the asked values that are not reached; empty after a divergence."""
-        return tuple(name for name in self.asked if self.found and _is_missed(self.aim, name, self.found.values[name]))
+        return tuple(
+            name
+            for name in self.asked
+            if self.found and _is_missed(self.aim, name, self.found.values[name])
+        )
 
     @property
     def snippet(self) -> str:
@@ -133,9 +161,15 @@ class Recipe:
 def _is_missed(aim: Aim, name: str, value: float | None) -> bool:
     assert value is not None, "it was measured"
     if name == "friction":
-        return aim.is_friction_asked and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
+        return (
+            aim.is_friction_asked
+            and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
+        )
     if name == "restitution":
-        return aim.rebound is not None and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
+        return (
+            aim.rebound is not None
+            and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
+        )
     if name == "creep_m_s":
         return aim.creep_m_s is not None and not value <= aim.creep_m_s
     if name in aim.turning:
@@ -164,9 +198,15 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     start = time.perf_counter()
     settings, found = engine.aimed(aim), None
     try:
-        settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump() | aim.turning)
+        settings = engine.model_validate(
+            _searched(engine.searched_on(), aim).model_dump() | aim.turning
+        )
         found = measured(settings, aim.mass_kg, friction=aim.friction)
-        if aim.creep_m_s is not None and found.creep_m_s > aim.creep_m_s and "impratio" in engine.model_fields:
+        if (
+            aim.creep_m_s is not None
+            and found.creep_m_s > aim.creep_m_s
+            and "impratio" in engine.model_fields
+        ):
             # Creep is inversely proportional to it.
             values = settings.model_dump()
             values["impratio"] *= CREEP_MARGIN * found.creep_m_s / aim.creep_m_s
@@ -176,7 +216,13 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     except DivergedError as error:
         text = divergence_text(error)
     recipe = Recipe(
-        engine=engine.engine, versions=versions, aim=aim, settings=settings, found=found, explanation=text, wall_s=0.0
+        engine=engine.engine,
+        versions=versions,
+        aim=aim,
+        settings=settings,
+        found=found,
+        explanation=text,
+        wall_s=0.0,
     )
     if found is not None:
         recipe = replace(recipe, explanation=_explanation(engine, recipe, found))
@@ -185,13 +231,22 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     """Return settings after the searches for what the proposal misses, along one number of the aim each."""
-    target, asked_m, stiffness, rebound = aim, aim.depth_m, aim.stiffness_n_per_m, aim.rebound
+    target, asked_m, stiffness, rebound = (
+        aim,
+        aim.depth_m,
+        aim.stiffness_n_per_m,
+        aim.rebound,
+    )
 
     def reached(changed: Aim, name: str) -> float:
         return _reached(engine.aimed(changed), aim, name)
 
     def stiffer(factor: float) -> Aim:
-        return aim if factor == 1.0 else aim.changed(stiffness_n_per_m=factor * (stiffness or 0.0))
+        return (
+            aim
+            if factor == 1.0
+            else aim.changed(stiffness_n_per_m=factor * (stiffness or 0.0))
+        )
 
     def rebounding(value: float) -> Aim:
         return target if value == rebound else target.changed(restitution=value)
@@ -199,12 +254,20 @@ def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     if engine.is_soft and stiffness is not None and asked_m is not None:
         ends = (1.0 / STIFFER, STIFFER)
         factor = _root(
-            lambda factor: 1.0 - reached(stiffer(factor), "penetration_m") / asked_m, 1.0, *ends, DEPTH_SHARE
+            lambda factor: 1.0 - reached(stiffer(factor), "penetration_m") / asked_m,
+            1.0,
+            *ends,
+            DEPTH_SHARE,
         )
         target = stiffer(factor)
     if rebound is not None:
         ends, tolerance = engine.aims, RESTITUTION_TOLERANCE
-        value = _root(lambda value: reached(rebounding(value), "restitution") - rebound, rebound, *ends, tolerance)
+        value = _root(
+            lambda value: reached(rebounding(value), "restitution") - rebound,
+            rebound,
+            *ends,
+            tolerance,
+        )
         target = rebounding(value)
     return engine.aimed(target)
 
@@ -214,10 +277,20 @@ def _reached(settings: ContactSettings, aim: Aim, name: str) -> float:
     probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
     if name == "friction":
         return probe.slide(build, aim.friction).mean
-    return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m
+    return (
+        probe.drop(build).mean
+        if name == "restitution"
+        else probe.rest(build).penetration_m
+    )
 
 
-def _root(error: Callable[[float], float], start: float, low: float, high: float, tolerance: float) -> float:
+def _root(
+    error: Callable[[float], float],
+    start: float,
+    low: float,
+    high: float,
+    tolerance: float,
+) -> float:
     """Return the start where its error is within the tolerance, or else what a search for a smaller error finds.
 
     The error grows with its argument, as a rule and with noise.
@@ -238,7 +311,13 @@ def _root(error: Callable[[float], float], start: float, low: float, high: float
         value = start + share * (end - start)
         if value != last and seen(value) * first <= 0.0:
             if seen(value) != 0.0:
-                brentq(seen, *sorted((last, value)), xtol=1e-5, maxiter=MOST_TRIALS, disp=False)
+                brentq(
+                    seen,
+                    *sorted((last, value)),
+                    xtol=1e-5,
+                    maxiter=MOST_TRIALS,
+                    disp=False,
+                )
             break
         last = value
     return min(tried, key=lambda value: abs(tried[value]))
@@ -254,17 +333,23 @@ def _explanation(engine: type[ContactSettings], recipe: Recipe, found: Measured)
     for name in recipe.misses:
         reached, error = recipe.reached[name], recipe.error[name]
         unit = " m" if name == "penetration_m" else ""
-        texts.append(f"{name}: {reached:.3g}{unit} is reached, {error:+.2g} from what is asked.")
+        texts.append(
+            f"{name}: {reached:.3g}{unit} is reached, {error:+.2g} from what is asked."
+        )
         if limit := engine.limits.get(name):
             texts.append(f"{limit[0].upper()}{limit[1:]}.")
-        if name in ("friction", "restitution") or (name == "penetration_m" and engine.is_soft):
+        if name in ("friction", "restitution") or (
+            name == "penetration_m" and engine.is_soft
+        ):
             texts.append(_step_text(engine, aim, name))
     if aim.rebound and (other := recipe.settings.other_body()) is not None:
         text, settings = other
         mean = _reached(settings, aim, "restitution")
         texts.append(f"{text} the same settings give a restitution of {mean:.3f}.")
     texts += scatter_texts(found)
-    return " ".join(texts if recipe.misses else ["All values that are asked are reached.", *texts])
+    return " ".join(
+        texts if recipe.misses else ["All values that are asked are reached.", *texts]
+    )
 
 
 def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:

@@ -37,16 +37,30 @@ NAME = Column("name", "", lambda name: TITLES.get(name, name))
 REACHED = (
     _number("reached", "reached"),
     # Less than 1e-12 is rounding.
-    Column("error", "error", lambda value: f"{value:+.2g}" if abs(value) > 1e-12 else "0", is_number=True),
+    Column(
+        "error",
+        "error",
+        lambda value: f"{value:+.2g}" if abs(value) > 1e-12 else "0",
+        is_number=True,
+    ),
 )
 
 
 def recipe_document(recipe: Recipe, pair: MaterialPair | None = None) -> Document:
     """Return what was asked and reached, and the reason of a miss, below the measured pair that was asked for."""
     table = Table(
-        columns=(Column("name", recipe.engine, NAME.format), _number("asked", "asked"), *REACHED),
+        columns=(
+            Column("name", recipe.engine, NAME.format),
+            _number("asked", "asked"),
+            *REACHED,
+        ),
         rows=[
-            {"name": name, "asked": recipe.asked.get(name), "reached": value, "error": recipe.error.get(name)}
+            {
+                "name": name,
+                "asked": recipe.asked.get(name),
+                "reached": value,
+                "error": recipe.error.get(name),
+            }
             for name, value in recipe.reached.items()
         ],
         notes=("", recipe.explanation, f"{recipe.wall_s:.1f} s"),
@@ -67,7 +81,8 @@ def meaning_document(meaning: Meaning) -> Document:
             _number("expected", "closed form"),
         ),
         rows=[
-            {"name": name, "reached": value, "expected": expected.get(name)} for name, value in meaning.reached.items()
+            {"name": name, "reached": value, "expected": expected.get(name)}
+            for name, value in meaning.reached.items()
         ],
         notes=("", meaning.explanation),
     )
@@ -89,7 +104,11 @@ def material_table(pairs: tuple[MaterialPair, ...]) -> Table:
             Column("source", "source", place=Place.BELOW),
         ),
         rows=pairs,
-        notes=("", "A dash is a number that was not measured, or an uncertainty that is not published.", *uncertain),
+        notes=(
+            "",
+            "A dash is a number that was not measured, or an uncertainty that is not published.",
+            *uncertain,
+        ),
     )
 
 
@@ -105,8 +124,16 @@ PUBLISHED = (
 
 def published_table(rows: list[dict[str, str]]) -> Table:
     """Return friction of further pairs with its sources."""
-    names = {"name": "pair", "static": "static", "dynamic": "dynamic", "rolling_mm": "rolling [mm]", "source": "source"}
-    return Table(columns=tuple(Column(*one) for one in names.items()), rows=rows, notes=PUBLISHED)
+    names = {
+        "name": "pair",
+        "static": "static",
+        "dynamic": "dynamic",
+        "rolling_mm": "rolling [mm]",
+        "source": "source",
+    }
+    return Table(
+        columns=tuple(Column(*one) for one in names.items()), rows=rows, notes=PUBLISHED
+    )
 
 
 # --- fabrics ---------------------------------------------------------------------------------------------------------
@@ -180,12 +207,24 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
     """
     rows: list[dict[str, Any]] = []
 
-    def add(source: str, constant: str, values: Iterable[float], marks: Iterable[str] = repeat(" ")) -> None:
+    def add(
+        source: str,
+        constant: str,
+        values: Iterable[float],
+        marks: Iterable[str] = repeat(" "),
+    ) -> None:
         marked = zip(values, marks, strict=False)
-        rows.append({"source": source, "constant": constant} | dict(zip(fabrics, marked, strict=True)))
+        rows.append(
+            {"source": source, "constant": constant}
+            | dict(zip(fabrics, marked, strict=True))
+        )
 
     for title, attribute in MEASURED.items():
-        add("measured", title, (getattr(fabric, attribute) for fabric in fabrics.values()))
+        add(
+            "measured",
+            title,
+            (getattr(fabric, attribute) for fabric in fabrics.values()),
+        )
     add("measured", "bending length [m]", map(bending_length_m, fabrics.values()))
     notes: list[Part] = []
     constants = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
@@ -193,25 +232,57 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         mapped = [of_fabric[engine] for of_fabric in constants.values()]
         for constant, unit in mapped[0].units.items():
             marks = ("*" if constant in one.replaced else " " for one in mapped)
-            add(engine, f"{constant} [{unit}]", (one.constants[constant] for one in mapped), marks)
-        add(engine, "gives K_s [N/m]", (one.stretch_stiffness_n_per_m for one in mapped))
+            add(
+                engine,
+                f"{constant} [{unit}]",
+                (one.constants[constant] for one in mapped),
+                marks,
+            )
+        add(
+            engine, "gives K_s [N/m]", (one.stretch_stiffness_n_per_m for one in mapped)
+        )
         marks = ("!" if one.lost else " " for one in mapped)
-        add(engine, "gives K_sh [N/m]", (one.shear_stiffness_n_per_m for one in mapped), marks)
-        losses = {name: "; ".join((*one.fallbacks, *one.lost)) for name, one in zip(fabrics, mapped, strict=True)}
+        add(
+            engine,
+            "gives K_sh [N/m]",
+            (one.shear_stiffness_n_per_m for one in mapped),
+            marks,
+        )
+        losses = {
+            name: "; ".join((*one.fallbacks, *one.lost))
+            for name, one in zip(fabrics, mapped, strict=True)
+        }
         if any(losses.values()):
-            notes += [Heading(engine), *(Paragraph(f"{name}: {text}") for name, text in losses.items() if text)]
+            notes += [
+                Heading(engine),
+                *(
+                    Paragraph(f"{name}: {text}")
+                    for name, text in losses.items()
+                    if text
+                ),
+            ]
     narrow, wide = (
-        [Column(name, name, partial(_constant_text, digits=digits), is_number=True) for name in fabrics]
+        [
+            Column(name, name, partial(_constant_text, digits=digits), is_number=True)
+            for name in fabrics
+        ]
         for digits in (3, 4)
     )
     values = [replace(column, narrow_only=True) for column in narrow]
     values += [replace(column, wide_only=True) for column in wide]
     table = Table(
-        columns=(Column("source", "source", place=Place.HEADING), Column("constant", "constant"), *values),
+        columns=(
+            Column("source", "source", place=Place.HEADING),
+            Column("constant", "constant"),
+            *values,
+        ),
         rows=rows,
         notes=("", "* set by a fall-back   ! not the measured shear stiffness"),
     )
-    row = {name: {engine: one.constants for engine, one in known.items()} for name, known in constants.items()}
+    row = {
+        name: {engine: one.constants for engine, one in known.items()}
+        for name, known in constants.items()
+    }
     return Document(parts=(table, *notes), rows=[row])
 
 

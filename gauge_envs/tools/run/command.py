@@ -12,7 +12,15 @@ from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import Format, Progress, message, note, print_document, print_json_lines, stderr_console
+from gauge_envs.cli.output import (
+    Format,
+    Progress,
+    message,
+    note,
+    print_document,
+    print_json_lines,
+    stderr_console,
+)
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
 from gauge_envs.pages.text import counted
@@ -29,7 +37,8 @@ def run(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[ID]... [NAME=VALUE]...", help="Ids, patterns as 'SlopeSlider-*', or experiment files."
+            metavar="[ID]... [NAME=VALUE]...",
+            help="Ids, patterns as 'SlopeSlider-*', or experiment files.",
         ),
     ] = None,
     backends: arguments.Backends = None,
@@ -38,14 +47,25 @@ def run(
     use: arguments.Use = "",
     changes: arguments.Settings = None,
     uncertainty: Annotated[
-        bool, typer.Option("--uncertainty", help="Measure sensitivities of this run, by about 20 further runs.")
+        bool,
+        typer.Option(
+            "--uncertainty",
+            help="Measure sensitivities of this run, by about 20 further runs.",
+        ),
     ] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
-    resume: Annotated[bool, typer.Option("--resume", help="Keep results that exist already.")] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path(
+        "results"
+    ),
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep results that exist already.")
+    ] = False,
     limits: arguments.Limits = "",
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Experiments at once, each in a process; all processors by default for long runs."),
+        typer.Option(
+            min=1,
+            help="Experiments at once, each in a process; all processors by default for long runs.",
+        ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -69,10 +89,16 @@ def run(
     from gauge_envs.tools.run.words import summary_document
 
     patterns, details = arguments.split_details(
-        words, seed=NonNegativeInt, repeats=PositiveInt, jitter=arguments.parsed_jitter, marker_proxy=str
+        words,
+        seed=NonNegativeInt,
+        repeats=PositiveInt,
+        jitter=arguments.parsed_jitter,
+        marker_proxy=str,
     )
     if not patterns:
-        raise ParameterError("nothing to run: give ids, or patterns as '*'; gauge list shows them")
+        raise ParameterError(
+            "nothing to run: give ids, or patterns as '*'; gauge list shows them"
+        )
     if "jitter" in details:
         details["jitter"] = Jitter(**details["jitter"])
     subjects = {pattern: matching_subjects(pattern) for pattern in patterns}
@@ -88,12 +114,23 @@ def run(
             **details,
         )
         for engine in dict.fromkeys(backends or ["mujoco"])
-        for subject in dict.fromkeys(subject for found in subjects.values() for subject in found)
+        for subject in dict.fromkeys(
+            subject for found in subjects.values() for subject in found
+        )
     ]
     isolate, time_s, memory_gb = arguments.parsed_limits(limits)
     check_requests(requests, isolate=isolate or None)
-    named = {subject for pattern, found in subjects.items() if not is_glob(pattern) for subject in found}
-    by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
+    named = {
+        subject
+        for pattern, found in subjects.items()
+        if not is_glob(pattern)
+        for subject in found
+    }
+    by_name = {
+        request.calibrated_experiment().id
+        for request in requests
+        if request.variant in named
+    }
     results: list[Result] = []
     episodes = run_many(
         requests,
@@ -106,19 +143,31 @@ def run(
         jobs=min(jobs or _default_jobs(requests), max(1, len(requests))),
     )
     try:
-        with Progress("episodes", sum(request.repeats for request in requests), line_interval_s=0.0) as progress:
+        with Progress(
+            "episodes",
+            sum(request.repeats for request in requests),
+            line_interval_s=0.0,
+        ) as progress:
             for result in episodes:
                 results.append(result)
-                progress.advance(f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}")
+                progress.advance(
+                    f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
+                )
                 if form is Format.JSON:
                     print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         kept = sum(result.error is None for result in results)
-        message(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
+        message(
+            f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there"
+        )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr_console().print(Terminal(summary_document(results, budget=uncertainty), form is Format.WIDE))
-        message(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
+        stderr_console().print(
+            Terminal(summary_document(results, budget=uncertainty), form is Format.WIDE)
+        )
+        message(
+            f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
+        )
         raise
     document = summary_document(results, budget=uncertainty)
     if form is Format.JSON:
@@ -127,13 +176,19 @@ def run(
         print_document(document, form)
     message(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
-    return any(one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name) for one in results)
+    return any(
+        one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name)
+        for one in results
+    )
 
 
 def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[
-        str | None, typer.Option("--id", metavar="ID", help="Experiment, if the file does not state it.")
+        str | None,
+        typer.Option(
+            "--id", metavar="ID", help="Experiment, if the file does not state it."
+        ),
     ] = None,
     parameters: arguments.Parameters = None,
     use: arguments.Use = "",
@@ -150,16 +205,23 @@ def score(
     from gauge_envs.tools.run.words import summary_document
 
     used = arguments.parsed_use(use, "reference", "use_withheld")
-    result, interpolated = score_file(file, variant=name, parameters=arguments.parsed_parameters(parameters), **used)
+    result, interpolated = score_file(
+        file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
+    )
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    print_document(replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]), form)
+    print_document(
+        replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]),
+        form,
+    )
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
     """Return the number of processors; 1 for a few rigid episodes, which end before another process has started."""
     episodes = sum(request.repeats for request in requests)
-    is_long = episodes > FEW_EPISODES or any(one.calibrated_experiment().scene.deformables for one in requests)
+    is_long = episodes > FEW_EPISODES or any(
+        one.calibrated_experiment().scene.deformables for one in requests
+    )
     return processors() if is_long else 1
 
 

@@ -43,7 +43,11 @@ BUDGET_NOTE = (
     "knowledge (GUM). Share: of the variance. --format wide shows the sources."
 )
 
-TONES = {Outcome.DIVERGED: Tone.ERROR, Outcome.FAILED: Tone.ERROR, Outcome.DECLINED: Tone.WARNING}
+TONES = {
+    Outcome.DIVERGED: Tone.ERROR,
+    Outcome.FAILED: Tone.ERROR,
+    Outcome.DECLINED: Tone.WARNING,
+}
 """Outcomes whose reasons are reported."""
 
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
@@ -72,13 +76,33 @@ def _score_table(results: Sequence[Result]) -> Table:
             LABEL,
             Column("metric", "metric"),
             Column("percentile", "real trials closer", is_number=True),
-            Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED else ""),
+            Column(
+                "score",
+                "score",
+                is_number=True,
+                style=lambda text: "red" if text == Outcome.DIVERGED else "",
+            ),
             Column("normalized", "over real trials", is_number=True),
-            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in PUBLISHED_ENGINES.items()),
-            Column("extrapolated", "extrapolated", lambda x: f"{100.0 * x:.0f} %", is_number=True, wide_only=True),
+            *(
+                Column(f"engines.{key}", title, score_text, is_number=True)
+                for key, title in PUBLISHED_ENGINES.items()
+            ),
+            Column(
+                "extrapolated",
+                "extrapolated",
+                lambda x: f"{100.0 * x:.0f} %",
+                is_number=True,
+                wide_only=True,
+            ),
             Column("z", "|z|", score_text, is_number=True, wide_only=True),
             Column("convergence", "discretization", place=Place.BELOW),
-            Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
+            Column(
+                "shift",
+                "shift",
+                lambda shift_s: f"{shift_s:+.3f} s",
+                is_number=True,
+                wide_only=True,
+            ),
         ),
         rows=[row for result in results for row in _score_rows(result)],
         notes=(
@@ -94,7 +118,11 @@ def _score_table(results: Sequence[Result]) -> Table:
 def _score_rows(result: Result) -> list[dict[str, Any]]:
     """Return a row for each metric that the result or the paper has, the primary one first."""
     driver = ", nominal driver" if "nominal" in (result.driver_provenance or "") else ""
-    common = {"id": result.id, "grade": result.score.grade, "label": result_label(result) + driver}
+    common = {
+        "id": result.id,
+        "grade": result.score.grade,
+        "label": result_label(result) + driver,
+    }
     if result.diverged:
         return [common | {"score": Outcome.DIVERGED.value}]
     score, baselines = result.score, published_baselines(short_id(result.id))
@@ -113,14 +141,23 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             "percentile": percentile_text(score, key),
             "score": None
             if raw is None
-            else with_unit(interval_text(raw, getattr(score, f"{key}_95", None)), metric.unit_of(score.unit)),
-            "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
+            else with_unit(
+                interval_text(raw, getattr(score, f"{key}_95", None)),
+                metric.unit_of(score.unit),
+            ),
+            "normalized": None
+            if normalized is None
+            else interval_text(normalized, score_interval(score, key)),
             # Published scores are of the whole motion and of reality. Some laws hold for its first frames alone.
-            "engines": None if line is None or is_partial or is_solved else line.engines,
+            "engines": None
+            if line is None or is_partial or is_solved
+            else line.engines,
         }
         if key == "rmse":
             row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
-            row["convergence"] = discretization_text(result, convergence_rows(result.backend, result.id))
+            row["convergence"] = discretization_text(
+                result, convergence_rows(result.backend, result.id)
+            )
         elif metric is ALIGNED:
             row["shift"] = score.release_offset_s
         rows.append(row)
@@ -128,7 +165,9 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
 
 
 def _budget_table(results: Sequence[Result]) -> Table:
-    origins = sorted({result.score.sensitivities for result in results if result.score.sensitivities})
+    origins = sorted(
+        {result.score.sensitivities for result in results if result.score.sensitivities}
+    )
     return Table(
         title="Uncertainty budget",
         columns=(
@@ -136,8 +175,15 @@ def _budget_table(results: Sequence[Result]) -> Table:
             LABEL,
             Column("name", "contribution"),
             Column("evaluation", "type"),
-            Column("standard_uncertainty", "u", lambda value: f"{value:.3f}", is_number=True),
-            Column("share", "share", lambda share: f"{100.0 * share:.0f} %", is_number=True),
+            Column(
+                "standard_uncertainty",
+                "u",
+                lambda value: f"{value:.3f}",
+                is_number=True,
+            ),
+            Column(
+                "share", "share", lambda share: f"{100.0 * share:.0f} %", is_number=True
+            ),
             Column("source", "source", wide_only=True),
         ),
         rows=[
@@ -151,7 +197,11 @@ def _budget_table(results: Sequence[Result]) -> Table:
 
 def _deformation_table(results: Sequence[Result]) -> Table:
     """Return the statistics of deformation of results beside the real ones."""
-    found = [(result, result.deformation) for result in results if result.deformation is not None]
+    found = [
+        (result, result.deformation)
+        for result in results
+        if result.deformation is not None
+    ]
     numbers = {"simulated": "simulated", "real": "real", "uncertainty": "+-"}
     return Table(
         title="Deformation, grade statistics (no part of the score)",
@@ -163,7 +213,12 @@ def _deformation_table(results: Sequence[Result]) -> Table:
             Column("frame", "frame", str, is_number=True),
             # Adding 0.0 makes a rounded -0.0000 plain zero.
             *(
-                Column(key, title, lambda value: f"{round(value, 4) + 0.0:.4f}", is_number=True)
+                Column(
+                    key,
+                    title,
+                    lambda value: f"{round(value, 4) + 0.0:.4f}",
+                    is_number=True,
+                )
                 for key, title in numbers.items()
             ),
             Column("z", "z", score_text, is_number=True),
@@ -174,7 +229,16 @@ def _deformation_table(results: Sequence[Result]) -> Table:
             for result, deformation in found
             for statistic in deformation.statistics
         ],
-        notes=(DEFORMATION_NOTE, *sorted({f"{short_id(result.id)}: {one.note}." for result, one in found if one.note})),
+        notes=(
+            DEFORMATION_NOTE,
+            *sorted(
+                {
+                    f"{short_id(result.id)}: {one.note}."
+                    for result, one in found
+                    if one.note
+                }
+            ),
+        ),
     )
 
 
@@ -203,7 +267,9 @@ def _implied_line(name: str, score: Score) -> str:
             parts.append(f"real release {one.real:+.3f}{spread} s")
         else:
             real = "" if one.real is None else f" (real {_rounded(one.real)}{spread})"
-            parts.append(with_unit(f"{parameter} {_rounded(one.value)}{real}", one.unit))
+            parts.append(
+                with_unit(f"{parameter} {_rounded(one.value)}{real}", one.unit)
+            )
     return f"{name} implies {', '.join(parts)}."
 
 
@@ -252,6 +318,11 @@ def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
         for result in results:
             if result.outcome is outcome:
                 name = short_id(result.id)
-                reason = (result.error or result.diverged_reason or "").replace(f"{result.id}: ", "")
+                reason = (result.error or result.diverged_reason or "").replace(
+                    f"{result.id}: ", ""
+                )
                 reasons.setdefault(reason.removeprefix(f"{name} "), []).append(name)
-        yield from (Paragraph(f"{outcome.value}: {shortened(ids)}: {text}", tone) for text, ids in reasons.items())
+        yield from (
+            Paragraph(f"{outcome.value}: {shortened(ids)}: {text}", tone)
+            for text, ids in reasons.items()
+        )

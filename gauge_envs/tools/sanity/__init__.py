@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.comparison import Comparison as Comparison, compare as compare
+    from gauge_envs.tools.sanity.comparison import (
+        Comparison as Comparison,
+        compare as compare,
+    )
     from gauge_envs.tools.sanity.model import (
         Cause as Cause,
         ContactGroup as ContactGroup,
@@ -28,11 +31,15 @@ if TYPE_CHECKING:
         TrainingConfiguration as TrainingConfiguration,
         Verdict as Verdict,
     )
-    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp as BackendMuJoCoWarp
+    from gauge_envs.tools.sanity.mujoco_warp_run import (
+        BackendMuJoCoWarp as BackendMuJoCoWarp,
+    )
     from gauge_envs.tools.sanity.robot.foot import FootGeometry as FootGeometry
     from gauge_envs.tools.sanity.run import check as check
     from gauge_envs.tools.sanity.stacks import configuration as configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target
-    from gauge_envs.tools.sanity.stacks.newton import newton_configuration as newton_configuration
+    from gauge_envs.tools.sanity.stacks.newton import (
+        newton_configuration as newton_configuration,
+    )
 else:
     __getattr__, __all__ = door(__name__)

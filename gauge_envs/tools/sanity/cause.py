@@ -16,7 +16,13 @@ from typing import Any
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.measure import Measured, Measurements, Subject
-from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.model import (
+    INSIDE_WITHIN,
+    Cause,
+    SettingTrial,
+    TrainingConfiguration,
+    Verdict,
+)
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
@@ -59,11 +65,19 @@ def find_cause(
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
     """
-    nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
+    nothing_to_explain = (
+        configured.verdict in (Verdict.INSIDE, Verdict.DECLINED)
+        or configured.engine_died
+    )
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
     search = _Search(measurements, phenomenon, settings, configured, default, dialect)
-    return search.put_back_one() or search.default_is_no_better() or search.each_alone() or search.together()
+    return (
+        search.put_back_one()
+        or search.default_is_no_better()
+        or search.each_alone()
+        or search.together()
+    )
 
 
 @dataclass
@@ -78,7 +92,9 @@ class _Search:
     dialect: Dialect
 
     def __post_init__(self) -> None:
-        self._others = alternatives(self.measurements, self.phenomenon.scenario, self.settings)
+        self._others = alternatives(
+            self.measurements, self.phenomenon.scenario, self.settings
+        )
         self._best = {name: several[-1] for name, several in self._others.items()}
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
@@ -95,21 +111,36 @@ class _Search:
             measured = [(self._changed({name: one.value}), one) for one in several]
             # Of several values that mend the row, the first is taken: the engine's documented default.
             self._put_back[name], self._best[name] = min(
-                measured, key=lambda pair: 0.0 if pair[0].verdict is Verdict.INSIDE else pair[0].deviation
+                measured,
+                key=lambda pair: (
+                    0.0 if pair[0].verdict is Verdict.INSIDE else pair[0].deviation
+                ),
             )
-        close = {name: changed for name, changed in self._put_back.items() if self._explains(changed)}
+        close = {
+            name: changed
+            for name, changed in self._put_back.items()
+            if self._explains(changed)
+        }
         if not close:
             return None
         best = min(close, key=lambda name: close[name].deviation)
         if close[best].verdict is Verdict.INSIDE:
-            alike = [name for name, one in close.items() if one.deviation <= close[best].deviation + SAME_DEVIATION]
+            alike = [
+                name
+                for name, one in close.items()
+                if one.deviation <= close[best].deviation + SAME_DEVIATION
+            ]
             best = self._strongest(alike) or best if len(alike) > 1 else best
         others = [
-            f"{self._assignment(name)} alone to {self._measured_text(close[name])}" for name in close if name != best
+            f"{self._assignment(name)} alone to {self._measured_text(close[name])}"
+            for name in close
+            if name != best
         ]
         if close[best].verdict is not Verdict.INSIDE:
             others += self._completed(best)
-        return self._cause((best,), close[best], also=f" ({', '.join(others)})" if others else "")
+        return self._cause(
+            (best,), close[best], also=f" ({', '.join(others)})" if others else ""
+        )
 
     def _strongest(self, names: Sequence[str]) -> str | None:
         """Return the setting that alone changes the default most towards the configuration.
@@ -118,7 +149,12 @@ class _Search:
         """
         self._alone |= {name: self._on_default(name) for name in names}
         best = max(names, key=lambda name: self._shift(self._alone[name]))
-        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self.phenomenon.reality.tolerance else None
+        return (
+            best
+            if self._shift(self._alone[best])
+            > SEEN_DEVIATION * self.phenomenon.reality.tolerance
+            else None
+        )
 
     def _shift(self, alone: Measured) -> float:
         default, configured = self.default.value, self.configured.value
@@ -130,30 +166,49 @@ class _Search:
 
     def _completed(self, name: str) -> list[str]:
         """Return text about a second setting that completes the change; empty when there is none."""
-        pairs = {other: self._with_put_back((name, other)) for other in self._others if other != name}
+        pairs = {
+            other: self._with_put_back((name, other))
+            for other in self._others
+            if other != name
+        }
         best = min(pairs, key=lambda other: pairs[other].deviation, default=None)
         if best is None or pairs[best].verdict is not Verdict.INSIDE:
             return []
-        return [f"with {self._assignment(best)} too to {self._measured_text(pairs[best])}"]
+        return [
+            f"with {self._assignment(best)} too to {self._measured_text(pairs[best])}"
+        ]
 
     def each_alone(self) -> Cause | None:
         """Apply each setting alone to the default and return those that suffice, if putting them all back helps."""
-        self._alone |= {name: self._on_default(name) for name in self._others if name not in self._alone}
+        self._alone |= {
+            name: self._on_default(name)
+            for name in self._others
+            if name not in self._alone
+        }
         suffice = tuple(
-            name for name, one in self._alone.items() if one.verdict is not Verdict.DECLINED and not self._explains(one)
+            name
+            for name, one in self._alone.items()
+            if one.verdict is not Verdict.DECLINED and not self._explains(one)
         )
         if not suffice:
             return None
         changed = self._with_put_back(suffice)
         if not self._explains(changed):
             # Training may not afford the preset's own step, but it shows what is responsible.
-            found, self._best = self._best, self._best | {name: self._of_preset(name) for name in suffice}
+            found, self._best = (
+                self._best,
+                self._best | {name: self._of_preset(name) for name in suffice},
+            )
             changed = self._with_put_back(suffice)
             if not self._explains(changed):
                 self._best = found
                 return None
-        alone = ", ".join(f"{name} {self._measured_text(self._alone[name])}" for name in suffice)
-        return self._cause(suffice, changed, also=f" (each alone on this package's preset: {alone})")
+        alone = ", ".join(
+            f"{name} {self._measured_text(self._alone[name])}" for name in suffice
+        )
+        return self._cause(
+            suffice, changed, also=f" (each alone on this package's preset: {alone})"
+        )
 
     def together(self) -> Cause:
         """Put back pairs, then the best pair with a third setting; return the first group that explains the error.
@@ -164,7 +219,8 @@ class _Search:
         matter = [
             name
             for name in self._others
-            if _is_seen(self.configured, self._put_back[name]) or _is_seen(self.default, self._alone[name])
+            if _is_seen(self.configured, self._put_back[name])
+            or _is_seen(self.default, self._alone[name])
         ]
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
@@ -175,14 +231,19 @@ class _Search:
             group = min(measured, key=lambda g: measured[g].deviation)
             if self._explains(measured[group]):
                 return self._cause(group, measured[group])
-        return self._unexplained(f"no reset of up to {LARGEST_GROUP} settings explains it: " + ", ".join(self._others))
+        return self._unexplained(
+            f"no reset of up to {LARGEST_GROUP} settings explains it: "
+            + ", ".join(self._others)
+        )
 
     def default_is_no_better(self) -> Cause | None:
         """Return that this package's preset has at least half of the error, if it has."""
         if self._explains(self.default):
             return None
         text = self._measured_text(self.default)
-        return self._unexplained(f"no setting alone explains it; this package's preset: {text}")
+        return self._unexplained(
+            f"no setting alone explains it; this package's preset: {text}"
+        )
 
     def _unexplained(self, line: str) -> Cause:
         return Cause(settings=(), line=line, tried=tuple(self._tried))
@@ -198,10 +259,14 @@ class _Search:
     def _with_put_back(self, names: tuple[str, ...]) -> Measured:
         return self._changed({name: self._best[name].value for name in names})
 
-    def _changed(self, changes: dict[str, Any], *, on_default: bool = False) -> Measured:
+    def _changed(
+        self, changes: dict[str, Any], *, on_default: bool = False
+    ) -> Measured:
         settings = changes if on_default else {**self.settings, **changes}
         measured = self.measurements.measure(self.phenomenon, settings)
-        self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=on_default))
+        self._tried.append(
+            SettingTrial(changes=changes, value=measured.value, on_default=on_default)
+        )
         return measured
 
     def _on_default(self, name: str) -> Measured:
@@ -217,12 +282,19 @@ class _Search:
 
     def _assignment(self, name: str) -> str:
         text = self.dialect.assignment(name, self._best[name].value)
-        return text if self.dialect.writes(name) else f"{text} (which the target has no key for)"
+        return (
+            text
+            if self.dialect.writes(name)
+            else f"{text} (which the target has no key for)"
+        )
 
-    def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
+    def _cause(
+        self, names: tuple[str, ...], changed: Measured, also: str = ""
+    ) -> Cause:
         chosen = [self._best[name] for name in names]
         subject = " and ".join(
-            f"{self._assignment(one.name)} instead of {self.dialect.value_text(one.name, one.was)}" for one in chosen
+            f"{self._assignment(one.name)} instead of {self.dialect.value_text(one.name, one.was)}"
+            for one in chosen
         )
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
@@ -314,7 +386,10 @@ def alternatives(
     references = [
         *_in_force(measurements, scenario, {"preset": DOCUMENTED_PRESET}, DOCUMENTED),
         *_in_force(measurements, GENERAL, {}, None),
-        (preset_label(preset), {name: value for name, value in preset.items() if name not in RECIPES}),
+        (
+            preset_label(preset),
+            {name: value for name, value in preset.items() if name not in RECIPES},
+        ),
     ]
     stated = set(configured) if "preset" in settings else set(settings)
     found: dict[str, list[Alternative]] = {}
@@ -330,7 +405,10 @@ def alternatives(
 
 
 def _in_force(
-    measurements: Measurements, scenario: Scenario, settings: Mapping[str, Any], label: str | None
+    measurements: Measurements,
+    scenario: Scenario,
+    settings: Mapping[str, Any],
+    label: str | None,
 ) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield a reference; nothing when the backend has no such preset or cannot build the scene."""
     try:
@@ -346,11 +424,16 @@ def preset_label(force: Mapping[str, Any]) -> str:
 
 
 def _values(
-    name: str, configured: Mapping[str, Any], references: Sequence[tuple[str, Mapping[str, Any]]]
+    name: str,
+    configured: Mapping[str, Any],
+    references: Sequence[tuple[str, Mapping[str, Any]]],
 ) -> Iterator[Alternative]:
     """Yield each other value of a setting once."""
     was = _comparable(
-        name, _reference_value(name, configured, None) if configured.get("newton_material") else configured[name]
+        name,
+        _reference_value(name, configured, None)
+        if configured.get("newton_material")
+        else configured[name],
     )
     seen = [was]
     step_s = configured.get("timestep_s")
@@ -405,7 +488,11 @@ RECOMMENDED_MUJOCO: Mapping[str, Any] = {
 }
 """Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
 
-RECOMMENDED_PHYSX: Mapping[str, Any] = {"solver": "TGS", "position_iterations": 10, "velocity_iterations": 1}
+RECOMMENDED_PHYSX: Mapping[str, Any] = {
+    "solver": "TGS",
+    "position_iterations": 10,
+    "velocity_iterations": 1,
+}
 """The same for PhysX, in the dialect of a training stack."""
 
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
@@ -427,7 +514,10 @@ LARGEST_DEVIATION = 1000.0
 MOST_CANDIDATES = 5
 """Most sets of changes that are applied to the target."""
 
-FEW_ITERATIONS = ({"iterations": 4, "ls_iterations": 20}, {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"})
+FEW_ITERATIONS = (
+    {"iterations": 4, "ls_iterations": 20},
+    {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"},
+)
 """Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
 
 
@@ -451,19 +541,33 @@ def candidates_of(
         return []
     found: list[dict[str, Any]] = []
     least: dict[str, Any] = {}
-    if configuration.settings.get("iterations", math.inf) < FEW_ITERATIONS[0]["iterations"]:
+    if (
+        configuration.settings.get("iterations", math.inf)
+        < FEW_ITERATIONS[0]["iterations"]
+    ):
         # Other changes let a body slide that starts to move, and not one that has rested.
-        found += [{k: v for k, v in few.items() if configuration.settings.get(k) != v} for few in FEW_ITERATIONS]
+        found += [
+            {k: v for k, v in few.items() if configuration.settings.get(k) != v}
+            for few in FEW_ITERATIONS
+        ]
         least = found[0]
     found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
     if recommended := _recommended(configuration):
         # Of many, the last one is tried too.
         found = [*found[: MOST_CANDIDATES - 1], recommended]
-    return list({json.dumps(json_ready(one), sort_keys=True): one for one in found[:MOST_CANDIDATES]}.values())
+    return list(
+        {
+            json.dumps(json_ready(one), sort_keys=True): one
+            for one in found[:MOST_CANDIDATES]
+        }.values()
+    )
 
 
 def _greedy(
-    flagged: Sequence[Subject], others: Sequence[Subject], dialect: Dialect, named: Collection[str]
+    flagged: Sequence[Subject],
+    others: Sequence[Subject],
+    dialect: Dialect,
+    named: Collection[str],
 ) -> Iterator[dict[str, Any]]:
     """Yield the single change that mends most, then it with further ones; each must mend a further flag.
 
@@ -473,13 +577,26 @@ def _greedy(
     changes: dict[str, Any] = {}
     left = list(flagged)
     while left and candidates and len(changes) < MOST_CHANGES:
-        scored = [(_score(left, {**changes, one.name: one.value}), one) for one in candidates]
+        scored = [
+            (_score(left, {**changes, one.name: one.value}), one) for one in candidates
+        ]
         # First the flags that a change mends, then no shorter step, then whether it is named for a row, then closeness.
         scored.sort(
-            key=lambda pair: (pair[0][0], pair[1].name != STEP, pair[1].name in named, pair[0][1]), reverse=True
+            key=lambda pair: (
+                pair[0][0],
+                pair[1].name != STEP,
+                pair[1].name in named,
+                pair[0][1],
+            ),
+            reverse=True,
         )
-        harms = [_new_flags(others, {**changes, one.name: one.value}) for _, one in scored[:MOST_COMPARED]]
-        net = [count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)]
+        harms = [
+            _new_flags(others, {**changes, one.name: one.value})
+            for _, one in scored[:MOST_COMPARED]
+        ]
+        net = [
+            count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)
+        ]
         (count, _), best = scored[net.index(max(net))]
         if not count:
             return
@@ -499,7 +616,9 @@ def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
     for subject in flagged:
         for settings in subject.sets.values():
             try:
-                several = alternatives(subject.measurements, subject.phenomenon.scenario, settings)
+                several = alternatives(
+                    subject.measurements, subject.phenomenon.scenario, settings
+                )
             except DeclinedError:
                 continue
             for one in (one for values in several.values() for one in values):
@@ -507,7 +626,9 @@ def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
     return list(found.values())
 
 
-def _score(subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
+def _score(
+    subjects: Sequence[Subject], changes: Mapping[str, Any]
+) -> tuple[int, float]:
     """Return how many subjects are inside with changes, and minus the sum of all deviations."""
     outcomes = [subject.worst(changes) for subject in subjects]
     total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
@@ -526,7 +647,9 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
         recommended = RECOMMENDED_PHYSX
     changes = {}
     for name, value in recommended.items():
-        was = configuration.settings.get(name, 0.0 if name == "contact_margin_m" else None)
+        was = configuration.settings.get(
+            name, 0.0 if name == "contact_margin_m" else None
+        )
         if name == STEP and was is not None and was <= value:
             continue
         if name in AT_LEAST and was is not None and was >= value:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import EXIT_FAILED, EXIT_INCOMPLETE, Format, Progress, echo, message, print_document
+from gauge_envs.cli.output import (
+    EXIT_FAILED,
+    EXIT_INCOMPLETE,
+    Format,
+    Progress,
+    echo,
+    message,
+    print_document,
+)
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -40,20 +48,32 @@ class FailOn(StrEnum):
 
 
 FailOnOption = Annotated[
-    FailOn | None, typer.Option(help="Exit code 1 when a row is at least as bad; visible, with --against never.")
+    FailOn | None,
+    typer.Option(
+        help="Exit code 1 when a row is at least as bad; visible, with --against never."
+    ),
 ]
 
 ReportForm = Annotated[
     ReportFormat,
-    typer.Option("--format", help="wide has all columns; --json is short for json; junit, sarif, github for CI."),
+    typer.Option(
+        "--format",
+        help="wide has all columns; --json is short for json; junit, sarif, github for CI.",
+    ),
 ]
 
 BaselineOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only.")
+    Path | None,
+    typer.Option(
+        metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only."
+    ),
 ]
 
 OutOption = Annotated[
-    list[Path] | None, typer.Option("--out", help="Page (.html), table (.md) or rows (.json); repeatable.")
+    list[Path] | None,
+    typer.Option(
+        "--out", help="Page (.html), table (.md) or rows (.json); repeatable."
+    ),
 ]
 
 
@@ -68,16 +88,27 @@ def sanity(
     ] = None,
     pair: Annotated[
         str | None,
-        typer.Option(metavar="GEOM1,GEOM2", help="Geoms whose contact counts; all on the ground by default."),
+        typer.Option(
+            metavar="GEOM1,GEOM2",
+            help="Geoms whose contact counts; all on the ground by default.",
+        ),
     ] = None,
     against: Annotated[
-        str | None, typer.Option(metavar="TARGET", help="Where the policy runs: report what changes to this target.")
+        str | None,
+        typer.Option(
+            metavar="TARGET",
+            help="Where the policy runs: report what changes to this target.",
+        ),
     ] = None,
     only: arguments.Only = None,
     fail_on: FailOnOption = None,
     baseline: BaselineOption = None,
     limits: Annotated[
-        str, typer.Option(metavar="TIME", help="Start no simulation after this time, as 60s; decline other rows.")
+        str,
+        typer.Option(
+            metavar="TIME",
+            help="Start no simulation after this time, as 60s; decline other rows.",
+        ),
     ] = "",
     out: OutOption = None,
     form: ReportForm = ReportFormat.TEXT,
@@ -93,24 +124,43 @@ def sanity(
     from gauge_envs.tools.sanity.phenomena import selection
 
     if target is None:
-        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
+        raise ParameterError(
+            "no target is given: name one, as in gauge sanity HalfCheetah-v5"
+        )
     _, time_limit_s, memory_gb = arguments.parsed_limits(limits)
     if limits and (time_limit_s is None or memory_gb is not None):
         raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")
-    common: dict[str, Any] = {"only": only or [], "include_deformables": _with_deformables(only or [])}
+    common: dict[str, Any] = {
+        "only": only or [],
+        "include_deformables": _with_deformables(only or []),
+    }
     if against is not None:
         if baseline is not None or pair is not None:
-            raise ParameterError("--against goes with neither --baseline nor --pair: leave them out")
+            raise ParameterError(
+                "--against goes with neither --baseline nor --pair: leave them out"
+            )
         files = arguments.by_suffix(out, ".md", ".json")
-        return _compare(target, against, common | {"time_limit_s": time_limit_s}, fail_on, files, form)
+        return _compare(
+            target,
+            against,
+            common | {"time_limit_s": time_limit_s},
+            fail_on,
+            files,
+            form,
+        )
     exit_code, files = _judged_by(fail_on, baseline), _checked_files(out)
     geoms = None if pair is None else tuple(map(str.strip, pair.split(",")))
     if geoms is not None and (len(geoms) != 2 or not all(geoms)):
-        raise ParameterError(f"--pair {pair!r}: expected the names of two geoms, as floor,foot")
+        raise ParameterError(
+            f"--pair {pair!r}: expected the names of two geoms, as floor,foot"
+        )
     checked = configuration(target, pair=geoms)
     with Progress("phenomena", len(selection(**common))) as progress:
         report = check(
-            checked, notify=lambda row: progress.advance(row.phenomenon), time_limit_s=time_limit_s, **common
+            checked,
+            notify=lambda row: progress.advance(row.phenomenon),
+            time_limit_s=time_limit_s,
+            **common,
         )
     _print_report(report, form, files)
     return exit_code(report)
@@ -121,7 +171,10 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
     from gauge_envs.tools.sanity.phenomena import selection
 
     each = (pattern.strip() for text in patterns for pattern in text.split(","))
-    return any(pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection()) for pattern in each)
+    return any(
+        pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection())
+        for pattern in each
+    )
 
 
 def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
@@ -134,18 +187,33 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
     return files
 
 
-def _print_report(report: Report, form: ReportFormat, files: Mapping[str, Path]) -> None:
+def _print_report(
+    report: Report, form: ReportFormat, files: Mapping[str, Path]
+) -> None:
     from gauge_envs.pages.document import Document, Paragraph, Tone, save_file
     from gauge_envs.tools.sanity.formats import WRITERS
     from gauge_envs.tools.sanity.model import UNREAD
-    from gauge_envs.tools.sanity.words import is_clean, sanity_document, sanity_page, top_line
+    from gauge_envs.tools.sanity.words import (
+        is_clean,
+        sanity_document,
+        sanity_page,
+        top_line,
+    )
 
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
     shown = sanity_document(report)
     if form is ReportFormat.TEXT and is_clean(report):
-        line = Paragraph(f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s")
-        unread = [Paragraph(f"note: {n}", Tone.WARNING) for n in report.configuration.notes if n.startswith(UNREAD)]
-        shown = Document(parts=(line, *unread), rows=shown.rows, markdown=shown.markdown)
+        line = Paragraph(
+            f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s"
+        )
+        unread = [
+            Paragraph(f"note: {n}", Tone.WARNING)
+            for n in report.configuration.notes
+            if n.startswith(UNREAD)
+        ]
+        shown = Document(
+            parts=(line, *unread), rows=shown.rows, markdown=shown.markdown
+        )
     if form.value in WRITERS:
         echo(WRITERS[form.value](report))
         shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)
@@ -153,7 +221,9 @@ def _print_report(report: Report, form: ReportFormat, files: Mapping[str, Path])
     print_document(shown, printed, files=files, writers=writers)
 
 
-def _judged_by(fail_on: FailOn | None, baseline: Path | None) -> Callable[[Report], int]:
+def _judged_by(
+    fail_on: FailOn | None, baseline: Path | None
+) -> Callable[[Report], int]:
     """Return what decides the exit code of a check, and prints regressions from a baseline."""
     from gauge_envs.tools.sanity import Verdict
     from gauge_envs.tools.sanity.run import read_baseline, regressions
@@ -166,10 +236,18 @@ def _judged_by(fail_on: FailOn | None, baseline: Path | None) -> Callable[[Repor
     def exit_code(report: Report) -> int:
         worse = [row for row in report.rows if row.is_flag and row.verdict in bad]
         if before is not None:
-            worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
+            worse = regressions(
+                report,
+                before,
+                least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE,
+            )
             for row in worse:
                 was = before.get(row.phenomenon)
-                text = "not in the baseline" if was is None else f"{was:.3g} half-widths from reality at most"
+                text = (
+                    "not in the baseline"
+                    if was is None
+                    else f"{was:.3g} half-widths from reality at most"
+                )
                 message(
                     f"regression: {row.phenomenon}: {row.verdict.value}, {row.deviation:.3g} half-widths; was {text}"
                 )
@@ -192,24 +270,38 @@ def _compare(
 
     comparison = compare(trained, deployed, **options)
     if form.value not in {one.value for one in Format}:
-        raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
+        raise ParameterError(
+            f"--format {form.value} is of a check; --against has {', '.join(Format)}"
+        )
     print_document(comparison_document(comparison), Format(form.value), files=files)
-    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
-        fail_on or FailOn.NEVER, ()
-    )
+    bad = {
+        FailOn.WRONG: (Change.LARGE,),
+        FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE),
+    }.get(fail_on or FailOn.NEVER, ())
     changes = {row.change for row in comparison.rows}
-    return EXIT_FAILED if changes & set(bad) else EXIT_INCOMPLETE if changes == {Change.UNKNOWN} else 0
+    return (
+        EXIT_FAILED
+        if changes & set(bad)
+        else EXIT_INCOMPLETE
+        if changes == {Change.UNKNOWN}
+        else 0
+    )
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
     """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
     from gauge_envs.tools.sanity.words import phenomena_table
 
-    return [phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)]
+    return [
+        phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)
+    ]
 
 
 def sanity_probe(
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write, as gauge_probe.py.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write, as gauge_probe.py."),
+    ] = None,
 ) -> None:
     """Print a Python file that saves the settings of a training environment.
 

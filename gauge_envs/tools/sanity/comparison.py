@@ -20,9 +20,21 @@ import numpy as np
 from gauge_envs.files import json_ready, versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s, subject_of
+from gauge_envs.tools.sanity.measure import (
+    Engine,
+    Measurements,
+    TimeLimitError,
+    simulation_limit_s,
+    subject_of,
+)
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena import (
+    CAPACITY_ID,
+    GRAVITY_ID,
+    ROBOT_IDS,
+    phenomenon,
+    selection,
+)
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.target_checks import GRAVITY_ROW
@@ -99,13 +111,26 @@ class Comparison:
     @property
     def changed(self) -> tuple[ChangeRow, ...]:
         """The rows that change: a large change first, then by half-widths of the interval, to two digits."""
-        changed = (row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE))
-        return tuple(sorted(changed, key=lambda row: (row.change is not Change.LARGE, -float(f"{_size(row):.2g}"))))
+        changed = (
+            row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE)
+        )
+        return tuple(
+            sorted(
+                changed,
+                key=lambda row: (
+                    row.change is not Change.LARGE,
+                    -float(f"{_size(row):.2g}"),
+                ),
+            )
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
         # The targets' own models are not written.
-        bare = {name: replace(getattr(self, name), robot=None) for name in ("trained", "deployed")}
+        bare = {
+            name: replace(getattr(self, name), robot=None)
+            for name in ("trained", "deployed")
+        }
         return json_ready(asdict(replace(self, **bare)))
 
 
@@ -131,20 +156,41 @@ def compare(
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
         names = dict.fromkeys(target.backend for target in targets)
-        engines = {name: stack.enter_context(closing(Engine(name, simulation_limit_s(time_limit_s)))) for name in names}
+        engines = {
+            name: stack.enter_context(
+                closing(Engine(name, simulation_limit_s(time_limit_s)))
+            )
+            for name in names
+        }
         limit_s = math.inf if time_limit_s is None else time_limit_s
-        known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
+        known = {
+            name: Measurements(engine, time_limit_s=limit_s)
+            for name, engine in engines.items()
+        }
         sides = [_Side(target, known[target.backend]) for target in targets]
         rows = [_step_row(sides)]
         if GRAVITY_ID in chosen:
             rows.append(_gravity_row(sides))
-        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)]
+        simulated = [
+            phenomenon(name)
+            for name in chosen
+            if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)
+        ]
         measured = {one.id: _measured_row(one, sides) for one in simulated}
-    found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
+    found = {
+        name: version
+        for engine in engines.values()
+        for name, version in engine.versions.items()
+    }
     return Comparison(
         trained=targets[0],
         deployed=targets[1],
-        rows=(*rows, *_friction_rows(sides, measured), *_restitution_rows(sides, measured), *measured.values()),
+        rows=(
+            *rows,
+            *_friction_rows(sides, measured),
+            *_restitution_rows(sides, measured),
+            *measured.values(),
+        ),
         versions={**found, **versions()},
         wall_s=time.perf_counter() - started,
     )
@@ -153,7 +199,9 @@ def compare(
 class _Side:
     """One configuration and the measurements on its engine."""
 
-    def __init__(self, configuration: TrainingConfiguration, measurements: Measurements) -> None:
+    def __init__(
+        self, configuration: TrainingConfiguration, measurements: Measurements
+    ) -> None:
         self.configuration = configuration
         self._measurements = measurements
 
@@ -172,7 +220,9 @@ class _Side:
         """Return the step for a cube on a board [s]; None when the backend declines the scene."""
         scenario = phenomenon("slide-wood").scenario
         try:
-            force = self._measurements.in_force(scenario, next(iter(self.configuration.contact_sets.values())))
+            force = self._measurements.in_force(
+                scenario, next(iter(self.configuration.contact_sets.values()))
+            )
         except DeclinedError:
             return None
         step = force.get("timestep_s")
@@ -187,13 +237,19 @@ class _Side:
             return GRAVITY_M_PER_S2, np.array([-GRAVITY_M_PER_S2, 0.0])
         vector, up = np.asarray(gravity), np.asarray(self.configuration.up)
         along = float(vector @ up)
-        return float(np.linalg.norm(vector)), np.array([along, float(np.linalg.norm(vector - along * up))])
+        return float(np.linalg.norm(vector)), np.array(
+            [along, float(np.linalg.norm(vector - along * up))]
+        )
 
     def stated_friction(self) -> float | None:
         """Return the sliding friction of a foot on the ground; None when the target states none."""
         if self.configuration.foot_contact is not None:
             return self.configuration.foot_contact.mean_friction
-        used = [group.constants for group in self.configuration.contact_groups if group.is_used]
+        used = [
+            group.constants
+            for group in self.configuration.contact_groups
+            if group.is_used
+        ]
         return float(used[0]["friction"][0]) if used else None
 
     def restitution(self, rebound: float | None, real: float) -> float | None:
@@ -210,11 +266,20 @@ class _Side:
 
 
 def _row(
-    name: str, title: str, unit: str, values: Sequence[float | None], tolerance: float, remarks: Sequence[str] = ()
+    name: str,
+    title: str,
+    unit: str,
+    values: Sequence[float | None],
+    tolerance: float,
+    remarks: Sequence[str] = (),
 ) -> ChangeRow:
     """Return the row on a value where the policy was trained, and where it runs."""
     trained, deployed = values
-    shown = [f"{where}: {text}" for where, text in zip(("trained", "deployed"), remarks, strict=False) if text]
+    shown = [
+        f"{where}: {text}"
+        for where, text in zip(("trained", "deployed"), remarks, strict=False)
+        if text
+    ]
     return ChangeRow(
         id=name,
         title=title,
@@ -235,20 +300,35 @@ def _measured_row(one: Phenomenon, sides: Sequence[_Side]) -> ChangeRow:
 def _step_row(sides: Sequence[_Side]) -> ChangeRow:
     """Return the row on the step. A difference is visible at most, since it may do no harm."""
     steps = [side.step_s() for side in sides]
-    row = _row("step", "step of the engine", "s", steps, STEP_RATIO * max(abs(step or 0.0) for step in steps))
+    row = _row(
+        "step",
+        "step of the engine",
+        "s",
+        steps,
+        STEP_RATIO * max(abs(step or 0.0) for step in steps),
+    )
     return replace(row, change=Change.VISIBLE) if row.change is Change.LARGE else row
 
 
 def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
     """Return the row on gravity, by the length of the difference of both."""
     (trained, first), (deployed, second) = (side.gravity() for side in sides)
-    apart, tolerance = float(np.linalg.norm(first - second)), GRAVITY_ROW.reality.tolerance
-    remark = "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
-    row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance)
+    apart, tolerance = (
+        float(np.linalg.norm(first - second)),
+        GRAVITY_ROW.reality.tolerance,
+    )
+    remark = (
+        "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
+    )
+    row = _row(
+        GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance
+    )
     return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
 
 
-def _friction_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+def _friction_rows(
+    sides: Sequence[_Side], rows: Mapping[str, ChangeRow]
+) -> list[ChangeRow]:
     """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
     found: list[ChangeRow] = []
     stated = [side.stated_friction() for side in sides]
@@ -261,25 +341,59 @@ def _friction_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> lis
         slide = phenomenon(name)
         real = _friction(slide.reality.value)
         measured = (rows[name].trained, rows[name].deployed)
-        values = [None if a is None else _friction(a) / real * mu for a, mu in zip(measured, known, strict=True)]
-        tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real * max(known)
+        values = [
+            None if a is None else _friction(a) / real * mu
+            for a, mu in zip(measured, known, strict=True)
+        ]
+        tolerance = (
+            slide.reality.tolerance
+            / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG)))
+            / real
+            * max(known)
+        )
         title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
         title += "" if has_both else ", over the stated one"
-        remarks = ["" if foot is None else foot.text for foot in feet] if has_both and not found else []
-        found.append(_row(f"foot-{direction.split(' ')[0]}", title, "1", values, tolerance, remarks))
+        remarks = (
+            ["" if foot is None else foot.text for foot in feet]
+            if has_both and not found
+            else []
+        )
+        found.append(
+            _row(
+                f"foot-{direction.split(' ')[0]}",
+                title,
+                "1",
+                values,
+                tolerance,
+                remarks,
+            )
+        )
     return found
 
 
-def _restitution_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+def _restitution_rows(
+    sides: Sequence[_Side], rows: Mapping[str, ChangeRow]
+) -> list[ChangeRow]:
     """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
     row = rows.get(REBOUND)
     if row is None:
         return []
     reality, measured = phenomenon(REBOUND).reality, (row.trained, row.deployed)
-    values = [side.restitution(value, reality.value) for side, value in zip(sides, measured, strict=True)]
+    values = [
+        side.restitution(value, reality.value)
+        for side, value in zip(sides, measured, strict=True)
+    ]
     if None in values:
         return []
-    return [_row("foot-restitution", "restitution that a foot meets", "1", values, reality.tolerance)]
+    return [
+        _row(
+            "foot-restitution",
+            "restitution that a foot meets",
+            "1",
+            values,
+            reality.tolerance,
+        )
+    ]
 
 
 def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:
@@ -292,11 +406,15 @@ def _change(trained: float | None, deployed: float | None, tolerance: float) -> 
 
 
 def _size(row: ChangeRow) -> float:
-    assert row.trained is not None and row.deployed is not None, "only known rows change"
+    assert row.trained is not None and row.deployed is not None, (
+        "only known rows change"
+    )
     return abs(row.trained - row.deployed) / row.tolerance
 
 
 def _friction(acceleration_m_per_s2: float) -> float:
     """Return the friction with which a cube slides with an acceleration on the slope."""
     slope = math.radians(SLOPE_DEG)
-    return math.tan(slope) - acceleration_m_per_s2 / (GRAVITY_M_PER_S2 * math.cos(slope))
+    return math.tan(slope) - acceleration_m_per_s2 / (
+        GRAVITY_M_PER_S2 * math.cos(slope)
+    )

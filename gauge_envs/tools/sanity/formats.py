@@ -8,7 +8,13 @@ from xml.etree import ElementTree
 
 from gauge_envs.files import versions
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
-from gauge_envs.tools.sanity.words import measured_text, reality_text, responsible_text, top_line, verdict_text
+from gauge_envs.tools.sanity.words import (
+    measured_text,
+    reality_text,
+    responsible_text,
+    top_line,
+    verdict_text,
+)
 
 SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 
@@ -26,7 +32,11 @@ def junit_text(report: Report) -> str:
     """Return a report as a test suite: a flag is a failure, a row that should have been measured an error."""
     unmeasured = set(report.unmeasured)
     failures = [row for row in report.rows if row.is_flag]
-    skipped = [row for row in report.rows if row.verdict is Verdict.DECLINED and row.phenomenon not in unmeasured]
+    skipped = [
+        row
+        for row in report.rows
+        if row.verdict is Verdict.DECLINED and row.phenomenon not in unmeasured
+    ]
     suite = ElementTree.Element(
         "testsuite",
         name=f"gauge sanity {report.configuration.name}",
@@ -37,9 +47,13 @@ def junit_text(report: Report) -> str:
         time=f"{report.wall_s:.3f}",
     )
     for row in report.rows:
-        case = ElementTree.SubElement(suite, "testcase", classname="gauge.sanity", name=row.phenomenon)
+        case = ElementTree.SubElement(
+            suite, "testcase", classname="gauge.sanity", name=row.phenomenon
+        )
         if row.is_flag:
-            ElementTree.SubElement(case, "failure", type=row.verdict.value, message=_message(row))
+            ElementTree.SubElement(
+                case, "failure", type=row.verdict.value, message=_message(row)
+            )
         elif row.phenomenon in unmeasured:
             ElementTree.SubElement(case, "error", type="unmeasured", message=row.remark)
         elif row in skipped:
@@ -53,7 +67,11 @@ def sarif_text(report: Report) -> str:
     place = Path(report.configuration.source.rpartition(" ")[2])
     location = {"physicalLocation": {"artifactLocation": {"uri": place.as_posix()}}}
     rules = [
-        {"id": row.phenomenon, "shortDescription": {"text": row.title}, "fullDescription": {"text": row.reality.source}}
+        {
+            "id": row.phenomenon,
+            "shortDescription": {"text": row.title},
+            "fullDescription": {"text": row.reality.source},
+        }
         for row in report.rows
     ]
     results: list[Mapping[str, Any]] = [
@@ -66,11 +84,20 @@ def sarif_text(report: Report) -> str:
         for row in report.rows
         if row.is_flag
     ]
-    notes = [{"level": "error", "message": {"text": f"{name} was not measured"}} for name in report.unmeasured]
+    notes = [
+        {"level": "error", "message": {"text": f"{name} was not measured"}}
+        for name in report.unmeasured
+    ]
     invocation = {"executionSuccessful": not notes, "toolExecutionNotifications": notes}
-    driver = {"name": "gauge sanity", "version": versions()["gauge-envs"], "rules": rules}
+    driver = {
+        "name": "gauge sanity",
+        "version": versions()["gauge-envs"],
+        "rules": rules,
+    }
     run = {"tool": {"driver": driver}, "results": results, "invocations": [invocation]}
-    return json.dumps({"$schema": SARIF_SCHEMA, "version": "2.1.0", "runs": [run]}, indent=1)
+    return json.dumps(
+        {"$schema": SARIF_SCHEMA, "version": "2.1.0", "runs": [run]}, indent=1
+    )
 
 
 def github_text(report: Report) -> str:
@@ -80,10 +107,28 @@ def github_text(report: Report) -> str:
         escaped = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
         return f"::{kind} title={title.replace('%', '%25').replace(':', '%3A').replace(',', '%2C')}::{escaped}"
 
-    lines = [command(LEVELS[r.verdict], f"gauge sanity {r.phenomenon}", _message(r)) for r in report.rows if r.is_flag]
-    lines += [command("error", f"gauge sanity {name}", "was not measured") for name in report.unmeasured]
-    return "\n".join([*lines, command("notice", f"gauge sanity {report.configuration.name}", top_line(report))])
+    lines = [
+        command(LEVELS[r.verdict], f"gauge sanity {r.phenomenon}", _message(r))
+        for r in report.rows
+        if r.is_flag
+    ]
+    lines += [
+        command("error", f"gauge sanity {name}", "was not measured")
+        for name in report.unmeasured
+    ]
+    return "\n".join(
+        [
+            *lines,
+            command(
+                "notice", f"gauge sanity {report.configuration.name}", top_line(report)
+            ),
+        ]
+    )
 
 
-WRITERS: Mapping[str, Callable[[Report], str]] = {"junit": junit_text, "sarif": sarif_text, "github": github_text}
+WRITERS: Mapping[str, Callable[[Report], str]] = {
+    "junit": junit_text,
+    "sarif": sarif_text,
+    "github": github_text,
+}
 """Functions that write a report, by the name of the format."""

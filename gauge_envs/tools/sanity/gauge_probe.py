@@ -61,7 +61,9 @@ def plain(value: Any, depth: int = 0) -> Any:
         return f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', type(value).__qualname__)}"
     if isinstance(value, (slice, bytes)):
         return None
-    return {str(name): plain(entry, depth + 1) for name, entry in members(value).items()}
+    return {
+        str(name): plain(entry, depth + 1) for name, entry in members(value).items()
+    }
 
 
 def members(value: Any) -> dict[Any, Any]:
@@ -69,10 +71,15 @@ def members(value: Any) -> dict[Any, Any]:
     if hasattr(value, "items"):
         return dict(value.items())
     if dataclasses.is_dataclass(value):
-        return {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {
+            field.name: getattr(value, field.name)
+            for field in dataclasses.fields(value)
+        }
     if hasattr(value, "model_dump"):
         return dict(value.model_dump())
-    public = {name: found(value, name) for name in dir(value) if not name.startswith("_")}
+    public = {
+        name: found(value, name) for name in dir(value) if not name.startswith("_")
+    }
     return {name: entry for name, entry in public.items() if not callable(entry)}
 
 
@@ -103,7 +110,9 @@ def found(value: Any, place: str) -> Any:
     """Return the attribute or entry at a place such as `sim.cfg`; None where there is none."""
     for name in [part for part in place.split(".") if part]:
         try:
-            value = value[name] if isinstance(value, dict) else getattr(value, name, None)
+            value = (
+                value[name] if isinstance(value, dict) else getattr(value, name, None)
+            )
         except Exception:  # Properties of other packages raise anything, such as an error before the first reset.
             return None
         if value is None:
@@ -113,7 +122,10 @@ def found(value: Any, place: str) -> Any:
 
 def is_of(value: Any, package: str, name: str) -> bool:
     """Return whether a value's class has that name and is from that package, which need not be imported."""
-    return any(one.__name__ == name and one.__module__.split(".")[0] == package for one in type(value).__mro__)
+    return any(
+        one.__name__ == name and one.__module__.split(".")[0] == package
+        for one in type(value).__mro__
+    )
 
 
 def is_number(value: Any) -> bool:
@@ -123,16 +135,32 @@ def is_number(value: Any) -> bool:
 
 MOST_GEOMS = 2000
 
-NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mjtSolver", "jacobian": "mjtJacobian"}
+NAMED_OPTIONS = {
+    "integrator": "mjtIntegrator",
+    "cone": "mjtCone",
+    "solver": "mjtSolver",
+    "jacobian": "mjtJacobian",
+}
 """Options of MuJoCo that are written by the name of their constant, since numbers change between versions."""
 
 FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 
 WIDTHS = {
-    "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1},
+    "body": {
+        "parentid": 1,
+        "pos": 3,
+        "quat": 4,
+        "mass": 1,
+        "ipos": 3,
+        "iquat": 4,
+        "inertia": 3,
+        "mocapid": 1,
+    },
     "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2},
     "geom": {
-        **dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1),
+        **dict.fromkeys(
+            ("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1
+        ),
         **dict.fromkeys(("margin", "gap", "rbound"), 1),
         **dict.fromkeys(("friction", "size", "pos"), 3),
         "solref": 2,
@@ -146,7 +174,11 @@ WIDTHS = {
     },
     "exclude": {"signature": 1},
 }
-ARRAYS = {f"{kind}_{name}": width for kind, columns in WIDTHS.items() for name, width in columns.items()}
+ARRAYS = {
+    f"{kind}_{name}": width
+    for kind, columns in WIDTHS.items()
+    for name, width in columns.items()
+}
 """Arrays of a compiled model of MuJoCo that are written as they are, with their number of columns."""
 
 MESHES = ("mjGEOM_MESH", "mjGEOM_SDF")
@@ -161,7 +193,16 @@ PLAYGROUND_PACKAGE, MJLAB_PACKAGE = "mujoco_playground", "mjlab"
 """Packages whose environments and task configurations hold more than a model."""
 
 MODEL_PLACES = (
-    *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model", "physics.model.ptr", "physics.model"),
+    *(
+        "mj_model",
+        "_mj_model",
+        "model",
+        "_model",
+        "sim.mj_model",
+        "sim.model",
+        "physics.model.ptr",
+        "physics.model",
+    ),
     *("physics.model._model", "env.mj_model", "_env.mj_model"),
 )
 """Attributes that hold the compiled model of an environment."""
@@ -174,7 +215,10 @@ def mujoco_model(target: Any) -> Any:
     """Return the compiled model that a target is or holds; None where there is none."""
     if is_of(target, "mujoco", "MjSpec"):
         return target.compile()
-    if found(target, "sim.mujoco") is not None and found(target, "scene.entities") is not None:
+    if (
+        found(target, "sim.mujoco") is not None
+        and found(target, "scene.entities") is not None
+    ):
         return mjlab_model(target)
     for holder in (target, found(target, "unwrapped")):
         for value in (holder, *(found(holder, place) for place in MODEL_PLACES)):
@@ -194,7 +238,9 @@ def mjlab_model(cfg: Any) -> Any:
 
 def is_mjx_model(value: Any) -> bool:
     """Return whether a value is a model of MJX, whose arrays have MuJoCo's names."""
-    return type(value).__name__ == "Model" and type(value).__module__.startswith("mujoco.mjx")
+    return type(value).__name__ == "Model" and type(value).__module__.startswith(
+        "mujoco.mjx"
+    )
 
 
 def capture_mujoco(target: Any) -> dict[str, Any]:
@@ -203,8 +249,14 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
 
     model = mujoco_model(target)
     if model.ngeom > MOST_GEOMS:
-        raise ProbeError(f"the model has {model.ngeom} geoms, the limit is {MOST_GEOMS}")
-    names = [name for name in dir(mujoco.MjModel.from_xml_string("<mujoco/>").opt) if not name.startswith("_")]
+        raise ProbeError(
+            f"the model has {model.ngeom} geoms, the limit is {MOST_GEOMS}"
+        )
+    names = [
+        name
+        for name in dir(mujoco.MjModel.from_xml_string("<mujoco/>").opt)
+        if not name.startswith("_")
+    ]
     options: dict[str, Any] = {name: getattr(model.opt, name, None) for name in names}
     options = {name: value for name, value in options.items() if is_number(value)}
     known = {}
@@ -213,18 +265,26 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
             options[name] = getattr(mujoco, NAMED_OPTIONS[name])(int(value)).name
         elif name in FLAGS:
             bits = getattr(mujoco, FLAGS[name]).__members__
-            known[name] = sorted(bit for bit in bits if bit.startswith(("mjDSBL_", "mjENBL_")))
+            known[name] = sorted(
+                bit for bit in bits if bit.startswith(("mjDSBL_", "mjENBL_"))
+            )
             options[name] = [bit for bit in known[name] if int(value) & int(bits[bit])]
         else:
             listed = flat(value)
             options[name] = listed[0] if len(listed) == 1 else listed
-    type_names = {int(value): name for name, value in mujoco.mjtGeom.__members__.items()}
+    type_names = {
+        int(value): name for name, value in mujoco.mjtGeom.__members__.items()
+    }
     types = [type_names[int(kind)] for kind in flat(model.geom_type)]
     found_hulls, chosen = hulls(model, types)
     title = bytes(model.names).split(b"\0")[0].decode()
     starts = [int(start) for start in flat(model.jnt_qposadr)]
     firsts = [int(first) for first in flat(model.jnt_dofadr)]
-    qpos0, armature, damping = flat(model.qpos0), flat(model.dof_armature), flat(model.dof_damping)
+    qpos0, armature, damping = (
+        flat(model.qpos0),
+        flat(model.dof_armature),
+        flat(model.dof_damping),
+    )
     driven_joints, driven_bodies = driven(model)
     runs_on = implementation(target, model)
     data = {
@@ -232,7 +292,9 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
         "stack": stack(target),
         "options": options,
         "known_flags": known,
-        "counts": {name: int(getattr(model, name)) for name in COUNTS if hasattr(model, name)},
+        "counts": {
+            name: int(getattr(model, name)) for name in COUNTS if hasattr(model, name)
+        },
         "arrays": {
             **{name: flat(getattr(model, name)) for name in ARRAYS},
             "jnt_ref": [qpos0[start] for start in starts],
@@ -257,20 +319,35 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
 def hulls(model: Any, types: list[str]) -> tuple[dict[str, list[float]], list[int]]:
     """Return the hull of each mesh that collides, by number, and the hull of each geom; -1 where it has none."""
     paired = {int(geom) for geom in flat(model.pair_geom1) + flat(model.pair_geom2)}
-    offers, accepts, meshes = flat(model.geom_contype), flat(model.geom_conaffinity), flat(model.geom_dataid)
+    offers, accepts, meshes = (
+        flat(model.geom_contype),
+        flat(model.geom_conaffinity),
+        flat(model.geom_dataid),
+    )
     chosen = [
-        int(mesh) if types[geom] in MESHES and (geom in paired or offers[geom] or accepts[geom]) else -1
+        int(mesh)
+        if types[geom] in MESHES and (geom in paired or offers[geom] or accepts[geom])
+        else -1
         for geom, mesh in enumerate(meshes)
     ]
     vertices, graph, found_hulls = flat(model.mesh_vert), flat(model.mesh_graph), {}
     for mesh in sorted(set(chosen) - {-1}):
-        first, count = int(flat(model.mesh_vertadr)[mesh]), int(flat(model.mesh_vertnum)[mesh])
+        first, count = (
+            int(flat(model.mesh_vertadr)[mesh]),
+            int(flat(model.mesh_vertnum)[mesh]),
+        )
         start = int(flat(model.mesh_graphadr)[mesh])
         # The table of a hull holds its numbers of vertices and faces, an address for each vertex, and the vertices.
         size = graph[start] if start >= 0 else 0
-        corners = graph[start + 2 + size : start + 2 + 2 * size] if start >= 0 else range(count)
+        corners = (
+            graph[start + 2 + size : start + 2 + 2 * size]
+            if start >= 0
+            else range(count)
+        )
         rows = [3 * (first + int(corner)) for corner in corners]
-        found_hulls[str(mesh)] = [number for row in rows for number in vertices[row : row + 3]]
+        found_hulls[str(mesh)] = [
+            number for row in rows for number in vertices[row : row + 3]
+        ]
     return found_hulls, chosen
 
 
@@ -278,7 +355,10 @@ def driven(model: Any) -> tuple[set[int], set[int]]:
     """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
     import mujoco
 
-    kinds, targets = flat(model.actuator_trntype), [int(target) for target in flat(model.actuator_trnid)[::2]]
+    kinds, targets = (
+        flat(model.actuator_trntype),
+        [int(target) for target in flat(model.actuator_trnid)[::2]],
+    )
     joints, bodies = set(), set()
     for number, target in enumerate(targets):
         kind = mujoco.mjtTrn(int(kinds[number])).name
@@ -291,10 +371,18 @@ def driven(model: Any) -> tuple[set[int], set[int]]:
         elif kind in ("mjTRN_SITE", "mjTRN_SLIDERCRANK"):
             bodies.add(int(flat(model.site_bodyid)[target]))
         elif kind == "mjTRN_TENDON":
-            first, count = int(flat(model.tendon_adr)[target]), int(flat(model.tendon_num)[target])
+            first, count = (
+                int(flat(model.tendon_adr)[target]),
+                int(flat(model.tendon_num)[target]),
+            )
             for wrap in range(first, first + count):
-                owners = {"mjWRAP_JOINT": model.jnt_bodyid, "mjWRAP_SITE": model.site_bodyid}
-                owner = owners.get(mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name)
+                owners = {
+                    "mjWRAP_JOINT": model.jnt_bodyid,
+                    "mjWRAP_SITE": model.site_bodyid,
+                }
+                owner = owners.get(
+                    mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name
+                )
                 if owner is not None:
                     bodies.add(int(flat(owner)[int(flat(model.wrap_objid)[wrap])]))
     return joints, bodies
@@ -303,14 +391,18 @@ def driven(model: Any) -> tuple[set[int], set[int]]:
 def keyframes(model: Any) -> dict[str, list[float]]:
     """Return the coordinates of those keyframes in which robots stand."""
     rows, names = flat(model.key_qpos), texts(model, model.name_keyadr)
-    places = {name: index * model.nq for index, name in enumerate(names) if name in STANDING}
+    places = {
+        name: index * model.nq for index, name in enumerate(names) if name in STANDING
+    }
     return {name: rows[start : start + model.nq] for name, start in places.items()}
 
 
 def texts(model: Any, addresses: Any) -> list[str]:
     """Return the names at some addresses in a model's table of names."""
     table = bytes(model.names)
-    return [table[start : table.index(b"\0", start)].decode() for start in flat(addresses)]
+    return [
+        table[start : table.index(b"\0", start)].decode() for start in flat(addresses)
+    ]
 
 
 def implementation(target: Any, model: Any) -> str:
@@ -318,7 +410,11 @@ def implementation(target: Any, model: Any) -> str:
     choice = str(found(target, "_config.impl") or found(target, "config.impl") or "")
     if choice == "warp" or is_of_package(target, MJLAB_PACKAGE):
         return "mujoco_warp"
-    is_mjx = is_mjx_model(model) or choice == "jax" or is_of_package(target, PLAYGROUND_PACKAGE)
+    is_mjx = (
+        is_mjx_model(model)
+        or choice == "jax"
+        or is_of_package(target, PLAYGROUND_PACKAGE)
+    )
     return "mjx" if is_mjx else "c"
 
 
@@ -353,7 +449,13 @@ def limits(target: Any) -> dict[str, int]:
 def frame_skip(target: Any) -> int | None:
     """Return the steps of the engine for one action; None where the target does not state it."""
     for holder in (target, found(target, "unwrapped")):
-        for place in ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation", "decimation"):
+        for place in (
+            "frame_skip",
+            "n_substeps",
+            "_n_substeps",
+            "cfg.decimation",
+            "decimation",
+        ):
             value = found(holder, place)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
@@ -367,8 +469,27 @@ SUFFIX = ".gaugeprobe.json"
 MOST_BYTES = 16 * 10**6
 
 PACKAGES = (
-    *("numpy", "mujoco", "mujoco-mjx", "mujoco-warp", "warp-lang", "jax", "torch", "gymnasium", "dm_control"),
-    *("playground", "mjlab", "isaaclab", "isaacsim", "mani_skill", "sapien", "newton", "genesis-world"),
+    *(
+        "numpy",
+        "mujoco",
+        "mujoco-mjx",
+        "mujoco-warp",
+        "warp-lang",
+        "jax",
+        "torch",
+        "gymnasium",
+        "dm_control",
+    ),
+    *(
+        "playground",
+        "mjlab",
+        "isaaclab",
+        "isaacsim",
+        "mani_skill",
+        "sapien",
+        "newton",
+        "genesis-world",
+    ),
 )
 """Packages whose versions are written if they are installed."""
 
@@ -376,7 +497,10 @@ PACKAGES = (
 def isaaclab_cfg(target: Any) -> Any:
     """Return the configuration of an environment of Isaac Lab; None for any other target."""
     for value in (target, found(target, "cfg"), found(target, "unwrapped.cfg")):
-        if found(value, "sim.physx") is not None or found(value, "sim.physics_material") is not None:
+        if (
+            found(value, "sim.physx") is not None
+            or found(value, "sim.physics_material") is not None
+        ):
             return value
     return None
 
@@ -385,15 +509,29 @@ def capture_isaaclab(target: Any) -> dict[str, Any]:
     """Return the configuration as Isaac Lab writes it to `env.yaml`; IsaacGym's has other keys."""
     cfg = isaaclab_cfg(target)
     if found(cfg, "sim.physx.num_position_iterations") is not None:
-        return {"kind": "isaacgym-cfg", "engine": "physx", "source": "IsaacGym", "data": {"cfg": plain(cfg)}}
+        return {
+            "kind": "isaacgym-cfg",
+            "engine": "physx",
+            "source": "IsaacGym",
+            "data": {"cfg": plain(cfg)},
+        }
     entries = cfg.to_dict() if callable(getattr(cfg, "to_dict", None)) else cfg
     source = f"Isaac Lab, {type(cfg).__name__}"
-    return {"kind": "isaaclab-cfg", "engine": "physx", "source": source, "data": {"cfg": plain(entries)}}
+    return {
+        "kind": "isaaclab-cfg",
+        "engine": "physx",
+        "source": source,
+        "data": {"cfg": plain(entries)},
+    }
 
 
 def maniskill_config(target: Any) -> Any:
     """Return the SimConfig of an environment of ManiSkill or of its class; None for any other target."""
-    for value in (target, found(target, "sim_config"), found(target, "unwrapped.sim_config")):
+    for value in (
+        target,
+        found(target, "sim_config"),
+        found(target, "unwrapped.sim_config"),
+    ):
         if is_of(value, "mani_skill", "SimConfig"):
             return value
     default = found(target, "_default_sim_config") if isinstance(target, type) else None
@@ -404,7 +542,12 @@ def maniskill_config(target: Any) -> Any:
 def capture_maniskill(target: Any) -> dict[str, Any]:
     """Return the fields of ManiSkill's SimConfig."""
     data = {"sim_config": plain(maniskill_config(target))}
-    return {"kind": "maniskill-sim-config", "engine": "physx", "source": "ManiSkill, SimConfig", "data": data}
+    return {
+        "kind": "maniskill-sim-config",
+        "engine": "physx",
+        "source": "ManiSkill, SimConfig",
+        "data": data,
+    }
 
 
 CAPTURES: Any = (
@@ -417,14 +560,27 @@ CAPTURES: Any = (
 
 def document(target: Any, name: str = "") -> dict[str, Any]:
     """Return the content of the file for an environment, a model or a configuration."""
-    head = {"format": FORMAT, "version": VERSION, "name": name or type(target).__qualname__, "versions": versions()}
+    head = {
+        "format": FORMAT,
+        "version": VERSION,
+        "name": name or type(target).__qualname__,
+        "versions": versions(),
+    }
     if isinstance(target, str):
         data = {"env_yaml": target}
-        return {**head, "kind": "isaaclab-cfg", "engine": "physx", "source": "Isaac Lab, env.yaml", "data": data}
+        return {
+            **head,
+            "kind": "isaaclab-cfg",
+            "engine": "physx",
+            "source": "Isaac Lab, env.yaml",
+            "data": data,
+        }
     capture = next((capture for matches, capture in CAPTURES if matches(target)), None)
     if capture is None:
         kind = f"{type(target).__module__}.{type(target).__qualname__}"
-        raise ProbeError(f"{kind} holds no model or configuration that is known: give the model itself")
+        raise ProbeError(
+            f"{kind} holds no model or configuration that is known: give the model itself"
+        )
     return {**head, **capture(target)}
 
 
@@ -441,9 +597,13 @@ def versions() -> dict[str, str]:
 
 def save(target: Any, file: str, name: str = "") -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`."""
-    content = json.dumps(document(target, name), allow_nan=False, separators=(",", ": ")).encode()
+    content = json.dumps(
+        document(target, name), allow_nan=False, separators=(",", ": ")
+    ).encode()
     if len(content) > MOST_BYTES:
-        raise ProbeError(f"the file would have {len(content)} bytes, the limit is {MOST_BYTES}")
+        raise ProbeError(
+            f"the file would have {len(content)} bytes, the limit is {MOST_BYTES}"
+        )
     part = Path(f"{file}.{os.getpid()}.tmp")
     part.write_bytes(content)
     part.replace(file)
@@ -457,12 +617,21 @@ def resolve(text: str) -> Any:
     if suffix in (".xml", ".mjcf", ".urdf", ".mjb"):
         import mujoco
 
-        return (mujoco.MjModel.from_binary_path if suffix == ".mjb" else mujoco.MjModel.from_xml_path)(text)
+        return (
+            mujoco.MjModel.from_binary_path
+            if suffix == ".mjb"
+            else mujoco.MjModel.from_xml_path
+        )(text)
     module, colon, expression = text.partition(":")
     if colon and not re.search(r"-v\d+$", text):
         value = eval(expression, dict(vars(importlib.import_module(module))))
         is_plain_class = isinstance(value, type) and maniskill_config(value) is None
-        return value() if is_plain_class or type(value).__name__ in ("function", "method", "partial") else value
+        return (
+            value()
+            if is_plain_class
+            or type(value).__name__ in ("function", "method", "partial")
+            else value
+        )
     import gymnasium
 
     return gymnasium.make(text)
@@ -470,12 +639,16 @@ def resolve(text: str) -> Any:
 
 def main() -> None:
     """Write the file for the target of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("target", help="file, Gymnasium id, or MODULE:EXPRESSION")
     parser.add_argument("--out", help=f"file to write, NAME{SUFFIX} by default")
     options = parser.parse_args()
     sys.path.insert(0, str(Path.cwd()))
-    name = Path(options.target).name if Path(options.target).is_file() else options.target
+    name = (
+        Path(options.target).name if Path(options.target).is_file() else options.target
+    )
     file = options.out or re.sub(r"[^\w.-]+", "_", name).strip("_") + SUFFIX
     try:
         save(resolve(options.target), file, name)

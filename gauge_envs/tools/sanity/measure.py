@@ -37,7 +37,15 @@ SIMULATION_LIMIT_S = 600.0
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
 
-OF_CONTACTS = ("contact_", "condim", "cone", "impratio", "torsional_", "rolling_", "o_friction")
+OF_CONTACTS = (
+    "contact_",
+    "condim",
+    "cone",
+    "impratio",
+    "torsional_",
+    "rolling_",
+    "o_friction",
+)
 """Starts of names of settings without effect where nothing can touch."""
 
 _Run = Callable[[Backend, Scenario, Mapping[str, Any]], Any]
@@ -48,7 +56,11 @@ def simulation_limit_s(time_limit_s: float | None) -> float:
 
     A limit of less than a second would leave no time to start the process.
     """
-    return SIMULATION_LIMIT_S if time_limit_s is None else min(max(time_limit_s, 1.0), SIMULATION_LIMIT_S)
+    return (
+        SIMULATION_LIMIT_S
+        if time_limit_s is None
+        else min(max(time_limit_s, 1.0), SIMULATION_LIMIT_S)
+    )
 
 
 class EngineDiedError(DivergedError):
@@ -69,14 +81,22 @@ class Engine:
 
     _backend: Backend | None
 
-    def __init__(self, engine: Backend | str, time_limit_s: float = SIMULATION_LIMIT_S) -> None:
+    def __init__(
+        self, engine: Backend | str, time_limit_s: float = SIMULATION_LIMIT_S
+    ) -> None:
         self._worker = Worker(time_limit_s)
-        if isinstance(engine, str) and engine in backend_names() and not is_bundled(engine):
+        if (
+            isinstance(engine, str)
+            and engine in backend_names()
+            and not is_bundled(engine)
+        ):
             self.name, self._backend = engine, None
             try:
                 self.versions = self._worker.call(versions_of, engine)
             except CrashError as error:
-                raise CrashError(f"backend {engine!r} cannot be imported: {error}") from None
+                raise CrashError(
+                    f"backend {engine!r} cannot be imported: {error}"
+                ) from None
             return
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.name, self.versions = self._backend.name, self._backend.versions()
@@ -85,12 +105,16 @@ class Engine:
         """End the process of the engine."""
         self._worker.close()
 
-    def call(self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]) -> Any:
+    def call(
+        self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]
+    ) -> Any:
         """Return the value of a function of the backend, a scenario and settings."""
         if self._backend is not None:
             return function(self._backend, scenario, settings)
         try:
-            value, missing, divergence = self._worker.call(_outcome_of, function, self.name, scenario, settings)
+            value, missing, divergence = self._worker.call(
+                _outcome_of, function, self.name, scenario, settings
+            )
         except GaugeError as error:
             raise EngineDiedError(str(error)) from None
         if missing is not None:
@@ -141,18 +165,26 @@ class Measurements:
         time_limit_s: Time after which no rollout starts any more [s].
     """
 
-    def __init__(self, engine: Engine | Backend, *, time_limit_s: float = math.inf) -> None:
+    def __init__(
+        self, engine: Engine | Backend, *, time_limit_s: float = math.inf
+    ) -> None:
         self._engine = engine if isinstance(engine, Engine) else Engine(engine)
         self._ends_s = time.monotonic() + time_limit_s
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
-        self._rollouts: dict[tuple[str, str], Rollout | DeclinedError | DivergedError] = {}
+        self._rollouts: dict[
+            tuple[str, str], Rollout | DeclinedError | DivergedError
+        ] = {}
 
-    def in_force(self, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def in_force(
+        self, scenario: Scenario, settings: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Return every numerical setting that a scenario runs with."""
         key = _key(scenario, settings)
         if key not in self._in_force:
             try:
-                self._in_force[key] = self._engine.call(settings_in_force, scenario, settings)
+                self._in_force[key] = self._engine.call(
+                    settings_in_force, scenario, settings
+                )
             except DeclinedError as declined:
                 self._in_force[key] = declined
             except EngineDiedError as died:
@@ -173,15 +205,23 @@ class Measurements:
             return Measured(verdict=Verdict.WRONG, remark=remark, engine_died=died)
         return judged(phenomenon, rollout)
 
-    def _rollout(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
+    def _rollout(
+        self, scenario: Scenario, settings: Mapping[str, Any]
+    ) -> Rollout | DeclinedError | DivergedError:
         key = _key(scenario, settings)
         if key not in self._rollouts:
             if time.monotonic() >= self._ends_s:
                 raise TimeLimitError("the time limit is reached")
             try:
                 # A stated step gives every rollout of the scenario the same sampling rule.
-                step = {k: v for k, v in self.in_force(scenario, settings).items() if k == "timestep_s"}
-                self._rollouts[key] = self._engine.call(run_scenario, scenario, {**settings, **step})
+                step = {
+                    k: v
+                    for k, v in self.in_force(scenario, settings).items()
+                    if k == "timestep_s"
+                }
+                self._rollouts[key] = self._engine.call(
+                    run_scenario, scenario, {**settings, **step}
+                )
             except (DeclinedError, DivergedError) as outcome:
                 self._rollouts[key] = outcome
         return self._rollouts[key]
@@ -189,7 +229,11 @@ class Measurements:
 
 def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
     if not scenario.scene.contacts:
-        settings = {name: value for name, value in settings.items() if not name.startswith(OF_CONTACTS)}
+        settings = {
+            name: value
+            for name, value in settings.items()
+            if not name.startswith(OF_CONTACTS)
+        }
     return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
 
 
@@ -198,7 +242,11 @@ def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
     failure = "" if phenomenon.failure is None else phenomenon.failure(rollout)
     value, reality = float(phenomenon.value(rollout)), phenomenon.reality
     if not math.isfinite(value):
-        return Measured(verdict=Verdict.WRONG, remark=failure or "it does not happen", rollout=rollout)
+        return Measured(
+            verdict=Verdict.WRONG,
+            remark=failure or "it does not happen",
+            rollout=rollout,
+        )
     deviation = abs(value - reality.value) / reality.tolerance
     if failure:
         deviation = max(deviation, FAILURE_DEVIATION)
@@ -219,7 +267,10 @@ CURVE_SAMPLES = 200
 
 
 def result_of(
-    phenomenon: Phenomenon, configured: Measured, default: Measured | None, **details: Any
+    phenomenon: Phenomenon,
+    configured: Measured,
+    default: Measured | None,
+    **details: Any,
 ) -> PhenomenonResult:
     """Return the row of a phenomenon.
 
@@ -244,19 +295,26 @@ def result_of(
     )
 
 
-def curve_of(phenomenon: Phenomenon, configured: Measured, default: Measured | None) -> Curve | None:
+def curve_of(
+    phenomenon: Phenomenon, configured: Measured, default: Measured | None
+) -> Curve | None:
     """Return the curves of a phenomenon that has one; reality is at the times of the default, if there is a default."""
     trace, reality = phenomenon.trace, phenomenon.reality
     if trace is None:
         return None
     times, values = _thinned(phenomenon, configured)
-    default_times, default_values = (times, ()) if default is None else _thinned(phenomenon, default)
+    default_times, default_values = (
+        (times, ()) if default is None else _thinned(phenomenon, default)
+    )
     shown: FloatArray = np.asarray(default_times)
     centre = tolerance = np.zeros(0)
     if trace.reality is not None:
         centre, tolerance = trace.reality(shown)
     elif trace.is_level:
-        centre, tolerance = np.full_like(shown, reality.value), np.full_like(shown, reality.tolerance)
+        centre, tolerance = (
+            np.full_like(shown, reality.value),
+            np.full_like(shown, reality.tolerance),
+        )
     return Curve(
         label=trace.label,
         times_s=default_times,
@@ -268,12 +326,17 @@ def curve_of(phenomenon: Phenomenon, configured: Measured, default: Measured | N
     )
 
 
-def _thinned(phenomenon: Phenomenon, measured: Measured) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _thinned(
+    phenomenon: Phenomenon, measured: Measured
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return times and values of a trace, at `CURVE_SAMPLES` samples at most; empty without a rollout or a trace."""
     if measured.rollout is None or phenomenon.trace is None:
         return (), ()
     shown = measured.rollout.between(0.0, phenomenon.trace.until_s)
-    times, values = measured.rollout.times_s[shown], phenomenon.trace.values(measured.rollout)[shown]
+    times, values = (
+        measured.rollout.times_s[shown],
+        phenomenon.trace.values(measured.rollout)[shown],
+    )
     stride = max(1, -(-len(times) // CURVE_SAMPLES))
     return tuple(times[::stride].tolist()), tuple(values[::stride].tolist())
 
@@ -306,7 +369,9 @@ class Subject:
     def measured(self, changes: Mapping[str, Any] | None = None) -> dict[str, Measured]:
         """Return the outcome with each set, with some settings changed."""
         return {
-            geoms: self.measurements.measure(self.phenomenon, {**settings, **(changes or {})})
+            geoms: self.measurements.measure(
+                self.phenomenon, {**settings, **(changes or {})}
+            )
             for geoms, settings in self.sets.items()
         }
 
@@ -315,31 +380,52 @@ class Subject:
         return worst_of(self.measured(changes))[1]
 
 
-def subject_of(measurements: Measurements, configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Subject:
+def subject_of(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+) -> Subject:
     """Return a phenomenon with the sets of contact constants that it applies to."""
     subject = Subject(measurements=measurements, phenomenon=phenomenon)
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
             return replace(subject, inapplicable=configuration.inapplicable[need])
     judged_contacts = (
-        configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion") if phenomenon.id in GRASP else configuration
+        configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion")
+        if phenomenon.id in GRASP
+        else configuration
     )
     if judged_contacts is None:
-        return replace(subject, inapplicable="round fingertips: their torsional friction alone holds a torque")
+        return replace(
+            subject,
+            inapplicable="round fingertips: their torsional friction alone holds a torque",
+        )
     sets: dict[str, Mapping[str, Any]] = dict(judged_contacts.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:
             return replace(subject, inapplicable=NO_ROBOT)
         subject = replace(subject, phenomenon=phenomenon_of(phenomenon.id, geometry))
-        sets = {geoms: settings for geoms, settings in sets.items() if geoms in geometry.sets}
+        sets = {
+            geoms: settings
+            for geoms, settings in sets.items()
+            if geoms in geometry.sets
+        }
         if not sets:
-            return replace(subject, inapplicable="the chosen geoms are no foot on the ground")
+            return replace(
+                subject, inapplicable="the chosen geoms are no foot on the ground"
+            )
     if Need.CONTACT not in phenomenon.needs:
         sets = dict([next(iter(sets.items()))])
     if phenomenon.needs_friction:
-        frictionless = [geoms for geoms, settings in sets.items() if settings.get("condim") == 1]
-        sets = {geoms: settings for geoms, settings in sets.items() if geoms not in frictionless}
+        frictionless = [
+            geoms for geoms, settings in sets.items() if settings.get("condim") == 1
+        ]
+        sets = {
+            geoms: settings
+            for geoms, settings in sets.items()
+            if geoms not in frictionless
+        }
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
             return replace(subject, inapplicable=reason)
@@ -352,14 +438,23 @@ def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:
     foot = configuration.foot_contact
     if foot is not None and not any(foot.restitution):
         return replace(subject, advisory="the target states a restitution of 0")
-    stating = {geoms: settings for geoms, settings in subject.sets.items() if _states_impact(subject, settings)}
+    stating = {
+        geoms: settings
+        for geoms, settings in subject.sets.items()
+        if _states_impact(subject, settings)
+    }
     reason = "the target states no impact constant: its contacts are critically damped or stiffer"
-    return replace(subject, sets=stating or subject.sets, advisory="" if stating else reason)
+    return replace(
+        subject, sets=stating or subject.sets, advisory="" if stating else reason
+    )
 
 
 def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
     """Return the geoms and the outcome of the worst verdict; of equal verdicts, the one farthest from reality."""
-    return max(outcomes.items(), key=lambda item: (SEVERITY.index(item[1].verdict), item[1].deviation))
+    return max(
+        outcomes.items(),
+        key=lambda item: (SEVERITY.index(item[1].verdict), item[1].deviation),
+    )
 
 
 def _states_impact(subject: Subject, settings: Mapping[str, Any]) -> bool:
@@ -372,11 +467,19 @@ def _states_impact(subject: Subject, settings: Mapping[str, Any]) -> bool:
         return False
     if "impact_steps" in force:
         # Genesis: without a recipe for impacts, all contacts have the damping of lasting ones.
-        return force["impact_steps"] is not None or bool(force["sustained_dampratio"] < 1.0)
+        return force["impact_steps"] is not None or bool(
+            force["sustained_dampratio"] < 1.0
+        )
     solref = force.get("contact_solref")
     if solref is None:
         return True
     first, second = solref
     # In the direct format, minus stiffness and damping, the damping ratio is b / (2 sqrt(k)).
-    ratio = second if first > 0.0 else -second / (2.0 * (-first) ** 0.5) if first < 0.0 else 1.0
+    ratio = (
+        second
+        if first > 0.0
+        else -second / (2.0 * (-first) ** 0.5)
+        if first < 0.0
+        else 1.0
+    )
     return bool(ratio < 1.0)

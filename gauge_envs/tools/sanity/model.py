@@ -124,7 +124,11 @@ class FootContact:
     @property
     def text(self) -> str:
         """Coefficients and their origin in one line."""
-        static = "" if self.static_friction == self.friction else f" (static {range_text(self.static_friction)})"
+        static = (
+            ""
+            if self.static_friction == self.friction
+            else f" (static {range_text(self.static_friction)})"
+        )
         restitution = range_text(self.restitution)
         return f"friction {range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
 
@@ -245,15 +249,24 @@ class TrainingConfiguration:
         """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
         if not any(one.is_held for one in self.contact_groups):
             return self
-        held = [replace(one, is_used=one.is_held and not (is_flat and one.is_point)) for one in self.contact_groups]
-        return replace(self, contact_groups=tuple(held)) if any(one.is_used for one in held) else None
+        held = [
+            replace(one, is_used=one.is_held and not (is_flat and one.is_point))
+            for one in self.contact_groups
+        ]
+        return (
+            replace(self, contact_groups=tuple(held))
+            if any(one.is_used for one in held)
+            else None
+        )
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
         """Settings for each set of contact constants that is judged, by its geoms; one without name if unknown."""
         sets: dict[str, dict[str, Any]] = {}
         contact = {name for group in self.contact_groups for name in group.settings}
-        options = {name: value for name, value in self.settings.items() if name not in contact}
+        options = {
+            name: value for name, value in self.settings.items() if name not in contact
+        }
         for group in self.contact_groups:
             settings = {**options, **group.settings}
             if group.is_used and settings not in sets.values():
@@ -286,7 +299,9 @@ class Reality:
     limits: str = ""
 
     @classmethod
-    def measured(cls, value: float, *, scatter: float, trial_count: int, source: str) -> Reality:
+    def measured(
+        cls, value: float, *, scatter: float, trial_count: int, source: str
+    ) -> Reality:
         """Return what real trials gave, with the interval that covers 95 % of further trials.
 
         Args:
@@ -296,7 +311,10 @@ class Reality:
             source: Source of the trials.
         """
         if trial_count == 1:
-            factor, rationale = ONE_RECORDING_FACTOR, "two standard uncertainties of one recording"
+            factor, rationale = (
+                ONE_RECORDING_FACTOR,
+                "two standard uncertainties of one recording",
+            )
         else:
             quantile = float(stdtrit(trial_count - 1, 0.5 + 0.5 * COVERAGE))
             factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
@@ -312,9 +330,17 @@ class Reality:
         )
 
     @classmethod
-    def law(cls, value: float, *, tolerance: float, source: str, rationale: str) -> Reality:
+    def law(
+        cls, value: float, *, tolerance: float, source: str, rationale: str
+    ) -> Reality:
         """Return what a law states, with a tolerance and its reason."""
-        return cls(kind=RealityKind.LAW, value=value, tolerance=tolerance, source=source, rationale=rationale)
+        return cls(
+            kind=RealityKind.LAW,
+            value=value,
+            tolerance=tolerance,
+            source=source,
+            rationale=rationale,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -497,14 +523,20 @@ class Report:
         """Ids of rows that apply, or were asked for by name, and were not measured; all rows when none was measured."""
         declined = [row for row in self.rows if row.verdict is Verdict.DECLINED]
         every = len(declined) == len(self.rows)
-        return tuple(r.phenomenon for r in declined if every or r.applies or r.phenomenon in self.asked)
+        return tuple(
+            r.phenomenon
+            for r in declined
+            if every or r.applies or r.phenomenon in self.asked
+        )
 
     @property
     def worst(self) -> Verdict:
         """The worst verdict of all rows that count; `declined` only when nothing was measured."""
         order = (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE)
         found = {Verdict.INSIDE if row.advisory else row.verdict for row in self.rows}
-        return next((verdict for verdict in order if verdict in found), Verdict.DECLINED)
+        return next(
+            (verdict for verdict in order if verdict in found), Verdict.DECLINED
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""

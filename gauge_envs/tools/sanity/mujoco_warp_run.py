@@ -42,7 +42,10 @@ class BackendMuJoCoWarp(BackendMuJoCo):
 
     def versions(self) -> dict[str, str]:
         """Return the versions of the engine and of Warp."""
-        return {package: version(package) for package in ("mujoco-warp", "warp-lang", "mujoco")}
+        return {
+            package: version(package)
+            for package in ("mujoco-warp", "warp-lang", "mujoco")
+        }
 
     def supports(self, scene: Scene) -> Support:
         """Return the unsupported features: deformable bodies, and what MuJoCo does not support."""
@@ -51,10 +54,14 @@ class BackendMuJoCoWarp(BackendMuJoCo):
             missing = ("deformable bodies run on MuJoCo's C engine alone", *missing)
         return Support(missing)
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCoWarp:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> SimulationMuJoCoWarp:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
         chosen = settings_for(scene, settings)
-        return SimulationMuJoCoWarp(scene, chosen.model_dump(mode="json"), *build_model(scene, chosen))
+        return SimulationMuJoCoWarp(
+            scene, chosen.model_dump(mode="json"), *build_model(scene, chosen)
+        )
 
 
 class SimulationMuJoCoWarp(SimulationMuJoCo):
@@ -74,17 +81,25 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
         if self._captured is None:
             naconmax = self._most_contacts
             njmax = ROWS_OF_CONTACT * naconmax
-            self._captured = _capture_step(self.model, self.data, njmax=njmax, naconmax=naconmax)
+            self._captured = _capture_step(
+                self.model, self.data, njmax=njmax, naconmax=naconmax
+            )
         step, state = self._captured
         for name in ("qpos", "qvel", "xfrc_applied"):
             values = getattr(self.data, name)
             getattr(state, name).assign(values.reshape(1, *values.shape))
         for _ in range(count):
             step()
-        self.data.qpos[:], self.data.qvel[:] = state.qpos.numpy()[0], state.qvel.numpy()[0]
+        self.data.qpos[:], self.data.qvel[:] = (
+            state.qpos.numpy()[0],
+            state.qvel.numpy()[0],
+        )
         self.data.time += count * self._timestep_s
         # mujoco_warp does not count contacts beyond its memory, so full memory is too small.
-        if state.nefc.numpy()[0] > state.njmax or state.nacon.numpy()[0] >= self._most_contacts:
+        if (
+            state.nefc.numpy()[0] > state.njmax
+            or state.nacon.numpy()[0] >= self._most_contacts
+        ):
             raise BackendError(f"{TOO_LARGE}: {self._most_contacts} contacts")
 
 

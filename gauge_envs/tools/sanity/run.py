@@ -35,7 +35,15 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, GRAVITY_ID, RIGID, ROBOT_IDS, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena import (
+    CAPACITY_ID,
+    GRASP,
+    GRAVITY_ID,
+    RIGID,
+    ROBOT_IDS,
+    phenomenon,
+    selection,
+)
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
@@ -63,10 +71,17 @@ def applied(
     others = {name: value for name, value in changes.items() if name not in LIMITS}
     robot, geoms_by_setting = configuration.robot, {}
     if robot is None or configuration.backend != "mujoco":
-        gravity = {"gravity_m_per_s2": others.pop("gravity")} if "gravity" in others else {}
-        groups = tuple(replace(g, settings={**g.settings, **others}) for g in configuration.contact_groups)
+        gravity = (
+            {"gravity_m_per_s2": others.pop("gravity")} if "gravity" in others else {}
+        )
+        groups = tuple(
+            replace(g, settings={**g.settings, **others})
+            for g in configuration.contact_groups
+        )
         settings = {**configuration.settings, **others}
-        read = replace(configuration, settings=settings, contact_groups=groups, **gravity)
+        read = replace(
+            configuration, settings=settings, contact_groups=groups, **gravity
+        )
     else:
         from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
         from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -82,7 +97,10 @@ def applied(
             pair=robot.pair,
         )
         read = replace(
-            read, language=configuration.language, trains_on=configuration.trains_on, capacity=configuration.capacity
+            read,
+            language=configuration.language,
+            trains_on=configuration.trains_on,
+            capacity=configuration.capacity,
         )
     if limits and read.capacity is not None:
         larger = replace(read.capacity.limits, **limits)
@@ -122,7 +140,11 @@ def find_cure(
         mended = [name for name in flags if verdict_of(cured, name) is Verdict.INSIDE]
         new_flags: list[str] = []
         if mended:
-            new_flags = [name for name, is_flag in rows.items() if not is_flag and verdict_of(cured, name).is_off]
+            new_flags = [
+                name
+                for name, is_flag in rows.items()
+                if not is_flag and verdict_of(cured, name).is_off
+            ]
         if len(mended) <= len(new_flags):
             continue
         pasted = _pasted(configuration, dialect, changes, geoms_by_setting, texts)
@@ -137,12 +159,22 @@ def find_cure(
         if len(mended) == len(flags) and not new_flags:
             break
     # Of equal cures, the first is the preferred one.
-    return max(cures, key=lambda one: (one.mended_count - len(one.new_flags), -len(one.changes)), default=None)
+    return max(
+        cures,
+        key=lambda one: (one.mended_count - len(one.new_flags), -len(one.changes)),
+        default=None,
+    )
 
 
-def _effect(flags: Sequence[str], mended: Sequence[str], new_flags: Sequence[str], engine: str) -> str:
+def _effect(
+    flags: Sequence[str], mended: Sequence[str], new_flags: Sequence[str], engine: str
+) -> str:
     """Return what a change does to the flags, in words."""
-    count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
+    count = (
+        f"{len(mended)} of {len(flags)} flags go"
+        if len(flags) > 1
+        else "the one flag goes"
+    )
     parts = [count + engine]
     left = [name for name in flags if name not in mended]
     if left:
@@ -175,25 +207,37 @@ def _pasted(
     for name, geoms in geoms_by_setting.items():
         more = f" and {len(geoms) - 3} more" if len(geoms) > 3 else ""
         assignment = dialect.assignment(name, changes[name])
-        parts.append(f"{assignment} in {', '.join(geoms[:3])}{more}, which the default does not reach")
+        parts.append(
+            f"{assignment} in {', '.join(geoms[:3])}{more}, which the default does not reach"
+        )
     return " and ".join([*parts, *texts])
 
 
 def _training_verdicts(
-    configuration: TrainingConfiguration, dialect: Dialect, measurements: Measurements, rows: Mapping[str, bool]
+    configuration: TrainingConfiguration,
+    dialect: Dialect,
+    measurements: Measurements,
+    rows: Mapping[str, bool],
 ) -> tuple[Callable[[TrainingConfiguration, str], Verdict], str]:
     """Return a function from a configuration and a row to its verdict, and the engine of training in words.
 
     Rows that are flagged are measured on the engine of training, others on that of the rows.
     """
     training, engine = measurements, ""
-    flagged = [phenomenon(name) for name, is_flag in rows.items() if is_flag and name in (*RIGID, *GRASP)]
+    flagged = [
+        phenomenon(name)
+        for name, is_flag in rows.items()
+        if is_flag and name in (*RIGID, *GRASP)
+    ]
     is_short = any(one.scenario.seconds <= WARP_S for one in flagged)
     if configuration.trains_on == "mujoco_warp" and is_short:
         try:
             from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 
-            training, engine = Measurements(BackendMuJoCoWarp()), " on mujoco_warp, where it trains"
+            training, engine = (
+                Measurements(BackendMuJoCoWarp()),
+                " on mujoco_warp, where it trains",
+            )
         except GaugeError:
             engine = " on MuJoCo's C engine; mujoco_warp, on which it trains, is not installed"
 
@@ -246,10 +290,18 @@ def check(
     started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only, include_deformables=include_deformables)
-    if not only and not include_deformables and any(group.is_held for group in configuration.contact_groups):
+    if (
+        not only
+        and not include_deformables
+        and any(group.is_held for group in configuration.contact_groups)
+    ):
         chosen = (*chosen, *GRASP)
-    with closing(Engine(configuration.backend, simulation_limit_s(time_limit_s))) as engine:
-        measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
+    with closing(
+        Engine(configuration.backend, simulation_limit_s(time_limit_s))
+    ) as engine:
+        measurements = Measurements(
+            engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s
+        )
         run = _Run(measurements, configuration, explain=explain)
         rows = []
         for row in run.rows(chosen):
@@ -259,11 +311,21 @@ def check(
         # Rows that need no rollout are the last ones to be complete, and stand first.
         rows.sort(key=lambda row: bool(row.experiment))
         simulated = [row for row in rows if row.experiment and row.applies]
-        refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
+        refused = (
+            simulated
+            and all(row.verdict is Verdict.DECLINED for row in simulated)
+            and not run.is_cut_short
+        )
         if refused and any(row.default is not None for row in simulated):
-            raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
+            raise ParameterError(
+                f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}"
+            )
         cure = run.cure(rows) if explain else None
-    points = [one.geoms for one in configuration.contact_groups if one.is_point and one.constants["condim"] == 3]
+    points = [
+        one.geoms
+        for one in configuration.contact_groups
+        if one.is_point and one.constants["condim"] == 3
+    ]
     return Report(
         configuration=configuration,
         rows=tuple(rows),
@@ -271,8 +333,18 @@ def check(
         wall_s=time.perf_counter() - started,
         cure=cure,
         notes=(
-            *([f"the time limit, {time_limit_s} s, is reached: the check is incomplete"] if run.is_cut_short else []),
-            *(POINT_NOTE.format(geoms) for geoms in points if "grasp-torsion" in chosen),
+            *(
+                [
+                    f"the time limit, {time_limit_s} s, is reached: the check is incomplete"
+                ]
+                if run.is_cut_short
+                else []
+            ),
+            *(
+                POINT_NOTE.format(geoms)
+                for geoms in points
+                if "grasp-torsion" in chosen
+            ),
         ),
         asked=tuple(name for name in chosen if name in only),
     )
@@ -281,7 +353,13 @@ def check(
 class _Run:
     """Measures all phenomena in a configuration, and explains what is flagged."""
 
-    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration, *, explain: bool) -> None:
+    def __init__(
+        self,
+        measurements: Measurements,
+        configuration: TrainingConfiguration,
+        *,
+        explain: bool,
+    ) -> None:
         self._explain = explain
         self._measurements = measurements
         self._configuration = configuration
@@ -293,13 +371,20 @@ class _Run:
         """Yield a row for each phenomenon, those on what the target states at the end."""
         stated = (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)
         simulated = [phenomenon(name) for name in chosen if name not in stated]
-        self._subjects = [subject_of(self._measurements, self._configuration, one) for one in simulated]
+        self._subjects = [
+            subject_of(self._measurements, self._configuration, one)
+            for one in simulated
+        ]
         outcomes = [self._in_time(one.measured) or {} for one in self._subjects]
         defaults = [
-            self._in_time(partial(self._measurements.measure, one.phenomenon, {})) if _is_off(outcome) else None
+            self._in_time(partial(self._measurements.measure, one.phenomenon, {}))
+            if _is_off(outcome)
+            else None
             for one, outcome in zip(self._subjects, outcomes, strict=True)
         ]
-        for subject, outcome, default in zip(self._subjects, outcomes, defaults, strict=True):
+        for subject, outcome, default in zip(
+            self._subjects, outcomes, defaults, strict=True
+        ):
             yield self._row(subject, outcome, default)
         yield from target_rows(self._configuration, self._dialect, chosen)
 
@@ -308,17 +393,45 @@ class _Run:
         flags = {row.phenomenon for row in rows if row.is_flag}
         # Where an engine died, changes would let it die again.
         explained = {row.phenomenon for row in rows if row.cause is not None}
-        flagged = [one for one in self._subjects if one.phenomenon.id in flags & explained]
-        others = [one for one in self._subjects if one.sets and one.phenomenon.id not in flags and not one.advisory]
-        named = {name for row in rows if row.cause is not None for name in row.cause.settings}
+        flagged = [
+            one for one in self._subjects if one.phenomenon.id in flags & explained
+        ]
+        others = [
+            one
+            for one in self._subjects
+            if one.sets and one.phenomenon.id not in flags and not one.advisory
+        ]
+        named = {
+            name for row in rows if row.cause is not None for name in row.cause.settings
+        }
         search = (self._configuration, flagged, others, self._dialect, named)
         found = self._in_time(partial(candidates_of, *search)) or []
         fixes = target_fixes(self._configuration, self._dialect, flags)
-        texts = tuple(dict.fromkeys(text for name, (text, _) in fixes.items() if name != CAPACITY_ID))
-        changes = {key: value for _, several in fixes.values() for key, value in several.items()}
+        texts = tuple(
+            dict.fromkeys(
+                text for name, (text, _) in fixes.items() if name != CAPACITY_ID
+            )
+        )
+        changes = {
+            key: value
+            for _, several in fixes.values()
+            for key, value in several.items()
+        }
         candidates = [{**one, **changes} for one in found] + [changes] * bool(changes)
-        counted = {row.phenomenon: row.is_flag for row in rows if row.is_flag or row.verdict is Verdict.INSIDE}
-        cure = partial(find_cure, self._configuration, self._dialect, self._measurements, candidates, texts, counted)
+        counted = {
+            row.phenomenon: row.is_flag
+            for row in rows
+            if row.is_flag or row.verdict is Verdict.INSIDE
+        }
+        cure = partial(
+            find_cure,
+            self._configuration,
+            self._dialect,
+            self._measurements,
+            candidates,
+            texts,
+            counted,
+        )
         return self._in_time(cure) if candidates else None
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
@@ -329,22 +442,39 @@ class _Run:
             self.is_cut_short = True
             return None
 
-    def _row(self, subject: Subject, outcomes: dict[str, Measured], default: Measured | None) -> PhenomenonResult:
+    def _row(
+        self, subject: Subject, outcomes: dict[str, Measured], default: Measured | None
+    ) -> PhenomenonResult:
         phenomenon, advisory = subject.phenomenon, subject.advisory
         if not outcomes:
             remark = subject.inapplicable or "not measured within the time limit"
             unmeasured = Measured(verdict=Verdict.DECLINED, remark=remark)
-            return result_of(phenomenon, unmeasured, default, advisory=advisory, applies=not subject.inapplicable)
+            return result_of(
+                phenomenon,
+                unmeasured,
+                default,
+                advisory=advisory,
+                applies=not subject.inapplicable,
+            )
         geoms, configured = worst_of(outcomes)
         cause = None
         if configured.rollout is None:
             # A rollout that diverges is wrong whatever the target states.
             advisory = ""
         if self._explain and not advisory and default is not None:
-            search = (self._measurements, phenomenon, subject.sets[geoms], configured, default, self._dialect)
+            search = (
+                self._measurements,
+                phenomenon,
+                subject.sets[geoms],
+                configured,
+                default,
+                self._dialect,
+            )
             cause = self._in_time(partial(find_cause, *search))
         # What an engine cannot simulate at all is no part of a check.
-        unknown = default is not None and {configured.verdict, default.verdict} == {Verdict.DECLINED}
+        unknown = default is not None and {configured.verdict, default.verdict} == {
+            Verdict.DECLINED
+        }
         row = result_of(
             phenomenon,
             configured,
@@ -356,7 +486,10 @@ class _Run:
         )
         if len(outcomes) == 1:
             return row
-        groups = [GroupOutcome(geoms=g, value=m.value, verdict=m.verdict, remark=m.remark) for g, m in outcomes.items()]
+        groups = [
+            GroupOutcome(geoms=g, value=m.value, verdict=m.verdict, remark=m.remark)
+            for g, m in outcomes.items()
+        ]
         return replace(row, geoms=geoms, groups=tuple(groups))
 
 
@@ -384,28 +517,48 @@ def read_baseline(path: Path) -> dict[str, float]:
         content = read_regular(path, MOST_BASELINE_BYTES)
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
-        found = {line["phenomenon"]: _deviation(line) for line in lines if "phenomenon" in line}
+        found = {
+            line["phenomenon"]: _deviation(line)
+            for line in lines
+            if "phenomenon" in line
+        }
     except (TypeError, ValueError, KeyError, ArithmeticError) as error:
-        raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
+        raise TargetError(
+            f"{path}: is not the output of gauge sanity --json: {error}"
+        ) from None
     if not found:
-        raise TargetError(f"{path}: has no row; write it with gauge sanity TARGET --json > {path}")
+        raise TargetError(
+            f"{path}: has no row; write it with gauge sanity TARGET --json > {path}"
+        )
     return found
 
 
 def _deviation(line: Mapping[str, Any]) -> float:
-    verdict, value, reality = Verdict(line["verdict"]), line["configured"], line["reality"]
+    verdict, value, reality = (
+        Verdict(line["verdict"]),
+        line["configured"],
+        line["reality"],
+    )
     if verdict in (Verdict.INSIDE, Verdict.DECLINED):
         return INSIDE_WITHIN
-    return math.inf if value is None else abs(value - reality["value"]) / reality["tolerance"]
+    return (
+        math.inf
+        if value is None
+        else abs(value - reality["value"]) / reality["tolerance"]
+    )
 
 
-def regressions(report: Report, baseline: Mapping[str, float], *, least: Verdict) -> list[PhenomenonResult]:
+def regressions(
+    report: Report, baseline: Mapping[str, float], *, least: Verdict
+) -> list[PhenomenonResult]:
     """Return flagged rows, at least as bad as `least`, that are farther from reality than in the baseline.
 
     Farther is by more than a half-width of the interval, or out of the interval. A row that the baseline does not have,
     or that it declined, is compared with `inside`.
     """
-    counted = (Verdict.WRONG,) if least is Verdict.WRONG else (Verdict.WRONG, Verdict.VISIBLE)
+    counted = (
+        (Verdict.WRONG,) if least is Verdict.WRONG else (Verdict.WRONG, Verdict.VISIBLE)
+    )
     worse = []
     for row in report.rows:
         before = baseline.get(row.phenomenon, INSIDE_WITHIN)

@@ -76,12 +76,19 @@ class Scenario:
         if not (self.released and apart_m > 0.0):
             return self.scene
         body = self.scene.body(self.released)
-        place_m = vector(body.pose.position_m + body.pose.rotation.apply([0.0, 0.0, apart_m]))
+        place_m = vector(
+            body.pose.position_m + body.pose.rotation.apply([0.0, 0.0, apart_m])
+        )
         lifted = replace(body, pose=replace(body.pose, position_m=place_m))
-        return replace(self.scene, bodies=tuple(lifted if one is body else one for one in self.scene.bodies))
+        return replace(
+            self.scene,
+            bodies=tuple(lifted if one is body else one for one in self.scene.bodies),
+        )
 
 
-def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout:
+def run_scenario(
+    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
+) -> Rollout:
     """Build a scenario's scene, run it and record it.
 
     It is driven and sampled every few steps, as many as fit in the scenario's interval, or every step. Settings without
@@ -93,9 +100,15 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         settings: Settings of the backend; the backend's default for the scene completes them.
     """
     with closing(_built(backend, scenario, settings)) as simulation:
-        interval_s = float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S))
+        interval_s = float(
+            simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
+        )
         if interval_s > scenario.seconds / FEWEST_SAMPLES:
-            raise DeclinedError((f"a step of {interval_s:g} s is too long for a scene of {scenario.seconds:g} s",))
+            raise DeclinedError(
+                (
+                    f"a step of {interval_s:g} s is too long for a scene of {scenario.seconds:g} s",
+                )
+            )
         simulation.reset(0)
         return record(
             simulation,
@@ -107,20 +120,25 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         )
 
 
-def settings_in_force(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
+def settings_in_force(
+    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return every numerical setting that a scenario would run with, those of the preset included."""
     with closing(_built(backend, scenario, settings)) as simulation:
         return dict(simulation.settings)
 
 
-def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Simulation:
+def _built(
+    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
+) -> Simulation:
     support = scene_support(backend, scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
     scene_settings = scenario.engine_settings.get(backend.name, {})
     try:
         return backend.build(
-            scenario.scene_with(settings), {**scene_settings, **_with_interval(settings, scenario.interval_s)}
+            scenario.scene_with(settings),
+            {**scene_settings, **_with_interval(settings, scenario.interval_s)},
         )
     except ParameterError as error:
         raise DeclinedError((str(error),)) from error
@@ -134,7 +152,10 @@ def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, A
     step = settings.get("timestep_s")
     if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
         return dict(settings)
-    return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}
+    return {
+        **settings,
+        "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6)),
+    }
 
 
 def check_settings(name: str, settings: Mapping[str, Any]) -> None:
@@ -151,4 +172,6 @@ def check_settings(name: str, settings: Mapping[str, Any]) -> None:
 
 def _build_once(name: str, settings: Mapping[str, Any]) -> None:
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
-    backend(name).build(load_experiment(TRIAL_VARIANT).scene, _with_interval(settings, 0.0)).close()
+    backend(name).build(
+        load_experiment(TRIAL_VARIANT).scene, _with_interval(settings, 0.0)
+    ).close()

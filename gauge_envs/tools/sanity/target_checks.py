@@ -84,7 +84,9 @@ def target_rows(
     only one.
     """
     rows = [gravity_row(configuration, dialect)] if GRAVITY_ID in chosen else []
-    if CAPACITY_ID in chosen and (configuration.capacity is not None or len(chosen) == 1):
+    if CAPACITY_ID in chosen and (
+        configuration.capacity is not None or len(chosen) == 1
+    ):
         rows.append(capacity_row(configuration, dialect))
     named = [name for name in ROBOT_IDS if name in chosen]
     for name in named:
@@ -101,7 +103,10 @@ def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
 
     assert rollout, "its rows are added as it is imported"
     return judged_row(
-        name, Finding(declined="the target's own model is not read") if robot is None else ROWS[name](robot)
+        name,
+        Finding(declined="the target's own model is not read")
+        if robot is None
+        else ROWS[name](robot),
     )
 
 
@@ -110,7 +115,11 @@ def target_fixes(
 ) -> dict[str, tuple[str, dict[str, Any]]]:
     """Return the change that mends each flagged row, as text to paste and as settings."""
     upright = _upright_gravity(configuration)
-    limits = {} if configuration.capacity is None else _capacity_changes(configuration.capacity)
+    limits = (
+        {}
+        if configuration.capacity is None
+        else _capacity_changes(configuration.capacity)
+    )
     fixes: dict[str, tuple[str, dict[str, Any]]] = {
         GRAVITY_ID: (dialect.gravity_text(upright), {GRAVITY_ID: upright}),
         CAPACITY_ID: (dialect.paste_text(limits), limits),
@@ -118,7 +127,12 @@ def target_fixes(
     if configuration.robot is not None:
         from gauge_envs.tools.sanity.robot.model_rows import ROWS
 
-        effects = {name for cause, several in EFFECTS.items() if cause in flags for name in several}
+        effects = {
+            name
+            for cause, several in EFFECTS.items()
+            if cause in flags
+            for name in several
+        }
         for name in sorted(set(flags) & set(ROWS) - effects):
             if (found := ROWS[name](configuration.robot)).changes:
                 fixes[name] = (found.advice, dict(found.changes))
@@ -126,23 +140,32 @@ def target_fixes(
 
 
 def _declined(row: PhenomenonResult, remark: str) -> PhenomenonResult:
-    return replace(row, default=None, verdict=Verdict.DECLINED, remark=remark, applies=False)
+    return replace(
+        row, default=None, verdict=Verdict.DECLINED, remark=remark, applies=False
+    )
 
 
 # --- gravity ---------------------------------------------------------------------------------------------------------
 
 
-def _upright_gravity(configuration: TrainingConfiguration) -> tuple[float, float, float]:
+def _upright_gravity(
+    configuration: TrainingConfiguration,
+) -> tuple[float, float, float]:
     """Return standard gravity against the direction away from the ground [m/s^2]."""
     return vector(-GRAVITY_M_PER_S2 * np.asarray(configuration.up))
 
 
-def gravity_row(configuration: TrainingConfiguration, dialect: Dialect) -> PhenomenonResult:
+def gravity_row(
+    configuration: TrainingConfiguration, dialect: Dialect
+) -> PhenomenonResult:
     """Return the row on the gravity of a configuration; declined when the target states none or switches it off."""
     gravity = configuration.gravity_m_per_s2
     absent = configuration.inapplicable.get(Need.GRAVITY)
     if gravity is None or absent is not None:
-        return _declined(GRAVITY_ROW, absent or "the target states no gravity; the experiments have their own")
+        return _declined(
+            GRAVITY_ROW,
+            absent or "the target states no gravity; the experiments have their own",
+        )
     upright = _upright_gravity(configuration)
     vector, down = np.asarray(gravity), np.asarray(upright)
     size = float(np.linalg.norm(vector))
@@ -157,26 +180,40 @@ def gravity_row(configuration: TrainingConfiguration, dialect: Dialect) -> Pheno
         configured=size,
         verdict=Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG,
         remark=f"tilted by {tilt:.2g} degrees" if tilt > LEAST_TILT_DEG else "",
-        cause=Cause(settings=(GRAVITY_ID,), line=f"{dialect.gravity_text(upright)} instead of {was}"),
+        cause=Cause(
+            settings=(GRAVITY_ID,),
+            line=f"{dialect.gravity_text(upright)} instead of {was}",
+        ),
     )
 
 
 # --- memory for contacts ---------------------------------------------------------------------------------------------
 
 
-def capacity_row(configuration: TrainingConfiguration, dialect: Dialect) -> PhenomenonResult:
+def capacity_row(
+    configuration: TrainingConfiguration, dialect: Dialect
+) -> PhenomenonResult:
     """Return the row on the memory for contacts; declined when the target states no limit."""
     capacity = configuration.capacity
     if capacity is None:
-        return _declined(CAPACITY_ROW, "the target states no limit of its memory for contacts")
+        return _declined(
+            CAPACITY_ROW, "the target states no limit of its memory for contacts"
+        )
     if capacity.need is None:
         return _declined(CAPACITY_ROW, capacity.reason)
-    missing, need = capacity.missing_rows + math.ceil(capacity.missing_contacts), _need_text(capacity)
+    missing, need = (
+        capacity.missing_rows + math.ceil(capacity.missing_contacts),
+        _need_text(capacity),
+    )
     if not missing:
         return replace(CAPACITY_ROW, configured=0.0, remark=need)
     changes = _capacity_changes(capacity)
-    cause = Cause(settings=tuple(changes), line=f"{dialect.paste_text(changes)}: {need}")
-    return replace(CAPACITY_ROW, configured=float(missing), verdict=Verdict.WRONG, cause=cause)
+    cause = Cause(
+        settings=tuple(changes), line=f"{dialect.paste_text(changes)}: {need}"
+    )
+    return replace(
+        CAPACITY_ROW, configured=float(missing), verdict=Verdict.WRONG, cause=cause
+    )
 
 
 def _capacity_changes(capacity: ContactCapacity) -> dict[str, Any]:
@@ -195,8 +232,12 @@ def _need_text(capacity: ContactCapacity) -> str:
     assert need is not None, "only a counted need is described"
     if limits.njmax is not None:
         place = f"in {need.situation}" if need.rows else "at most"
-        parts.append(f"its model needs {need.rows} constraint rows {place}, and njmax is {limits.njmax}")
+        parts.append(
+            f"its model needs {need.rows} constraint rows {place}, and njmax is {limits.njmax}"
+        )
     if limits.naconmax is not None and limits.worlds:
         share = limits.naconmax / limits.worlds
-        parts.append(f"it needs {need.mean_contacts:.3g} contacts in the mean of all worlds, and has {share:.3g}")
+        parts.append(
+            f"it needs {need.mean_contacts:.3g} contacts in the mean of all worlds, and has {share:.3g}"
+        )
     return "; ".join(parts)

@@ -10,7 +10,15 @@ from io import StringIO
 from typing import Any
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone, as_html, page
+from gauge_envs.pages.document import (
+    Document,
+    Heading,
+    Paragraph,
+    Part,
+    Tone,
+    as_html,
+    page,
+)
 from gauge_envs.pages.html import Html, element, folded
 from gauge_envs.pages.table import Column, Facts, Place, Table, grid
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
@@ -34,9 +42,16 @@ VERDICT_NOTES = {
     Verdict.DECLINED: "not measured: it does not apply, or the backend cannot build the scene with these settings",
 }
 
-ADVISORY_NOTE = "does not count for --fail-on: the target does not state what the row depends on"
+ADVISORY_NOTE = (
+    "does not count for --fail-on: the target does not state what the row depends on"
+)
 
-STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
+STYLES = {
+    Verdict.INSIDE: "green",
+    Verdict.VISIBLE: "yellow",
+    Verdict.WRONG: "bold red",
+    Verdict.DECLINED: "dim",
+}
 
 MOST_NAMED = 2
 """Largest number of changes, or of rows that were not measured, that the first line names."""
@@ -57,7 +72,10 @@ def sanity_document(report: Report) -> Document:
     """
     checked, table = report.configuration, _phenomenon_table(report)
     whole = report.to_dict()
-    rows = ({key: value for key, value in row.items() if key != "curve"} for row in whole.pop("rows"))
+    rows = (
+        {key: value for key, value in row.items() if key != "curve"}
+        for row in whole.pop("rows")
+    )
     answer, tally = Paragraph(top_line(report), Tone.ANSWER), tally_text(report)
     return Document(
         parts=(
@@ -71,11 +89,22 @@ def sanity_document(report: Report) -> Document:
             Paragraph(""),
             Paragraph(tally, Tone.ANSWER),
             Paragraph(LEGEND, Tone.NOTE),
-            *(Paragraph(f"{verdict.value}: {VERDICT_NOTES[verdict]}", Tone.NOTE) for verdict in _present(report)),
-            *([Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)] if any(row.advisory for row in report.rows) else []),
+            *(
+                Paragraph(f"{verdict.value}: {VERDICT_NOTES[verdict]}", Tone.NOTE)
+                for verdict in _present(report)
+            ),
+            *(
+                [Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)]
+                if any(row.advisory for row in report.rows)
+                else []
+            ),
         ),
         rows=[whole, *rows],
-        markdown=(answer, replace(table, title=""), Paragraph(f"{checked.name}: {tally}")),
+        markdown=(
+            answer,
+            replace(table, title=""),
+            Paragraph(f"{checked.name}: {tally}"),
+        ),
     )
 
 
@@ -88,7 +117,9 @@ def top_line(report: Report) -> str:
         text = f"{flags} {'flags' if flags > 1 else 'flag'}"
         if any(row.cause is not None for row in report.rows):
             return f"{text}; no change that was tried mends one"
-        return f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
+        return (
+            f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
+        )
     measured = sum(row.verdict is not Verdict.DECLINED for row in report.rows)
     missing = report.unmeasured
     if not measured:
@@ -98,7 +129,12 @@ def top_line(report: Report) -> str:
             f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
         )
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
-    return "; ".join((f"No flags: {counted(measured, 'row')} measured, nothing to change", *report.notes))
+    return "; ".join(
+        (
+            f"No flags: {counted(measured, 'row')} measured, nothing to change",
+            *report.notes,
+        )
+    )
 
 
 def is_clean(report: Report) -> bool:
@@ -106,12 +142,17 @@ def is_clean(report: Report) -> bool:
     return not report.unmeasured and not any(row.is_flag for row in report.rows)
 
 
-def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
+def phenomena_table(
+    *, include_deformables: bool = False, only: Sequence[str] = ()
+) -> Table:
     """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
     stated = (*TARGET_ROWS, *(robot_row(name, None) for name in ROBOT_IDS))
     known = [(row.phenomenon, row.title, row.reality, row.unit) for row in stated]
-    known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
+    known += [
+        (one.id, one.title, one.reality, one.unit)
+        for one in phenomena(include_deformables=True)
+    ]
     return Table(
         columns=(
             Column("id", "id"),
@@ -153,7 +194,9 @@ def source_facts(checked: TrainingConfiguration) -> dict[str, str]:
 def _facts(checked: TrainingConfiguration) -> dict[str, str]:
     facts = source_facts(checked)
     for origin, settings in settings_by_origin(checked).items():
-        facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
+        facts[origin] = ", ".join(
+            f"{name} = {setting_text(value)}" for name, value in settings.items()
+        )
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
@@ -179,7 +222,14 @@ def setting_text(value: Any) -> str:
 
 
 def _contact_table(checked: TrainingConfiguration) -> Table:
-    names = {"condim": False, "friction": False, "solref": False, "solimp": False, "margin": True, "gap": True}
+    names = {
+        "condim": False,
+        "friction": False,
+        "solref": False,
+        "solimp": False,
+        "margin": True,
+        "gap": True,
+    }
     return Table(
         title="Contacts of the model",
         columns=(
@@ -203,7 +253,12 @@ def _phenomenon_table(report: Report) -> Table:
             Column("phenomenon", "id"),
             Column("title", "phenomenon", wide_only=True),
             Column("reality.kind", "kind", wide_only=True),
-            Column("", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True),
+            Column(
+                "",
+                "reality",
+                lambda row: reality_text(row.reality, row.unit),
+                is_number=True,
+            ),
             Column(
                 "",
                 "preset",
@@ -211,10 +266,24 @@ def _phenomenon_table(report: Report) -> Table:
                 is_number=True,
                 style=lambda row: STYLES[row.default_verdict],
             ),
-            Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
+            Column(
+                "",
+                "this",
+                lambda row: measured_text(row.configured),
+                is_number=True,
+                style=_style,
+            ),
             Column("", "verdict", verdict_text, style=_style),
-            Column("", "", lambda row: repeated[row.phenomenon], place=Place.BELOW, narrow_only=True),
-            Column("", "responsible", responsible_text, place=Place.BELOW, wide_only=True),
+            Column(
+                "",
+                "",
+                lambda row: repeated[row.phenomenon],
+                place=Place.BELOW,
+                narrow_only=True,
+            ),
+            Column(
+                "", "responsible", responsible_text, place=Place.BELOW, wide_only=True
+            ),
         ),
         rows=report.rows,
     )
@@ -281,22 +350,40 @@ def responsible_text(row: PhenomenonResult) -> str:
 
 def tally_text(report: Report) -> str:
     """Return the number of rows with each verdict."""
-    counting = [row for row in report.rows if not row.advisory or not row.verdict.is_off]
-    counts = {verdict.value: sum(row.verdict is verdict for row in counting) for verdict in _present(report)}
+    counting = [
+        row for row in report.rows if not row.advisory or not row.verdict.is_off
+    ]
+    counts = {
+        verdict.value: sum(row.verdict is verdict for row in counting)
+        for verdict in _present(report)
+    }
     counts["advisory"] = len(report.rows) - len(counting)
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    return "; ".join((text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s"))
+    return "; ".join(
+        (text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s")
+    )
 
 
 def _present(report: Report) -> list[Verdict]:
     """Return the verdicts that occur in rows that count, the worst first."""
-    found = {row.verdict for row in report.rows if not (row.advisory and row.verdict.is_off)}
-    return [v for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED) if v in found]
+    found = {
+        row.verdict for row in report.rows if not (row.advisory and row.verdict.is_off)
+    }
+    return [
+        v
+        for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED)
+        if v in found
+    ]
 
 
 # --- two configurations ----------------------------------------------------------------------------------------------
 
-CHANGE_STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
+CHANGE_STYLES = {
+    Change.NONE: "green",
+    Change.VISIBLE: "yellow",
+    Change.LARGE: "bold red",
+    Change.UNKNOWN: "dim",
+}
 
 COMPARISON_LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
@@ -308,13 +395,21 @@ def comparison_document(comparison: Comparison) -> Document:
     """Return the largest change, both sources, and the table; its rows are both configurations, then each row."""
     whole = comparison.to_dict()
     rows = whole.pop("rows")
-    answer, table = Paragraph(comparison_line(comparison), Tone.ANSWER), _change_table(comparison)
+    answer, table = (
+        Paragraph(comparison_line(comparison), Tone.ANSWER),
+        _change_table(comparison),
+    )
     return Document(
         parts=(
             answer,
             Paragraph(""),
             Heading(f"{comparison.trained.name} against {comparison.deployed.name}"),
-            Facts({"trained": comparison.trained.source, "deployed": comparison.deployed.source}),
+            Facts(
+                {
+                    "trained": comparison.trained.source,
+                    "deployed": comparison.deployed.source,
+                }
+            ),
             table,
             Paragraph(""),
             Paragraph(COMPARISON_LEGEND, Tone.NOTE),
@@ -330,15 +425,25 @@ def comparison_line(comparison: Comparison) -> str:
     if not changed:
         unknown = sum(row.change is Change.UNKNOWN for row in comparison.rows)
         return "Nothing changes" + (f"; {unknown} rows are unknown" if unknown else "")
-    values = (f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}" for row in changed)
-    named = [with_unit(text, row.unit) for text, row in zip(values, changed[:MOST_NAMED], strict=False)]
+    values = (
+        f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}"
+        for row in changed
+    )
+    named = [
+        with_unit(text, row.unit)
+        for text, row in zip(values, changed[:MOST_NAMED], strict=False)
+    ]
     return f"{len(changed)} of {len(comparison.rows)} rows change; most of all {'; then '.join(named)}"
 
 
 def _change_table(comparison: Comparison) -> Table:
     def difference(row: ChangeRow) -> str:
         known = row.trained is not None and row.deployed is not None
-        return with_unit(f"{(row.deployed or 0.0) - (row.trained or 0.0):+.3g}", row.unit) if known else "-"
+        return (
+            with_unit(f"{(row.deployed or 0.0) - (row.trained or 0.0):+.3g}", row.unit)
+            if known
+            else "-"
+        )
 
     def below(row: ChangeRow) -> str:
         title = row.title if row.change in (Change.VISIBLE, Change.LARGE) else ""
@@ -351,7 +456,12 @@ def _change_table(comparison: Comparison) -> Table:
             Column("trained", "trained", measured_text, is_number=True),
             Column("deployed", "deployed", measured_text, is_number=True),
             Column("", "difference", difference, is_number=True),
-            Column("change", "change", lambda change: change.value, style=CHANGE_STYLES.__getitem__),
+            Column(
+                "change",
+                "change",
+                lambda change: change.value,
+                style=CHANGE_STYLES.__getitem__,
+            ),
             Column("", "", below, place=Place.BELOW),
         ),
         rows=comparison.rows,
@@ -363,7 +473,12 @@ def _change_table(comparison: Comparison) -> Table:
 REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
 """Grey and two of Okabe and Ito's colours, which colour-blind readers distinguish; line styles differ too."""
 
-MARKS = {Verdict.INSIDE: "\u2713", Verdict.VISIBLE: "\u25b3", Verdict.WRONG: "\u2717", Verdict.DECLINED: "\u2013"}
+MARKS = {
+    Verdict.INSIDE: "\u2713",
+    Verdict.VISIBLE: "\u25b3",
+    Verdict.WRONG: "\u2717",
+    Verdict.DECLINED: "\u2013",
+}
 """Signs beside the words, so that a verdict is visible without its colour."""
 
 FIGURE_SIZE_IN = (3.3, 2.6)
@@ -393,8 +508,15 @@ def sanity_page(report: Report) -> str:
         Paragraph(top_line(report), Tone.ANSWER),
         element("p", f"{lead}{tally_text(report)}.", class_="lead"),
         _phenomena(report),
-        *(element("p", _badge(verdict), f" {note}", class_="small") for verdict, note in VERDICT_NOTES.items()),
-        *([Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)] if any(row.advisory for row in report.rows) else []),
+        *(
+            element("p", _badge(verdict), f" {note}", class_="small")
+            for verdict, note in VERDICT_NOTES.items()
+        ),
+        *(
+            [Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)]
+            if any(row.advisory for row in report.rows)
+            else []
+        ),
         Heading("One by one"),
         element("div", *cards, class_="cards"),
         Heading("What was read"),
@@ -406,7 +528,11 @@ def sanity_page(report: Report) -> str:
 
 
 def _badge(verdict: Verdict, text: str | None = None) -> Html:
-    return element("span", f"{MARKS[verdict]} {text or verdict.value}", class_=f"badge {verdict.value}")
+    return element(
+        "span",
+        f"{MARKS[verdict]} {text or verdict.value}",
+        class_=f"badge {verdict.value}",
+    )
 
 
 def _row_badge(row: PhenomenonResult) -> Html:
@@ -417,13 +543,26 @@ def _row_badge(row: PhenomenonResult) -> Html:
 
 def _phenomena(report: Report) -> Table:
     def preset(row: PhenomenonResult) -> str:
-        verdict = "" if row.default_verdict is Verdict.INSIDE else f" ({row.default_verdict.value})"
+        verdict = (
+            ""
+            if row.default_verdict is Verdict.INSIDE
+            else f" ({row.default_verdict.value})"
+        )
         return measured_text(row.default) + verdict
 
     return Table(
         columns=(
-            Column("", "phenomenon", html=lambda row: element("a", row.title, href=f"#{row.phenomenon}")),
-            Column("", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True),
+            Column(
+                "",
+                "phenomenon",
+                html=lambda row: element("a", row.title, href=f"#{row.phenomenon}"),
+            ),
+            Column(
+                "",
+                "reality",
+                lambda row: reality_text(row.reality, row.unit),
+                is_number=True,
+            ),
             Column("", "preset", preset, is_number=True),
             Column("configured", "this configuration", measured_text, is_number=True),
             Column("", "verdict", html=_row_badge),
@@ -443,7 +582,11 @@ def _configuration(checked: TrainingConfiguration) -> list[Part]:
         for name, value in settings.items()
     ]
     settings = grid(("setting", "value", "from"), rows, look=LOOK) if rows else None
-    shown = element("p", "No settings: this package's presets.") if settings is None else settings.html()
+    shown = (
+        element("p", "No settings: this package's presets.")
+        if settings is None
+        else settings.html()
+    )
     parts.append(folded(f"{len(rows)} settings", shown, open=True))
     if checked.contact_groups:
         names = checked.contact_groups[0].constants
@@ -466,7 +609,9 @@ def _card(row: PhenomenonResult) -> Html:
     values = f"reality {reality_text(row.reality, row.unit)}, preset {measured_text(row.default)}, this configuration "
     source = f"Reality ({row.reality.kind.value}): {row.reality.source}. Interval: {row.reality.rationale}."
     scene = f" Scene: {row.experiment}." if row.experiment else ""
-    parts: list[Part] = [element("p", _row_badge(row), f" {values}{measured_text(row.configured)}")]
+    parts: list[Part] = [
+        element("p", _row_badge(row), f" {values}{measured_text(row.configured)}")
+    ]
     if row.curve is not None:
         parts.append(_figure(row.curve))
     if text := responsible_text(row):
@@ -474,23 +619,35 @@ def _card(row: PhenomenonResult) -> Html:
     if row.cause is not None and row.cause.tried:
         parts.append(_tried(row.cause, row.unit))
     if row.groups:
-        rows = [(one.geoms, measured_text(one.value), one.verdict.value, one.remark) for one in row.groups]
+        rows = [
+            (one.geoms, measured_text(one.value), one.verdict.value, one.remark)
+            for one in row.groups
+        ]
         parts.append(grid(("geoms", "measured", "verdict", ""), rows, look="anywhere"))
     parts.append(Paragraph(source + scene, Tone.NOTE))
-    return folded(row.title, as_html(parts), class_="card", id=row.phenomenon, open=row.is_flag)
+    return folded(
+        row.title, as_html(parts), class_="card", id=row.phenomenon, open=row.is_flag
+    )
 
 
 def _tried(cause: Cause, unit: str) -> Html:
     rows = [
         (
-            ", ".join(f"{name} = {setting_text(value)}" for name, value in trial.changes.items()),
+            ", ".join(
+                f"{name} = {setting_text(value)}"
+                for name, value in trial.changes.items()
+            ),
             "the preset" if trial.on_default else "this configuration",
-            "diverged or declined" if trial.value is None else measured_text(trial.value),
+            "diverged or declined"
+            if trial.value is None
+            else measured_text(trial.value),
         )
         for trial in cause.tried
     ]
     titles = ("change", "of", "measured" if unit == "1" else f"measured [{unit}]")
-    return folded(f"{len(rows)} changes were tried", grid(titles, rows, look="anywhere").html())
+    return folded(
+        f"{len(rows)} changes were tried", grid(titles, rows, look="anywhere").html()
+    )
 
 
 def _figure(curve: Curve) -> Html:
@@ -500,11 +657,18 @@ def _figure(curve: Curve) -> Html:
     from matplotlib.figure import Figure
 
     # Text stays text: a page of many figures is five times smaller than with glyphs as paths.
-    with mpl.rc_context({"svg.fonttype": "none", "font.family": "sans-serif", "font.size": FONT_PT}):
+    with mpl.rc_context(
+        {"svg.fonttype": "none", "font.family": "sans-serif", "font.size": FONT_PT}
+    ):
         figure = Figure(figsize=FIGURE_SIZE_IN, layout="constrained")
         _draw(figure.add_subplot(), curve)
         figure.legend(
-            loc="outside upper center", ncols=2, frameon=False, handlelength=1.4, columnspacing=1.0, borderpad=0.0
+            loc="outside upper center",
+            ncols=2,
+            frameon=False,
+            handlelength=1.4,
+            columnspacing=1.0,
+            borderpad=0.0,
         )
         stream = StringIO()
         figure.savefig(stream, format="svg", metadata={"Date": None})
@@ -514,15 +678,34 @@ def _figure(curve: Curve) -> Html:
 
 def _draw(axes: Any, curve: Curve) -> None:
     if curve.reality:
-        low = [centre - half for centre, half in zip(curve.reality, curve.tolerance, strict=True)]
-        high = [centre + half for centre, half in zip(curve.reality, curve.tolerance, strict=True)]
-        axes.fill_between(curve.times_s, low, high, color="#cfcfcf", lw=0.0, label="reality")
+        low = [
+            centre - half
+            for centre, half in zip(curve.reality, curve.tolerance, strict=True)
+        ]
+        high = [
+            centre + half
+            for centre, half in zip(curve.reality, curve.tolerance, strict=True)
+        ]
+        axes.fill_between(
+            curve.times_s, low, high, color="#cfcfcf", lw=0.0, label="reality"
+        )
         axes.plot(curve.times_s, curve.reality, color=REALITY_COLOR, lw=1.0)
     if curve.default:
-        axes.plot(curve.times_s, curve.default, color=DEFAULT_COLOR, lw=1.4, ls="--", label="preset")
+        axes.plot(
+            curve.times_s,
+            curve.default,
+            color=DEFAULT_COLOR,
+            lw=1.4,
+            ls="--",
+            label="preset",
+        )
     if curve.configured:
         axes.plot(
-            curve.configured_times_s, curve.configured, color=CONFIGURED_COLOR, lw=1.6, label="this configuration"
+            curve.configured_times_s,
+            curve.configured,
+            color=CONFIGURED_COLOR,
+            lw=1.6,
+            label="this configuration",
         )
     axes.set_xlabel("time [s]")
     axes.set_ylabel(curve.label)

@@ -17,9 +17,15 @@ from gauge_envs.pages.text import counted, shortened
 
 def report(
     sources: arguments.Sources = None,
-    out: Annotated[Path, typer.Option(help="Folder for the site; a site in it is replaced.")] = Path("site"),
+    out: Annotated[
+        Path, typer.Option(help="Folder for the site; a site in it is replaced.")
+    ] = Path("site"),
     replay: Annotated[
-        bool, typer.Option("--replay/--no-replay", help="3D replays; the poses are kept beside the results.")
+        bool,
+        typer.Option(
+            "--replay/--no-replay",
+            help="3D replays; the poses are kept beside the results.",
+        ),
     ] = True,
 ) -> bool:
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
@@ -35,19 +41,40 @@ def report(
     # Before the runs, which may take minutes.
     check_replaceable(out)
     files, details = arguments.split_details(sources, corrected=bool)
-    results, skipped = loaded_results(files, with_scene=True, corrected=details.get("corrected", True))
-    false = {file: found for file, result in results.items() if (found := false_scores(result))}
+    results, skipped = loaded_results(
+        files, with_scene=True, corrected=details.get("corrected", True)
+    )
+    false = {
+        file: found
+        for file, result in results.items()
+        if (found := false_scores(result))
+    }
     for file, found in false.items():
         message(f"{file}: {shortened(found)}", "skipped")
         del results[file]
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
-    words = ["gauge", "report", *(sources or ["results"]), "--out", str(out), *([] if replay else ["--no-replay"])]
+    words = [
+        "gauge",
+        "report",
+        *(sources or ["results"]),
+        "--out",
+        str(out),
+        *([] if replay else ["--no-replay"]),
+    ]
     with Progress("pages", len({result.id for result in results.values()})) as progress:
-        notes = save_site(results, out, replays=replay, command=shlex.join(words), progress=progress.advance)
+        notes = save_site(
+            results,
+            out,
+            replays=replay,
+            command=shlex.join(words),
+            progress=progress.advance,
+        )
     reasons: dict[tuple[str, str], list[str]] = {}
     for one in notes:
-        reasons.setdefault((one.label, one.reason), []).append(one.id.removeprefix("GAUGE/"))
+        reasons.setdefault((one.label, one.reason), []).append(
+            one.id.removeprefix("GAUGE/")
+        )
     for (label, reason), names in reasons.items():
         message(f"{label}, {shortened(names)}: {reason}", "no replay")
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())

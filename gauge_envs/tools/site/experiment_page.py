@@ -12,7 +12,13 @@ from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
+from gauge_envs.pages.text import (
+    GRADE_NOTES,
+    interval_text,
+    quantity_text,
+    score_text,
+    with_unit,
+)
 from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
@@ -23,17 +29,31 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import FACTS, Site, cell_cost, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import (
+    FACTS,
+    Site,
+    cell_cost,
+    first_results,
+    score_cell,
+    section,
+    site_page,
+)
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
 
-PART_COLORS = {"release": "#56b4e9", "offset": "#009e73", "rate": "#e69f00", "rest": "#8c8c8c"}
+PART_COLORS = {
+    "release": "#56b4e9",
+    "offset": "#009e73",
+    "rate": "#e69f00",
+    "rest": "#8c8c8c",
+}
 """Colour of each part of an error budget."""
 
 SCORES_NOTE = (
-    "Scores over the mean score of the real trials; without one, in the unit of the metric. In brackets: 95 % interval."
+    "Scores over the mean score of the real trials; without one, in the unit of the metric. "
+    "In brackets: 95 % interval."
 )
 
 BUDGETS_NOTE = (
@@ -66,13 +86,25 @@ Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
 """Configuration, times [s], g(t) of shape [sample_count, coordinate_count], and names of the coordinates."""
 
 
-def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, replay_notes: Sequence[str]) -> str:
+def experiment_page(
+    site: Site,
+    one: ExperimentComparison,
+    replay: Html | None,
+    replay_notes: Sequence[str],
+) -> str:
     """Return the page of an experiment with its replay; the notes say why configurations have none."""
     results = first_results(one)
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
-    band = None if experiment is None else reference_band(experiment, use_withheld=withheld)
-    replays: Parts = [*([] if replay is None else [replay]), *(Paragraph(note, Tone.WARNING) for note in replay_notes)]
+    band = (
+        None
+        if experiment is None
+        else reference_band(experiment, use_withheld=withheld)
+    )
+    replays: Parts = [
+        *([] if replay is None else [replay]),
+        *(Paragraph(note, Tone.WARNING) for note in replay_notes),
+    ]
     parts = [
         *_head(one, experiment, band),
         *_forest(site, one),
@@ -90,7 +122,12 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
         Heading("How to reproduce"),
         *run_commands(site, one),
     ]
-    return site_page(one.name, parts, here=site.experiment_page(one), scripts=REPLAY_SCRIPTS if replay else ())
+    return site_page(
+        one.name,
+        parts,
+        here=site.experiment_page(one),
+        scripts=REPLAY_SCRIPTS if replay else (),
+    )
 
 
 def _experiment(results: Results) -> Experiment | None:
@@ -102,20 +139,30 @@ def _experiment(results: Results) -> Experiment | None:
     return None
 
 
-def _head(one: ExperimentComparison, experiment: Experiment | None, band: Band | None) -> Iterator[Part]:
+def _head(
+    one: ExperimentComparison, experiment: Experiment | None, band: Band | None
+) -> Iterator[Part]:
     if isinstance(experiment, TaskExperiment):
         yield element("p", experiment.spec.summary, class_="lead")
-        yield element("p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), ".")
+        yield element(
+            "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."
+        )
     text = f"{GRADE_NOTES[BandGrade(one.grade)]}."
     source = "" if band is None else f" {band.source.rstrip('.')}."
     yield element("p", element("b", f"Reference, grade {one.grade}: "), text, source)
     if band is not None and band.withheld is not None:
-        yield Paragraph(f"This band is withheld by default: {band.withheld}.", Tone.WARNING)
+        yield Paragraph(
+            f"This band is withheld by default: {band.withheld}.", Tone.WARNING
+        )
 
 
 def _forest(site: Site, one: ExperimentComparison) -> Parts:
     """Return the primary score of each configuration with its interval and rank, and those of the published engines."""
-    found = [(index, cell, cell.spread(one.primary, normalized=True)) for index, cell in enumerate(one.cells) if cell]
+    found = [
+        (index, cell, cell.spread(one.primary, normalized=True))
+        for index, cell in enumerate(one.cells)
+        if cell
+    ]
     rows = [
         ForestRow(
             label=site.labels[index],
@@ -130,25 +177,38 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         return []
     rows.sort(key=lambda row: row.value)
     rows += [
-        ForestRow(label=f"{PUBLISHED_ENGINES.get(name, name)}, paper", color="var(--quiet)", value=value, interval=None)
+        ForestRow(
+            label=f"{PUBLISHED_ENGINES.get(name, name)}, paper",
+            color="var(--quiet)",
+            value=value,
+            interval=None,
+        )
         for name, value in (one.published(one.primary) or {}).items()
         if value is not None
     ]
-    figure = forest(f"{SCORE_METRICS[one.primary].title} over that of real trials", rows)
+    figure = forest(
+        f"{SCORE_METRICS[one.primary].title} over that of real trials", rows
+    )
     ranks = [
         join([site.links[two.configuration], f": {place_text(grade, two.rank)}"])
         for grade in site.comparison.compare_within([one])
         for two in grade.ranked
         if len(grade.scores) > 1
     ]
-    return [element("div", figure, listed(ranks) if len(ranks) > 1 else None, class_="forest")]
+    return [
+        element(
+            "div", figure, listed(ranks) if len(ranks) > 1 else None, class_="forest"
+        )
+    ]
 
 
 def _scores(site: Site, one: ExperimentComparison) -> Parts:
     names = one.metrics()
     if not names:
         return []
-    percentiles = [None if cell is None else cell.percentile(one.primary) for cell in one.cells]
+    percentiles = [
+        None if cell is None else cell.percentile(one.primary) for cell in one.cells
+    ]
     has_trials = any(percentile is not None for percentile in percentiles)
     titles = ["", *(SCORE_METRICS[name].title for name in names)]
     note = SCORES_NOTE
@@ -158,7 +218,10 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     titles += FACTS
     rows: list[list[str]] = []
     for index, cell in enumerate(one.cells):
-        row: list[str] = [site.links[index], *(score_cell(one, cell, name) for name in names)]
+        row: list[str] = [
+            site.links[index],
+            *(score_cell(one, cell, name) for name in names),
+        ]
         if has_trials:
             percentile = percentiles[index]
             row.append("-" if percentile is None else f"{percentile:.0f} %")
@@ -184,7 +247,10 @@ def _causes(site: Site, results: Results) -> Parts:
 def _pairs(site: Site, one: ExperimentComparison) -> Parts:
     rows = [
         (
-            *(join([site.swatch(index), site.labels[index]]) for index in (pair.first, pair.second)),
+            *(
+                join([site.swatch(index), site.labels[index]])
+                for index in (pair.first, pair.second)
+            ),
             interval_text(found.difference, found.difference_95),
             p_text(found.p_holm),
             verdict_text(found.distinguishable),
@@ -204,7 +270,9 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
             "Difference of the scores, first minus second, by paired bootstrap; p is corrected for all pairs (Holm).",
             Tone.NOTE,
         ),
-        folded(f"{apart} of {len(rows)} pairs are distinguishable at 5 %", pairs.html()),
+        folded(
+            f"{apart} of {len(rows)} pairs are distinguishable at 5 %", pairs.html()
+        ),
     ]
 
 
@@ -223,7 +291,11 @@ def _distances(site: Site, one: ExperimentComparison) -> Parts:
     limits = sorted({far.text(far.threshold) for far in one.distances})
     note = "Root mean square over the frames. Apart: first time at which the distance exceeds "
     titles = ("between", "distance", "motion", "apart at")
-    return section("Distances between engines", grid(titles, rows, number_from=1), f"{note}{', '.join(limits)}.")
+    return section(
+        "Distances between engines",
+        grid(titles, rows, number_from=1),
+        f"{note}{', '.join(limits)}.",
+    )
 
 
 def _error_budgets(site: Site, results: Results) -> Parts:
@@ -236,13 +308,25 @@ def _error_budgets(site: Site, results: Results) -> Parts:
             continue
     if not budgets:
         return []
-    swatches = {name: element("span", class_="swatch area", style=f"background:{c}") for name, c in PART_COLORS.items()}
-    key = listed((join([swatch, name]) for name, swatch in swatches.items()), class_="key")
-    return [Heading("What the error is"), Paragraph(BUDGETS_NOTE, Tone.NOTE), key, *budgets]
+    swatches = {
+        name: element("span", class_="swatch area", style=f"background:{c}")
+        for name, c in PART_COLORS.items()
+    }
+    key = listed(
+        (join([swatch, name]) for name, swatch in swatches.items()), class_="key"
+    )
+    return [
+        Heading("What the error is"),
+        Paragraph(BUDGETS_NOTE, Tone.NOTE),
+        key,
+        *budgets,
+    ]
 
 
 def _budget(site: Site, index: int, diagnosis: Diagnosis) -> Html:
-    shares = [(part.stage.value, part.share) for part in diagnosis.parts] + [("rest", diagnosis.rest.share)]
+    shares = [(part.stage.value, part.share) for part in diagnosis.parts] + [
+        ("rest", diagnosis.rest.share)
+    ]
     bars = (
         element(
             "span",
@@ -278,22 +362,48 @@ def _uncertainty(site: Site, results: Results) -> Parts:
         if not budget:
             continue
         rows = [
-            (one.name, one.evaluation, f"{one.standard_uncertainty:.3f}", f"{100.0 * one.share:.0f} %", one.source)
+            (
+                one.name,
+                one.evaluation,
+                f"{one.standard_uncertainty:.3f}",
+                f"{100.0 * one.share:.0f} %",
+                one.source,
+            )
             for one in budget
         ]
-        summary = join([site.swatch(index), element("b", site.labels[index]), f": most is {budget[0].name}"])
+        summary = join(
+            [
+                site.swatch(index),
+                element("b", site.labels[index]),
+                f": most is {budget[0].name}",
+            ]
+        )
         parts.append(folded(summary, grid(titles, rows).html()))
-    return [Heading("Uncertainty"), Paragraph(UNCERTAINTY_NOTE, Tone.NOTE), *parts] if parts else []
+    return (
+        [Heading("Uncertainty"), Paragraph(UNCERTAINTY_NOTE, Tone.NOTE), *parts]
+        if parts
+        else []
+    )
 
 
 def _implied(site: Site, results: Results) -> Table:
     rows: list[tuple[str, ...]] = []
     for index, result in results.items():
         for one in result.score.implied:
-            spread = "" if one.real_uncertainty is None else f" \u00b1 {one.real_uncertainty:.2g}"
-            real = "-" if one.real is None else with_unit(f"{one.real:.4g}{spread}", one.unit)
+            spread = (
+                ""
+                if one.real_uncertainty is None
+                else f" \u00b1 {one.real_uncertainty:.2g}"
+            )
+            real = (
+                "-"
+                if one.real is None
+                else with_unit(f"{one.real:.4g}{spread}", one.unit)
+            )
             simulated = with_unit(f"{one.value:.4g}", one.unit)
-            rows.append((site.links[index], one.parameter.replace("_", " "), simulated, real))
+            rows.append(
+                (site.links[index], one.parameter.replace("_", " "), simulated, real)
+            )
     return grid(("engine", "parameter", "simulated", "real"), rows)
 
 
@@ -327,11 +437,17 @@ def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts
         panels, note = _band_panels(site, unit, recorded, band, shown_s)
     notes = [note] if note else []
     if shown_s < end_s:
-        notes.append(f"The first {shown_s:g} of {end_s:.3g} s are drawn; scores use all frames.")
+        notes.append(
+            f"The first {shown_s:g} of {end_s:.3g} s are drawn; scores use all frames."
+        )
     return [
         Heading("Curves" if band is None else "Curves over the reference"),
         _legend(site, [index for index, *_ in recorded], band),
-        element("div", *(element("figure", curve_panel(panel)) for panel in panels), class_="panels"),
+        element(
+            "div",
+            *(element("figure", curve_panel(panel)) for panel in panels),
+            class_="panels",
+        ),
         *(Paragraph(note, Tone.NOTE) for note in notes),
     ]
 
@@ -344,27 +460,50 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
             BandGrade.LAW: "law",
             BandGrade.MODEL: "solved model, not real",
         }
-        mean = "real mean" if band.trial_count is None else f"real mean of {band.trial_count} trials"
+        mean = (
+            "real mean"
+            if band.trial_count is None
+            else f"real mean of {band.trial_count} trials"
+        )
         for color, kind, text in (
             ("--real", "swatch", means.get(band.grade, mean)),
             ("--band1", "swatch area", "1 sigma"),
             ("--band2", "swatch area", "2 sigma"),
         ):
-            entries.append(join([element("span", class_=kind, style=f"background:var({color})"), text]))
+            entries.append(
+                join(
+                    [
+                        element("span", class_=kind, style=f"background:var({color})"),
+                        text,
+                    ]
+                )
+            )
         if (~band.measured & np.isfinite(band.mean).all(axis=1)).any():
             entries.append(join(["dotted: extrapolated, not measured"]))
     return listed(entries, class_="key")
 
 
-def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: float) -> tuple[list[CurvePanel], str]:
+def _band_panels(
+    site: Site, unit: str, recorded: Recorded, band: Band, end_s: float
+) -> tuple[list[CurvePanel], str]:
     """Return the panels of the coordinates with the largest real motion, and a note if others are left out."""
     width = band.projection.shape[1]
-    projected = [(i, times, band.project(values)) for i, times, values, _ in recorded if values.shape[1] == width]
-    spans = [float(np.ptp(column[np.isfinite(column)])) if np.isfinite(column).any() else 0.0 for column in band.mean.T]
+    projected = [
+        (i, times, band.project(values))
+        for i, times, values, _ in recorded
+        if values.shape[1] == width
+    ]
+    spans = [
+        float(np.ptp(column[np.isfinite(column)])) if np.isfinite(column).any() else 0.0
+        for column in band.mean.T
+    ]
     panels = [
         CurvePanel(
             title=f"{band.coordinates[column]} [{unit}]",
-            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
+            curves=[
+                (site.line(i), site.labels[i], times, values[:, column])
+                for i, times, values in projected
+            ],
             end_s=end_s,
             times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
             mean=band.mean[:, column],
@@ -377,18 +516,30 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
     return panels, left_out if len(spans) > len(panels) else ""
 
 
-def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tuple[list[CurvePanel], str]:
+def _plain_panels(
+    site: Site, unit: str, recorded: Recorded, end_s: float
+) -> tuple[list[CurvePanel], str]:
     """Return panels without a reference: each coordinate, or of many the displacement from the start, with a note."""
     names, text = recorded[0][3], ""
-    alike = [(i, times, values) for i, times, values, coordinates in recorded if len(coordinates) == len(names)]
+    alike = [
+        (i, times, values)
+        for i, times, values, coordinates in recorded
+        if len(coordinates) == len(names)
+    ]
     if len(names) > MAX_PANELS:
         text = f"Root mean square over all {len(names)} coordinates of the change since the start."
-        changes = ((i, times, np.sqrt(np.mean((x - x[0]) ** 2, axis=1, keepdims=True))) for i, times, x, _ in recorded)
+        changes = (
+            (i, times, np.sqrt(np.mean((x - x[0]) ** 2, axis=1, keepdims=True)))
+            for i, times, x, _ in recorded
+        )
         names, alike = ["change from the start, rms"], list(changes)
     panels = [
         CurvePanel(
             title=f"{name} [{unit}]",
-            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
+            curves=[
+                (site.line(i), site.labels[i], times, values[:, column])
+                for i, times, values in alike
+            ],
             end_s=end_s,
         )
         for column, name in enumerate(names)

@@ -60,22 +60,39 @@ def whisker_text(value: float, interval: Sequence[float] | None) -> Html:
     """Return a score with its 95 % interval below it."""
     score = element("span", score_text(value), class_="value")
     return (
-        score if interval is None else join([score, below(f"[{score_text(interval[0])}, {score_text(interval[1])}]")])
+        score
+        if interval is None
+        else join(
+            [score, below(f"[{score_text(interval[0])}, {score_text(interval[1])}]")]
+        )
     )
 
 
 def section(title: str, table: Table, *notes: str) -> list[Part]:
     """Return a table below its title, with notes below it; nothing without rows."""
-    return [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)] if table.rows else []
+    return (
+        [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)]
+        if table.rows
+        else []
+    )
 
 
-def site_page(title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()) -> str:
+def site_page(
+    title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()
+) -> str:
     """Return a page of the site; the navigation marks its file name, and its scripts run in their order."""
     pages = {"index.html": "Overview", "reproduce.html": "How to reproduce"}
     links = (
-        element("a", text, href=file, aria_current="page" if file == here else None) for file, text in pages.items()
+        element("a", text, href=file, aria_current="page" if file == here else None)
+        for file, text in pages.items()
     )
-    return page(title, parts, above=element("nav", *links), style="assets/site.css", scripts=scripts)
+    return page(
+        title,
+        parts,
+        above=element("nav", *links),
+        style="assets/site.css",
+        scripts=scripts,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +115,9 @@ class Site:
     @cached_property
     def slugs(self) -> tuple[str, ...]:
         """Part of a file name for each configuration; no two are the same."""
-        return tuple(f"{index}-{slug(label)}" for index, label in enumerate(self.labels))
+        return tuple(
+            f"{index}-{slug(label)}" for index, label in enumerate(self.labels)
+        )
 
     @cached_property
     def engines(self) -> dict[str, list[int]]:
@@ -122,14 +141,21 @@ class Site:
         # A narrow column may break a long name between its words.
         words = re.split(r"(?<=[a-z])(?=[A-Z])", one.name)
         broken = [part for word in words for part in (element("wbr"), word)][1:]
-        return join([element("a", *broken, href=self.experiment_page(one)), *map(below, notes)])
+        return join(
+            [element("a", *broken, href=self.experiment_page(one)), *map(below, notes)]
+        )
 
     @cached_property
     def links(self) -> tuple[Html, ...]:
         """Link of each configuration to the page of its engine, with its label."""
         names = [one.backend or "file" for one in self.comparison.configurations]
         return tuple(
-            join([self.swatch(index), element("a", self.labels[index], href=self.engine_page(name))])
+            join(
+                [
+                    self.swatch(index),
+                    element("a", self.labels[index], href=self.engine_page(name)),
+                ]
+            )
             for index, name in enumerate(names)
         )
 
@@ -137,13 +163,20 @@ class Site:
     def headings(self) -> tuple[Html, ...]:
         """Link of each configuration, with whose physics it is below."""
         physics = (one.physics for one in self.comparison.configurations)
-        return tuple(join([link, below(text)]) for link, text in zip(self.links, physics, strict=True))
+        return tuple(
+            join([link, below(text)])
+            for link, text in zip(self.links, physics, strict=True)
+        )
 
     def line(self, index: int) -> tuple[str, bool]:
         """Return the colour of a configuration in CSS, and whether its lines are dashed."""
         number, is_second = index, False
         if len(self.labels) > COLOR_COUNT and max(map(len, self.engines.values())) <= 2:
-            number, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
+            number, same = next(
+                (n, same)
+                for n, same in enumerate(self.engines.values())
+                if index in same
+            )
             is_second = index != same[0]
         return f"var(--c{number % COLOR_COUNT})", is_second
 
@@ -151,7 +184,11 @@ class Site:
         """Return a piece of the line of a configuration."""
         color, is_dashed = self.line(index)
         dashes = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
-        return element("span", class_="swatch", style=f"background:{dashes if is_dashed else color}")
+        return element(
+            "span",
+            class_="swatch",
+            style=f"background:{dashes if is_dashed else color}",
+        )
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
@@ -167,12 +204,20 @@ class Site:
 
 def first_result(cell: Cell | None) -> Result | None:
     """Return the first result of a cell that ran; None without one."""
-    return None if cell is None else next((one for one in cell.results if one.error is None), None)
+    return (
+        None
+        if cell is None
+        else next((one for one in cell.results if one.error is None), None)
+    )
 
 
 def first_results(one: ExperimentComparison) -> dict[int, Result]:
     """Return the first result of each configuration that ran an experiment, by its index."""
-    return {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+    return {
+        index: result
+        for index, cell in enumerate(one.cells)
+        if (result := first_result(cell)) is not None
+    }
 
 
 def cell_cost(cell: Cell | None) -> str:
@@ -185,7 +230,9 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
     """Return mean and interval of a metric in one experiment, a badge for the primary one, or why there is no score."""
     if cell is None:
         return element("span", "not run", class_="quiet")
-    spread, raw = (cell.spread(metric, normalized=normalized) for normalized in (True, False))
+    spread, raw = (
+        cell.spread(metric, normalized=normalized) for normalized in (True, False)
+    )
     interval = cell.interval_95(metric)
     parts: list[Html] = []
     if spread is not None:
@@ -193,9 +240,19 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
         if interval is not None and metric == one.primary:
             parts.append(Standing.of(interval).badge)
     elif raw is not None:
-        parts.append(element("span", with_unit(score_text(raw.mean), one.unit_of(metric)), class_="value"))
+        parts.append(
+            element(
+                "span",
+                with_unit(score_text(raw.mean), one.unit_of(metric)),
+                class_="value",
+            )
+        )
     for outcome in LOST:
         if count := cell.count(outcome):
-            text = outcome.value if count == len(cell.results) else f"{count} {outcome.value}"
+            text = (
+                outcome.value
+                if count == len(cell.results)
+                else f"{count} {outcome.value}"
+            )
             parts.append(element("span", text, class_="badge declined"))
     return join(parts, " ") if parts else element("span", "no score", class_="quiet")

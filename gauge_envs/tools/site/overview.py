@@ -20,7 +20,15 @@ from gauge_envs.tools.compare import (
     deciding_text,
     mean_rank_text,
 )
-from gauge_envs.tools.site.model import LOST, Site, Standing, score_cell, section, site_page, whisker_text
+from gauge_envs.tools.site.model import (
+    LOST,
+    Site,
+    Standing,
+    score_cell,
+    section,
+    site_page,
+    whisker_text,
+)
 
 SCALE_NOTE = (
     "Score: distance to the real mean over the mean distance of single real trials, which is 1. Lower is closer. In "
@@ -64,7 +72,9 @@ def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
     graded = [grade for grade in comparison.grades if grade.ids]
-    references = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
+    references = ", ".join(
+        f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded
+    )
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
@@ -72,17 +82,35 @@ def overview_page(site: Site) -> str:
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
-    answers += [line for grade in comparison.grades if grade.constants == DIFFERENT for line in _changes(site, grade)]
+    answers += [
+        line
+        for grade in comparison.grades
+        if grade.constants == DIFFERENT
+        for line in _changes(site, grade)
+    ]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         *_matrix(site),
         Heading("Mean ranks, grade by grade"),
         element("div", *(element("p", answer) for answer in answers), class_="answer"),
-        *(part for grade in graded if len(grade.scores) > 1 for part in _ranking(site, grade)),
+        *(
+            part
+            for grade in graded
+            if len(grade.scores) > 1
+            for part in _ranking(site, grade)
+        ),
         Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
-        *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
+        *section(
+            "Distance to a part of the motion",
+            _scores_table(site, "experiment", _unscaled(site)),
+            PARTIAL_NOTE,
+        ),
         *section("Events", _scores_table(site, "event", _events(site)), EVENTS_NOTE),
-        *section("Without a reference: how far engines are apart", _unscored_table(site), UNSCORED_NOTE),
+        *section(
+            "Without a reference: how far engines are apart",
+            _unscored_table(site),
+            UNSCORED_NOTE,
+        ),
         *_engines(site),
         *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
     ]
@@ -96,7 +124,9 @@ def _grade_title(grade: GradeComparison) -> str:
         "law": "a law",
         "model": "the solved model, not reality",
     }
-    return titles.get(grade.grade, grade.grade) + (", withheld band" if grade.withheld else "")
+    return titles.get(grade.grade, grade.grade) + (
+        ", withheld band" if grade.withheld else ""
+    )
 
 
 # --- the answer ---
@@ -114,18 +144,33 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     over = f"{_constants(grade)}{counted(len(grade.ids), 'experiment')}"
     start = f"Against {_grade_title(grade)} ({over}): "
     if not others:
-        return join([element("b", start), site.links[best.configuration], " alone, so without a rank."])
+        return join(
+            [
+                element("b", start),
+                site.links[best.configuration],
+                " alone, so without a rank.",
+            ]
+        )
     sentences: list[str | Html] = [
         element("b", start + "lowest mean rank "),
         site.links[best.configuration],
         f" {mean_rank_text(best.mean_rank)} of {len(grade.scores)}.",
     ]
-    same = [site.labels[one.configuration] for one in others if one.configuration not in apart]
+    same = [
+        site.labels[one.configuration]
+        for one in others
+        if one.configuration not in apart
+    ]
     closer = [index for index, pair in apart.items() if pair.closer == index]
     further = [index for index in apart if index not in closer]
-    for indices, text in ((further, "Distinguishably further"), (closer, "Distinguishably closer")):
+    for indices, text in (
+        (further, "Distinguishably further"),
+        (closer, "Distinguishably closer"),
+    ):
         if indices:
-            sentences.append(f" {text}: {'; '.join(site.labels[index] for index in indices)}.")
+            sentences.append(
+                f" {text}: {'; '.join(site.labels[index] for index in indices)}."
+            )
     if same:
         sentences.append(f" Not distinguishable from it: {'; '.join(same)}.")
     return join(sentences)
@@ -134,13 +179,21 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
 def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
     """Yield what other constants change in the same engine, which no rank says."""
     for pair in grade.pairs:
-        engines = {site.comparison.configurations[index].backend for index in (pair.first, pair.second)}
+        engines = {
+            site.comparison.configurations[index].backend
+            for index in (pair.first, pair.second)
+        }
         if len(engines) > 1:
             continue
         closer = pair.closer
         further = pair.further
-        start = element("b", f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ")
-        between = f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
+        start = element(
+            "b",
+            f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ",
+        )
+        between = (
+            f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
+        )
         if pair.distinguishable:
             between = f"{site.labels[further]} is distinguishably further than {site.labels[closer]}."
         yield join([start, between])
@@ -163,7 +216,11 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
         if one.mean_rank is not None
     ]
     table = grid(("configuration", "physics", "mean rank", "rank", "rank in"), rows)
-    return section(f"Against {_grade_title(grade)}", table, f"{GRADE_NOTES[BandGrade(grade.grade)].capitalize()}.")
+    return section(
+        f"Against {_grade_title(grade)}",
+        table,
+        f"{GRADE_NOTES[BandGrade(grade.grade)].capitalize()}.",
+    )
 
 
 # --- engine x phenomenon ---
@@ -180,7 +237,12 @@ class _Phenomenon:
 
     def of(self, configuration: int) -> tuple[GradeComparison, GradeScore] | None:
         """Return the comparison that ranks a configuration, and its score there; None without a mean."""
-        found = ((grade, one) for grade in self.grades for one in grade.scores if one.configuration == configuration)
+        found = (
+            (grade, one)
+            for grade in self.grades
+            for one in grade.scores
+            if one.configuration == configuration
+        )
         return next((entry for entry in found if entry[1].mean is not None), None)
 
 
@@ -196,25 +258,47 @@ def _phenomena(site: Site) -> Iterator[_Phenomenon]:
 def _matrix(site: Site) -> list[Part]:
     def heading(one: _Phenomenon) -> Html:
         links = (
-            element("a", member.name.partition("-")[2] or member.name, href=site.experiment_page(member))
+            element(
+                "a",
+                member.name.partition("-")[2] or member.name,
+                href=site.experiment_page(member),
+            )
             for member in one.members
         )
-        metric = ", ".join(dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members))
+        metric = ", ".join(
+            dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members)
+        )
         about = below(f"{metric}: ", join(links, " \u00b7 "))
-        return join([element("b", f"{one.title}, {_grade_title(one.grades[0])}"), below(one.tests), about])
+        return join(
+            [
+                element("b", f"{one.title}, {_grade_title(one.grades[0])}"),
+                below(one.tests),
+                about,
+            ]
+        )
 
     def standing(index: int, one: _Phenomenon) -> str:
         found = one.of(index)
-        return "" if found is None or found[1].mean is None else Standing.of(found[1].mean.interval_95).value
+        return (
+            ""
+            if found is None or found[1].mean is None
+            else Standing.of(found[1].mean.interval_95).value
+        )
 
     columns = (
-        Column("", link, html=partial(_matrix_cell, index), style=partial(standing, index))
+        Column(
+            "", link, html=partial(_matrix_cell, index), style=partial(standing, index)
+        )
         for index, link in enumerate(site.headings)
     )
     rows = list(_phenomena(site))
     if not rows:
         return []
-    matrix = Table(columns=(Column("", "phenomenon", html=heading), *columns), rows=rows, look="matrix")
+    matrix = Table(
+        columns=(Column("", "phenomenon", html=heading), *columns),
+        rows=rows,
+        look="matrix",
+    )
     key = listed((standing.badge for standing in Standing), class_="key")
     return [
         Heading("Engine by phenomenon"),
@@ -228,7 +312,9 @@ def _matrix(site: Site) -> list[Part]:
 
 def _matrix_cell(index: int, one: _Phenomenon) -> Html:
     """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
-    cells = [cell for member in one.members if (cell := member.cells[index]) is not None]
+    cells = [
+        cell for member in one.members if (cell := member.cells[index]) is not None
+    ]
     lost = []
     for outcome in LOST:
         count = sum(cell.count(outcome) for cell in cells)
@@ -237,9 +323,14 @@ def _matrix_cell(index: int, one: _Phenomenon) -> Html:
     found = one.of(index)
     mean = None if found is None else found[1].mean
     if found is None or mean is None:
-        return join([element("span", "no score" if cells else "not run", class_="quiet"), *lost])
+        return join(
+            [element("span", "no score" if cells else "not run", class_="quiet"), *lost]
+        )
     grade, score = found
-    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, score.rank))]
+    parts = [
+        whisker_text(mean.value, mean.interval_95),
+        below(place_text(grade, score.rank)),
+    ]
     if len(grade.ids) < len(one.members):
         parts.append(below(f"over {len(grade.ids)} of {len(one.members)} experiments"))
     return join([*parts, *lost])
@@ -251,7 +342,13 @@ def place_text(grade: GradeComparison, rank: int | None) -> str:
     if rank is None or count < 2:
         return ""
     if rank == 1:
-        return "not distinguishable" if shared == count else "rank 1" if shared == 1 else f"rank 1 of {count}, shared"
+        return (
+            "not distinguishable"
+            if shared == count
+            else "rank 1"
+            if shared == 1
+            else f"rank 1 of {count}, shared"
+        )
     return f"rank {rank} of {count}"
 
 
@@ -264,7 +361,10 @@ MetricRow = tuple[ExperimentComparison, str, str]
 def _scores_table(site: Site, title: str, rows: Iterable[MetricRow]) -> Table:
     """Return the score of each configuration in a metric of each experiment."""
     lines = (
-        [site.experiment_link(one, text), *(score_cell(one, cell, name) for cell in one.cells)]
+        [
+            site.experiment_link(one, text),
+            *(score_cell(one, cell, name) for cell in one.cells),
+        ]
         for one, name, text in rows
     )
     return grid([title, *site.headings], lines, look="matrix")
@@ -274,15 +374,28 @@ def _events(site: Site) -> Iterator[MetricRow]:
     for one in site.comparison.experiments:
         for name in one.metrics():
             metric = SCORE_METRICS[name]
-            if metric.is_event and any(cell and cell.spread(name, normalized=False) for cell in one.cells):
-                yield one, name, f"{metric.title}, {'0 is ideal' if name == 'el' else '1 is the real value'}"
+            if metric.is_event and any(
+                cell and cell.spread(name, normalized=False) for cell in one.cells
+            ):
+                yield (
+                    one,
+                    name,
+                    f"{metric.title}, {'0 is ideal' if name == 'el' else '1 is the real value'}",
+                )
 
 
 def _unscaled(site: Site) -> Iterator[MetricRow]:
     """Yield the experiments with a reference and no published scatter that covers it: their RMSE in its unit."""
     for one in site.comparison.experiments:
-        cells = [cell for cell in one.cells if cell is not None and cell.spread("rmse", normalized=False) is not None]
-        if cells and not any(cell.draws is not None or cell.spread("rmse", normalized=True) for cell in cells):
+        cells = [
+            cell
+            for cell in one.cells
+            if cell is not None and cell.spread("rmse", normalized=False) is not None
+        ]
+        if cells and not any(
+            cell.draws is not None or cell.spread("rmse", normalized=True)
+            for cell in cells
+        ):
             yield one, "rmse", f"RMSE, {one.grade}"
 
 
@@ -298,7 +411,9 @@ def _unscored_table(site: Site) -> Table:
             between = f"{site.labels[far.first]} and {site.labels[far.second]}"
             cells = [between, far.text(far.rms.mean), far.text(far.motion_rms)]
         rows.append([site.experiment_link(one), *cells])
-    return grid(("experiment", "furthest apart", "distance", "motion"), rows, number_from=2)
+    return grid(
+        ("experiment", "furthest apart", "distance", "motion"), rows, number_from=2
+    )
 
 
 def _engines(site: Site) -> list[Part]:
@@ -308,13 +423,18 @@ def _engines(site: Site) -> list[Part]:
             site.links[index],
             versions_text(one) or "-",
             *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
-            "-" if summary.wall_s_per_sim_s_common is None else cost_text(summary.wall_s_per_sim_s_common),
+            "-"
+            if summary.wall_s_per_sim_s_common is None
+            else cost_text(summary.wall_s_per_sim_s_common),
         ]
-        for index, (one, summary) in enumerate(zip(comparison.configurations, comparison.summaries(), strict=True))
+        for index, (one, summary) in enumerate(
+            zip(comparison.configurations, comparison.summaries(), strict=True)
+        )
     ]
     titles = ("engine", "versions", "ran", "scored", "diverged", "not run", COST_TITLE)
     common = counted(len(comparison.run_by_all), "experiment")
     note = (
-        f"Wall s/sim s: wall time over simulated time, over {common} that all ran. It compares engines on one machine."
+        f"Wall s/sim s: wall time over simulated time, over {common} that all ran. "
+        "It compares engines on one machine."
     )
     return section("Engines", grid(titles, rows, number_from=2), note)

@@ -31,17 +31,27 @@ def run_command(results: Sequence[Result]) -> str | None:
     if first.backend is None:
         return None
     kind = first.asset.get("kind")
-    subject = first.asset["file"] if kind == AssetKind.EXPERIMENT else short_id(first.id)
+    subject = (
+        first.asset["file"] if kind == AssetKind.EXPERIMENT else short_id(first.id)
+    )
     words = ["gauge", "run", subject, "--backend", first.backend]
     if isinstance(first.parameters, str):
-        words += [] if first.parameters == "calibrated" else ["--parameters", first.parameters]
+        words += (
+            []
+            if first.parameters == "calibrated"
+            else ["--parameters", first.parameters]
+        )
     else:
         words += ["--parameters", ",".join(_assignments(first.parameters))]
     for assignment in _assignments(first.settings_given):
         words += ["--set", assignment]
     if first.marker_proxy != MarkerProxy.MATERIAL:
         words.append(f"marker_proxy={first.marker_proxy}")
-    used = [f"imported-{key}" for key in ("drivers", "reference") if first.dataset.get(key) == DataSource.IMPORTED]
+    used = [
+        f"imported-{key}"
+        for key in ("drivers", "reference")
+        if first.dataset.get(key) == DataSource.IMPORTED
+    ]
     if first.score.withheld is not None:
         used.append("withheld")
     if used:
@@ -69,14 +79,18 @@ def _start_words(results: Sequence[Result]) -> list[str]:
     if "position_m" in jitter:
         position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
         millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
-        words.append(f"jitter={millimetres}mm,{_exact(angle_rad, math.degrees(angle_rad), math.radians)}deg")
+        words.append(
+            f"jitter={millimetres}mm,{_exact(angle_rad, math.degrees(angle_rad), math.radians)}deg"
+        )
     return words
 
 
 def _exact(value: float, scaled: float, restored: Callable[[float], float]) -> str:
     """Return the shortest number of which the command makes exactly this value."""
     texts = (f"{scaled:.{digits}g}" for digits in range(1, 18))
-    return next((text for text in texts if restored(float(text)) == value), repr(scaled))
+    return next(
+        (text for text in texts if restored(float(text)) == value), repr(scaled)
+    )
 
 
 def run_commands(site: Site, one: ExperimentComparison) -> list[Part]:
@@ -86,11 +100,20 @@ def run_commands(site: Site, one: ExperimentComparison) -> list[Part]:
         if cell is None:
             continue
         first = cell.results[0]
-        command = run_command(cell.results) or "scored from a trajectory file: gauge score FILE"
-        versions = ", ".join(f"{name} {version}" for name, version in first.versions.items())
+        command = (
+            run_command(cell.results)
+            or "scored from a trajectory file: gauge score FILE"
+        )
+        versions = ", ".join(
+            f"{name} {version}" for name, version in first.versions.items()
+        )
         settings = "\n".join(_assignments(first.settings)) or "none stated"
         parts += [
-            element("div", element("p", site.swatch(index), site.labels[index]), element("pre", code(command))),
+            element(
+                "div",
+                element("p", site.swatch(index), site.labels[index]),
+                element("pre", code(command)),
+            ),
             Paragraph(f"Versions: {versions}.", Tone.NOTE),
             folded("settings in force", element("pre", element("code", settings))),
         ]
@@ -117,27 +140,48 @@ def reproduce_page(site: Site, command: str) -> str:
                         site.experiment_link(one, result.task_sha256[:16]),
                         site.links[index],
                         code(run_command([result]) or "trajectory file"),
-                        "-" if file is None else join([file.name, below(_digest(file)[:16])]),
-                        result.created.partition(".")[0].replace("T", " ").removesuffix("+00:00"),
+                        "-"
+                        if file is None
+                        else join([file.name, below(_digest(file)[:16])]),
+                        result.created.partition(".")[0]
+                        .replace("T", " ")
+                        .removesuffix("+00:00"),
                     )
                 )
-    extras = ",".join(name for name in site.engines if is_bundled(name) and name != "mujoco")
-    install = f"pip install 'gauge-envs[{extras}]'" if extras else "pip install gauge-envs"
+    extras = ",".join(
+        name for name in site.engines if is_bundled(name) and name != "mujoco"
+    )
+    install = (
+        f"pip install 'gauge-envs[{extras}]'" if extras else "pip install gauge-envs"
+    )
     steps = (
         join([code(install), " with the versions that each page states."]),
         "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
         "same versions on the same kind of processor. Wall times differ.",
-        join([code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."]),
+        join(
+            [
+                code("gauge compare results/"),
+                " prints the scores, intervals, ranks and pairs of these pages.",
+            ]
+        ),
         join([code("gauge diagnose results/"), " prints the error budgets."]),
     )
     parts: list[Part] = [
-        Paragraph("Every number on these pages comes from a result file, and each file from one command."),
+        Paragraph(
+            "Every number on these pages comes from a result file, and each file from one command."
+        ),
         element("ol", *(element("li", step) for step in steps)),
         Heading("This site"),
         element("pre", code(command)),
         Heading("Results"),
-        Paragraph("Below an experiment: SHA-256 of its task file. Below a result file: that of the file.", Tone.NOTE),
-        grid(("experiment", "configuration", "command", "result file", "created, UTC"), rows),
+        Paragraph(
+            "Below an experiment: SHA-256 of its task file. Below a result file: that of the file.",
+            Tone.NOTE,
+        ),
+        grid(
+            ("experiment", "configuration", "command", "result file", "created, UTC"),
+            rows,
+        ),
         Heading("Software on these pages"),
         element(
             "p",

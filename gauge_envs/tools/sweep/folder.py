@@ -77,7 +77,9 @@ def write_episode(path: Path, result: Result, name: str) -> None:
             earlier.unlink(missing_ok=True)
 
 
-def earlier_episodes(path: Path, notify: Callable[[str], None] | None = None) -> dict[str, EarlierEpisode]:
+def earlier_episodes(
+    path: Path, notify: Callable[[str], None] | None = None
+) -> dict[str, EarlierEpisode]:
     """Return the episodes of a folder by the names of their files.
 
     Args:
@@ -93,7 +95,9 @@ def earlier_episodes(path: Path, notify: Callable[[str], None] | None = None) ->
             continue
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             if notify is not None:
-                notify(f"{file}: not a result file: {error}; moved to {move_aside(file).name}")
+                notify(
+                    f"{file}: not a result file: {error}; moved to {move_aside(file).name}"
+                )
     return found
 
 
@@ -127,7 +131,9 @@ class EarlierCosts:
         times_s: dict[tuple[str, str], dict[int, list[float]]] = {}
         for one in episodes:
             if one.outcome is Outcome.FINISHED and one.wall_s and one.steps:
-                times_s.setdefault(one.group, {}).setdefault(round(one.steps), []).append(one.wall_s)
+                times_s.setdefault(one.group, {}).setdefault(
+                    round(one.steps), []
+                ).append(one.wall_s)
         self._medians = {
             group: {steps: median(values) for steps, values in sorted(by_steps.items())}
             for group, by_steps in times_s.items()

@@ -6,7 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, ResultFileError
+from gauge_envs.errors import (
+    GaugeError,
+    MissingExtraError,
+    ParameterError,
+    ResultFileError,
+)
 from gauge_envs.files import os_errors, write_whole
 from gauge_envs.runs.episodes import not_run, planned_results
 from gauge_envs.runs.pool import Limits, ProcessWorker, WorkerClosedError
@@ -88,8 +93,13 @@ def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWork
     try:
         ray.init(**options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        raise ParameterError(f"--ray {address}: {str(error).partition(chr(10))[0]}") from error
-    return [RayWorker(limits) for _ in range(count or max(1, int(ray.cluster_resources().get("CPU", 1))))]
+        raise ParameterError(
+            f"--ray {address}: {str(error).partition(chr(10))[0]}"
+        ) from error
+    return [
+        RayWorker(limits)
+        for _ in range(count or max(1, int(ray.cluster_resources().get("CPU", 1))))
+    ]
 
 
 SCRIPT = '''"""Submit a sweep to Slurm as one job array: python {name}
@@ -138,7 +148,9 @@ if __name__ == "__main__":
 '''
 
 
-def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int, log_folder: Path) -> str:
+def slurm_script(
+    name: str, arguments: Sequence[str], *, jobs: int, workers: int, log_folder: Path
+) -> str:
     """Return the text of the script.
 
     Args:
@@ -148,13 +160,26 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
         workers: Worker processes of a job.
         log_folder: Folder for what the jobs print.
     """
-    command = [sys.executable, "-c", "from gauge_command import main; main()", "sweep", *arguments]
+    command = [
+        sys.executable,
+        "-c",
+        "from gauge_command import main; main()",
+        "sweep",
+        *arguments,
+    ]
     return SCRIPT.format(
-        name=name, jobs=jobs, command=command, cpus=workers, memory_gb=4.0 * workers, log_folder=repr(str(log_folder))
+        name=name,
+        jobs=jobs,
+        command=command,
+        cpus=workers,
+        memory_gb=4.0 * workers,
+        log_folder=repr(str(log_folder)),
     )
 
 
 def write_slurm_script(file: Path, text: str) -> None:
     """Write the script."""
-    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")):
+    with os_errors(
+        lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")
+    ):
         write_whole(file, text.encode())

@@ -12,7 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import Backend, backend_for, backend_names, engine_call, is_bundled, support_of, versions_of
+from gauge_envs.backends import (
+    Backend,
+    backend_for,
+    backend_names,
+    engine_call,
+    is_bundled,
+    support_of,
+    versions_of,
+)
 from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -130,10 +138,16 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         raise ParameterError(
             f"the sweep has {shown} episodes, the limit is {MAX_EPISODES:,}: shorten its lists, or split it"
         )
-    subjects = [_Subject.load(spec, one, parameters) for one in spec.subjects() for parameters in spec.parameters]
+    subjects = [
+        _Subject.load(spec, one, parameters)
+        for one in spec.subjects()
+        for parameters in spec.parameters
+    ]
     # Parameters that no experiment takes are an error.
     for number in range(len(spec.parameters)):
-        refusals = [subject.refusal for subject in subjects[number :: len(spec.parameters)]]
+        refusals = [
+            subject.refusal for subject in subjects[number :: len(spec.parameters)]
+        ]
         if refusals[0] is not None and None not in refusals:
             raise refusals[0]
     runs: dict[str, SweepRun] = {}
@@ -172,8 +186,12 @@ class _Subject:
         return experiment_sha256(self.experiment)
 
     @classmethod
-    def load(cls, spec: SweepSpec, subject: Variant | str, parameters: Parameters) -> _Subject:
-        given = RunRequest(subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats)
+    def load(
+        cls, spec: SweepSpec, subject: Variant | str, parameters: Parameters
+    ) -> _Subject:
+        given = RunRequest(
+            subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats
+        )
         request = replace(given, jitter=spec.start_jitter or given.scatter)
         try:
             return cls(request, request.experiment())
@@ -181,7 +199,9 @@ class _Subject:
             return cls(request, request.calibrated_experiment(), error)
 
 
-def _engine_runs(backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]) -> list[SweepRun]:
+def _engine_runs(
+    backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]
+) -> list[SweepRun]:
     """Return the runs of an engine, which is asked for its versions, and whether it can build each experiment.
 
     Args:
@@ -210,22 +230,30 @@ def _engine_runs(backend: str, subjects: Sequence[_Subject], choices: Sequence[M
                 versions=engine_versions,
                 settings=settings_sha256,
                 parameters=subject.request.parameters,
-                jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
+                jitter=None
+                if jitter is None
+                else {**jitter.to_dict(), "format": JITTER_FORMAT},
             )
             run = SweepRun(
-                request=replace(subject.request, backend=backend, settings=settings or None),
+                request=replace(
+                    subject.request, backend=backend, settings=settings or None
+                ),
                 experiment=experiment.name,
                 sha256=sha256,
                 versions=engine_versions,
                 shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
                 declined=declined,
-                steps=None if timestep_s is None else experiment.scene.duration_s / timestep_s,
+                steps=None
+                if timestep_s is None
+                else experiment.scene.duration_s / timestep_s,
             )
             runs.append(run)
     return runs
 
 
-def _resolved(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> tuple[str, float | None]:
+def _resolved(
+    engine: Backend, experiment: Experiment, settings: Mapping[str, Any]
+) -> tuple[str, float | None]:
     """Return the hash of the settings in force, and the time step [s]; None where the engine does not tell."""
     try:
         with engine_call(engine.name, "resolved_settings"):
@@ -255,7 +283,11 @@ def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask
     """
     for run in plan.runs:
         missing = [seed for seed in run.seeds if run.file_name(seed) not in done]
-        for seeds in _consecutive(missing) if run.shares_worlds else (range(seed, seed + 1) for seed in missing):
+        for seeds in (
+            _consecutive(missing)
+            if run.shares_worlds
+            else (range(seed, seed + 1) for seed in missing)
+        ):
             yield SweepTask(run, seeds)
 
 
@@ -276,9 +308,13 @@ def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
         count: Number of parts.
     """
     if not 0 <= number < count:
-        raise ParameterError(f"shard {number}/{count}: expected a number from 0 to {count - 1}")
+        raise ParameterError(
+            f"shard {number}/{count}: expected a number from 0 to {count - 1}"
+        )
     total = len(plan.runs)
-    return replace(plan, runs=plan.runs[number * total // count : (number + 1) * total // count])
+    return replace(
+        plan, runs=plan.runs[number * total // count : (number + 1) * total // count]
+    )
 
 
 # --- keys ------------------------------------------------------------------------------------------------------------
@@ -292,13 +328,19 @@ KEY_LENGTH = 16
 
 def content_sha256(value: Any) -> str:
     """Return the hash of a value of dataclasses, mappings, sequences, arrays, enums, numbers, texts and None."""
-    return hashlib.sha256(json.dumps(_plain(value), sort_keys=True, allow_nan=True).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(_plain(value), sort_keys=True, allow_nan=True).encode()
+    ).hexdigest()
 
 
 def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         # What is not compared is derived from the other fields.
-        kept = {field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.compare}
+        kept = {
+            field.name: _plain(getattr(value, field.name))
+            for field in fields(value)
+            if field.compare
+        }
         return {"type": type(value).__name__, **kept}
     if isinstance(value, Enum):
         return _plain(value.value)
@@ -326,7 +368,9 @@ def experiment_sha256(experiment: Experiment) -> str:
             "trial": experiment.trial,
             "asset": None if asset is None else asset.sha256,
             "dataset": dataset_record(
-                experiment.name, drivers=experiment.drivers, reference=experiment.reference_source
+                experiment.name,
+                drivers=experiment.drivers,
+                reference=experiment.reference_source,
             ),
         }
     )

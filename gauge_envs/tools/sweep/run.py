@@ -54,5 +54,7 @@ def _verified(task: SweepTask, result: Result) -> Result:
         found = result.versions.get(package)
         if found != planned:
             reason = f"made with {package} {found}, planned with {planned}: install the same versions on every machine"
-            return replace(result, outcome=Outcome.FAILED, error=reason, trajectory=None)
+            return replace(
+                result, outcome=Outcome.FAILED, error=reason, trajectory=None
+            )
     return result

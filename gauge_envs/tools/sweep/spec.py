@@ -25,11 +25,28 @@ from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from gauge_envs.errors import ParameterError, SweepFileError, first_fault
-from gauge_envs.experiments.variants import Variant, is_experiment_file, matching_subjects
-from gauge_envs.files import MEGABYTE, os_errors, outside_reason, read_regular, toml_document
+from gauge_envs.experiments.variants import (
+    Variant,
+    is_experiment_file,
+    matching_subjects,
+)
+from gauge_envs.files import (
+    MEGABYTE,
+    os_errors,
+    outside_reason,
+    read_regular,
+    toml_document,
+)
 from gauge_envs.scene.jitter import Jitter
 
 MAX_EPISODES = 1_000_000
@@ -42,7 +59,9 @@ Text = Annotated[str, Field(min_length=1)]
 
 
 class _Model(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, strict=True
+    )
 
 
 class JitterSpec(_Model):
@@ -93,10 +112,14 @@ class SweepSpec(_Model):
         for name, values in self.settings.items():
             if not isinstance(values, dict):
                 if name in self.backends:
-                    raise ValueError(f"settings.{name}: the name of an engine; a table of settings is expected")
+                    raise ValueError(
+                        f"settings.{name}: the name of an engine; a table of settings is expected"
+                    )
                 _check_values(name, values)
             elif name not in self.backends:
-                raise ValueError(f"settings.{name}: a table of an engine that backends does not list")
+                raise ValueError(
+                    f"settings.{name}: a table of an engine that backends does not list"
+                )
             else:
                 for key, one in values.items():
                     _check_values(f"{name}.{key}", one)
@@ -109,12 +132,24 @@ class SweepSpec(_Model):
 
     def subjects(self) -> list[Variant | str]:
         """Return the variants and experiment files, each once."""
-        return list(dict.fromkeys(subject for pattern in self.variants for subject in matching_subjects(pattern)))
+        return list(
+            dict.fromkeys(
+                subject
+                for pattern in self.variants
+                for subject in matching_subjects(pattern)
+            )
+        )
 
     def setting_lists(self, backend: str) -> dict[str, list[Any]]:
         """Return the values of each setting for an engine: the common ones, replaced by those of its own table."""
-        common: dict[str, list[Any]] = {} if self.presets is None else {"preset": list(self.presets)}
-        common |= {key: values for key, values in self.settings.items() if isinstance(values, list)}
+        common: dict[str, list[Any]] = (
+            {} if self.presets is None else {"preset": list(self.presets)}
+        )
+        common |= {
+            key: values
+            for key, values in self.settings.items()
+            if isinstance(values, list)
+        }
         of_engine = self.settings.get(backend)
         return common | (of_engine if isinstance(of_engine, dict) else {})
 
@@ -126,7 +161,10 @@ class SweepSpec(_Model):
 
     def episode_count(self) -> int:
         """Return the number of combinations, without looking for equal ones."""
-        choices = sum(prod(map(len, self.setting_lists(name).values())) for name in dict.fromkeys(self.backends))
+        choices = sum(
+            prod(map(len, self.setting_lists(name).values()))
+            for name in dict.fromkeys(self.backends)
+        )
         return choices * len(self.subjects()) * len(self.parameters) * self.repeats
 
 
@@ -147,7 +185,9 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
         Its keys and values, for `sweep_spec`.
     """
     path = Path(path)
-    with os_errors(lambda cause: SweepFileError(path, "(file)", f"cannot be read: {cause}")):
+    with os_errors(
+        lambda cause: SweepFileError(path, "(file)", f"cannot be read: {cause}")
+    ):
         content = read_regular(path, MEGABYTE)
     try:
         values = toml_document(content)
@@ -172,17 +212,27 @@ def _located(path: Path, name: str) -> str:
 def _check_values(key: str, values: Any) -> None:
     """Check that the values of a setting are a list of numbers, texts, booleans or lists of them."""
     if not isinstance(values, list) or not values:
-        raise ValueError(f"settings.{key}: a list of one or more values is expected, as [0.001, 0.002]")
+        raise ValueError(
+            f"settings.{key}: a list of one or more values is expected, as [0.001, 0.002]"
+        )
     for value in values:
         for part in value if isinstance(value, list) else [value]:
-            if not isinstance(part, bool | int | float | str) or (isinstance(part, float) and not math.isfinite(part)):
-                raise ValueError(f"settings.{key}: {part!r} is no finite number, text or boolean")
+            if not isinstance(part, bool | int | float | str) or (
+                isinstance(part, float) and not math.isfinite(part)
+            ):
+                raise ValueError(
+                    f"settings.{key}: {part!r} is no finite number, text or boolean"
+                )
 
 
 def _fault(error: ValidationError) -> tuple[str, str]:
     """Return the key and the reason of the first fault, with the known keys for an unknown one."""
     key, reason = first_fault(error)
     if reason in ("unknown key", "missing key"):
-        known = JitterSpec.model_fields if key.startswith("jitter.") else SweepSpec.model_fields
+        known = (
+            JitterSpec.model_fields
+            if key.startswith("jitter.")
+            else SweepSpec.model_fields
+        )
         reason = f"{reason}; keys: {', '.join(known)}"
     return key or "(file)", reason

@@ -34,13 +34,18 @@ def cost_text(cost: Cost, workers: int) -> str:
 PLAN_COLUMNS = (
     Column("backend", "engine"),
     Column("experiment", "experiment"),
-    *(Column(key, key, str, is_number=True) for key in ("runs", "episodes", "left", "declined")),
+    *(
+        Column(key, key, str, is_number=True)
+        for key in ("runs", "episodes", "left", "declined")
+    ),
     Column("engine_s", "engine time", duration_text, is_number=True),
     Column("unknown", "without estimate", str, is_number=True),
 )
 
 
-def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> Document:
+def plan_document(
+    plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts
+) -> Document:
     """Return the episodes of a plan that are left and their cost: for each engine, or wide for each experiment, too.
 
     Its rows are those of the engines and experiments.
@@ -51,7 +56,14 @@ def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCos
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for run in plan.runs:
         row = rows.setdefault(
-            run.group, {"backend": run.group[0], "experiment": run.group[1], "runs": 0, "episodes": 0, "declined": 0}
+            run.group,
+            {
+                "backend": run.group[0],
+                "experiment": run.group[1],
+                "runs": 0,
+                "episodes": 0,
+                "declined": 0,
+            },
         )
         row["runs"] += 1
         row["episodes"] += run.request.repeats
@@ -76,7 +88,9 @@ def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCos
 def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     sums: dict[str, dict[str, Any]] = {}
     for row in rows:
-        one = sums.setdefault(row["backend"], {"backend": row["backend"], "engine_s": None})
+        one = sums.setdefault(
+            row["backend"], {"backend": row["backend"], "engine_s": None}
+        )
         for key in ("runs", "episodes", "left", "declined", "unknown"):
             one[key] = one.get(key, 0) + row[key]
         if row["engine_s"] is not None:
@@ -87,8 +101,13 @@ def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def outcome_table(plan: SweepPlan, counts: Mapping[tuple[str, Outcome], int]) -> Table:
     """Return the number of episodes of each outcome, a row for each engine of a plan."""
     columns = [Column("backend", "engine")]
-    columns += [Column(outcome.value, outcome.value, str, is_number=True) for outcome in Outcome]
+    columns += [
+        Column(outcome.value, outcome.value, str, is_number=True) for outcome in Outcome
+    ]
     rows: list[dict[str, Any]] = []
     for backend in dict.fromkeys(run.request.backend for run in plan.runs):
-        rows.append({"backend": backend} | {outcome.value: counts.get((backend, outcome), 0) for outcome in Outcome})
+        rows.append(
+            {"backend": backend}
+            | {outcome.value: counts.get((backend, outcome), 0) for outcome in Outcome}
+        )
     return Table(columns=tuple(columns), rows=rows)

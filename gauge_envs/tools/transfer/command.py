@@ -11,7 +11,14 @@ import typer
 from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, message, plain_text, print_document, stderr_console
+from gauge_envs.cli.output import (
+    Format,
+    Progress,
+    message,
+    plain_text,
+    print_document,
+    stderr_console,
+)
 from gauge_envs.errors import MissingExtraError, ParameterError
 
 if TYPE_CHECKING:
@@ -19,7 +26,12 @@ if TYPE_CHECKING:
 
 DEFAULT_ENGINES = ("mujoco", "newton")
 
-TrustOption = Annotated[bool, typer.Option("--trust", help="Let loading run code of the policy's file or module.")]
+TrustOption = Annotated[
+    bool,
+    typer.Option(
+        "--trust", help="Let loading run code of the policy's file or module."
+    ),
+]
 
 
 def transfer(
@@ -30,19 +42,34 @@ def transfer(
             help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
         ),
     ],
-    task: Annotated[str, typer.Option("--id", metavar="ID", help="Control task, as GAUGE/Turntable-Limit-wood.")],
-    engine: Annotated[str, typer.Option("--backend", help="Engine of the training.")] = "mujoco",
+    task: Annotated[
+        str,
+        typer.Option(
+            "--id", metavar="ID", help="Control task, as GAUGE/Turntable-Limit-wood."
+        ),
+    ],
+    engine: Annotated[
+        str, typer.Option("--backend", help="Engine of the training.")
+    ] = "mujoco",
     changes: arguments.Settings = None,
     parameters: arguments.Parameters = None,
     normalization: Annotated[
-        list[Path] | None, typer.Option(metavar="FILE", help="Statistics of VecNormalize, for all policies or each.")
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Statistics of VecNormalize, for all policies or each."
+        ),
     ] = None,
     trust: TrustOption = False,
     to: Annotated[
         list[str] | None,
-        typer.Option(metavar="ENGINE[:NAME=VALUE,...]", help="Engine to replay in; repeatable; mujoco, newton."),
+        typer.Option(
+            metavar="ENGINE[:NAME=VALUE,...]",
+            help="Engine to replay in; repeatable; mujoco, newton.",
+        ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
@@ -53,19 +80,34 @@ def transfer(
     """
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.policies.load import load_policies
-    from gauge_envs.tools.transfer.policy_replays import make_control_env, other_worlds, replay, training_world
+    from gauge_envs.tools.transfer.policy_replays import (
+        make_control_env,
+        other_worlds,
+        replay,
+        training_world,
+    )
     from gauge_envs.tools.transfer.transfer import transfer_report
     from gauge_envs.tools.transfer.words import draw_transfer, transfer_document
 
     policies, details = arguments.split_details(
-        words, sigmas=_numbers, starts=PositiveInt, seed=NonNegativeInt, fail_below=float
+        words,
+        sigmas=_numbers,
+        starts=PositiveInt,
+        seed=NonNegativeInt,
+        fail_below=float,
     )
     files = _picture_files(out)
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     training = training_world(engine, arguments.parsed_settings(changes), constants)
     with closing(make_control_env(task)) as env:
-        loaded = load_policies(policies, env, normalization=normalization or [], trust=trust)
-    others = list(other_worlds(task, training, engines=_engines(to), sigmas=details.pop("sigmas", [1.0])))
+        loaded = load_policies(
+            policies, env, normalization=normalization or [], trust=trust
+        )
+    others = list(
+        other_worlds(
+            task, training, engines=_engines(to), sigmas=details.pop("sigmas", [1.0])
+        )
+    )
     least = details.pop("fail_below", 0.0)
     details = {"starts": 3, "seed": 0} | details
     with stderr_console().status("replaying") as status:
@@ -86,7 +128,9 @@ def _numbers(text: str) -> list[float]:
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
-        raise ParameterError(f"sigmas={text}: expected numbers with commas, as 1,2") from None
+        raise ParameterError(
+            f"sigmas={text}: expected numbers with commas, as 1,2"
+        ) from None
     return [] if numbers == [0.0] else numbers
 
 
@@ -100,7 +144,15 @@ def _engines(texts: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
         try:
             if not texts:
                 backend(name)
-            found.append((name, arguments.parsed_settings(arguments.split_list(settings) if settings else []) or {}))
+            found.append(
+                (
+                    name,
+                    arguments.parsed_settings(
+                        arguments.split_list(settings) if settings else []
+                    )
+                    or {},
+                )
+            )
         except MissingExtraError:
             continue
     return found
@@ -118,17 +170,31 @@ def _picture_files(out: Path | None) -> dict[str, Path]:
 
 
 def transfer_envelope(
-    words: Annotated[list[str], typer.Argument(metavar="ID [NAME=VALUE]...", help="Control task or experiment.")],
+    words: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="ID [NAME=VALUE]...", help="Control task or experiment."
+        ),
+    ],
     policy: Annotated[
-        str, typer.Option(metavar="POLICY", help="Policy of a control task, as in gauge transfer; or that of its law.")
+        str,
+        typer.Option(
+            metavar="POLICY",
+            help="Policy of a control task, as in gauge transfer; or that of its law.",
+        ),
     ] = "law",
     normalization: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Statistics that VecNormalize saved beside the policy.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Statistics that VecNormalize saved beside the policy."
+        ),
     ] = None,
     trust: TrustOption = False,
     engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
     changes: arguments.Settings = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Show what uncertain constants and starts do to a reward or a score.
@@ -142,7 +208,9 @@ def transfer_envelope(
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
-    subject, details = arguments.split_subject(words, samples=PositiveInt, batch=PositiveInt, seed=NonNegativeInt)
+    subject, details = arguments.split_subject(
+        words, samples=PositiveInt, batch=PositiveInt, seed=NonNegativeInt
+    )
     files = _picture_files(out)
     common = {"samples": 256, "batch": 256, "seed": 0} | details
     with Progress("samples", common["samples"]) as progress:
@@ -151,7 +219,9 @@ def transfer_envelope(
         if subject.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
             found = _control(subject, policy, normalization, trust, **common)
         elif policy != "law":
-            raise ParameterError(f"{subject} is an experiment: only control tasks have policies")
+            raise ParameterError(
+                f"{subject} is an experiment: only control tasks have policies"
+            )
         else:
             found = experiment_envelope(subject, **common)
     report = envelope_report(found)
@@ -160,7 +230,9 @@ def transfer_envelope(
     print_document(envelope_document(report), form, files=files, writers=writers)
 
 
-def _control(task: str, policy: str, normalization: Path | None, trust: bool, **options: Any) -> Envelope:
+def _control(
+    task: str, policy: str, normalization: Path | None, trust: bool, **options: Any
+) -> Envelope:
     from dataclasses import replace
 
     from gauge_envs.tools.transfer.envelope import LawPolicy, control_envelope
@@ -169,9 +241,13 @@ def _control(task: str, policy: str, normalization: Path | None, trust: bool, **
 
     name, _, text = policy.partition(":")
     if name == "law":
-        others, details = arguments.split_details(text.split(",") if text else [], fraction=float, informed=bool)
+        others, details = arguments.split_details(
+            text.split(",") if text else [], fraction=float, informed=bool
+        )
         if others:
-            raise ParameterError(f"--policy {policy}: expected law:fraction=0.95,informed=true")
+            raise ParameterError(
+                f"--policy {policy}: expected law:fraction=0.95,informed=true"
+            )
         return control_envelope(task, policy=LawPolicy(**details), **options)
     with closing(make_control_env(task)) as env:
         loaded = load_policy(policy, env, normalization=normalization, trust=trust)

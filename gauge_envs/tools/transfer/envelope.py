@@ -16,11 +16,18 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
+from gauge_envs.experiments.uncertain import (
+    UncertainParameter,
+    overrides_at,
+    uncertain_parameters,
+)
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control import ControlWorlds, LimitReport, Policy
-from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
+from gauge_envs.tools.transfer.policy_replays import (
+    make_control_env,
+    task_uncertainties,
+)
 
 LARGEST_SAMPLE_COUNT = 2**16
 
@@ -41,12 +48,18 @@ class LawPolicy:
     def __post_init__(self) -> None:
         # A comparison with NaN is false.
         if not 0.0 <= self.fraction < math.inf:
-            raise ParameterError(f"fraction is {self.fraction:g}, expected a finite share of the limit from 0")
+            raise ParameterError(
+                f"fraction is {self.fraction:g}, expected a finite share of the limit from 0"
+            )
 
     @property
     def title(self) -> str:
         """Description for reports."""
-        knows = "knows the constants" if self.informed else "with its actions for the calibrated constants"
+        knows = (
+            "knows the constants"
+            if self.informed
+            else "with its actions for the calibrated constants"
+        )
         return f"the law's policy at {self.fraction:g} of the limit, {knows}"
 
 
@@ -92,7 +105,9 @@ def sobol_sigmas(count: int, dimensions: int, *, seed: int = 0) -> FloatArray:
         seed: Seed of the scrambling.
     """
     if not 2 <= count <= LARGEST_SAMPLE_COUNT or count & (count - 1):
-        raise ParameterError(f"{count} samples: a Sobol sequence needs a power of 2 from 2 to {LARGEST_SAMPLE_COUNT}")
+        raise ParameterError(
+            f"{count} samples: a Sobol sequence needs a power of 2 from 2 to {LARGEST_SAMPLE_COUNT}"
+        )
     uniform = qmc.Sobol(dimensions, scramble=True, rng=seed).random(count)
     # A scrambled point may lie on the border of the cube, where the normal distribution is infinite.
     return np.asarray(norm.ppf(np.clip(uniform, 0.5 / count, 1.0 - 0.5 / count)))
@@ -130,19 +145,27 @@ def experiment_envelope(
     ((calibrated, path),) = _batch(experiment, [{}], **common)
     assert path is not None
     # The solution of the calibrated scene is no reference for other constants.
-    is_scored = calibrated is not None and band_grade(experiment.name) is not BandGrade.MODEL
+    is_scored = (
+        calibrated is not None and band_grade(experiment.name) is not BandGrade.MODEL
+    )
     values: list[float] = []
     endings: list[str] = []
     for first in range(0, samples, _checked_batch(batch)):
         rows = sigmas[first : first + batch]
-        for score, frames in _batch(experiment, [overrides_at(parameters, row.tolist()) for row in rows], **common):
+        for score, frames in _batch(
+            experiment,
+            [overrides_at(parameters, row.tolist()) for row in rows],
+            **common,
+        ):
             endings.append("diverged" if frames is None else "complete")
             if frames is None:
                 values.append(np.nan)
             elif is_scored:
                 values.append(np.nan if score is None else score)
             else:
-                values.append(float(np.sqrt(np.mean(np.sum((frames - path) ** 2, axis=1)))))
+                values.append(
+                    float(np.sqrt(np.mean(np.sum((frames - path) ** 2, axis=1))))
+                )
         notify(len(values))
     quantity, unit = "deviation", experiment.score.observable.unit
     if is_scored and experiment.trial is None:
@@ -165,12 +188,22 @@ def experiment_envelope(
 
 
 def _batch(
-    experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], **arguments: Any
+    experiment: TaskExperiment,
+    parameters: Sequence[Mapping[str, Any]],
+    **arguments: Any,
 ) -> list[tuple[float | None, FloatArray | None]]:
     """Run an experiment with some parameters; return the score and the frames of each, None for what it lacks."""
-    envs = GaugeVectorEnv(experiment.variant, num_envs=len(parameters), world_parameters=parameters, **arguments)
+    envs = GaugeVectorEnv(
+        experiment.variant,
+        num_envs=len(parameters),
+        world_parameters=parameters,
+        **arguments,
+    )
     try:
-        envs.reset(seed=0, options=None if experiment.trial is None else {"trial": experiment.trial})
+        envs.reset(
+            seed=0,
+            options=None if experiment.trial is None else {"trial": experiment.trial},
+        )
         actions = np.zeros(envs.action_space.shape or 0, dtype=envs.action_space.dtype)
         over = np.zeros(len(parameters), dtype=np.bool_)
         while not over.all():
@@ -180,8 +213,15 @@ def _batch(
         for score, episode in zip(envs.scores(), envs.episodes, strict=True):
             distance = None
             if score is not None:
-                distance = score.rmse_normalized if experiment.trial is None else score.rmse
-            found.append((distance, None if episode.fault is not None else episode.trajectory().frames))
+                distance = (
+                    score.rmse_normalized if experiment.trial is None else score.rmse
+                )
+            found.append(
+                (
+                    distance,
+                    None if episode.fault is not None else episode.trajectory().frames,
+                )
+            )
         return found
     finally:
         envs.close()
@@ -217,14 +257,24 @@ def control_envelope(
     with closing(make_control_env(task, backend=backend, settings=settings)) as env:
         parameters = task_uncertainties(env)
     sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
-    with closing(ControlWorlds(task, [{}], backend=backend, settings=settings)) as worlds:
+    with closing(
+        ControlWorlds(task, [{}], backend=backend, settings=settings)
+    ) as worlds:
         (calibrated,) = _episodes(worlds, _acting(worlds, policy))
     found: list[_Played] = []
     for first in range(0, samples, _checked_batch(batch)):
-        constants = [overrides_at(parameters, row.tolist()) for row in sigmas[first : first + batch]]
-        with closing(ControlWorlds(task, constants, backend=backend, settings=settings)) as worlds:
+        constants = [
+            overrides_at(parameters, row.tolist())
+            for row in sigmas[first : first + batch]
+        ]
+        with closing(
+            ControlWorlds(task, constants, backend=backend, settings=settings)
+        ) as worlds:
             is_blind = isinstance(policy, LawPolicy) and not policy.informed
-            found += _episodes(worlds, _repeating(calibrated.actions) if is_blind else _acting(worlds, policy))
+            found += _episodes(
+                worlds,
+                _repeating(calibrated.actions) if is_blind else _acting(worlds, policy),
+            )
         notify(len(found))
     return Envelope(
         id=f"GAUGE/{task.removeprefix('GAUGE/')}",
@@ -242,9 +292,13 @@ def control_envelope(
     )
 
 
-def _points(name: str, parameters: Sequence[UncertainParameter], samples: int, seed: int) -> FloatArray:
+def _points(
+    name: str, parameters: Sequence[UncertainParameter], samples: int, seed: int
+) -> FloatArray:
     if not parameters:
-        raise ParameterError(f"{name} has no uncertain parameter with a stated uncertainty")
+        raise ParameterError(
+            f"{name} has no uncertain parameter with a stated uncertainty"
+        )
     return sobol_sigmas(samples, len(parameters), seed=seed)
 
 
@@ -283,7 +337,10 @@ def _episodes(worlds: ControlWorlds, act: Act) -> list[_Played]:
             rewards[number] += reward
             if not (terminated or truncated):
                 observations[number] = observation
-    return [_Played(rewards[number], env.report(), actions[number]) for number, env in enumerate(worlds.envs)]
+    return [
+        _Played(rewards[number], env.report(), actions[number])
+        for number, env in enumerate(worlds.envs)
+    ]
 
 
 def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy) -> Act:
@@ -367,13 +424,21 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
     known = np.isfinite(envelope.values)
     values, sigmas = envelope.values[known], envelope.sigmas[known]
     if len(values) < 2:
-        raise ParameterError(f"{envelope.id}: {len(values)} of {len(known)} episodes have a value")
+        raise ParameterError(
+            f"{envelope.id}: {len(values)} of {len(known)} episodes have a value"
+        )
     low, median, high = np.quantile(values, QUANTILES).tolist()
     design = np.column_stack([np.ones(len(values)), sigmas])
     slopes = np.linalg.lstsq(design, values, rcond=None)[0][1:]
     effects = [
-        ParameterEffect(parameter=parameter, rank_correlation=_spearman(column, values), per_sigma=float(slope))
-        for parameter, column, slope in zip(envelope.parameters, sigmas.T, slopes, strict=True)
+        ParameterEffect(
+            parameter=parameter,
+            rank_correlation=_spearman(column, values),
+            per_sigma=float(slope),
+        )
+        for parameter, column, slope in zip(
+            envelope.parameters, sigmas.T, slopes, strict=True
+        )
     ]
     same = sum(ending == envelope.calibrated_ending for ending in envelope.endings)
     shared = ("id", "backend", "quantity", "unit", "policy", "calibrated")

@@ -15,8 +15,18 @@ from gauge_envs.errors import GaugeError, ParameterError, PolicyError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
-from gauge_envs.tools.control import ControlEnv, LimitReport, Policy, find_control_task, play_paid
+from gauge_envs.experiments.uncertain import (
+    UncertainParameter,
+    overrides_at,
+    uncertain_parameters,
+)
+from gauge_envs.tools.control import (
+    ControlEnv,
+    LimitReport,
+    Policy,
+    find_control_task,
+    play_paid,
+)
 
 MOST_SIGMAS = 10.0
 """Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""
@@ -123,7 +133,9 @@ def task_uncertainties(env: ControlEnv) -> tuple[UncertainParameter, ...]:
 
 
 def training_world(
-    engine: str = "mujoco", settings: Mapping[str, Any] | None = None, parameters: Parameters = "calibrated"
+    engine: str = "mujoco",
+    settings: Mapping[str, Any] | None = None,
+    parameters: Parameters = "calibrated",
 ) -> ReplayWorld:
     """Return the world of the training."""
     return ReplayWorld(
@@ -136,7 +148,11 @@ def training_world(
 
 
 def other_worlds(
-    task: str, training: ReplayWorld, *, engines: Sequence[tuple[str, Mapping[str, Any]]], sigmas: Sequence[float]
+    task: str,
+    training: ReplayWorld,
+    *,
+    engines: Sequence[tuple[str, Mapping[str, Any]]],
+    sigmas: Sequence[float],
 ) -> Iterator[ReplayWorld]:
     """Yield worlds that differ from the training: its time step halved, other configurations, other constants.
 
@@ -148,9 +164,14 @@ def other_worlds(
             of `engines`.
     """
     if any(not 0.0 < number <= MOST_SIGMAS for number in sigmas):
-        raise ParameterError(f"sigmas are numbers above 0, at most {MOST_SIGMAS:g}; both directions are run for each")
+        raise ParameterError(
+            f"sigmas are numbers above 0, at most {MOST_SIGMAS:g}; both directions are run for each"
+        )
     env = make_control_env(
-        task, backend=training.backend, settings=training.settings or None, parameters=training.parameters
+        task,
+        backend=training.backend,
+        settings=training.settings or None,
+        parameters=training.parameters,
     )
     with closing(env):
         uncertain = [one for one in task_uncertainties(env) if one.direction is None]
@@ -165,9 +186,16 @@ def other_worlds(
             parameters=training.parameters,
         )
     for engine, settings in engines:
-        if (engine, dict(settings), "calibrated") != (training.backend, dict(training.settings), training.parameters):
+        if (engine, dict(settings), "calibrated") != (
+            training.backend,
+            dict(training.settings),
+            training.parameters,
+        ):
             yield ReplayWorld(
-                name=_titled(engine, settings), kind=WorldKind.CONFIGURATION, backend=engine, settings=settings
+                name=_titled(engine, settings),
+                kind=WorldKind.CONFIGURATION,
+                backend=engine,
+                settings=settings,
             )
         for number in sigmas:
             for one in uncertain:
@@ -190,7 +218,9 @@ def _titled(engine: str, settings: Mapping[str, Any]) -> str:
     return f"{engine} {stated}".strip()
 
 
-def start_overrides(env: ControlEnv, count: int, *, seed: int = 0) -> list[dict[str, Any]]:
+def start_overrides(
+    env: ControlEnv, count: int, *, seed: int = 0
+) -> list[dict[str, Any]]:
     """Return overrides of starts: first the calibrated one, then random ones within the uncertainty of the start.
 
     Args:
@@ -204,7 +234,13 @@ def start_overrides(env: ControlEnv, count: int, *, seed: int = 0) -> list[dict[
     if not movable:
         return [{}]
     random = np.random.default_rng(seed)
-    return [{}, *(overrides_at(movable, random.standard_normal(len(movable)).tolist()) for _ in range(count - 1))]
+    return [
+        {},
+        *(
+            overrides_at(movable, random.standard_normal(len(movable)).tolist())
+            for _ in range(count - 1)
+        ),
+    ]
 
 
 def replay(
@@ -263,7 +299,10 @@ def replay(
 
 
 def _episodes(
-    task: str, policies: Mapping[str, Policy], world: ReplayWorld, starts: Sequence[Mapping[str, Any]]
+    task: str,
+    policies: Mapping[str, Policy],
+    world: ReplayWorld,
+    starts: Sequence[Mapping[str, Any]],
 ) -> list[Replay]:
     found = []
     for number, start in enumerate(starts):
@@ -291,4 +330,9 @@ def _built(task: str, world: ReplayWorld, start: Mapping[str, Any]) -> ControlEn
             with closing(make_control_env(task, parameters=parameters)) as env:
                 parameters = env.experiment.overrides
         parameters = {**parameters, **start}
-    return make_control_env(task, backend=world.backend, settings=world.settings or None, parameters=parameters)
+    return make_control_env(
+        task,
+        backend=world.backend,
+        settings=world.settings or None,
+        parameters=parameters,
+    )

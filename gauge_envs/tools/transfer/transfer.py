@@ -11,7 +11,12 @@ from scipy.stats import t as student
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.uncertainty import LEVEL
-from gauge_envs.tools.transfer.policy_replays import Replay, Replays, ReplayWorld, WorldKind
+from gauge_envs.tools.transfer.policy_replays import (
+    Replay,
+    Replays,
+    ReplayWorld,
+    WorldKind,
+)
 
 FALL_SHARE = 0.9
 """A policy falls where it keeps less than this share of its promise, as far as the law allows that there."""
@@ -97,12 +102,18 @@ def transfer_report(replays: Replays) -> TransferReport:
         replays: The episodes.
     """
     if len(replays.worlds) < 2:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in replays.left_out.items())
-        raise ParameterError(f"{replays.task}: no world could be run besides the training. {reasons}".rstrip())
+        reasons = "; ".join(
+            f"{name}: {reason}" for name, reason in replays.left_out.items()
+        )
+        raise ParameterError(
+            f"{replays.task}: no world could be run besides the training. {reasons}".rstrip()
+        )
     places = {world.name: number for number, world in enumerate(replays.worlds)}
     rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
     for one in replays.episodes:
-        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
+        rewards[places[one.world], replays.policies.index(one.policy), one.start] = (
+            one.reward
+        )
     promised = float(rewards[0].mean())
     if not promised > 0.0:
         raise ParameterError(
@@ -119,7 +130,9 @@ def transfer_report(replays: Replays) -> TransferReport:
             world,
             [one for one in replays.episodes if one.world == world.name],
             reward=_estimate(float(rewards[number].mean()), rewards[number]),
-            kept=Estimate(value=1.0) if number == 0 else _estimate(float(shares[number]), deviations[number]),
+            kept=Estimate(value=1.0)
+            if number == 0
+            else _estimate(float(shares[number]), deviations[number]),
             allowed=largest[world.name] / largest[replays.worlds[0].name],
         )
         for number, world in enumerate(replays.worlds)
@@ -159,12 +172,19 @@ def _half_width(means: Sequence[NDArray[np.float64]]) -> float:
     variance = sum(parts)
     if variance <= 0.0:
         return 0.0
-    freedom = variance**2 / sum(part**2 / (len(one) - 1) for part, one in zip(parts, means, strict=True))
+    freedom = variance**2 / sum(
+        part**2 / (len(one) - 1) for part, one in zip(parts, means, strict=True)
+    )
     return float(student.ppf(0.5 * (1.0 + LEVEL), freedom)) * math.sqrt(variance)
 
 
 def _world(
-    world: ReplayWorld, episodes: Sequence[Replay], *, reward: Estimate, kept: Estimate, allowed: float
+    world: ReplayWorld,
+    episodes: Sequence[Replay],
+    *,
+    reward: Estimate,
+    kept: Estimate,
+    allowed: float,
 ) -> WorldTransfer:
     ratios = [one.report.ratio for one in episodes]
     highest = kept.value if kept.high is None else kept.high
@@ -177,7 +197,8 @@ def _world(
         z=float(np.mean([one.report.z for one in episodes])),
         endings=dict(Counter(one.report.ending.value for one in episodes)),
         allowed=allowed,
-        falls=world.kind is not WorldKind.TRAINING and highest < FALL_SHARE * min(1.0, allowed),
+        falls=world.kind is not WorldKind.TRAINING
+        and highest < FALL_SHARE * min(1.0, allowed),
     )
 
 

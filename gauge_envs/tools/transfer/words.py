@@ -14,7 +14,12 @@ from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted, value_text, with_unit
 from gauge_envs.tools.transfer.envelope import Envelope, EnvelopeReport, is_constant
-from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
+from gauge_envs.tools.transfer.transfer import (
+    FALL_SHARE,
+    Estimate,
+    TransferReport,
+    WorldTransfer,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,13 +31,19 @@ def transfer_verdict(report: TransferReport) -> str:
     sentences = [f"Keeps {_percent(report.kept)} of the promised reward"]
     fall = report.first_fall
     if fall is None:
-        sentences[0] += f"; falls below {100 * FALL_SHARE:.0f} % of it in none of {len(report.others)} worlds."
+        sentences[0] += (
+            f"; falls below {100 * FALL_SHARE:.0f} % of it in none of {len(report.others)} worlds."
+        )
     else:
         number = sum(row.falls for row in report.others)
-        sentences[0] += f"; first falls with {fall.world.name}, where it keeps {_percent(fall.kept)}."
+        sentences[0] += (
+            f"; first falls with {fall.world.name}, where it keeps {_percent(fall.kept)}."
+        )
         sentences.append(f"It falls in {number} of {len(report.others)} worlds.")
     trained = report.training
-    sentences.append(f"In training it reached {trained.ratio:.2f} of what the law allows.")
+    sentences.append(
+        f"In training it reached {trained.ratio:.2f} of what the law allows."
+    )
     above = max((trained, *report.others), key=lambda row: row.largest_ratio)
     if above.largest_ratio > 1.0:
         sentences.append(
@@ -67,14 +78,31 @@ def transfer_document(report: TransferReport) -> Document:
     table = Table(
         columns=(
             Column("world.name", "world"),
-            Column("reward.value", "reward", lambda value: f"{value:.2f}", is_number=True),
+            Column(
+                "reward.value", "reward", lambda value: f"{value:.2f}", is_number=True
+            ),
             Column("kept", "kept", _percent, is_number=True),
-            Column("allowed", "law allows", lambda value: f"{value:.3f}", is_number=True),
+            Column(
+                "allowed", "law allows", lambda value: f"{value:.3f}", is_number=True
+            ),
             Column("ratio", "of the law", lambda value: f"{value:.3f}", is_number=True),
-            Column("z", "z", lambda value: f"{value:+.1f}", is_number=True, wide_only=True),
-            Column("endings", "episodes", lambda value: ", ".join(f"{n} {e}" for e, n in value.items())),
-            Column("falls", "", lambda value: "falls" if value else "", style=lambda value: "red" if value else ""),
-            Column("world.source", "source of sigma", place=Place.BELOW, wide_only=True),
+            Column(
+                "z", "z", lambda value: f"{value:+.1f}", is_number=True, wide_only=True
+            ),
+            Column(
+                "endings",
+                "episodes",
+                lambda value: ", ".join(f"{n} {e}" for e, n in value.items()),
+            ),
+            Column(
+                "falls",
+                "",
+                lambda value: "falls" if value else "",
+                style=lambda value: "red" if value else "",
+            ),
+            Column(
+                "world.source", "source of sigma", place=Place.BELOW, wide_only=True
+            ),
         ),
         rows=worlds,
     )
@@ -84,7 +112,9 @@ def transfer_document(report: TransferReport) -> Document:
         "policies": report.policies,
         "starts": report.starts,
         "kept": dataclasses.asdict(report.kept),
-        "first_fall": None if report.first_fall is None else report.first_fall.world.name,
+        "first_fall": None
+        if report.first_fall is None
+        else report.first_fall.world.name,
         "left_out": report.left_out,
         "verdict": verdict,
     }
@@ -103,7 +133,9 @@ def _world_row(row: WorldTransfer) -> dict[str, Any]:
 
 def envelope_verdict(report: EnvelopeReport) -> str:
     """Return the result in a few sentences."""
-    endings = ", ".join(f"{number} {ending}" for ending, number in report.endings.items())
+    endings = ", ".join(
+        f"{number} {ending}" for ending, number in report.endings.items()
+    )
     sentences = [
         f"{report.quantity} {with_unit(f'{report.calibrated:.4g}', report.unit)} at the calibrated values; over the "
         f"measured uncertainty the median is {report.median:.4g}, and 95 % of {report.samples} samples are from "
@@ -111,7 +143,9 @@ def envelope_verdict(report: EnvelopeReport) -> str:
         f"Episodes: {endings}; {100 * report.as_calibrated:.1f} % end as the calibrated one does.",
     ]
     if report.largest_ratio is not None:
-        sentences.append(f"The largest ratio to the law's limit is {report.largest_ratio:.3f}.")
+        sentences.append(
+            f"The largest ratio to the law's limit is {report.largest_ratio:.3f}."
+        )
     return " ".join(sentences)
 
 
@@ -126,10 +160,22 @@ def envelope_document(report: EnvelopeReport) -> Document:
         columns=(
             Column("parameter.name", "parameter"),
             Column("parameter.value", "calibrated", calibrated, is_number=True),
-            Column("parameter.std", "sigma", lambda value: f"{value:.3g}", is_number=True),
+            Column(
+                "parameter.std", "sigma", lambda value: f"{value:.3g}", is_number=True
+            ),
             Column("parameter.unit", "unit"),
-            Column("rank_correlation", "rank correlation", lambda value: f"{value:+.2f}", is_number=True),
-            Column("per_sigma", f"{report.quantity} per sigma", lambda value: f"{value:+.3g}", is_number=True),
+            Column(
+                "rank_correlation",
+                "rank correlation",
+                lambda value: f"{value:+.2f}",
+                is_number=True,
+            ),
+            Column(
+                "per_sigma",
+                f"{report.quantity} per sigma",
+                lambda value: f"{value:+.3g}",
+                is_number=True,
+            ),
             Column("parameter.source", "source of sigma", place=Place.BELOW),
         ),
         rows=report.effects,
@@ -151,24 +197,44 @@ COLUMNS = 3
 def draw_transfer(report: TransferReport) -> Figure:
     """Return the picture of kept rewards: a point with its interval for each world."""
     rows = (report.training, *report.others)
-    names = ["\n".join(wrap(row.world.name, LONG_NAME, break_on_hyphens=False)) for row in rows]
+    names = [
+        "\n".join(wrap(row.world.name, LONG_NAME, break_on_hyphens=False))
+        for row in rows
+    ]
     # Two lines of a name need more height than one world has.
-    figure = new_figure(9.0, 0.28 * len(rows) + 0.12 * sum("\n" in name for name in names) + 1.6)
+    figure = new_figure(
+        9.0, 0.28 * len(rows) + 0.12 * sum("\n" in name for name in names) + 1.6
+    )
     axis = figure.add_subplot()
     for place, row in enumerate(rows):
         color = REAL if place == 0 else OURS[1] if row.falls else OURS[0]
         kept = row.kept
         if kept.low is not None and kept.high is not None:
-            axis.plot([100 * kept.low, 100 * kept.high], [place, place], color=color, lw=2.0, solid_capstyle="round")
+            axis.plot(
+                [100 * kept.low, 100 * kept.high],
+                [place, place],
+                color=color,
+                lw=2.0,
+                solid_capstyle="round",
+            )
         axis.plot(100 * kept.value, place, "o", color=color, ms=6)
         allowed = 100 * min(1.0, row.allowed)
-        axis.plot([allowed, allowed], [place - 0.4, place + 0.4], color="#707070", lw=1.2)
+        axis.plot(
+            [allowed, allowed], [place - 0.4, place + 0.4], color="#707070", lw=1.2
+        )
     axis.set_yticks(range(len(rows)), names, fontsize=8)
     axis.set_ylim(len(rows) - 0.5, -0.5)
-    lowest = min([0.0, *(row.kept.value if row.kept.low is None else row.kept.low for row in rows)])
+    lowest = min(
+        [
+            0.0,
+            *(row.kept.value if row.kept.low is None else row.kept.low for row in rows),
+        ]
+    )
     axis.set_xlim(100 * lowest - 5, None)
     axis.set_xlabel("reward kept [% of the promise]", loc="left", fontsize=9)
-    note = f"bar: what the law allows there; orange: below {100 * FALL_SHARE:.0f} % of it"
+    note = (
+        f"bar: what the law allows there; orange: below {100 * FALL_SHARE:.0f} % of it"
+    )
     figure.suptitle(f"{report.task}   {note}", x=0.01, ha="left", fontsize=9)
     tidy_axis(axis)
     return figure
@@ -189,11 +255,23 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
         column = envelope.sigmas[:, envelope.parameters.index(effect.parameter)]
         for ending in endings:
             chosen = np.array([one == ending for one in envelope.endings])
-            axis.plot(column[chosen], envelope.values[chosen], ".", ms=2.5, alpha=0.5, color=colors[ending])
+            axis.plot(
+                column[chosen],
+                envelope.values[chosen],
+                ".",
+                ms=2.5,
+                alpha=0.5,
+                color=colors[ending],
+            )
         axis.axvline(0.0, color=REAL, lw=0.8)
         sigma = with_unit(f"{effect.parameter.std:.2g}", effect.parameter.unit)
-        axis.set_xlabel(f"{effect.parameter.name}\nfrom the calibrated value [sigma = {sigma}]", fontsize=8)
-        axis.set_title(f"rank correlation {effect.rank_correlation:+.2f}", loc="left", fontsize=8)
+        axis.set_xlabel(
+            f"{effect.parameter.name}\nfrom the calibrated value [sigma = {sigma}]",
+            fontsize=8,
+        )
+        axis.set_title(
+            f"rank correlation {effect.rank_correlation:+.2f}", loc="left", fontsize=8
+        )
         tidy_axis(axis)
     title = f"{report.id}  {report.backend}, {report.samples} samples"
     acted = "" if report.policy == "none" else f"; {report.policy}"
@@ -201,11 +279,18 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
     return figure
 
 
-def _draw_distribution(axis: Axes, envelope: Envelope, report: EnvelopeReport, colors: dict[str, str]) -> None:
+def _draw_distribution(
+    axis: Axes, envelope: Envelope, report: EnvelopeReport, colors: dict[str, str]
+) -> None:
     known = np.isfinite(envelope.values)
     if not is_constant(envelope.values[known]):
         bins = np.histogram_bin_edges(envelope.values[known], bins=40).tolist()
-        stacked = [envelope.values[known & np.array([one == ending for one in envelope.endings])] for ending in colors]
+        stacked = [
+            envelope.values[
+                known & np.array([one == ending for one in envelope.endings])
+            ]
+            for ending in colors
+        ]
         axis.hist(stacked, bins=bins, orientation="horizontal", stacked=True, color=list(colors.values()),
                   label=list(colors))  # fmt: skip
     axis.axhline(report.calibrated, color=REAL, lw=1.2, label="calibrated")

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.usd.experiment_file import load_experiment_file as load_experiment_file
+    from gauge_envs.tools.usd.experiment_file import (
+        load_experiment_file as load_experiment_file,
+    )
     from gauge_envs.tools.usd.isaac_fabric import surface_constants as surface_constants
     from gauge_envs.tools.usd.layer import record_follower as record_follower
     from gauge_envs.tools.usd.reader import (
@@ -14,6 +16,10 @@ if TYPE_CHECKING:
         read_points as read_points,
         read_usd as read_usd,
     )
-    from gauge_envs.tools.usd.writer import export_stage as export_stage, scene_stage as scene_stage, to_usd as to_usd
+    from gauge_envs.tools.usd.writer import (
+        export_stage as export_stage,
+        scene_stage as scene_stage,
+        to_usd as to_usd,
+    )
 else:
     __getattr__, __all__ = door(__name__)

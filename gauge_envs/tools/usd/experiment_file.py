@@ -24,7 +24,14 @@ from gauge_envs.experiments.experiment import (
     driver_provenance,
 )
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import Camera, DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
+from gauge_envs.experiments.tables import (
+    Camera,
+    DriverSpec,
+    Fraction,
+    JointConstants,
+    MotorSpec,
+    hinge_terms,
+)
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import outside_reason, toml_document
@@ -174,20 +181,26 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
         table = _named_file(path, "band.file", definition.band.file)
         stated = definition.band.model_dump(exclude={"file"})
         unit = definition.score.observable.unit
-        band = read_band(table, BandSidecar(**stated, unit=unit, frames=definition.frames), path)
+        band = read_band(
+            table, BandSidecar(**stated, unit=unit, frames=definition.frames), path
+        )
         contents.append(read_bytes(table))
     experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
         scene,
         band,
-        asset=Asset(path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)),
+        asset=Asset(
+            path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)
+        ),
         file_sha256=contents_sha256(contents),
     )
     check_fit(experiment, experiment)
     names = experiment.coordinates
     if band is not None and band.projection.shape[1] != len(names):
         taken = f"it takes {band.projection.shape[1]} coordinates"
-        raise TaskFileError(path, "band", f"{taken}, g(t) has {len(names)}: {', '.join(names[:6])}")
+        raise TaskFileError(
+            path, "band", f"{taken}, g(t) has {len(names)}: {', '.join(names[:6])}"
+        )
     return experiment
 
 
@@ -200,7 +213,12 @@ def _named_file(path: Path, key: str, name: str) -> Path:
 
 
 def _file_experiment(
-    definition: ExperimentFile, scene: Scene, band: Band | None, *, asset: Asset, file_sha256: str
+    definition: ExperimentFile,
+    scene: Scene,
+    band: Band | None,
+    *,
+    asset: Asset,
+    file_sha256: str,
 ) -> FileExperiment:
     name = f"{ASSET_NAME}-{definition.name}"
     unit = definition.score.observable.unit
@@ -252,30 +270,62 @@ def recorded_experiment_file(
     """Build an experiment from `experiment_record` and its scene."""
     definition = ExperimentFile.model_validate(record["definition"])
     band = None if record["band"] is None else Band.from_dict(record["band"])
-    return _file_experiment(definition, scene, band, asset=asset, file_sha256=file_sha256)
+    return _file_experiment(
+        definition, scene, band, asset=asset, file_sha256=file_sha256
+    )
 
 
 # --- scene -----------------------------------------------------------------------------------------------------------
 
 
-def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
+def _scene(
+    path: Path, layer: Path, definition: ExperimentFile
+) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
     """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
     has_markers = definition.markers is None
-    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
+    found = read_usd(
+        layer,
+        duration_s=duration_s,
+        friction=definition.friction,
+        has_markers=has_markers,
+    )
     scene = replace(found.scene, duration_s=duration_s)
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
     for index, spec in enumerate(definition.joints):
-        scene = _with_terms(path, f"joints.{index}", scene, names(f"joints.{index}.body", spec.body), spec)
-    scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
+        scene = _with_terms(
+            path,
+            f"joints.{index}",
+            scene,
+            names(f"joints.{index}.body", spec.body),
+            spec,
+        )
+    scene = replace(
+        scene,
+        drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)),
+    )
     if definition.markers is not None:
         scene = replace(scene, markers=_markers(path, layer, names, definition.markers))
-    if (definition.score.observable is Observable.POSITION) != bool(definition.recorded):
-        needed = "recorded bodies" if not definition.recorded else "no recorded bodies, but markers"
-        raise TaskFileError(path, "recorded", f"observable {definition.score.observable.value!r} needs {needed}")
-    return scene, tuple(names("recorded", name) for name in definition.recorded), found.used_files
+    if (definition.score.observable is Observable.POSITION) != bool(
+        definition.recorded
+    ):
+        needed = (
+            "recorded bodies"
+            if not definition.recorded
+            else "no recorded bodies, but markers"
+        )
+        raise TaskFileError(
+            path,
+            "recorded",
+            f"observable {definition.score.observable.value!r} needs {needed}",
+        )
+    return (
+        scene,
+        tuple(names("recorded", name) for name in definition.recorded),
+        found.used_files,
+    )
 
 
 Names = Callable[[str, str], str]
@@ -283,12 +333,16 @@ Names = Callable[[str, str], str]
 
 
 def _names(path: Path, layer: Path, paths: Mapping[str, str]) -> Names:
-    known = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
+    known = {name: name for name in paths} | {
+        prim: name for name, prim in paths.items()
+    }
 
     def name_of(key: str, stated: str) -> str:
         if stated not in known:
             prims = ", ".join(paths.values()) or "none"
-            raise AssetError(path, key, f"{stated!r} is no body of {layer.name}, which has: {prims}")
+            raise AssetError(
+                path, key, f"{stated!r} is no body of {layer.name}, which has: {prims}"
+            )
         return known[stated]
 
     return name_of
@@ -300,7 +354,9 @@ def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Ma
         try:
             stated["positions_m"] = read_points(layer, spec.prim).tolist()
         except AssetError as error:
-            raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
+            raise AssetError(
+                path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}"
+            ) from None
     try:
         whole = MarkersSpec.model_validate(stated)
     except ValidationError as error:
@@ -309,7 +365,9 @@ def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Ma
     return Markers(**(whole.model_dump() | {"bodies": bodies}))
 
 
-def _with_pair(path: Path, key: str, scene: Scene, names: Names, pair: PairSpec) -> Scene:
+def _with_pair(
+    path: Path, key: str, scene: Scene, names: Names, pair: PairSpec
+) -> Scene:
     """Return the scene with the constants of one pair; a contact of several pairs is split."""
     wanted = frozenset(names(f"{key}.bodies", name) for name in pair.bodies)
     changes = pair.model_dump(exclude={"bodies"}, exclude_none=True)
@@ -323,40 +381,73 @@ def _with_pair(path: Path, key: str, scene: Scene, names: Names, pair: PairSpec)
         found = True
         for first, second in pairs:
             one = replace(contact, first=(first,), second=(second,))
-            contacts.append(replace(one, **changes) if frozenset((first, second)) == wanted else one)
+            contacts.append(
+                replace(one, **changes) if frozenset((first, second)) == wanted else one
+            )
     if not found:
-        raise AssetError(path, f"{key}.bodies", f"{' and '.join(sorted(wanted))} do not collide in the USD layer")
+        raise AssetError(
+            path,
+            f"{key}.bodies",
+            f"{' and '.join(sorted(wanted))} do not collide in the USD layer",
+        )
     return replace(scene, contacts=tuple(contacts))
 
 
-def _with_terms(path: Path, key: str, scene: Scene, body: str, spec: FileHingeSpec) -> Scene:
+def _with_terms(
+    path: Path, key: str, scene: Scene, body: str, spec: FileHingeSpec
+) -> Scene:
     """Return the scene with the terms of the hinge that turns a body."""
-    turned = [hinge for hinge in scene.hinges if body == (hinge.body if isinstance(hinge, Hinge) else hinge.second)]
+    turned = [
+        hinge
+        for hinge in scene.hinges
+        if body == (hinge.body if isinstance(hinge, Hinge) else hinge.second)
+    ]
     if len(turned) != 1:
         raise AssetError(
-            path, f"{key}.body", f"{body} is the body, or the second one, of {len(turned)} hinges, not one"
+            path,
+            f"{key}.body",
+            f"{body} is the body, or the second one, of {len(turned)} hinges, not one",
         )
     try:
-        terms: dict[str, Any] = {"motor": None} | hinge_terms(spec.model_dump(exclude={"body", "motor"}), spec.motor)
+        terms: dict[str, Any] = {"motor": None} | hinge_terms(
+            spec.model_dump(exclude={"body", "motor"}), spec.motor
+        )
     except ValueError as error:
         raise TaskFileError(path, key, str(error)) from None
     return replace(
         scene,
-        joints=tuple(replace(one, **terms) if one is turned[0] else one for one in scene.joints),
-        body_hinges=tuple(replace(one, **terms) if one is turned[0] else one for one in scene.body_hinges),
+        joints=tuple(
+            replace(one, **terms) if one is turned[0] else one for one in scene.joints
+        ),
+        body_hinges=tuple(
+            replace(one, **terms) if one is turned[0] else one
+            for one in scene.body_hinges
+        ),
     )
 
 
-def _drivers(path: Path, names: Names, scene: Scene, specs: Sequence[DriverSpec]) -> list[Driver]:
+def _drivers(
+    path: Path, names: Names, scene: Scene, specs: Sequence[DriverSpec]
+) -> list[Driver]:
     drivers = []
     for index, spec in enumerate(specs):
         key = f"drivers.{index}"
         body = scene.body(names(f"{key}.body", spec.body))
         if body.motion is not Motion.KINEMATIC:
-            raise AssetError(path, f"{key}.body", f"{body.name} is {body.motion.value} in the USD layer, not kinematic")
+            raise AssetError(
+                path,
+                f"{key}.body",
+                f"{body.name} is {body.motion.value} in the USD layer, not kinematic",
+            )
         if any(driver.body == body.name for driver in scene.drivers):
-            raise AssetError(path, f"{key}.body", f"{body.name} is animated in the USD layer already")
+            raise AssetError(
+                path, f"{key}.body", f"{body.name} is animated in the USD layer already"
+            )
         if not isinstance(spec.provenance, str):
-            raise TaskFileError(path, f"{key}.provenance", "one word is expected: there are no materials here")
+            raise TaskFileError(
+                path,
+                f"{key}.provenance",
+                "one word is expected: there are no materials here",
+            )
         drivers.append(spec.build(body.name, body.pose, spec.provenance))
     return drivers

@@ -8,7 +8,10 @@ from gauge_envs.tools.usd.experiment_file import (
     load_experiment_file as load_experiment_file,
     recorded_experiment_file as recorded_experiment_file,
 )
-from gauge_envs.tools.usd.reader import read_points as read_points, read_usd as read_scene
+from gauge_envs.tools.usd.reader import (
+    read_points as read_points,
+    read_usd as read_scene,
+)
 from gauge_envs.tools.usd.writer import to_usd as write_scene
 
 __all__ = [

@@ -27,13 +27,17 @@ def surface_constants(fabric: Fabric) -> FabricConstants:
     """
     thickness = fabric.thickness_m
     youngs_modulus = fabric.stretch_stiffness_n_per_m / thickness
-    measured = fabric.stretch_stiffness_n_per_m / (2.0 * fabric.shear_stiffness_n_per_m) - 1.0
+    measured = (
+        fabric.stretch_stiffness_n_per_m / (2.0 * fabric.shear_stiffness_n_per_m) - 1.0
+    )
     poissons_ratio = measured
     fallbacks: tuple[str, ...] = ()
     if not 0.0 <= measured < 0.5:
         poissons_ratio = POISSON_BELOW if measured < 0.0 else POISSON_ABOVE
         bound = "negative" if measured < 0.0 else "0.5 or more"
-        fallbacks = (f"poissons_ratio {poissons_ratio:.2f}, as K_s/(2 K_sh) - 1 = {measured:.3g} is {bound}",)
+        fallbacks = (
+            f"poissons_ratio {poissons_ratio:.2f}, as K_s/(2 K_sh) - 1 = {measured:.3g} is {bound}",
+        )
     stretch_stiffness = youngs_modulus * thickness
     return FabricConstants(
         engine="isaac",
@@ -41,9 +45,14 @@ def surface_constants(fabric: Fabric) -> FabricConstants:
         constants={
             "youngs_modulus": youngs_modulus,
             "poissons_ratio": poissons_ratio,
-            "surfaceBendStiffness": fabric.bend_stiffness_n_m_per_rad / (4.0 * thickness**3),
+            "surfaceBendStiffness": fabric.bend_stiffness_n_m_per_rad
+            / (4.0 * thickness**3),
         },
-        units={"youngs_modulus": "Pa", "poissons_ratio": "1", "surfaceBendStiffness": "Pa"},
+        units={
+            "youngs_modulus": "Pa",
+            "poissons_ratio": "1",
+            "surfaceBendStiffness": "Pa",
+        },
         stretch_stiffness_n_per_m=stretch_stiffness,
         shear_stiffness_n_per_m=stretch_stiffness / (2.0 * (1.0 + poissons_ratio)),
         replaced=("poissons_ratio",) if fallbacks else (),

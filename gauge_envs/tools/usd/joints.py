@@ -15,7 +15,14 @@ from pxr import Sdf, Usd, UsdPhysics
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ShapeError, first_fault
-from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
+from gauge_envs.scene.bodies import (
+    BodyHinge,
+    Hinge,
+    JointDynamics,
+    Motion,
+    RigidBody,
+    Tether,
+)
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Pose, pose_distance, vector
@@ -43,7 +50,11 @@ UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
 
 
-UNREAD = ("physxJoint:jointFriction", "mjc:stiffness", "drive:angular:physics:targetVelocity")
+UNREAD = (
+    "physxJoint:jointFriction",
+    "mjc:stiffness",
+    "drive:angular:physics:targetVelocity",
+)
 """Attributes with physics that joints of a scene do not have, unless they are 0."""
 
 
@@ -87,7 +98,11 @@ class _End:
     def reading(self) -> StoredValue | None:
         """Return the authored origin of the frame in world coordinates [m]."""
         source, space = self._source, self.space
-        convert = source.world_m if space is None else lambda points: source.to_world(space, points)
+        convert = (
+            source.world_m
+            if space is None
+            else lambda points: source.to_world(space, points)
+        )
         return source.reading(self.position, (3,), convert)
 
     def place(self) -> FloatArray:
@@ -95,17 +110,27 @@ class _End:
         stated = self.reading()
         if stated is not None:
             return stated.value
-        return np.zeros(3) if self.space is None else self._source.to_world(self.space, np.zeros(3))
+        return (
+            np.zeros(3)
+            if self.space is None
+            else self._source.to_world(self.space, np.zeros(3))
+        )
 
     def axis(self, letter: str) -> FloatArray:
         """Return the direction of an axis of the frame in the world."""
         source, quaternion = self._source, self._source.numbers(self.rotation, (4,))
         if quaternion is not None and not quaternion.any():
-            raise source.fault(self.rotation, "is a zero quaternion: a rotation is expected")
-        axis = hinge_axis(np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter)
+            raise source.fault(
+                self.rotation, "is a zero quaternion: a rotation is expected"
+            )
+        axis = hinge_axis(
+            np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter
+        )
         if self.space is None:
             return source.up @ axis
-        return source.frame(self.space, Usd.TimeCode(source.start)).pose.rotation.apply(axis)
+        return source.frame(self.space, Usd.TimeCode(source.start)).pose.rotation.apply(
+            axis
+        )
 
 
 def _ends(source: Source, joint: Usd.Prim) -> list[_End]:
@@ -117,13 +142,16 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
     return [
         prim
         for prim in source.prims()
-        if prim.IsA(UsdPhysics.Joint) and source.flag(UsdPhysics.Joint(prim).GetJointEnabledAttr(), default=True)
+        if prim.IsA(UsdPhysics.Joint)
+        and source.flag(UsdPhysics.Joint(prim).GetJointEnabledAttr(), default=True)
     ]
 
 
 def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
     """Return whether a joint fixes a body to the world."""
-    return joint.IsA(UsdPhysics.FixedJoint) and _world_joint(source, joint)[1].body == body
+    return (
+        joint.IsA(UsdPhysics.FixedJoint) and _world_joint(source, joint)[1].body == body
+    )
 
 
 def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
@@ -131,7 +159,9 @@ def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
     return all(end.body for end in _ends(source, joint))
 
 
-def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> BodyHinge:
+def read_body_hinge(
+    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+) -> BodyHinge:
     """Return the hinge of a revolute joint between two bodies.
 
     Its frames in both bodies must coincide at the start. They count if one of them was edited; otherwise the exact
@@ -144,12 +174,20 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
     """
     kind = str(prim.GetTypeName())
     if kind != "PhysicsRevoluteJoint":
-        raise source.fault(prim, f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read")
+        raise source.fault(
+            prim,
+            f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read",
+        )
     _check_plain(source, prim)
     ends, letter = _ends(source, prim), _letter(source, prim)
     places, axes = [end.place() for end in ends], [end.axis(letter) for end in ends]
-    edited = any(_is_edited(one) for end in ends for one in (end.position, end.rotation))
-    exact = [source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,)) for name in ("anchor_m", "axis")]
+    edited = any(
+        _is_edited(one) for end in ends for one in (end.position, end.rotation)
+    )
+    exact = [
+        source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,))
+        for name in ("anchor_m", "axis")
+    ]
     anchor = places[0] if edited or exact[0] is None else exact[0]
     axis = axes[0] if edited or exact[1] is None else exact[1]
     gap = max(float(np.linalg.norm(place - anchor)) for place in places)
@@ -162,10 +200,18 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
         )
     first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
     place, terms = vector(anchor), _terms(source, prim)
-    return BodyHinge(first=first, second=second, anchor_m=place, axis=vector(_normalized(axis)), **terms)
+    return BodyHinge(
+        first=first,
+        second=second,
+        anchor_m=place,
+        axis=vector(_normalized(axis)),
+        **terms,
+    )
 
 
-def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
+def read_joint(
+    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+) -> Hinge | Tether | None:
     """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
 
     The joint's end in the world is the anchor. Its end in the body must coincide with the anchor. An exception is an
@@ -182,7 +228,8 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         return None
     if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
         raise source.fault(
-            prim, f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read"
+            prim,
+            f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read",
         )
     assert moving.body is not None
     body = bodies[moving.body.GetPath()]
@@ -196,7 +243,9 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
     if kind == "PhysicsDistanceJoint":
         return _tether(source, prim, body, anchor, moving.place())
     # If only the body was moved, the anchor stays.
-    is_free = bool(double and double.HasAuthoredValue()) and not _is_edited(moving.position)
+    is_free = bool(double and double.HasAuthoredValue()) and not _is_edited(
+        moving.position
+    )
     return _hinge(source, prim, body, anchor, world, moving, is_free=is_free)
 
 
@@ -207,13 +256,17 @@ def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
     if len(moving) != 1:
         joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
         raise source.fault(
-            prim, f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world"
+            prim,
+            f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world",
         )
     return ends[0], ends[1]
 
 
 def _letter(source: Source, prim: Usd.Prim) -> str:
-    return source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
+    return (
+        source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z"))
+        or "X"
+    )
 
 
 def _normalized(axis: FloatArray) -> FloatArray:
@@ -229,43 +282,95 @@ def _is_edited(attribute: Usd.Attribute) -> bool:
 
 def _check_plain(source: Source, prim: Usd.Prim) -> None:
     """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
-    applied = [name for name in prim.GetAppliedSchemas() if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))]
-    applied = [name for name in applied if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)]
+    applied = [
+        name
+        for name in prim.GetAppliedSchemas()
+        if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))
+    ]
+    applied = [
+        name
+        for name in applied
+        if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)
+    ]
     if applied:
-        raise source.fault(prim, f"unsupported joint: it has {applied[0]}, and joints of a scene move freely")
-    for name in ("physics:lowerLimit", "physics:upperLimit", "physics:breakForce", "physics:breakTorque"):
+        raise source.fault(
+            prim,
+            f"unsupported joint: it has {applied[0]}, and joints of a scene move freely",
+        )
+    for name in (
+        "physics:lowerLimit",
+        "physics:upperLimit",
+        "physics:breakForce",
+        "physics:breakTorque",
+    ):
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is not None and np.isfinite(value):
-            raise source.fault(attribute, f"unsupported joint: it is {value}, but joints of a scene have no limits")
+            raise source.fault(
+                attribute,
+                f"unsupported joint: it is {value}, but joints of a scene have no limits",
+            )
 
 
-def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, end_m: FloatArray) -> Tether:
+def _tether(
+    source: Source,
+    prim: Usd.Prim,
+    body: RigidBody,
+    anchor: FloatArray,
+    end_m: FloatArray,
+) -> Tether:
     joint = UsdPhysics.DistanceJoint(prim)
     if np.linalg.norm(end_m - body.pose.position_m) > GAP_M:
-        raise source.fault(prim, f"ends at {end_m.tolist()} m, not at the origin of {body.name!r}, where strings end")
+        raise source.fault(
+            prim,
+            f"ends at {end_m.tolist()} m, not at the origin of {body.name!r}, where strings end",
+        )
     shortest = source.number(joint.GetMinDistanceAttr())
     if shortest is not None and shortest > 0.0:
-        raise source.fault(joint.GetMinDistanceAttr(), f"unsupported joint: it is {shortest}, and a string only pulls")
-    longest = source.reading(joint.GetMaxDistanceAttr(), (), lambda length: length * source.metres)
+        raise source.fault(
+            joint.GetMinDistanceAttr(),
+            f"unsupported joint: it is {shortest}, and a string only pulls",
+        )
+    longest = source.reading(
+        joint.GetMaxDistanceAttr(), (), lambda length: length * source.metres
+    )
     length = source.counted(prim.GetAttribute("gauge:length_m"), [longest])
     if length is None or length <= 0.0:
-        raise source.fault(prim, "physics:maxDistance, the length of the string, is missing or not positive")
+        raise source.fault(
+            prim,
+            "physics:maxDistance, the length of the string, is missing or not positive",
+        )
     return Tether(body=body.name, anchor_m=vector(anchor), length_m=float(length))
 
 
 def _hinge(
-    source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, world: _End, moving: _End, *, is_free: bool
+    source: Source,
+    prim: Usd.Prim,
+    body: RigidBody,
+    anchor: FloatArray,
+    world: _End,
+    moving: _End,
+    *,
+    is_free: bool,
 ) -> Hinge:
     """Return the hinge; the place of a free one in its body does not count."""
     letter = _letter(source, prim)
     stated = world.axis(letter)
-    standard = StoredValue(place=str(world.rotation.GetPath()), raw=stated, value=stated)
+    standard = StoredValue(
+        place=str(world.rotation.GetPath()), raw=stated, value=stated
+    )
     double = prim.GetAttribute("gauge:axis")
-    axis = source.counted(double, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
+    axis = source.counted(
+        double,
+        [standard],
+        (3,),
+        rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))),
+    )
     assert axis is not None
     if abs(float(np.linalg.norm(axis)) - 1.0) > UNIT:
-        raise source.fault(prim, f"its axis {axis.tolist()} is not a unit vector: normalize it")
+        raise source.fault(
+            prim, f"its axis {axis.tolist()} is not a unit vector: normalize it"
+        )
     axis = _normalized(axis)
     if not is_free or _is_edited(moving.rotation):
         gap = 0.0 if is_free else float(np.linalg.norm(moving.place() - anchor))
@@ -283,30 +388,51 @@ def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
     """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign."""
     for attribute in map(prim.GetAttribute, UNREAD):
         if attribute and source.number(attribute):
-            raise source.fault(attribute, f"unsupported joint: it is {attribute.Get()}, and a scene has no such term")
+            raise source.fault(
+                attribute,
+                f"unsupported joint: it is {attribute.Get()}, and a scene has no such term",
+            )
     unit, dynamics = source.kilograms * source.metres**2, {}
     for field, name in DYNAMICS.items():
-        other = [source.reading(prim.GetAttribute(PHYSX_ARMATURE))] if name == "mjc:armature" else []
+        other = (
+            [source.reading(prim.GetAttribute(PHYSX_ARMATURE))]
+            if name == "mjc:armature"
+            else []
+        )
         if (value := source.counted(prim.GetAttribute(name), other)) is not None:
             dynamics[field] = float(value) * (1.0 if field == "backlash_rad" else unit)
     drive = UsdPhysics.DriveAPI(prim, "angular")
     kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
-    motor = None if kind is None else {"kind": kind} | _motor(source, prim, drive, unit, sign)
+    motor = (
+        None
+        if kind is None
+        else {"kind": kind} | _motor(source, prim, drive, unit, sign)
+    )
     try:
         return dict(_Terms.model_validate({"dynamics": dynamics, "motor": motor}))
     except ValidationError as error:
         raise source.fault(prim, ": ".join(first_fault(error))) from None
 
 
-def _motor(source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: float, sign: float) -> dict[str, Any]:
+def _motor(
+    source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: float, sign: float
+) -> dict[str, Any]:
     """Return the fields of a motor; a drive of another tool holds its target."""
     source.text(drive.GetTypeAttr(), ("force",))
-    motor: dict[str, Any] = {"delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0}
+    motor: dict[str, Any] = {
+        "delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0
+    }
     for field, (name, factor) in DRIVE.items():
         standard = prim.GetAttribute(name)
         is_given = standard and standard.Get() != math.inf
-        reading = source.reading(standard, (), partial(np.multiply, factor * unit)) if is_given else None
-        if (value := source.counted(prim.GetAttribute(f"gauge:{field}"), [reading])) is not None:
+        reading = (
+            source.reading(standard, (), partial(np.multiply, factor * unit))
+            if is_given
+            else None
+        )
+        if (
+            value := source.counted(prim.GetAttribute(f"gauge:{field}"), [reading])
+        ) is not None:
             motor[field] = float(value)
     command = prim.GetAttribute("gauge:command")
     target = sign * math.radians(source.number(drive.GetTargetPositionAttr()) or 0.0)
@@ -314,7 +440,10 @@ def _motor(source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: flo
         stated = json.loads(source.text(command) or "null")
     except ValueError as error:
         raise source.fault(command, f"is not JSON: {error}") from None
-    return motor | {"command": stated or {"kind": "sampled", "times_s": (0.0, 1.0), "values": (target, target)}}
+    return motor | {
+        "command": stated
+        or {"kind": "sampled", "times_s": (0.0, 1.0), "values": (target, target)}
+    }
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------
@@ -353,7 +482,10 @@ def driven_body(
     samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}
     if samples and source.seconds(max(samples)) > LONGEST_S:
         last_s = source.seconds(max(samples))
-        raise source.fault(prim, f"its time samples end after {last_s:.6g} s: {LONGEST_S:.6g} s at most are expected")
+        raise source.fault(
+            prim,
+            f"its time samples end after {last_s:.6g} s: {LONGEST_S:.6g} s at most are expected",
+        )
     track = _timeline(source, samples, pose_at)
     attribute = prim.GetAttribute("gauge:driver")
     text = source.text(attribute)
@@ -370,22 +502,38 @@ def driven_body(
         motions, place = motions_from_json(text)
     except ValueError as error:
         reason = "; ".join(str(error).splitlines()[:3])
-        raise source.fault(attribute, f"is not as the writer writes it: {reason}") from None
+        raise source.fault(
+            attribute, f"is not as the writer writes it: {reason}"
+        ) from None
     provenance = source.text(prim.GetAttribute("gauge:driver_provenance")) or "nominal"
     driver = Driver(body=name, motions=motions, provenance=provenance)
-    pose, driver = _edited(source, prim, driver, pose_at(Usd.TimeCode.Default()), samples, track)
+    pose, driver = _edited(
+        source, prim, driver, pose_at(Usd.TimeCode.Default()), samples, track
+    )
     return pose, driver, place
 
 
 def _edited(
-    source: Source, prim: Usd.Prim, driver: Driver, start: Pose, samples: Track, track: Track
+    source: Source,
+    prim: Usd.Prim,
+    driver: Driver,
+    start: Pose,
+    samples: Track,
+    track: Track,
 ) -> tuple[Pose, Driver]:
     """Return the start pose and the driver of a body with `gauge:driver` and possibly time samples."""
     attribute = prim.GetAttribute("gauge:driver")
-    changed = replace(driver, provenance=f"nominal: edited in {source.file.name}, was {driver.provenance}")
+    changed = replace(
+        driver,
+        provenance=f"nominal: edited in {source.file.name}, was {driver.provenance}",
+    )
     is_edited = motions_digest(attribute.Get()) != attribute.GetCustomDataByKey(TEXT)
     written = attribute.GetCustomDataByKey(WRITTEN)
-    apart = [pose_distance(driver.pose(start, source.seconds(code)), pose) for code, pose in track.items() if samples]
+    apart = [
+        pose_distance(driver.pose(start, source.seconds(code)), pose)
+        for code, pose in track.items()
+        if samples
+    ]
     if not samples or (written is not None and _digest(source, samples) == written):
         if not is_edited and samples and apart[0] > AGREES:
             raise source.fault(
@@ -406,10 +554,14 @@ def _edited(
     # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
     if apart[0] > AGREES:
         start = first
-    return start, replace(changed, motions=_sampled(source, prim, start, track, driver.motions))
+    return start, replace(
+        changed, motions=_sampled(source, prim, start, track, driver.motions)
+    )
 
 
-def _timeline(source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], Pose]) -> Track:
+def _timeline(
+    source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], Pose]
+) -> Track:
     """Return poses from the start of the stage on, at two times or more, with at most a frame between them.
 
     USD interpolates stored values such as angles. Poses at the keys alone would miss a full rotation between two keys.
@@ -420,7 +572,11 @@ def _timeline(source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], 
     codes = [keys[0]]
     for one, other in pairwise(keys):
         steps = math.ceil((other - one) / source.rate * FRAME_RATE_HZ - 1e-6)
-        codes += [one + (other - one) * step / steps for step in range(1, steps)] if steps > 1 else []
+        codes += (
+            [one + (other - one) * step / steps for step in range(1, steps)]
+            if steps > 1
+            else []
+        )
         codes.append(other)
     return {code: samples.get(code) or pose_at(Usd.TimeCode(code)) for code in codes}
 
@@ -434,10 +590,16 @@ def _digest(source: Source, samples: Track) -> str:
 
 
 def _sampled(
-    source: Source, prim: Usd.Prim, start: Pose, track: Track, like: Sequence[DriverMotion]
+    source: Source,
+    prim: Usd.Prim,
+    start: Pose,
+    track: Track,
+    like: Sequence[DriverMotion],
 ) -> tuple[DriverMotion, ...]:
     times_s = [source.seconds(code) for code in track]
     try:
         return sampled_motions(start, times_s, list(track.values()), like=like)
     except ShapeError as error:
-        raise source.fault(prim, f"the time samples of its transform: {error}") from None
+        raise source.fault(
+            prim, f"the time samples of its transform: {error}"
+        ) from None

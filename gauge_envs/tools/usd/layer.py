@@ -25,7 +25,12 @@ FOLLOWS = "follows"
 TEXT = "text"
 """Custom data key of `gauge:driver` with the digest of its written motions."""
 
-KINDS: dict[type[Deformable], str] = {Cloth: "cloth", SoftBody: "soft_body", Rope: "rope", Rod: "rod"}
+KINDS: dict[type[Deformable], str] = {
+    Cloth: "cloth",
+    SoftBody: "soft_body",
+    Rope: "rope",
+    Rod: "rod",
+}
 """Values of `gauge:kind`."""
 
 OMNI_MATERIAL = {
@@ -58,7 +63,12 @@ DRIVE = {
 AIR_KINDS = {"wind_m_per_s": "double3"}
 """Type in USD of the fields of the air that are no double."""
 
-MARKER_INDICES = {"faces": "int3[]", "lines": "int2[]", "corner": "int[]", "edge": "int[]"}
+MARKER_INDICES = {
+    "faces": "int3[]",
+    "lines": "int2[]",
+    "corner": "int[]",
+    "edge": "int[]",
+}
 """Type in USD of each kind of marker indices."""
 
 DIGEST_DECIMALS = 9
@@ -72,7 +82,9 @@ def digest(values: ArrayLike) -> str:
     """Return a short hash of numbers and their shape, rounded to nine decimals (m, rad, ...)."""
     # Adding zero turns -0.0 into 0.0.
     rounded = np.round(np.asarray(values, dtype=np.float64), DIGEST_DECIMALS) + 0.0
-    return hashlib.sha256(repr(rounded.shape).encode() + rounded.astype("<f8").tobytes()).hexdigest()[:16]
+    return hashlib.sha256(
+        repr(rounded.shape).encode() + rounded.astype("<f8").tobytes()
+    ).hexdigest()[:16]
 
 
 def _text_digest(text: str) -> str:
@@ -82,7 +94,13 @@ def _text_digest(text: str) -> str:
 
 def motions_digest(text: str) -> str:
     """Return a short hash of JSON, whose numbers are rounded as in `digest`."""
-    return _text_digest(json.dumps(json.loads(text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS))))
+    return _text_digest(
+        json.dumps(
+            json.loads(
+                text, parse_float=lambda number: round(float(number), DIGEST_DECIMALS)
+            )
+        )
+    )
 
 
 def names_digest(pairs: set[frozenset[str]]) -> str:
@@ -90,7 +108,9 @@ def names_digest(pairs: set[frozenset[str]]) -> str:
     return _text_digest(json.dumps(sorted(sorted(pair) for pair in pairs)))
 
 
-def samples_digest(times_s: FloatArray, positions_m: FloatArray, quaternions: FloatArray) -> str:
+def samples_digest(
+    times_s: FloatArray, positions_m: FloatArray, quaternions: FloatArray
+) -> str:
     """Return a short hash of poses at times; both quaternions of a rotation have the same hash.
 
     Args:
@@ -98,7 +118,9 @@ def samples_digest(times_s: FloatArray, positions_m: FloatArray, quaternions: Fl
         positions_m: Shape [sample_count, 3].
         quaternions: w, x, y, z, shape [sample_count, 4].
     """
-    matrices = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().reshape(-1, 9)
+    matrices = (
+        Rotation.from_quat(quaternions, scalar_first=True).as_matrix().reshape(-1, 9)
+    )
     return digest(np.column_stack([times_s, positions_m, matrices]))
 
 
@@ -115,7 +137,9 @@ def record_follower(attribute: Usd.Attribute, source: str) -> None:
         source: Names of the attributes that it is computed from.
     """
     value = attribute.Get()
-    attribute.SetCustomDataByKey(WRITTEN, value if isinstance(value, float) else digest(value))
+    attribute.SetCustomDataByKey(
+        WRITTEN, value if isinstance(value, float) else digest(value)
+    )
     attribute.SetCustomDataByKey(FOLLOWS, source)
 
 
@@ -126,12 +150,16 @@ def hinge_frame(axis: tuple[float, float, float]) -> Gf.Quatf:
 
 def wxyz(quaternion: Gf.Quatf | Gf.Quatd | Gf.Quath) -> FloatArray:
     """Return a quaternion as four numbers w, x, y, z."""
-    return np.array([quaternion.GetReal(), *quaternion.GetImaginary()], dtype=np.float64)
+    return np.array(
+        [quaternion.GetReal(), *quaternion.GetImaginary()], dtype=np.float64
+    )
 
 
 def hinge_axis(quaternion: FloatArray, letter: str = "X") -> FloatArray:
     """Return the direction of an axis of an orientation w, x, y, z, shape [3]."""
-    return Rotation.from_quat(quaternion, scalar_first=True).apply(np.eye(3)["XYZ".index(letter)])
+    return Rotation.from_quat(quaternion, scalar_first=True).apply(
+        np.eye(3)["XYZ".index(letter)]
+    )
 
 
 # --- driver motions as JSON ------------------------------------------------------------------------------------------
@@ -145,7 +173,9 @@ class _DriverRecord(BaseModel):
         motions: Motions in the order in which they apply.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always")
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, revalidate_instances="always"
+    )
 
     index: NonNegativeInt
     motions: tuple[DriverMotion, ...]
@@ -158,7 +188,9 @@ def motions_to_json(motions: tuple[DriverMotion, ...], index: int) -> str:
         motions: Motions in the order in which they apply.
         index: Index of the driver in its scene.
     """
-    return json.dumps(_DriverRecord(index=index, motions=motions).model_dump(), allow_nan=False)
+    return json.dumps(
+        _DriverRecord(index=index, motions=motions).model_dump(), allow_nan=False
+    )
 
 
 def motions_from_json(text: str) -> tuple[tuple[DriverMotion, ...], int]:

@@ -70,7 +70,10 @@ class PairOptions:
         """Return the contact mode of a pair of bodies."""
         if isinstance(self.mode, ContactMode):
             return self.mode
-        return next((mode for names, mode in self.mode.items() if frozenset(names) == pair), ContactMode.SUSTAINED)
+        return next(
+            (mode for names, mode in self.mode.items() if frozenset(names) == pair),
+            ContactMode.SUSTAINED,
+        )
 
 
 def contacts_of(
@@ -86,13 +89,20 @@ def contacts_of(
     _check_bindings(source, prims, kept, parties)
     moving = {party.name for party in parties if party.moves}
     solid = {party.name for party in parties if party.colliders}
-    listed = {pair for contact in kept for pair in _pairs(contact) if pair & moving and pair <= solid}
+    listed = {
+        pair
+        for contact in kept
+        for pair in _pairs(contact)
+        if pair & moving and pair <= solid
+    }
     allowed = _colliding(source, parties)
     given = {pair for contact in options.contacts for pair in _pairs(contact)}
     if prims and listed != allowed:
         written = source.text(physics.GetAttribute("gauge:colliding_pairs"))
         if names_digest(listed) == written:
-            kept = [part for contact in kept for part in _without(contact, listed - allowed)]
+            kept = [
+                part for contact in kept for part in _without(contact, listed - allowed)
+            ]
         elif names_digest(allowed) != written:
             one = min(listed ^ allowed, key=sorted)
             where = "collide" if one in allowed else "pass through each other"
@@ -104,7 +114,11 @@ def contacts_of(
         else:
             allowed = listed
     kept = [part for contact in kept for part in _without(contact, given)]
-    return (*kept, *_from_materials(source, parties, allowed - listed - given, options), *options.contacts)
+    return (
+        *kept,
+        *_from_materials(source, parties, allowed - listed - given, options),
+        *options.contacts,
+    )
 
 
 # --- contacts that this package wrote --------------------------------------------------------------------------------
@@ -118,14 +132,22 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
         targets = relationship.GetTargets() if relationship else []
         unknown = next((target for target in targets if target not in names), None)
         if unknown is not None or not relationship:
-            raise source.fault(prim, f"gauge:{side} names {unknown or 'nothing'}: bodies are expected")
+            raise source.fault(
+                prim, f"gauge:{side} names {unknown or 'nothing'}: bodies are expected"
+            )
         sides[side] = tuple(names[target] for target in targets)
     materials = _linked_materials(source, prim)
     values: dict[str, Any] = {}
     for name, attributes in COEFFICIENT_ATTRIBUTES.items():
-        readings = [source.reading(material.GetAttribute(a)) for material in materials for a in attributes]
+        readings = [
+            source.reading(material.GetAttribute(a))
+            for material in materials
+            for a in attributes
+        ]
         value = source.counted(prim.GetAttribute(f"gauge:{name}"), readings)
-        values[name] = _coefficient(source, prim, name, None if value is None else float(value))
+        values[name] = _coefficient(
+            source, prim, name, None if value is None else float(value)
+        )
     for name in ARMS:
         arm = source.number(prim.GetAttribute(f"gauge:{name}"))
         values[name] = _coefficient(source, prim, name, arm or 0.0)
@@ -135,22 +157,45 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
     return Contact(**sides, **values, mode=ContactMode(mode))
 
 
-def _linked_materials(source: Source, prim: Usd.Prim, name: str = "gauge:materials") -> list[Usd.Prim]:
+def _linked_materials(
+    source: Source, prim: Usd.Prim, name: str = "gauge:materials"
+) -> list[Usd.Prim]:
     """Return the materials with the constants of a contact, or those that are derived from contacts."""
     relationship = prim.GetRelationship(name)
-    found = [source.stage.GetPrimAtPath(path) for path in (relationship.GetTargets() if relationship else [])]
+    found = [
+        source.stage.GetPrimAtPath(path)
+        for path in (relationship.GetTargets() if relationship else [])
+    ]
     return [material for material in found if material]
 
 
 def _check_bindings(
-    source: Source, prims: Sequence[Usd.Prim], kept: Sequence[Contact], parties: Sequence[Party]
+    source: Source,
+    prims: Sequence[Usd.Prim],
+    kept: Sequence[Contact],
+    parties: Sequence[Party],
 ) -> None:
     """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
     kinds = ("gauge:materials", "gauge:derived_materials")
-    linked = [{one.GetPath() for kind in kinds for one in _linked_materials(source, prim, kind)} for prim in prims]
+    linked = [
+        {
+            one.GetPath()
+            for kind in kinds
+            for one in _linked_materials(source, prim, kind)
+        }
+        for prim in prims
+    ]
     for party in parties:
-        known = [paths for paths, c in zip(linked, kept, strict=True) if party.name in (*c.first, *c.second)]
-        bound = {material.GetPath() for material in map(source.material, party.colliders) if material}
+        known = [
+            paths
+            for paths, c in zip(linked, kept, strict=True)
+            if party.name in (*c.first, *c.second)
+        ]
+        bound = {
+            material.GetPath()
+            for material in map(source.material, party.colliders)
+            if material
+        }
         strange = bound.difference(*known)
         if known and strange:
             raise source.fault(
@@ -160,11 +205,16 @@ def _check_bindings(
             )
 
 
-def _coefficient(source: Source, prim: Usd.Prim, name: str, value: float | None) -> float:
+def _coefficient(
+    source: Source, prim: Usd.Prim, name: str, value: float | None
+) -> float:
     if value is None:
         raise source.fault(prim, f"has no {name}")
     if value < 0.0 or (name == "restitution" and value > 1.0):
-        raise source.fault(prim, f"{name} is {value}: {'0 to 1' if name == 'restitution' else '0 or more'} is expected")
+        raise source.fault(
+            prim,
+            f"{name} is {value}: {'0 to 1' if name == 'restitution' else '0 or more'} is expected",
+        )
     return value
 
 
@@ -179,11 +229,14 @@ def _without(contact: Contact, pairs: set[Pair]) -> list[Contact]:
         return [contact]
     if set(contact.first) == set(contact.second):
         return [
-            replace(contact, first=group, second=group) for group in _cliques(contact.first, left, {*contact.first})
+            replace(contact, first=group, second=group)
+            for group in _cliques(contact.first, left, {*contact.first})
         ]
     parts = []
     for first in contact.first:
-        second = tuple(name for name in contact.second if frozenset((first, name)) in left)
+        second = tuple(
+            name for name in contact.second if frozenset((first, name)) in left
+        )
         left -= {frozenset((first, name)) for name in second}
         if second:
             parts.append(replace(contact, first=(first,), second=second))
@@ -197,7 +250,11 @@ def _colliding(source: Source, parties: Sequence[Party]) -> set[Pair]:
     """Return the pairs of bodies that UsdPhysics lets collide."""
     solid = [party for party in parties if any(map(source.collides, party.colliders))]
     filtered = _filtered(source, solid) | _filtered_by_groups(source, solid)
-    pairs = (frozenset((one.name, other.name)) for one, other in combinations(solid, 2) if one.moves or other.moves)
+    pairs = (
+        frozenset((one.name, other.name))
+        for one, other in combinations(solid, 2)
+        if one.moves or other.moves
+    )
     return {pair for pair in pairs if pair not in filtered}
 
 
@@ -207,63 +264,113 @@ def _filtered(source: Source, parties: Sequence[Party]) -> set[Pair]:
         if not prim.HasAPI(UsdPhysics.FilteredPairsAPI):
             continue
         ones = _named(source, prim, prim.GetPath(), parties)
-        for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets():
-            filtered |= {frozenset((one, other)) for one in ones for other in _named(source, prim, target, parties)}
+        for target in (
+            UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets()
+        ):
+            filtered |= {
+                frozenset((one, other))
+                for one in ones
+                for other in _named(source, prim, target, parties)
+            }
     return filtered
 
 
-def _named(source: Source, prim: Usd.Prim, path: Sdf.Path, parties: Iterable[Party]) -> list[str]:
+def _named(
+    source: Source, prim: Usd.Prim, path: Sdf.Path, parties: Iterable[Party]
+) -> list[str]:
     """Return the bodies at or below a path, or whose only collider is at the path."""
     names = []
     for party in parties:
-        if party.prim.GetPath().HasPrefix(path) or [one.GetPath() for one in party.colliders] == [path]:
+        if party.prim.GetPath().HasPrefix(path) or [
+            one.GetPath() for one in party.colliders
+        ] == [path]:
             names.append(party.name)
         elif any(one.GetPath() == path for one in party.colliders):
             raise source.fault(
-                prim, f"filters {path}, which is only a part of {party.prim.GetPath()}: filter the whole body"
+                prim,
+                f"filters {path}, which is only a part of {party.prim.GetPath()}: filter the whole body",
             )
     return names
 
 
 def _filtered_by_groups(source: Source, parties: Sequence[Party]) -> set[Pair]:
-    groups = [UsdPhysics.CollisionGroup(prim) for prim in source.prims() if prim.IsA(UsdPhysics.CollisionGroup)]
+    groups = [
+        UsdPhysics.CollisionGroup(prim)
+        for prim in source.prims()
+        if prim.IsA(UsdPhysics.CollisionGroup)
+    ]
     if not groups:
         return set()
     table = UsdPhysics.CollisionGroup.ComputeCollisionGroupTable(source.stage)
-    members = {group.GetPath(): group.GetCollidersCollectionAPI().ComputeMembershipQuery() for group in groups}
+    members = {
+        group.GetPath(): group.GetCollidersCollectionAPI().ComputeMembershipQuery()
+        for group in groups
+    }
     inside: dict[str, set[Sdf.Path]] = {}
     for party in parties:
-        each = [{path for path, query in members.items() if query.IsPathIncluded(c.GetPath())} for c in party.colliders]
+        each = [
+            {
+                path
+                for path, query in members.items()
+                if query.IsPathIncluded(c.GetPath())
+            }
+            for c in party.colliders
+        ]
         if any(one != each[0] for one in each):
-            raise source.fault(party.prim, "its colliders are in different collision groups: put them in one group")
+            raise source.fault(
+                party.prim,
+                "its colliders are in different collision groups: put them in one group",
+            )
         inside[party.name] = each[0]
     return {
         frozenset((one.name, other.name))
         for one, other in combinations(parties, 2)
-        if any(not table.IsCollisionEnabled(a, b) for a in inside[one.name] for b in inside[other.name])
+        if any(
+            not table.IsCollisionEnabled(a, b)
+            for a in inside[one.name]
+            for b in inside[other.name]
+        )
     }
 
 
-def _from_materials(source: Source, parties: Sequence[Party], pairs: set[Pair], options: PairOptions) -> list[Contact]:
+def _from_materials(
+    source: Source, parties: Sequence[Party], pairs: set[Pair], options: PairOptions
+) -> list[Contact]:
     """Return contacts for the pairs that only UsdPhysics defines; pairs with equal constants share a contact."""
     by_name = {party.name: party for party in parties}
     wanted = {name for pair in pairs for name in pair}
-    constants = {name: _constants(source, by_name[name], options) for name in by_name if name in wanted}
+    constants = {
+        name: _constants(source, by_name[name], options)
+        for name in by_name
+        if name in wanted
+    }
     kinds: dict[tuple[float, float, ContactMode], set[Pair]] = {}
     for pair in sorted(pairs, key=sorted):
         one, other = (constants[name] for name in sorted(pair))
-        friction, restitution = (_combined(one[key], other[key]) for key in ("friction", "restitution"))
-        kinds.setdefault((friction, restitution, options.mode_of(pair)), set()).add(pair)
+        friction, restitution = (
+            _combined(one[key], other[key]) for key in ("friction", "restitution")
+        )
+        kinds.setdefault((friction, restitution, options.mode_of(pair)), set()).add(
+            pair
+        )
     moving = {party.name for party in parties if party.moves}
     names = [party.name for party in parties]
     return [
-        Contact(first=group, second=group, friction=friction, restitution=restitution, mode=mode)
+        Contact(
+            first=group,
+            second=group,
+            friction=friction,
+            restitution=restitution,
+            mode=mode,
+        )
         for (friction, restitution, mode), alike in kinds.items()
         for group in _cliques(names, alike, moving)
     ]
 
 
-def _cliques(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> Iterator[tuple[str, ...]]:
+def _cliques(
+    names: Sequence[str], pairs: set[Pair], moving: set[str]
+) -> Iterator[tuple[str, ...]]:
     """Yield groups of bodies that cover each pair once and contain no other pair with a moving body."""
     left = set(pairs)
     while left:
@@ -272,12 +379,18 @@ def _cliques(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> Iterat
         yield group
 
 
-def _clique(names: Sequence[str], pairs: set[Pair], moving: set[str]) -> tuple[str, ...]:
+def _clique(
+    names: Sequence[str], pairs: set[Pair], moving: set[str]
+) -> tuple[str, ...]:
     """Return bodies of which every two form one of the pairs or do not move, in the order of `names`."""
-    group = sorted(min(pairs, key=lambda pair: sorted(map(names.index, pair))), key=names.index)
+    group = sorted(
+        min(pairs, key=lambda pair: sorted(map(names.index, pair))), key=names.index
+    )
     for name in names:
         others = [frozenset((name, one)) for one in group if one != name]
-        if name not in group and all(pair in pairs or not pair & moving for pair in others):
+        if name not in group and all(
+            pair in pairs or not pair & moving for pair in others
+        ):
             group.append(name)
     return tuple(sorted(group, key=names.index))
 
@@ -288,29 +401,55 @@ def _combined(one: tuple[float, str], other: tuple[float, str]) -> float:
     a, b = one[0], other[0]
     if a == b and how != "multiply":
         return a
-    return {"average": 0.5 * (a + b), "min": min(a, b), "multiply": a * b, "max": max(a, b)}[how]
+    return {
+        "average": 0.5 * (a + b),
+        "min": min(a, b),
+        "multiply": a * b,
+        "max": max(a, b),
+    }[how]
 
 
-def _constants(source: Source, party: Party, options: PairOptions) -> dict[str, tuple[float, str]]:
+def _constants(
+    source: Source, party: Party, options: PairOptions
+) -> dict[str, tuple[float, str]]:
     """Return friction and restitution of a body, each with its combine mode."""
-    materials = {material.GetPath(): material for material in map(source.material, party.colliders) if material}
+    materials = {
+        material.GetPath(): material
+        for material in map(source.material, party.colliders)
+        if material
+    }
     if not materials or any(source.material(prim) is None for prim in party.colliders):
-        raise source.fault(party.prim, "has no physics material, so its friction is unknown: bind one")
-    found = [_material_constants(source, material, options) for material in materials.values()]
+        raise source.fault(
+            party.prim, "has no physics material, so its friction is unknown: bind one"
+        )
+    found = [
+        _material_constants(source, material, options)
+        for material in materials.values()
+    ]
     if any(one != found[0] for one in found):
-        raise source.fault(party.prim, "its colliders have materials with different constants: use one per body")
+        raise source.fault(
+            party.prim,
+            "its colliders have materials with different constants: use one per body",
+        )
     return found[0]
 
 
-def _material_constants(source: Source, prim: Usd.Prim, options: PairOptions) -> dict[str, tuple[float, str]]:
+def _material_constants(
+    source: Source, prim: Usd.Prim, options: PairOptions
+) -> dict[str, tuple[float, str]]:
     api = UsdPhysics.MaterialAPI(prim)
     readings = {
         "dynamic": source.reading(api.GetDynamicFrictionAttr()),
         "static": source.reading(api.GetStaticFrictionAttr()),
     }
-    present: dict[str, StoredValue] = {name: reading for name, reading in readings.items() if reading is not None}
+    present: dict[str, StoredValue] = {
+        name: reading for name, reading in readings.items() if reading is not None
+    }
     if not present:
-        raise source.fault(prim, "has neither physics:dynamicFriction nor physics:staticFriction: set one")
+        raise source.fault(
+            prim,
+            "has neither physics:dynamicFriction nor physics:staticFriction: set one",
+        )
     values = {name: float(reading.value) for name, reading in present.items()}
     if len(set(values.values())) == 2 and options.friction is None:
         raise source.fault(
@@ -320,11 +459,15 @@ def _material_constants(source: Source, prim: Usd.Prim, options: PairOptions) ->
         )
     friction = values.get(options.friction or "dynamic", next(iter(values.values())))
     restitution = source.reading(api.GetRestitutionAttr())
-    constants = {"friction": friction, "restitution": 0.0 if restitution is None else float(restitution.value)}
+    constants = {
+        "friction": friction,
+        "restitution": 0.0 if restitution is None else float(restitution.value),
+    }
     return {
         name: (
             _coefficient(source, prim, name, value),
-            source.text(prim.GetAttribute(COMBINE_ATTRIBUTES[name]), COMBINATIONS) or "average",
+            source.text(prim.GetAttribute(COMBINE_ATTRIBUTES[name]), COMBINATIONS)
+            or "average",
         )
         for name, value in constants.items()
     }

@@ -31,7 +31,9 @@ def main(file: str, most_prims: int, folders: list[str]) -> int:
         # Opening it in another process could take the memory that is missing here.
         print(f"is not a readable USD file: {_reason(error)}")
         return REFUSED
-    for count, prim in enumerate(Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())):
+    for count, prim in enumerate(
+        Usd.PrimRange.Stage(stage, Usd.TraverseInstanceProxies())
+    ):
         if count >= most_prims:
             print(f"it has more than {most_prims} prims")
             return REFUSED
@@ -68,8 +70,14 @@ def _named_layers(layer: Sdf.Layer) -> set[str]:
         is_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
         spec = layer.GetPrimAtPath(path) if is_prim else None
         for clips in (spec.GetInfo("clips") or {}).values() if spec else ():
-            stated = [clips.get(key) for key in ("manifestAssetPath", "templateAssetPath")]
-            found.update(asset.path if isinstance(asset, Sdf.AssetPath) else asset for asset in stated if asset)
+            stated = [
+                clips.get(key) for key in ("manifestAssetPath", "templateAssetPath")
+            ]
+            found.update(
+                asset.path if isinstance(asset, Sdf.AssetPath) else asset
+                for asset in stated
+                if asset
+            )
             found.update(asset.path for asset in clips.get("assetPaths") or ())
 
     layer.Traverse(Sdf.Path.absoluteRootPath, add_clips)

@@ -30,7 +30,14 @@ from gauge_envs.tools.usd.deformables import (
     read_markers,
     world_points,
 )
-from gauge_envs.tools.usd.joints import driven_body, is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
+from gauge_envs.tools.usd.joints import (
+    driven_body,
+    is_welded,
+    joins_bodies,
+    joint_prims,
+    read_body_hinge,
+    read_joint,
+)
 from gauge_envs.tools.usd.layer import WRITTEN
 from gauge_envs.tools.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.tools.usd.solids import inertia_kg_m2, mass_kg, solid_of
@@ -100,7 +107,9 @@ def from_usd(
         mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
         contacts: Contacts that replace those of the file for their pairs.
     """
-    return read_usd(path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts).scene
+    return read_usd(
+        path, duration_s=duration_s, friction=friction, mode=mode, contacts=contacts
+    ).scene
 
 
 def read_points(path: Path, place: str) -> FloatArray:
@@ -111,7 +120,9 @@ def read_points(path: Path, place: str) -> FloatArray:
         place: Path of a Points or Mesh prim, such as `/Shelf/Markers`.
     """
     with _opened(path) as source:
-        prim = next((prim for prim in source.prims() if str(prim.GetPath()) == place), None)
+        prim = next(
+            (prim for prim in source.prims() if str(prim.GetPath()) == place), None
+        )
         if prim is None:
             raise source.fault(place, "there is no such prim")
         return world_points(source, prim)
@@ -124,12 +135,18 @@ def _opened(file: Path) -> Iterator[Source]:
         with limited_memory(CHILD_MEMORY):
             yield Source(file)
     except MemoryError:
-        raise AssetError(file, "", f"reading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory") from None
+        raise AssetError(
+            file,
+            "",
+            f"reading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory",
+        ) from None
     except Tf.ErrorException as error:
         # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
     except UnicodeDecodeError:
-        raise AssetError(file, "", "it holds names or texts that are not UTF-8") from None
+        raise AssetError(
+            file, "", "it holds names or texts that are not UTF-8"
+        ) from None
     except ParameterError as error:
         # A scene refuses parts that contradict each other, such as a start velocity across a hinge.
         raise AssetError(file, "", str(error)) from None
@@ -138,7 +155,14 @@ def _opened(file: Path) -> Iterator[Source]:
 class _Reader:
     """Reader of one stage."""
 
-    def __init__(self, source: Source, options: PairOptions, duration_s: float | None, *, has_markers: bool) -> None:
+    def __init__(
+        self,
+        source: Source,
+        options: PairOptions,
+        duration_s: float | None,
+        *,
+        has_markers: bool,
+    ) -> None:
         self.source = source
         self.has_markers = has_markers
         self.options = options
@@ -149,15 +173,25 @@ class _Reader:
         source = self.source
         for prim in source.prims():
             source.check_followers(prim)
-        scenes = [UsdPhysics.Scene(prim) for prim in source.prims() if prim.IsA(UsdPhysics.Scene)]
+        scenes = [
+            UsdPhysics.Scene(prim)
+            for prim in source.prims()
+            if prim.IsA(UsdPhysics.Scene)
+        ]
         if len(scenes) != 1:
-            raise source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
+            raise source.fault(
+                "",
+                f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity",
+            )
         (self.physics,) = scenes
         self.joints = joint_prims(source)
         found = self._find()
         deformable = [prim for prim in source.prims() if is_deformable(prim)]
         if len(found) + len(deformable) > MOST_BODIES:
-            raise source.fault("", f"it has {len(found) + len(deformable)} bodies, the limit is {MOST_BODIES}")
+            raise source.fault(
+                "",
+                f"it has {len(found) + len(deformable)} bodies, the limit is {MOST_BODIES}",
+            )
         self.names = self._names([*(prim for prim, _ in found), *deformable])
         bodies: dict[Sdf.Path, RigidBody] = {}
         drivers: list[tuple[int, Driver]] = []
@@ -168,20 +202,36 @@ class _Reader:
                 # Drivers without an index in the file come last, in the stage's order.
                 drivers.append((len(found) if place is None else place, driver))
         parties = [
-            self._party(prim, colliders, moves=bodies[prim.GetPath()].motion is Motion.DYNAMIC)
+            self._party(
+                prim, colliders, moves=bodies[prim.GetPath()].motion is Motion.DYNAMIC
+            )
             for prim, colliders in found
         ]
-        parties += [self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ()) for prim in deformable]
+        parties += [
+            self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ())
+            for prim in deformable
+        ]
         between = [prim for prim in self.joints if joins_bodies(source, prim)]
-        joints = [read_joint(source, prim, bodies) for prim in self.joints if prim not in between]
+        joints = [
+            read_joint(source, prim, bodies)
+            for prim in self.joints
+            if prim not in between
+        ]
         scene = Scene(
             bodies=tuple(bodies.values()),
-            deformables=tuple(read_deformable(source, prim, self.names[prim.GetPath()]) for prim in deformable),
+            deformables=tuple(
+                read_deformable(source, prim, self.names[prim.GetPath()])
+                for prim in deformable
+            ),
             joints=tuple(joint for joint in joints if joint is not None),
-            body_hinges=tuple(read_body_hinge(source, prim, bodies) for prim in between),
+            body_hinges=tuple(
+                read_body_hinge(source, prim, bodies) for prim in between
+            ),
             attachments=tuple(read_attachments(source, self.names)),
             contacts=contacts_of(source, self.physics.GetPrim(), parties, self.options),
-            drivers=tuple(driver for _, driver in sorted(drivers, key=lambda pair: pair[0])),
+            drivers=tuple(
+                driver for _, driver in sorted(drivers, key=lambda pair: pair[0])
+            ),
             markers=read_markers(source, self.names) if self.has_markers else None,
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
@@ -191,7 +241,9 @@ class _Reader:
         return UsdScene(
             scene=scene,
             paths={name: str(place) for place, name in self.names.items()},
-            metadata={key: str(value) for key, value in noted.items()} if isinstance(noted, dict) else {},
+            metadata={key: str(value) for key, value in noted.items()}
+            if isinstance(noted, dict)
+            else {},
             used_files=source.used_files(),
         )
 
@@ -204,16 +256,27 @@ class _Reader:
         if direction is not None and direction.any():
             down = source.up @ (direction / np.linalg.norm(direction))
             if down[2] >= 0.0 or np.hypot(down[0], down[1]) > LEVEL:
-                raise source.fault(attribute, f"is {direction.tolist()}: gravity must point down, against the up axis")
+                raise source.fault(
+                    attribute,
+                    f"is {direction.tolist()}: gravity must point down, against the up axis",
+                )
         magnitude = physics.GetGravityMagnitudeAttr()
         # Minus infinity, the fallback of the schema, stands for standard gravity.
         is_given = magnitude.HasAuthoredValue() and magnitude.Get() != -np.inf
-        standard = source.reading(magnitude, (), lambda g: g * source.metres) if is_given else None
-        gravity = source.counted(physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2"), [standard])
+        standard = (
+            source.reading(magnitude, (), lambda g: g * source.metres)
+            if is_given
+            else None
+        )
+        gravity = source.counted(
+            physics.GetPrim().GetAttribute("gauge:gravity_m_per_s2"), [standard]
+        )
         if gravity is None:
             return GRAVITY_M_PER_S2
         if gravity < 0.0:
-            raise source.fault(magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected")
+            raise source.fault(
+                magnitude, f"is {float(gravity)} m/s^2: 0 or more is expected"
+            )
         return float(gravity)
 
     def _duration(self) -> float:
@@ -226,15 +289,21 @@ class _Reader:
         exact = attribute.HasAuthoredValue() if attribute else False
         if self.duration_s is not None and not exact:
             stated = None
-        value = source.counted(attribute, [stated], rounded=lambda t: np.round(t * source.rate) / source.rate)
+        value = source.counted(
+            attribute,
+            [stated],
+            rounded=lambda t: np.round(t * source.rate) / source.rate,
+        )
         duration = float(value) if value is not None else self.duration_s
         if duration is None:
             raise source.fault(
-                "", "its duration is not known: give duration_s, or author startTimeCode and endTimeCode"
+                "",
+                "its duration is not known: give duration_s, or author startTimeCode and endTimeCode",
             )
         if not 0.0 < duration <= LARGEST:
             raise source.fault(
-                "endTimeCode" if stated else "", f"its duration is {duration} s: a positive one is expected"
+                "endTimeCode" if stated else "",
+                f"its duration is {duration} s: a positive one is expected",
             )
         return duration
 
@@ -245,20 +314,31 @@ class _Reader:
         source = self.source
         roots: dict[Sdf.Path, list[Usd.Prim]] = {}
         for prim in source.prims():
-            if source.is_rigid(prim) or (prim.HasAttribute("gauge:name") and not is_deformable(prim)):
+            if source.is_rigid(prim) or (
+                prim.HasAttribute("gauge:name") and not is_deformable(prim)
+            ):
                 roots.setdefault(prim.GetPath(), [])
             if prim.HasAPI(UsdPhysics.CollisionAPI) and not is_deformable(prim):
                 owner = source.body_of(prim)
-                colliders = roots.setdefault(owner.GetPath() if owner else prim.GetPath(), [])
+                colliders = roots.setdefault(
+                    owner.GetPath() if owner else prim.GetPath(), []
+                )
                 colliders.append(prim)
         found = []
         for path, colliders in roots.items():
             prim = source.stage.GetPrimAtPath(path)
             enabled = [one for one in colliders if source.collides(one)]
-            if not enabled and not source.is_rigid(prim) and not prim.HasAttribute("gauge:name"):
+            if (
+                not enabled
+                and not source.is_rigid(prim)
+                and not prim.HasAttribute("gauge:name")
+            ):
                 continue
             if not colliders:
-                raise source.fault(prim, "is a rigid body without a collider, so its shape is unknown: add a collider")
+                raise source.fault(
+                    prim,
+                    "is a rigid body without a collider, so its shape is unknown: add a collider",
+                )
             found.append((prim, tuple(enabled or colliders)))
         return found
 
@@ -268,19 +348,31 @@ class _Reader:
         names: dict[Sdf.Path, str] = {}
         paths: dict[str, Sdf.Path] = {}
         for prim in prims:
-            short = prim.GetName() if often[prim.GetName()] == 1 else str(prim.GetPath())[1:]
+            short = (
+                prim.GetName()
+                if often[prim.GetName()] == 1
+                else str(prim.GetPath())[1:]
+            )
             name = self.source.text(prim.GetAttribute("gauge:name")) or short
             if name in paths:
-                raise self.source.fault(prim, f"is named {name!r}, as {paths[name]} is: rename one of them")
+                raise self.source.fault(
+                    prim, f"is named {name!r}, as {paths[name]} is: rename one of them"
+                )
             names[prim.GetPath()], paths[name] = name, prim.GetPath()
         return names
 
-    def _party(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], *, moves: bool = True) -> Party:
-        return Party(name=self.names[prim.GetPath()], prim=prim, colliders=colliders, moves=moves)
+    def _party(
+        self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], *, moves: bool = True
+    ) -> Party:
+        return Party(
+            name=self.names[prim.GetPath()], prim=prim, colliders=colliders, moves=moves
+        )
 
     # --- rigid bodies ---
 
-    def _body(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...]) -> tuple[RigidBody, Driver | None, int | None]:
+    def _body(
+        self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...]
+    ) -> tuple[RigidBody, Driver | None, int | None]:
         source, motion = self.source, self._motion(prim)
         frame = source.frame(prim, self.start)
         solid = solid_of(source, prim, frame, colliders, motion)
@@ -288,13 +380,18 @@ class _Reader:
 
         def pose_at(time: Usd.TimeCode) -> Pose:
             moved = source.frame(prim, time)
-            return (moved.moved(solid.offset_m, solid.rotation) if solid.is_moved else moved).pose
+            return (
+                moved.moved(solid.offset_m, solid.rotation) if solid.is_moved else moved
+            ).pose
 
         name, driver, place = self.names[prim.GetPath()], None, None
         if motion is Motion.KINEMATIC:
             pose, driver, place = driven_body(source, prim, name, pose_at)
         elif motion is Motion.FIXED and len(source.sample_codes(prim)) > 1:
-            raise source.fault(prim, "is a collider that moves without a rigid body: make it a kinematic body")
+            raise source.fault(
+                prim,
+                "is a collider that moves without a rigid body: make it a kinematic body",
+            )
         else:
             pose = pose_at(self.start)
         body = RigidBody(
@@ -307,14 +404,20 @@ class _Reader:
         )
         if motion is Motion.DYNAMIC:
             linear, angular = read_velocities(source, prim, frame, pose, solid.shape)
-            body = replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
+            body = replace(
+                body,
+                linear_velocity_m_per_s=vector(linear),
+                angular_velocity_rad_per_s=vector(angular),
+            )
         return body, driver, place
 
     def _motion(self, prim: Usd.Prim) -> Motion:
         source = self.source
         standard = Motion.FIXED
         if source.is_rigid(prim):
-            driven = source.flag(UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr(), default=False)
+            driven = source.flag(
+                UsdPhysics.RigidBodyAPI(prim).GetKinematicEnabledAttr(), default=False
+            )
             standard = Motion.KINEMATIC if driven else Motion.DYNAMIC
             if any(is_welded(source, joint, prim) for joint in self.joints):
                 standard = Motion.FIXED
@@ -327,4 +430,7 @@ class _Reader:
             return Motion(exact)
         if exact == written:
             return standard
-        raise source.fault(attribute, f"is {exact}, but UsdPhysics makes the body {standard}: make them agree")
+        raise source.fault(
+            attribute,
+            f"is {exact}, but UsdPhysics makes the body {standard}: make them agree",
+        )

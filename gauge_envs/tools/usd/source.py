@@ -17,7 +17,13 @@ from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
-from gauge_envs.files import MEGABYTE, child_refusal, file_folders, outside_reason, read_regular
+from gauge_envs.files import (
+    MEGABYTE,
+    child_refusal,
+    file_folders,
+    outside_reason,
+    read_regular,
+)
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, digest, wxyz
 
@@ -39,7 +45,14 @@ LARGEST = 1e30
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation of a stage with y up: y becomes z, z becomes -y."""
 
-SINGLES = ("float", "GfHalf", "GfVec3f", "GfQuatf", "VtArray<float>", "VtArray<GfVec3f>")
+SINGLES = (
+    "float",
+    "GfHalf",
+    "GfVec3f",
+    "GfQuatf",
+    "VtArray<float>",
+    "VtArray<GfVec3f>",
+)
 """C++ types with single precision or less."""
 
 
@@ -76,7 +89,9 @@ class Frame:
         pose = self.pose
         combined = pose.rotation * Rotation.from_matrix(rotation)
         return Frame(
-            position_m=pose.to_world(offset_m), quaternion=combined.as_quat(scalar_first=True), scale=self.scale
+            position_m=pose.to_world(offset_m),
+            quaternion=combined.as_quat(scalar_first=True),
+            scale=self.scale,
         )
 
 
@@ -112,7 +127,9 @@ def usd_reason(error: Tf.ErrorException) -> str:
 @lru_cache(maxsize=256)
 def _refusal(file: Path, sha256: str, folders: tuple[str, ...]) -> str | None:
     """Return why a file of this content must not be loaded, or None; other files must be in one of the folders."""
-    return child_refusal(Path(__file__).with_name("probe.py"), str(file), str(MOST_PRIMS), *folders)
+    return child_refusal(
+        Path(__file__).with_name("probe.py"), str(file), str(MOST_PRIMS), *folders
+    )
 
 
 class Source:
@@ -130,11 +147,17 @@ class Source:
             if reason := outside_reason(file, path):
                 raise self.fault("", reason)
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
-            raise self.fault("", "metersPerUnit is not given, so no length is known: set it")
+            raise self.fault(
+                "", "metersPerUnit is not given, so no length is known: set it"
+            )
         if not self.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
             raise self.fault("", "upAxis is not given: set Y or Z")
-        self.metres = self._unit("metersPerUnit", UsdGeom.GetStageMetersPerUnit(self.stage))
-        self.kilograms = self._unit("kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(self.stage))
+        self.metres = self._unit(
+            "metersPerUnit", UsdGeom.GetStageMetersPerUnit(self.stage)
+        )
+        self.kilograms = self._unit(
+            "kilogramsPerUnit", UsdPhysics.GetStageKilogramsPerUnit(self.stage)
+        )
         up = UsdGeom.GetStageUpAxis(self.stage)
         if up not in (UsdGeom.Tokens.y, UsdGeom.Tokens.z):
             raise self.fault("", f"upAxis is {up!r}: Y or Z is expected")
@@ -142,7 +165,9 @@ class Source:
         self.rate = self._unit("timeCodesPerSecond", self.stage.GetTimeCodesPerSecond())
         self.start = self.stage.GetStartTimeCode()
         if not abs(self.start) <= LARGEST:
-            raise self.fault("startTimeCode", f"is {self.start}: a finite number is expected")
+            raise self.fault(
+                "startTimeCode", f"is {self.start}: a finite number is expected"
+            )
 
     def _open(self) -> Usd.Stage:
         self._check_limits()
@@ -152,11 +177,16 @@ class Source:
                 if layer.anonymous:
                     continue
                 if layer.dirty:
-                    raise self.fault("", f"{layer.GetDisplayName()} is open in this process with edits: save them")
+                    raise self.fault(
+                        "",
+                        f"{layer.GetDisplayName()} is open in this process with edits: save them",
+                    )
                 # A layer that is already open in this process may be older than its file.
                 layer.Reload()
         except Tf.ErrorException as error:
-            raise self.fault("", f"is not a readable USD file: {usd_reason(error)}") from None
+            raise self.fault(
+                "", f"is not a readable USD file: {usd_reason(error)}"
+            ) from None
         broken = stage.GetCompositionErrors()
         if broken:
             raise self.fault("", str(broken[0]))
@@ -176,7 +206,10 @@ class Source:
         if content.startswith(b"#usda") and not COMPOSITION.search(content):
             if len(content) > MOST_TEXT_BYTES:
                 size, limit = len(content) / MEGABYTE, MOST_TEXT_BYTES / MEGABYTE
-                raise self.fault("", f"is a text layer of {size:.6g} MB, the limit is {limit:g} MB: save it as .usdc")
+                raise self.fault(
+                    "",
+                    f"is a text layer of {size:.6g} MB, the limit is {limit:g} MB: save it as .usdc",
+                )
             if len(SPECIFIER.findall(content)) > MOST_PRIMS:
                 raise self.fault("", f"it has more than {MOST_PRIMS} prims")
             return
@@ -200,7 +233,10 @@ class Source:
         main = self.file.resolve()
         layers = [layer for layer in self.stage.GetUsedLayers() if not layer.anonymous]
         # A layer in a package belongs to the package's file.
-        files = {Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve() for layer in layers} - {main}
+        files = {
+            Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve()
+            for layer in layers
+        } - {main}
         return tuple(sorted(files, key=lambda file: os.path.relpath(file, main.parent)))
 
     def prims(self) -> Iterator[Usd.Prim]:
@@ -210,7 +246,10 @@ class Source:
     # --- values ---
 
     def numbers(
-        self, attribute: Usd.Attribute, shape: tuple[int, ...] = (), time: Usd.TimeCode | None = None
+        self,
+        attribute: Usd.Attribute,
+        shape: tuple[int, ...] = (),
+        time: Usd.TimeCode | None = None,
     ) -> FloatArray | None:
         """Return the numbers of an attribute, or None if it has no value.
 
@@ -219,7 +258,11 @@ class Source:
             shape: Expected shape; -1 stands for any length.
             time: Time code; the default value by default, then the value at the start.
         """
-        value = attribute.Get(Usd.TimeCode.Default() if time is None else time) if attribute else None
+        value = (
+            attribute.Get(Usd.TimeCode.Default() if time is None else time)
+            if attribute
+            else None
+        )
         if value is None and attribute and time is None:
             value = attribute.Get(self.start)
         if value is None:
@@ -229,13 +272,21 @@ class Source:
             # An empty array of vectors has no width of its own.
             return np.zeros([max(length, 0) for length in shape])
         sizes = array.shape if array is not None and array.ndim == len(shape) else None
-        if array is None or sizes is None or any(n not in (-1, m) for n, m in zip(shape, sizes, strict=True)):
+        if (
+            array is None
+            or sizes is None
+            or any(n not in (-1, m) for n, m in zip(shape, sizes, strict=True))
+        ):
             wanted = " x ".join("any" if n < 0 else str(n) for n in shape)
             raise self.fault(
-                attribute, f"holds {value!r}: {f'{wanted} numbers are' if shape else 'a number is'} expected"
+                attribute,
+                f"holds {value!r}: {f'{wanted} numbers are' if shape else 'a number is'} expected",
             )
         if not (np.abs(array) <= LARGEST).all():
-            raise self.fault(attribute, f"holds {value}: finite numbers, none above {LARGEST:g}, are expected")
+            raise self.fault(
+                attribute,
+                f"holds {value}: finite numbers, none above {LARGEST:g}, are expected",
+            )
         return array
 
     def number(self, attribute: Usd.Attribute) -> float | None:
@@ -282,7 +333,9 @@ class Source:
             return None
         is_single = attribute.GetTypeName().cppTypeName in SINGLES
         return StoredValue(
-            place=str(attribute.GetPath()), raw=convert(raw), value=convert(_decimals(raw) if is_single else raw)
+            place=str(attribute.GetPath()),
+            raw=convert(raw),
+            value=convert(_decimals(raw) if is_single else raw),
         )
 
     def counted(
@@ -316,7 +369,13 @@ class Source:
         written = gauge.GetCustomDataByKey(WRITTEN)
         if written is None:
             for reading in present:
-                self._check_agree(gauge, double, as_single, reading, "it is unknown which of them was edited")
+                self._check_agree(
+                    gauge,
+                    double,
+                    as_single,
+                    reading,
+                    "it is unknown which of them was edited",
+                )
             return double
         edited = [reading for reading in present if not _is(reading.raw, written)]
         if not edited:
@@ -330,19 +389,27 @@ class Source:
         return np.where(as_single == standard.raw, double, standard.value)
 
     def _check_agree(
-        self, gauge: Usd.Attribute, double: FloatArray, as_single: FloatArray, other: StoredValue, why: str
+        self,
+        gauge: Usd.Attribute,
+        double: FloatArray,
+        as_single: FloatArray,
+        other: StoredValue,
+        why: str,
     ) -> None:
         """Raise an error unless a double and a standard value agree in single precision."""
         if not _agree(as_single, other.raw):
             values = f"is {_shown(double)} but {other.place} is {_shown(other.value)}"
-            raise self.fault(gauge, f"{values}: {why}; make them agree, or delete the first")
+            raise self.fault(
+                gauge, f"{values}: {why}; make them agree, or delete the first"
+            )
 
     def _agreed(self, readings: Sequence[StoredValue]) -> StoredValue:
         first = readings[0]
         for other in readings[1:]:
             if not _agree(first.raw, other.raw):
                 raise self.fault(
-                    first.place, f"is {_shown(first.value)} but {other.place} is {_shown(other.value)}: make them agree"
+                    first.place,
+                    f"is {_shown(first.value)} but {other.place} is {_shown(other.value)}: make them agree",
                 )
         return first
 
@@ -354,21 +421,32 @@ class Source:
                 value, written = attribute.Get(), attribute.GetCustomDataByKey(WRITTEN)
                 array = None if value is None else _array(value)
                 if array is not None and not _is(array, written):
-                    raise self.fault(attribute, f"was edited, but it follows from {follows}: edit that")
+                    raise self.fault(
+                        attribute,
+                        f"was edited, but it follows from {follows}: edit that",
+                    )
 
     def material(self, prim: Usd.Prim) -> Usd.Prim | None:
         """Return the physics material that is bound to a prim or to a prim above it, or None if there is none."""
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
-        return material.GetPrim() if material and material.GetPrim().HasAPI(UsdPhysics.MaterialAPI) else None
+        return (
+            material.GetPrim()
+            if material and material.GetPrim().HasAPI(UsdPhysics.MaterialAPI)
+            else None
+        )
 
     def collides(self, prim: Usd.Prim) -> bool:
         """Return whether a collider is enabled."""
-        return self.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
+        return self.flag(
+            UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True
+        )
 
     def is_rigid(self, prim: Usd.Prim) -> bool:
         """Return whether a prim is an enabled rigid body of UsdPhysics."""
         enabled = UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr()
-        return bool(prim.HasAPI(UsdPhysics.RigidBodyAPI)) and self.flag(enabled, default=True)
+        return bool(prim.HasAPI(UsdPhysics.RigidBodyAPI)) and self.flag(
+            enabled, default=True
+        )
 
     def body_of(self, prim: Usd.Prim) -> Usd.Prim | None:
         """Return the rigid body that a prim is or belongs to, or None if there is none."""
@@ -395,20 +473,46 @@ class Source:
     def frame(self, prim: Usd.Prim, time: Usd.TimeCode) -> Frame:
         """Return the frame of a prim in the world at a time."""
         chain = self._chain(prim)
-        ops = UsdGeom.Xformable(chain[-1]).GetOrderedXformOps() if chain and chain[-1] == prim else []
+        ops = (
+            UsdGeom.Xformable(chain[-1]).GetOrderedXformOps()
+            if chain and chain[-1] == prim
+            else []
+        )
         kinds = [UsdGeom.XformOp.TypeTranslate, UsdGeom.XformOp.TypeOrient]
         above = self._product(chain[:-1], time)
-        is_plain = self.metres == 1.0 and np.array_equal(self.up, np.eye(3)) and np.array_equal(above, np.eye(4))
-        if is_plain and [op.GetOpType() for op in ops] == kinds and not any(op.IsInverseOp() for op in ops):
+        is_plain = (
+            self.metres == 1.0
+            and np.array_equal(self.up, np.eye(3))
+            and np.array_equal(above, np.eye(4))
+        )
+        if (
+            is_plain
+            and [op.GetOpType() for op in ops] == kinds
+            and not any(op.IsInverseOp() for op in ops)
+        ):
             # The exact written values: a conversion through matrices would lose the last digits.
             position = self._op_value(ops[0], (3,), time, np.zeros(3))
-            return Frame(position_m=position, quaternion=self._quaternion(ops[1], time), scale=np.ones(3))
+            return Frame(
+                position_m=position,
+                quaternion=self._quaternion(ops[1], time),
+                scale=np.ones(3),
+            )
         matrix = self._product(chain, time)
         rotation, scale = self.decomposed(prim, self.metres * self.up @ matrix[:3, :3])
         relative = scale / self.metres
-        scale = np.where(np.abs(np.abs(relative) - 1.0) < SNAP, np.sign(relative) * self.metres, scale)
-        quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
-        return Frame(position_m=self.metres * (self.up @ matrix[:3, 3]), quaternion=quaternion, scale=scale)
+        scale = np.where(
+            np.abs(np.abs(relative) - 1.0) < SNAP,
+            np.sign(relative) * self.metres,
+            scale,
+        )
+        quaternion = Rotation.from_matrix(rotation).as_quat(
+            canonical=True, scalar_first=True
+        )
+        return Frame(
+            position_m=self.metres * (self.up @ matrix[:3, 3]),
+            quaternion=quaternion,
+            scale=scale,
+        )
 
     def to_world(self, prim: Usd.Prim, points: FloatArray) -> FloatArray:
         """Return points in a prim's space, shape [..., 3], in world coordinates [m]."""
@@ -423,25 +527,47 @@ class Source:
 
     def below(self, body: Usd.Prim, prim: Usd.Prim) -> FloatArray:
         """Return the transform from a prim's space to its body's space in the stage's units, shape [4, 4]."""
-        chain = [one for one in self._chain(prim) if one.GetPath().HasPrefix(body.GetPath()) and one != body]
+        chain = [
+            one
+            for one in self._chain(prim)
+            if one.GetPath().HasPrefix(body.GetPath()) and one != body
+        ]
         depth = prim.GetPath().pathElementCount - body.GetPath().pathElementCount
         for one in chain:
-            if any(op.MightBeTimeVarying() for op in UsdGeom.Xformable(one).GetOrderedXformOps()):
-                raise self.fault(one, f"moves within its body {body.GetPath()}: bodies are rigid")
-        if depth and UsdGeom.Xformable(prim) and UsdGeom.Xformable(prim).GetResetXformStack():
-            raise self.fault(prim, f"resets its transform, but belongs to the body {body.GetPath()}")
+            if any(
+                op.MightBeTimeVarying()
+                for op in UsdGeom.Xformable(one).GetOrderedXformOps()
+            ):
+                raise self.fault(
+                    one, f"moves within its body {body.GetPath()}: bodies are rigid"
+                )
+        if (
+            depth
+            and UsdGeom.Xformable(prim)
+            and UsdGeom.Xformable(prim).GetResetXformStack()
+        ):
+            raise self.fault(
+                prim, f"resets its transform, but belongs to the body {body.GetPath()}"
+            )
         return self._product(chain, Usd.TimeCode(self.start))
 
-    def decomposed(self, prim: Usd.Prim, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def decomposed(
+        self, prim: Usd.Prim, matrix: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the rotation [3, 3] and the scale [3] of a linear map that scales along the axes and then rotates."""
         scale = np.sqrt(np.square(matrix).sum(axis=0))
         if not np.isfinite(matrix).all() or not (scale > 0.0).all():
-            raise self.fault(prim, f"its transform scales by {_shown(scale)}: positive numbers are expected")
+            raise self.fault(
+                prim,
+                f"its transform scales by {_shown(scale)}: positive numbers are expected",
+            )
         rotation = matrix / scale
         if np.linalg.det(rotation) < 0.0:
             rotation, scale = rotation * [-1.0, 1.0, 1.0], scale * [-1.0, 1.0, 1.0]
         if np.abs(rotation.T @ rotation - np.eye(3)).max() > ORTHOGONAL:
-            raise self.fault(prim, "its transform is sheared: rigid bodies must not be sheared")
+            raise self.fault(
+                prim, "its transform is sheared: rigid bodies must not be sheared"
+            )
         return rotation, scale
 
     def _chain(self, prim: Usd.Prim) -> list[Usd.Prim]:
@@ -476,7 +602,11 @@ class Source:
         return matrix
 
     def _op_value(
-        self, op: UsdGeom.XformOp, shape: tuple[int, ...], time: Usd.TimeCode, default: FloatArray
+        self,
+        op: UsdGeom.XformOp,
+        shape: tuple[int, ...],
+        time: Usd.TimeCode,
+        default: FloatArray,
     ) -> FloatArray:
         value = self.numbers(op.GetAttr(), shape, time)
         return default if value is None else value
@@ -487,7 +617,10 @@ class Source:
         if abs(length - 1.0) < 1e-12:
             return quaternion
         if abs(length - 1.0) > UNIT_QUATERNION:
-            raise self.fault(op.GetAttr(), f"holds {_shown(quaternion)}: a unit quaternion is expected")
+            raise self.fault(
+                op.GetAttr(),
+                f"holds {_shown(quaternion)}: a unit quaternion is expected",
+            )
         return quaternion / length
 
 
@@ -505,7 +638,9 @@ def _array(value: Any) -> FloatArray | None:
 
 def _decimals(values: FloatArray) -> FloatArray:
     """Return single-precision numbers as the shortest decimals that round to them."""
-    flat = [float(str(number)) for number in np.asarray(values, dtype=np.float32).ravel()]
+    flat = [
+        float(str(number)) for number in np.asarray(values, dtype=np.float32).ravel()
+    ]
     return np.array(flat).reshape(values.shape)
 
 
@@ -522,7 +657,9 @@ def _is(values: ArrayLike, written: Any, *, nearly: bool = False) -> bool:
     as_written = None if written is None else _array(written)
     if as_written is None:
         return False
-    return np.array_equal(values, as_written) or (nearly and _agree(np.asarray(values), as_written))
+    return np.array_equal(values, as_written) or (
+        nearly and _agree(np.asarray(values), as_written)
+    )
 
 
 def _agree(one: FloatArray, other: FloatArray) -> bool:

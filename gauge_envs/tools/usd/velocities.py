@@ -28,14 +28,20 @@ def write_velocities(rigid: UsdPhysics.RigidBodyAPI, body: RigidBody) -> None:
     linear, angular = _body_velocities(body.pose, body.shape, exact).tolist()
     rigid.CreateVelocityAttr(Gf.Vec3f(*linear))
     rigid.CreateAngularVelocityAttr(Gf.Vec3f(*angular))
-    written = digest([rigid.GetVelocityAttr().Get(), rigid.GetAngularVelocityAttr().Get()])
+    written = digest(
+        [rigid.GetVelocityAttr().Get(), rigid.GetAngularVelocityAttr().Get()]
+    )
     for name in NAMES:
-        attribute = rigid.GetPrim().CreateAttribute(f"gauge:{name}", Sdf.ValueTypeNames.Double3, custom=True)
+        attribute = rigid.GetPrim().CreateAttribute(
+            f"gauge:{name}", Sdf.ValueTypeNames.Double3, custom=True
+        )
         attribute.Set(Gf.Vec3d(*getattr(body, name)))
         record_written(attribute, written)
 
 
-def read_velocities(source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, shape: Shape) -> FloatArray:
+def read_velocities(
+    source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, shape: Shape
+) -> FloatArray:
     """Return the start velocities of a dynamic body.
 
     The edited ones of doubles and standard attributes count, as for other numbers.
@@ -52,12 +58,17 @@ def read_velocities(source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, sh
     """
     api = UsdPhysics.RigidBodyAPI(prim)
     readings = [
-        source.reading(api.GetVelocityAttr(), (3,), lambda values: values * source.metres),
+        source.reading(
+            api.GetVelocityAttr(), (3,), lambda values: values * source.metres
+        ),
         source.reading(api.GetAngularVelocityAttr(), (3,)),
     ]
     doubles = [prim.GetAttribute(f"gauge:{name}") for name in NAMES]
     stored = [source.numbers(attribute, (3,)) for attribute in doubles]
-    has_doubles, has_standard = any(one is not None for one in stored), any(one is not None for one in readings)
+    has_doubles, has_standard = (
+        any(one is not None for one in stored),
+        any(one is not None for one in readings),
+    )
     exact = np.array([np.zeros(3) if one is None else one for one in stored])
     if not has_standard:
         return exact
@@ -66,9 +77,14 @@ def read_velocities(source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, sh
     if not has_doubles:
         return world
     raw = np.array([np.zeros(3) if one is None else one.raw for one in readings])
-    written = next(attribute.GetCustomDataByKey(WRITTEN) for attribute in doubles if attribute)
+    written = next(
+        attribute.GetCustomDataByKey(WRITTEN) for attribute in doubles if attribute
+    )
     rounded = single(_body_velocities(pose, shape, exact))
-    if digest(raw) == written or np.abs(rounded - raw).max() <= SAME_SINGLE * np.abs(raw).max():
+    if (
+        digest(raw) == written
+        or np.abs(rounded - raw).max() <= SAME_SINGLE * np.abs(raw).max()
+    ):
         return exact
     if digest(rounded) == written:
         return world
@@ -92,10 +108,23 @@ def _body_velocities(pose: Pose, shape: Shape, velocities: FloatArray) -> FloatA
         Velocity of the centre of mass [m/s] and angular velocity [deg/s] in the body frame, shape [2, 3].
     """
     linear, angular = pose.rotation.apply(velocities, inverse=True)
-    return np.array([linear + np.cross(angular, mass_properties(shape, 1.0)[0]), np.degrees(angular)])
+    return np.array(
+        [
+            linear + np.cross(angular, mass_properties(shape, 1.0)[0]),
+            np.degrees(angular),
+        ]
+    )
 
 
-def _world_velocities(prim: Pose, pose: Pose, shape: Shape, velocities: FloatArray) -> FloatArray:
+def _world_velocities(
+    prim: Pose, pose: Pose, shape: Shape, velocities: FloatArray
+) -> FloatArray:
     """Return velocities of a scene: the inverse of `_body_velocities`, for axes of the prim's own pose."""
     linear, angular = prim.rotation.apply([velocities[0], np.radians(velocities[1])])
-    return np.array([linear - np.cross(angular, pose.rotation.apply(mass_properties(shape, 1.0)[0])), angular])
+    return np.array(
+        [
+            linear
+            - np.cross(angular, pose.rotation.apply(mass_properties(shape, 1.0)[0])),
+            angular,
+        ]
+    )

@@ -40,7 +40,17 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, FloatArray, Pose, Shape, Sphere, vector
+from gauge_envs.scene.geometry import (
+    Box,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    FloatArray,
+    Pose,
+    Shape,
+    Sphere,
+    vector,
+)
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import Scene
@@ -111,7 +121,9 @@ def export_stage(stage: Usd.Stage, path: Path) -> None:
         raise ResultFileError(f"{path}: cannot be written: {error}") from error
 
 
-def scene_stage(scene: Scene, *, samples_per_frame: int = 1, later_frames: int = 0) -> Usd.Stage:
+def scene_stage(
+    scene: Scene, *, samples_per_frame: int = 1, later_frames: int = 0
+) -> Usd.Stage:
     """Return a scene as a USD stage in memory.
 
     Args:
@@ -127,25 +139,37 @@ def scene_stage(scene: Scene, *, samples_per_frame: int = 1, later_frames: int =
 class _Writer:
     """Writes one scene into an empty stage."""
 
-    def __init__(self, stage: Usd.Stage, scene: Scene, samples_per_frame: int, later_frames: int) -> None:
+    def __init__(
+        self, stage: Usd.Stage, scene: Scene, samples_per_frame: int, later_frames: int
+    ) -> None:
         self.stage = stage
         self.scene = scene
         self.samples_per_frame = samples_per_frame
         self.later_frames = later_frames
         self.frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
         names = [body.name for body in (*scene.bodies, *scene.deformables)]
-        for kind, listed in (("name", names), ("driver", [driver.body for driver in scene.drivers])):
+        for kind, listed in (
+            ("name", names),
+            ("driver", [driver.body for driver in scene.drivers]),
+        ):
             twice = next((name for name in listed if listed.count(name) > 1), None)
             if twice is not None:
                 raise ParameterError(f"body {twice!r} has more than one {kind}")
         self.paths = _paths(names)
         self.deformables = {body.name: body for body in self.scene.deformables}
-        self.collides = {name for contact in self.scene.contacts for name in (*contact.first, *contact.second)}
+        self.collides = {
+            name
+            for contact in self.scene.contacts
+            for name in (*contact.first, *contact.second)
+        }
         self.points: dict[str, FloatArray] = {}
 
     def write(self) -> None:
         scene, physics = self.scene, self._physics()
-        materials = [self._contact_material(index, contact) for index, contact in enumerate(scene.contacts)]
+        materials = [
+            self._contact_material(index, contact)
+            for index, contact in enumerate(scene.contacts)
+        ]
         for body in scene.bodies:
             self._body(body)
             if (index := self._first_contact(body.name)) is not None:
@@ -179,10 +203,20 @@ class _Writer:
         physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
         physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
         magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        _custom(physics, "gravity_m_per_s2", self.scene.gravity_m_per_s2, written=magnitude.Get())
+        _custom(
+            physics,
+            "gravity_m_per_s2",
+            self.scene.gravity_m_per_s2,
+            written=magnitude.Get(),
+        )
         for name, value in (asdict(self.scene.air) if self.scene.air else {}).items():
             _custom(physics, f"air:{name}", value, AIR_KINDS.get(name, "double"))
-        _custom(physics, "duration_s", self.scene.duration_s, written=(self.frame_count - 1) / FRAME_RATE_HZ)
+        _custom(
+            physics,
+            "duration_s",
+            self.scene.duration_s,
+            written=(self.frame_count - 1) / FRAME_RATE_HZ,
+        )
         return physics
 
     def _group(self, name: str) -> str:
@@ -195,27 +229,42 @@ class _Writer:
 
     def _contact_material(self, index: int, contact: Contact) -> UsdShade.Material:
         """Write the exact contact below `/World/Contacts`, and return a material with its constants."""
-        prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
+        prim = UsdGeom.Scope.Define(
+            self.stage, f"{self._group('Contacts')}/contact_{index}"
+        ).GetPrim()
         for side, names in (("first", contact.first), ("second", contact.second)):
-            prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
+            prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets(
+                [self.paths[name] for name in names]
+            )
         friction = _custom(prim, "friction", contact.friction)
         restitution = _custom(prim, "restitution", contact.restitution)
         for name in ARMS:
             if arm := getattr(contact, name):
                 _custom(prim, name, arm)
         _custom(prim, "mode", contact.mode.value, "token")
-        material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
+        material = UsdShade.Material.Define(
+            self.stage, f"{self._group('Materials')}/contact_{index}"
+        )
         constants = _friction(material.GetPrim(), contact)
         record_written(friction, constants.GetDynamicFrictionAttr().Get())
         record_written(restitution, constants.GetRestitutionAttr().Get())
-        deformable = [name for name in self.deformables if self._first_contact(name) == index]
+        deformable = [
+            name for name in self.deformables if self._first_contact(name) == index
+        ]
         targets = [material.GetPath(), *map(self._deformable_material_path, deformable)]
         prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
         return material
 
     def _first_contact(self, name: str) -> int | None:
         """Return the index of the first contact of a body: UsdPhysics has materials per body and not per pair."""
-        return next((i for i, c in enumerate(self.scene.contacts) if name in c.first or name in c.second), None)
+        return next(
+            (
+                i
+                for i, c in enumerate(self.scene.contacts)
+                if name in c.first or name in c.second
+            ),
+            None,
+        )
 
     def _bind(self, path: str, material: UsdShade.Material) -> None:
         binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
@@ -223,17 +272,38 @@ class _Writer:
 
     def _filtered_pairs(self) -> str:
         """Filter all pairs without a contact, since UsdPhysics lets all collide; return a hash of the other pairs."""
-        allowed = {frozenset((a, b)) for contact in self.scene.contacts for a in contact.first for b in contact.second}
-        moves = {body.name for body in self.scene.dynamic_bodies} | set(self.deformables)
+        allowed = {
+            frozenset((a, b))
+            for contact in self.scene.contacts
+            for a in contact.first
+            for b in contact.second
+        }
+        moves = {body.name for body in self.scene.dynamic_bodies} | set(
+            self.deformables
+        )
         filtered: dict[str, list[str]] = {}
-        for one, other in combinations([name for name in self.paths if name in self.collides], 2):
-            if frozenset((one, other)) not in allowed and (one in moves or other in moves):
+        for one, other in combinations(
+            [name for name in self.paths if name in self.collides], 2
+        ):
+            if frozenset((one, other)) not in allowed and (
+                one in moves or other in moves
+            ):
                 filtered.setdefault(one, []).append(self.paths[other])
         for name, targets in filtered.items():
-            pairs = UsdPhysics.FilteredPairsAPI.Apply(self.stage.GetPrimAtPath(self.paths[name]))
+            pairs = UsdPhysics.FilteredPairsAPI.Apply(
+                self.stage.GetPrimAtPath(self.paths[name])
+            )
             pairs.CreateFilteredPairsRel().SetTargets(targets)
-        lines = {body.name for body in self.scene.deformables if isinstance(body, Rope | Rod)}
-        return names_digest({pair for pair in allowed if len(pair) == 2 and pair & moves and not pair & lines})
+        lines = {
+            body.name for body in self.scene.deformables if isinstance(body, Rope | Rod)
+        }
+        return names_digest(
+            {
+                pair
+                for pair in allowed
+                if len(pair) == 2 and pair & moves and not pair & lines
+            }
+        )
 
     # --- rigid bodies ---
 
@@ -265,9 +335,14 @@ class _Writer:
 
     def _drive(self, index: int, driver: Driver) -> None:
         """Write the exact motion and its time samples; a constant position or rotation has a single value."""
-        body, xform = self.scene.body(driver.body), UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body]))
+        body, xform = (
+            self.scene.body(driver.body),
+            UsdGeom.Xform(self.stage.GetPrimAtPath(self.paths[driver.body])),
+        )
         translate, orient = xform.GetOrderedXformOps()
-        sample_count = (self.frame_count - 1 + self.later_frames) * self.samples_per_frame + 1
+        sample_count = (
+            self.frame_count - 1 + self.later_frames
+        ) * self.samples_per_frame + 1
         codes = np.arange(sample_count) / self.samples_per_frame
         times_s = np.arange(sample_count) / (FRAME_RATE_HZ * self.samples_per_frame)
         poses = [driver.pose(body.pose, time_s) for time_s in times_s.tolist()]
@@ -280,7 +355,9 @@ class _Writer:
             last = np.asarray(body.pose.quaternion)
             for code, pose in zip(codes.tolist(), poses, strict=True):
                 # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
-                last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
+                last = np.asarray(pose.quaternion) * (
+                    1.0 if last @ pose.quaternion >= 0.0 else -1.0
+                )
                 orient.Set(_quatd(last.tolist()), code)
         _custom(xform, "driver_provenance", driver.provenance, "string")
         text = motions_to_json(driver.motions, index)
@@ -294,13 +371,20 @@ class _Writer:
     def _geometry(self, parent: Sdf.Path, shape: Shape) -> list[UsdGeom.Gprim]:
         path = parent.AppendChild("collision")
         if isinstance(shape, Compound):
-            raise ParameterError(f"{parent.name!r} is a compound of solids, which USD layers of this suite do not have")
+            raise ParameterError(
+                f"{parent.name!r} is a compound of solids, which USD layers of this suite do not have"
+            )
         if isinstance(shape, ConvexUnion):
-            return [self._piece(f"{path}_{index}", np.array(piece)) for index, piece in enumerate(shape.pieces_m)]
+            return [
+                self._piece(f"{path}_{index}", np.array(piece))
+                for index, piece in enumerate(shape.pieces_m)
+            ]
         if isinstance(shape, Box):
             geometry = UsdGeom.Cube.Define(self.stage, path)
             geometry.CreateSizeAttr(1.0)
-            geometry.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*shape.size_m))
+            geometry.AddScaleOp(UsdGeom.XformOp.PrecisionDouble).Set(
+                Gf.Vec3d(*shape.size_m)
+            )
         elif isinstance(shape, Sphere):
             geometry = UsdGeom.Sphere.Define(self.stage, path)
             geometry.CreateRadiusAttr(shape.radius_m)
@@ -320,11 +404,21 @@ class _Writer:
     def _piece(self, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
         mesh = self._mesh(path, points_m, hull_faces(points_m))
         written = digest(mesh.GetPointsAttr().Get())
-        _custom(mesh, "points_m", Vt.Vec3dArray.FromNumpy(points_m), "double3[]", written=written)
-        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
+        _custom(
+            mesh,
+            "points_m",
+            Vt.Vec3dArray.FromNumpy(points_m),
+            "double3[]",
+            written=written,
+        )
+        UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(
+            UsdPhysics.Tokens.convexHull
+        )
         return mesh
 
-    def _mesh(self, path: str, points_m: FloatArray, faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
+    def _mesh(
+        self, path: str, points_m: FloatArray, faces: Sequence[Sequence[int]]
+    ) -> UsdGeom.Mesh:
         mesh = UsdGeom.Mesh.Define(self.stage, path)
         mesh.CreatePointsAttr(_points(points_m))
         mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
@@ -338,9 +432,15 @@ class _Writer:
     def _deformable(self, body: Deformable) -> None:
         path = self.paths[body.name]
         if isinstance(body, Cloth):
-            geometry, api = self._cloth(path, body), "OmniPhysicsSurfaceDeformableSimAPI"
+            geometry, api = (
+                self._cloth(path, body),
+                "OmniPhysicsSurfaceDeformableSimAPI",
+            )
         elif isinstance(body, SoftBody):
-            geometry, api = self._soft_body(path, body), "OmniPhysicsVolumeDeformableSimAPI"
+            geometry, api = (
+                self._soft_body(path, body),
+                "OmniPhysicsVolumeDeformableSimAPI",
+            )
         else:
             geometry, api = self._line(path, body), None
         prim = geometry.GetPrim()
@@ -353,13 +453,18 @@ class _Writer:
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
         _omni(prim, "deformableBodyEnabled", "bool", True)
-        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", "float", body.mass_kg).Get())
+        record_written(
+            prim.GetAttribute("gauge:mass_kg"),
+            _omni(prim, "mass", "float", body.mass_kg).Get(),
+        )
         size = f"gauge:{'length_m' if api is None else 'size_m'}"
         points = UsdGeom.PointBased(prim).GetPointsAttr()
         record_follower(points, size)
         if api is not None:
             prim.AddAppliedSchema(api)
-            record_follower(_omni(prim, "restShapePoints", "point3f[]", points.Get()), size)
+            record_follower(
+                _omni(prim, "restShapePoints", "point3f[]", points.Get()), size
+            )
             collision = UsdPhysics.CollisionAPI.Apply(prim)
             collision.CreateCollisionEnabledAttr(body.name in self.collides)
         self._bind(path, self._deformable_material(body))
@@ -372,7 +477,10 @@ class _Writer:
         self.points[cloth.name] = nodes
         mesh = self._mesh(path, nodes, triangles.tolist())
         record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTriVtxIndices", "int3[]", _integers(triangles)), "gauge:size_m")
+        record_follower(
+            _omni(mesh, "restTriVtxIndices", "int3[]", _integers(triangles)),
+            "gauge:size_m",
+        )
         _custom(mesh, "size_m", cloth.size_m, "double2")
         return mesh
 
@@ -383,17 +491,23 @@ class _Writer:
         mesh = UsdGeom.TetMesh.Define(self.stage, path)
         mesh.CreatePointsAttr(_points(nodes))
         mesh.CreateTetVertexIndicesAttr(indices)
-        mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
+        mesh.CreateSurfaceFaceVertexIndicesAttr(
+            UsdGeom.TetMesh.ComputeSurfaceFaces(mesh)
+        )
         _extent(mesh)
         record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTetVtxIndices", "int4[]", indices), "gauge:size_m")
+        record_follower(
+            _omni(mesh, "restTetVtxIndices", "int4[]", indices), "gauge:size_m"
+        )
         _custom(mesh, "size_m", body.shape.size_m, "double3")
         return mesh
 
     def _line(self, path: str, body: Rope | Rod) -> UsdGeom.BasisCurves:
         count = round(body.length_m / LINE_SPACING_M) + 1
         nodes = np.zeros((count, 3))
-        nodes[:, 0 if isinstance(body, Rope) else 2] = np.linspace(-0.5 * body.length_m, 0.5 * body.length_m, count)
+        nodes[:, 0 if isinstance(body, Rope) else 2] = np.linspace(
+            -0.5 * body.length_m, 0.5 * body.length_m, count
+        )
         self.points[body.name] = nodes
         curves = UsdGeom.BasisCurves.Define(self.stage, path)
         curves.CreateTypeAttr(UsdGeom.Tokens.linear)
@@ -410,8 +524,13 @@ class _Writer:
 
     def _deformable_material(self, body: Deformable) -> UsdShade.Material:
         self._group("Materials")
-        material = UsdShade.Material.Define(self.stage, self._deformable_material_path(body.name))
-        prim, gauge = material.GetPrim(), self.stage.GetPrimAtPath(self.paths[body.name])
+        material = UsdShade.Material.Define(
+            self.stage, self._deformable_material_path(body.name)
+        )
+        prim, gauge = (
+            material.GetPrim(),
+            self.stage.GetPrimAtPath(self.paths[body.name]),
+        )
         prim.AddAppliedSchema("OmniPhysicsBaseMaterialAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableMaterialAPI")
         if (index := self._first_contact(body.name)) is not None:
@@ -421,7 +540,12 @@ class _Writer:
             _omni(prim, "dynamicFriction", "float", contact.friction)
         if isinstance(body, Cloth):
             prim.AddAppliedSchema("OmniPhysicsSurfaceDeformableMaterialAPI")
-            density = _omni(prim, "density", "float", body.areal_density_kg_per_m2 / body.thickness_m)
+            density = _omni(
+                prim,
+                "density",
+                "float",
+                body.areal_density_kg_per_m2 / body.thickness_m,
+            )
             record_follower(density, "gauge:areal_density_kg_per_m2")
         for name, attribute in OMNI_MATERIAL.items():
             if hasattr(body, name):
@@ -431,8 +555,13 @@ class _Writer:
             isaac = surface_constants(Fabric.of(body))
             for name, attribute in ISAAC_ATTRIBUTES.items():
                 value = isaac.constants[name]
-                for one in (_omni(prim, attribute, "float", value), _custom(prim, f"isaac:{name}", value)):
-                    record_follower(one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_...")
+                for one in (
+                    _omni(prim, attribute, "float", value),
+                    _custom(prim, f"isaac:{name}", value),
+                ):
+                    record_follower(
+                        one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_..."
+                    )
             _custom(prim, "isaac:notes", [*isaac.fallbacks, *isaac.lost], "string[]")
         if isinstance(body, Rope | Rod):
             (width,) = UsdGeom.BasisCurves(gauge).GetWidthsAttr().Get()
@@ -452,9 +581,17 @@ class _Writer:
             joint.CreateAxisAttr(UsdPhysics.Tokens.x)
             rotation = hinge_frame(stated.axis)
             world = joint.CreateLocalRot0Attr(rotation)
-            local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
+            local = joint.CreateLocalRot1Attr(
+                Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation))
+            )
             record_written(local, local.Get())
-            _custom(joint, "axis", stated.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
+            _custom(
+                joint,
+                "axis",
+                stated.axis,
+                "double3",
+                written=digest(hinge_axis(wxyz(world.Get()))),
+            )
             _joint_terms(joint.GetPrim(), stated)
         else:
             joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
@@ -472,8 +609,18 @@ class _Writer:
         joint.CreateAxisAttr(UsdPhysics.Tokens.x)
         rotation = Gf.Quatd(hinge_frame(hinge.axis))
         sides = (
-            (hinge.first, joint.CreateBody0Rel, joint.CreateLocalPos0Attr, joint.CreateLocalRot0Attr),
-            (hinge.second, joint.CreateBody1Rel, joint.CreateLocalPos1Attr, joint.CreateLocalRot1Attr),
+            (
+                hinge.first,
+                joint.CreateBody0Rel,
+                joint.CreateLocalPos0Attr,
+                joint.CreateLocalRot0Attr,
+            ),
+            (
+                hinge.second,
+                joint.CreateBody1Rel,
+                joint.CreateLocalPos1Attr,
+                joint.CreateLocalRot1Attr,
+            ),
         )
         for name, relate, place, turn in sides:
             pose = self.scene.body(name).pose
@@ -494,8 +641,14 @@ class _Writer:
         nodes = self.points[attachment.deformable]
         attached = nodes_in(nodes, attachment.region)
         other = self.deformables.get(attachment.to)
-        kind = "OmniPhysicsVtxXformAttachment" if other is None else "OmniPhysicsVtxVtxAttachment"
-        prim = self.stage.DefinePrim(f"{self._group('Attachments')}/attachment_{index}", kind)
+        kind = (
+            "OmniPhysicsVtxXformAttachment"
+            if other is None
+            else "OmniPhysicsVtxVtxAttachment"
+        )
+        prim = self.stage.DefinePrim(
+            f"{self._group('Attachments')}/attachment_{index}", kind
+        )
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
         local = pose.to_body(body.pose.to_world(nodes[attached]))
         if other is None:
@@ -509,10 +662,14 @@ class _Writer:
             follows = [_omni(prim, "vtxIndicesSrc1", "int[]", nearest.tolist())]
         follows.append(_omni(prim, "vtxIndicesSrc0", "int[]", attached.tolist()))
         for one in follows:
-            record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
+            record_follower(
+                one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m"
+            )
         _omni(prim, "attachmentEnabled", "bool", True)
         for name, target in (("src0", attachment.deformable), ("src1", attachment.to)):
-            prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets([self.paths[target]])
+            prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets(
+                [self.paths[target]]
+            )
         _custom(prim, "region_axis", attachment.region.axis, "token")
         _custom(prim, "region_side", attachment.region.side, "token")
         _custom(prim, "region_depth_m", attachment.region.depth_m)
@@ -529,7 +686,13 @@ class _Writer:
         bodies = prim.CreateRelationship("gauge:bodies", custom=True)
         bodies.SetTargets([self.paths[name] for name in markers.bodies])
         written = digest(points.GetPointsAttr().Get())
-        _custom(prim, "positions_m", Vt.Vec3dArray.FromNumpy(positions), "double3[]", written=written)
+        _custom(
+            prim,
+            "positions_m",
+            Vt.Vec3dArray.FromNumpy(positions),
+            "double3[]",
+            written=written,
+        )
         for name, kind in MARKER_INDICES.items():
             _custom(prim, name, list(getattr(markers, name)), kind)
 
@@ -549,7 +712,9 @@ def _paths(names: Sequence[str]) -> dict[str, str]:
     return paths
 
 
-def _custom(schema: Any, name: str, value: Any, kind: str = "double", *, written: Any = None) -> Usd.Attribute:
+def _custom(
+    schema: Any, name: str, value: Any, kind: str = "double", *, written: Any = None
+) -> Usd.Attribute:
     """Write a `gauge:` attribute.
 
     Args:
@@ -573,7 +738,9 @@ def _omni(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
 def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
     is_custom = name.startswith("gauge:")
-    attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Find(kind), custom=is_custom)
+    attribute = prim.CreateAttribute(
+        name, Sdf.ValueTypeNames.Find(kind), custom=is_custom
+    )
     attribute.Set(value)
     return attribute
 
@@ -590,7 +757,9 @@ def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
     if (motor := hinge.motor) is None:
         return
     _custom(prim, "motor", motor.kind, "token")
-    _custom(prim, "command", json.dumps(asdict(motor.command), allow_nan=False), "string")
+    _custom(
+        prim, "command", json.dumps(asdict(motor.command), allow_nan=False), "string"
+    )
     if isinstance(motor, Servo):
         target = UsdPhysics.DriveAPI.Apply(prim, "angular").CreateTargetPositionAttr()
         target.Set(math.degrees(motor.command.value(0.0)))
@@ -598,7 +767,10 @@ def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
     for field, value in asdict(motor).items():
         if isinstance(value, float):
             drive = DRIVE.get(field)
-            single = drive and _set(prim, drive[0], "float", value / drive[1]).Get() * drive[1]
+            single = (
+                drive
+                and _set(prim, drive[0], "float", value / drive[1]).Get() * drive[1]
+            )
             _custom(prim, field, value, written=single)
 
 
@@ -611,7 +783,9 @@ def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:
 
 
 def _extent(geometry: UsdGeom.Boundable) -> None:
-    geometry.CreateExtentAttr(UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, Usd.TimeCode.Default()))
+    geometry.CreateExtentAttr(
+        UsdGeom.Boundable.ComputeExtentFromPlugins(geometry, Usd.TimeCode.Default())
+    )
 
 
 def _quatd(quaternion: Iterable[float]) -> Gf.Quatd:

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
         video_task as video_task,
         video_tasks as video_tasks,
     )
-    from gauge_envs.tools.video.track import Event as Event, Track as Track, read_track as read_track
+    from gauge_envs.tools.video.track import (
+        Event as Event,
+        Track as Track,
+        read_track as read_track,
+    )
 else:
     __getattr__, __all__ = door(__name__)

@@ -40,10 +40,14 @@ class Background:
 
     def follow(self, picture: Picture, still: NDArray[np.bool_]) -> None:
         """Take over a share of a picture where nothing moves."""
-        cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=still.astype(np.uint8))
+        cv2.accumulateWeighted(
+            picture, self.picture, ADAPTATION, mask=still.astype(np.uint8)
+        )
 
 
-def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> Background:
+def background(
+    first: Picture, sampled: Sequence[Picture], occupied: Region
+) -> Background:
     """Return the background of a video.
 
     The first frame shows the scene; only the object hides a part of it. That part is the median of the frames in which
@@ -61,12 +65,16 @@ def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> 
     hidden = first[top:bottom, left:right]
     has_changed = np.abs(stack.astype(np.int16) - hidden).max(axis=3) > CHANGED
     height, width = has_changed.shape[1:]
-    core = has_changed[:, height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].mean(axis=(1, 2))
+    core = has_changed[
+        :, height // 3 : 2 * height // 3, width // 3 : 2 * width // 3
+    ].mean(axis=(1, 2))
     left_at = np.flatnonzero(core > 0.5)
     result = first.copy()
     if len(left_at) >= LEAST_CHANGED:
         # The object passes other pixels for a moment only, so the median after its start shows what it hid.
-        result[top:bottom, left:right] = np.median(stack[left_at], axis=0).astype(np.uint8)
+        result[top:bottom, left:right] = np.median(stack[left_at], axis=0).astype(
+            np.uint8
+        )
     else:
         # An object that never leaves hides its background; the surroundings stand in for it.
         mask = np.zeros(REFERENCE_SIZE_PX[::-1], dtype=np.uint8)
@@ -138,10 +146,18 @@ class _Outline:
     def _drawn(self, corners: FloatArray) -> NDArray[np.float32]:
         side = 2 * self.half + 1
         filled = np.zeros((side, side), dtype=np.float32)
-        cv2.fillPoly(filled, [np.round((corners + self.half) * 16.0).astype(np.int32)], 1.0, cv2.LINE_8, 4)
+        cv2.fillPoly(
+            filled,
+            [np.round((corners + self.half) * 16.0).astype(np.int32)],
+            1.0,
+            cv2.LINE_8,
+            4,
+        )
         return np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), dtype=np.float32)
 
-    def response(self, covered: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    def response(
+        self, covered: NDArray[np.float32], known: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], ...]:
         """Return the covered share in the outline less that around it, at each pixel, both shares, and the fit.
 
         The shares are those of the pixels that say something. Before a background of the object's colour they stay as
@@ -149,14 +165,23 @@ class _Outline:
         """
         values = []
         for mask in (self.inside, self.around):
-            share = cv2.filter2D(covered * known, -1, mask, borderType=cv2.BORDER_CONSTANT)
+            share = cv2.filter2D(
+                covered * known, -1, mask, borderType=cv2.BORDER_CONSTANT
+            )
             whole = cv2.filter2D(known, -1, mask, borderType=cv2.BORDER_CONSTANT)
             values.append((share, whole))
         (inside, seen), (around, beside) = values
         result = inside / np.maximum(seen, 1.0) - around / np.maximum(beside, 1.0)
         result[seen < LEAST_KNOWN_SHARE * self.area] = -1.0
-        fit = (inside - 0.5 * seen) / self.area - around / max(float(self.around.sum()), 1.0)
-        return result, inside / np.maximum(seen, 1.0), around / np.maximum(beside, 1.0), fit
+        fit = (inside - 0.5 * seen) / self.area - around / max(
+            float(self.around.sum()), 1.0
+        )
+        return (
+            result,
+            inside / np.maximum(seen, 1.0),
+            around / np.maximum(beside, 1.0),
+            fit,
+        )
 
 
 class ShapeFollower:
@@ -188,37 +213,65 @@ class ShapeFollower:
         self._scene, self._size_px, self._is_directed = scene, size_px, is_directed
         if is_square:
             along = np.array(SLOPE_DIRECTION)
-            corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ np.array([along, [-along[1], along[0]]])
+            corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ np.array(
+                [along, [-along[1], along[0]]]
+            )
             inner, outer = 0.5 * size_px * corners, 0.75 * size_px * corners
         else:
             angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
             circle = 0.5 * size_px * np.column_stack([np.cos(angles), np.sin(angles)])
             # A square that turns has its corners between its disk and the ring around it.
             inner, outer = circle, circle * (1.5 if is_directed else 1.8)
-        self._small, self._full = _Outline(inner, outer, COARSE), _Outline(inner, outer, 1.0)
+        self._small, self._full = (
+            _Outline(inner, outer, COARSE),
+            _Outline(inner, outer, 1.0),
+        )
         self._colour = self._look(first, centre_px)
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
         whole = picture.astype(np.float32)
-        small = cv2.resize(whole, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA)
-        bare = cv2.resize(self._scene.picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            whole, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
+        )
+        bare = cv2.resize(
+            self._scene.picture,
+            None,
+            fx=COARSE,
+            fy=COARSE,
+            interpolation=cv2.INTER_AREA,
+        )
         is_lit = bare.min(axis=2) > LIT
         if not self._is_directed and is_lit.any():
             # Any change of colour counts, so that of the exposure is taken out.
-            exposure = np.median(small[is_lit] / bare[is_lit], axis=0).astype(np.float32)
+            exposure = np.median(small[is_lit] / bare[is_lit], axis=0).astype(
+                np.float32
+            )
             whole, small = whole / exposure, small / exposure
         covered, known = self._covered(small, bare)
         response, *_ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
-        is_peak = (response >= cv2.dilate(response, np.ones((reach, reach), np.uint8))) & (response > LEAST_RESPONSE)
+        is_peak = (
+            response >= cv2.dilate(response, np.ones((reach, reach), np.uint8))
+        ) & (response > LEAST_RESPONSE)
         rows, columns = np.nonzero(is_peak)
         order = np.argsort(-response[rows, columns])[:MOST_CANDIDATES]
-        found = [self._refined(whole, (columns[i] + 0.5) / COARSE - 0.5, (rows[i] + 0.5) / COARSE - 0.5) for i in order]
-        moving = cv2.dilate((covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8))
-        still = cv2.resize(moving, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST) == 0
+        found = [
+            self._refined(
+                whole, (columns[i] + 0.5) / COARSE - 0.5, (rows[i] + 0.5) / COARSE - 0.5
+            )
+            for i in order
+        ]
+        moving = cv2.dilate(
+            (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
+        )
+        still = (
+            cv2.resize(moving, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST) == 0
+        )
         self._scene.follow(picture, still)
-        return sorted((one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness)
+        return sorted(
+            (one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness
+        )
 
     def _covered(
         self, picture: NDArray[np.float32], bare: NDArray[np.float32]
@@ -239,16 +292,26 @@ class ShapeFollower:
         half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)
         bare, _ = _cut(self._scene.picture, x, y, half)
-        response, inside, around, fit = self._full.response(*self._covered(window, bare))
+        response, inside, around, fit = self._full.response(
+            *self._covered(window, bare)
+        )
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
-        row, column = (half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1))
+        row, column = (
+            half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1)
+        )
         value = float(response[row, column])
         if value < LEAST_RESPONSE:
             return Sight()
-        place = np.array([column, row], dtype=float) + _vertex(fit[row - 2 : row + 3, column - 2 : column + 3])
+        place = np.array([column, row], dtype=float) + _vertex(
+            fit[row - 2 : row + 3, column - 2 : column + 3]
+        )
         place += corner
         # What covers the ring beside the outline is as if the object had grown.
-        grown = float(self._full.around.sum()) * float(around[row, column]) / self._full.area
+        grown = (
+            float(self._full.around.sum())
+            * float(around[row, column])
+            / self._full.area
+        )
         return Sight(
             x_px=float(place[0]),
             y_px=float(place[1]),
@@ -256,19 +319,29 @@ class ShapeFollower:
             size_ratio=math.sqrt(float(inside[row, column]) + grown),
         )
 
-    def _look(self, picture: NDArray[np.floating] | Picture, place: FloatArray) -> NDArray[np.float32]:
+    def _look(
+        self, picture: NDArray[np.floating] | Picture, place: FloatArray
+    ) -> NDArray[np.float32]:
         """Return the mean colour of the middle of the object."""
         part, _ = _cut(picture, place[0], place[1], max(1, int(0.25 * self._size_px)))
         return part.reshape(-1, 3).mean(axis=0).astype(np.float32)
 
     def _likeness(self, colour: NDArray[np.float32]) -> float:
         """Return the likeness of a colour to the object's at any brightness, from 0 to 1."""
-        gain = float(np.clip(colour @ self._colour / max(float(self._colour @ self._colour), 1.0), 0.5, 2.0))
+        gain = float(
+            np.clip(
+                colour @ self._colour / max(float(self._colour @ self._colour), 1.0),
+                0.5,
+                2.0,
+            )
+        )
         away = float(np.abs(colour - gain * self._colour).max())
         return math.exp(-max(0.0, away - TINT) / TINT_RANGE)
 
 
-def _cut(picture: NDArray[Any], x: float, y: float, half: int) -> tuple[NDArray[Any], FloatArray]:
+def _cut(
+    picture: NDArray[Any], x: float, y: float, half: int
+) -> tuple[NDArray[Any], FloatArray]:
     """Return the part of a picture around a pixel, its edges repeated, and the place of its corner."""
     left, top = round(x) - half, round(y) - half
     columns = np.clip(np.arange(left, left + 2 * half + 1), 0, picture.shape[1] - 1)
@@ -280,7 +353,9 @@ def _vertex(values: NDArray[np.floating]) -> FloatArray:
     """Return the peak of a paraboloid through 5 x 5 values, as x and y from their middle."""
     y, x = np.mgrid[-2:3, -2:3].reshape(2, -1)
     basis = np.column_stack([np.ones(25), x, y, x * x, x * y, y * y])
-    _, a, b, c, d, e = np.linalg.lstsq(basis, values.ravel().astype(float), rcond=None)[0]
+    _, a, b, c, d, e = np.linalg.lstsq(basis, values.ravel().astype(float), rcond=None)[
+        0
+    ]
     curvature = np.array([[2.0 * c, d], [d, 2.0 * e]])
     if c >= 0.0 or np.linalg.det(curvature) <= 0.0:
         return np.zeros(2)
@@ -328,18 +403,30 @@ def best_path(
     hangs = np.array([is_struck and one is nodes[0][1] for _, one in nodes])
     frames = np.array([frame for frame, _ in nodes])
     places = np.array([one.place for _, one in nodes])
-    totals, speeds, before = np.zeros(len(nodes)), np.zeros((len(nodes), 2)), np.full(len(nodes), -1)
+    totals, speeds, before = (
+        np.zeros(len(nodes)),
+        np.zeros((len(nodes), 2)),
+        np.full(len(nodes), -1),
+    )
     # Where the known place shows the object in one of the first frames, the path begins there.
-    near = (frames < FIRST_FRAMES) & (np.linalg.norm(places - start_px, axis=1) <= FIRST_STEP * size_px)
+    near = (frames < FIRST_FRAMES) & (
+        np.linalg.norm(places - start_px, axis=1) <= FIRST_STEP * size_px
+    )
     at_start = set(np.flatnonzero(near).tolist()) - {0}
     for node in range(1, len(nodes)):
         gap = frames[node] - frames[:node]
         steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
         # When it was struck between two frames is unknown, and so is the velocity of its first step.
-        bend = np.linalg.norm(steps - speeds[:node], axis=1) / usual_px * ~(hangs[:node] | hangs[before[:node]])
+        bend = (
+            np.linalg.norm(steps - speeds[:node], axis=1)
+            / usual_px
+            * ~(hangs[:node] | hangs[before[:node]])
+        )
         value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
         is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
-        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(size_px, lawful_px)
+        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(
+            size_px, lawful_px
+        )
         is_possible[0] &= not at_start or node in at_start
         if not is_possible.any():
             totals[node] = -math.inf

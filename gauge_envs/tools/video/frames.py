@@ -65,15 +65,33 @@ class Registration:
         height, width = picture.shape[:2]
         plain = stretched((width, height))
         place = (self.scale_x, self.scale_y, self.offset_x_px, self.offset_y_px)
-        if np.allclose(place, (plain.scale_x, plain.scale_y, 0.0, 0.0), rtol=0.0, atol=EXACT):
+        if np.allclose(
+            place, (plain.scale_x, plain.scale_y, 0.0, 0.0), rtol=0.0, atol=EXACT
+        ):
             return _resized(picture, REFERENCE_SIZE_PX)
         # Large pictures are averaged to the size of the grid first, as interpolation would skip pixels.
-        size = (max(1, round(width * self.scale_x)), max(1, round(height * self.scale_y)))
-        near = _resized(picture, size) if min(self.scale_x, self.scale_y) < 1.0 else picture
-        scale = np.array([self.scale_x * width / near.shape[1], self.scale_y * height / near.shape[0]])
+        size = (
+            max(1, round(width * self.scale_x)),
+            max(1, round(height * self.scale_y)),
+        )
+        near = (
+            _resized(picture, size)
+            if min(self.scale_x, self.scale_y) < 1.0
+            else picture
+        )
+        scale = np.array(
+            [
+                self.scale_x * width / near.shape[1],
+                self.scale_y * height / near.shape[0],
+            ]
+        )
         offset = np.array([self.offset_x_px, self.offset_y_px]) + 0.5 * scale - 0.5
         matrix = np.column_stack([np.diag(scale), offset])
-        return np.asarray(cv2.warpAffine(near, matrix, REFERENCE_SIZE_PX, borderMode=cv2.BORDER_REPLICATE))
+        return np.asarray(
+            cv2.warpAffine(
+                near, matrix, REFERENCE_SIZE_PX, borderMode=cv2.BORDER_REPLICATE
+            )
+        )
 
 
 def stretched(size_px: tuple[int, int]) -> Registration:
@@ -165,7 +183,9 @@ class Frames(ABC):
     def _check(self) -> None:
         width, height = self.size_px
         if not (1 <= width <= MOST_SIDE_PX and 1 <= height <= MOST_SIDE_PX):
-            raise VideoError(f"{self.name}: its pictures have {width} x {height} pixels; at most {MOST_SIDE_PX} a side")
+            raise VideoError(
+                f"{self.name}: its pictures have {width} x {height} pixels; at most {MOST_SIDE_PX} a side"
+            )
         if not LEAST_FPS <= self.fps <= MOST_FPS:
             raise VideoError(
                 f"{self.name}: it states {self.fps:g} frames per second; the laws need {LEAST_FPS:g} to {MOST_FPS:g}"
@@ -174,10 +194,15 @@ class Frames(ABC):
 
 def _check_container(path: Path) -> None:
     """Check that a file holds its pictures: a playlist, as of ffconcat, is a text that names other files."""
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")), path.open("rb") as stream:
+    with (
+        os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")),
+        path.open("rb") as stream,
+    ):
         head = stream.read(HEAD_BYTES)
     if b"\0" not in head:
-        raise VideoError(f"{path}: it is a text and no video; give an MP4 or WebM video")
+        raise VideoError(
+            f"{path}: it is a text and no video; give an MP4 or WebM video"
+        )
 
 
 class FileFrames(Frames):
@@ -196,10 +221,15 @@ class FileFrames(Frames):
         capture = self._opened()
         try:
             if not capture.isOpened():
-                raise VideoError(f"{path}: OpenCV cannot decode it; give an MP4 or WebM video")
+                raise VideoError(
+                    f"{path}: OpenCV cannot decode it; give an MP4 or WebM video"
+                )
             stated = float(capture.get(cv2.CAP_PROP_FPS))
             self.stated_count = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-            self.size_px = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+            self.size_px = (
+                int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)),
+                int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)),
+            )
         finally:
             capture.release()
         self.fps = stated if fps is None else fps
@@ -213,7 +243,9 @@ class FileFrames(Frames):
 
         None when the rate was given instead.
         """
-        return np.array(self._times_s) if self._has_own_times and self._times_s else None
+        return (
+            np.array(self._times_s) if self._has_own_times and self._times_s else None
+        )
 
     def native(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all pictures in their own size."""
@@ -226,12 +258,16 @@ class FileFrames(Frames):
                     break
                 times.append(0.001 * capture.get(cv2.CAP_PROP_POS_MSEC))
                 if len(times) > MOST_FRAMES:
-                    raise VideoError(f"{self.name}: it has more than {MOST_FRAMES} frames; cut the clip to the event")
+                    raise VideoError(
+                        f"{self.name}: it has more than {MOST_FRAMES} frames; cut the clip to the event"
+                    )
                 yield picture
         finally:
             capture.release()
         if not times:
-            raise VideoError(f"{self.name}: no frame can be decoded; give an MP4 or WebM video")
+            raise VideoError(
+                f"{self.name}: no frame can be decoded; give an MP4 or WebM video"
+            )
         self._times_s = times
 
     def _opened(self) -> Any:
@@ -241,7 +277,9 @@ class FileFrames(Frames):
         logging.setLogLevel(logging.LOG_LEVEL_ERROR)
         try:
             # Each thread of the decoder holds pictures of its own, which are large.
-            return cv2.VideoCapture(self.name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+            return cv2.VideoCapture(
+                self.name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1]
+            )
         finally:
             logging.setLogLevel(level)
 
@@ -254,14 +292,21 @@ class ArrayFrames(Frames):
         fps: Frames per second.
     """
 
-    def __init__(self, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8], *, fps: float) -> None:
+    def __init__(
+        self, frames: Sequence[NDArray[np.uint8]] | NDArray[np.uint8], *, fps: float
+    ) -> None:
         self.name = "frames"
         if not len(frames):
             raise VideoError("frames: there is no frame")
         first = np.asarray(frames[0])
         for number, frame in enumerate(frames):
             one = np.asarray(frame)
-            if one.ndim != 3 or one.shape[2] != 3 or one.dtype != np.uint8 or one.shape != first.shape:
+            if (
+                one.ndim != 3
+                or one.shape[2] != 3
+                or one.dtype != np.uint8
+                or one.shape != first.shape
+            ):
                 raise VideoError(
                     f"frames[{number}]: shape {one.shape} and type {one.dtype}; all must be uint8 of one shape "
                     "[height, width, 3]"
@@ -281,7 +326,9 @@ def _check_size(path: Path, most_bytes: int, advice: str) -> None:
     if not path.is_file():
         raise VideoError(f"{path}: there is no such file")
     if path.stat().st_size > most_bytes:
-        raise VideoError(f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}")
+        raise VideoError(
+            f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}"
+        )
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
@@ -289,7 +336,9 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     _check_size(path, MOST_PICTURE_BYTES, "give the first frame as PNG")
     picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
-        raise VideoError(f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG")
+        raise VideoError(
+            f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG"
+        )
     return np.asarray(picture)
 
 
@@ -301,9 +350,13 @@ def write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> 
     for picture in pictures:
         if writer is None:
             size = (picture.shape[1], picture.shape[0])
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+            writer = cv2.VideoWriter(
+                str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size
+            )
             if not writer.isOpened():
-                raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
+                raise VideoError(
+                    f"{path}: cannot be written as MP4; choose another folder or name"
+                )
         writer.write(picture)
     if writer is not None:
         writer.release()
@@ -365,14 +418,21 @@ def read_cadence(frames: Frames) -> Cadence:
     differences: list[float] = []
     before: NDArray[np.float32] | None = None
     for picture in frames.native():
-        small = cv2.cvtColor(cv2.resize(picture, SMALL_PX, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+        small = cv2.cvtColor(
+            cv2.resize(picture, SMALL_PX, interpolation=cv2.INTER_AREA),
+            cv2.COLOR_BGR2GRAY,
+        )
         small = np.asarray(small, dtype=np.float32)
-        differences.append(np.inf if before is None else float(np.abs(small - before).max()))
+        differences.append(
+            np.inf if before is None else float(np.abs(small - before).max())
+        )
         before = small
     return cadence_of(np.array(differences), frames.fps, frames.times_s)
 
 
-def cadence_of(differences: FloatArray, fps: float, times_s: FloatArray | None = None) -> Cadence:
+def cadence_of(
+    differences: FloatArray, fps: float, times_s: FloatArray | None = None
+) -> Cadence:
     """Return when pictures were taken, from their differences and the times that the file states.
 
     Args:
@@ -384,12 +444,17 @@ def cadence_of(differences: FloatArray, fps: float, times_s: FloatArray | None =
     every = np.ones(count, dtype=bool)
     if times_s is not None and len(times_s) == count and count > 1:
         steps = np.diff(times_s)
-        is_uniform = np.abs(times_s - times_s[0] - np.arange(count) / fps).max() * fps <= MOST_JITTER
+        is_uniform = (
+            np.abs(times_s - times_s[0] - np.arange(count) / fps).max() * fps
+            <= MOST_JITTER
+        )
         if not is_uniform and (steps > 0.0).all():
             rate = (count - 1) / float(times_s[-1] - times_s[0])
             shortest, longest = 1000.0 * steps.min(), 1000.0 * steps.max()
             text = f"frames last {shortest:.0f} to {longest:.0f} ms: the times that the file states are used"
-            return Cadence(is_new=every, times_s=times_s - times_s[0], fps=rate, text=text)
+            return Cadence(
+                is_new=every, times_s=times_s - times_s[0], fps=rate, text=text
+            )
     rhythm = _rhythm(differences)
     if rhythm is None:
         return Cadence(is_new=every, times_s=np.arange(count) / fps, fps=fps)
@@ -401,7 +466,9 @@ def cadence_of(differences: FloatArray, fps: float, times_s: FloatArray | None =
         f"{int(rhythm.sum())} of every {period} frames show the picture before again: "
         f"the {int(is_new.sum())} new pictures count, at {rate:.4g} per second"
     )
-    return Cadence(is_new=is_new, times_s=np.arange(int(is_new.sum())) / rate, fps=rate, text=text)
+    return Cadence(
+        is_new=is_new, times_s=np.arange(int(is_new.sum())) / rate, fps=rate, text=text
+    )
 
 
 def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
@@ -415,15 +482,26 @@ def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
     repeats = values < REPEAT_SHARE * np.array(near)
     # Only frames with motion before and after say something: a body at rest repeats pictures without a rhythm.
     counts = np.array(
-        [moves[max(0, row - REACH) : row].any() and moves[row + 1 : row + 1 + REACH].any() for row in range(count)]
+        [
+            moves[max(0, row - REACH) : row].any()
+            and moves[row + 1 : row + 1 + REACH].any()
+            for row in range(count)
+        ]
     )
     for period in range(2, MOST_PERIOD + 1):
-        places = [np.flatnonzero(counts & (np.arange(count) % period == phase)) for phase in range(period)]
+        places = [
+            np.flatnonzero(counts & (np.arange(count) % period == phase))
+            for phase in range(period)
+        ]
         if min(len(place) for place in places) < 2:
             break
         shares = np.array([repeats[place].mean() for place in places])
         rhythm = shares >= CLEAR_SHARE
         is_clear = (rhythm | (shares <= 1.0 - CLEAR_SHARE)).all() and not rhythm.all()
-        if is_clear and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm)) >= LEAST_REPEATS:
+        if (
+            is_clear
+            and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm))
+            >= LEAST_REPEATS
+        ):
             return rhythm
     return None

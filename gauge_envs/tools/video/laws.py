@@ -97,7 +97,11 @@ class OscillationFit:
 
 
 def fit_constant_acceleration(
-    times_s: ArrayLike, displacement_m: ArrayLike, *, release_within_s: float = 0.0, release_s: float | None = None
+    times_s: ArrayLike,
+    displacement_m: ArrayLike,
+    *,
+    release_within_s: float = 0.0,
+    release_s: float | None = None,
 ) -> AccelerationFit:
     """Fit a motion from rest with constant acceleration, linear in squared time.
 
@@ -130,7 +134,11 @@ def fit_constant_acceleration(
     spread = float(((values - values.mean()) ** 2).sum())
     # Residuals of rounding size say nothing on the form of the relation.
     is_exact = linear <= 1e-24 * max(spread, float((values**2).sum()), 1e-300)
-    qfi = 0.0 if is_exact else (linear - quadratic) / max(quadratic / (len(values) - 3), 1e-300)
+    qfi = (
+        0.0
+        if is_exact
+        else (linear - quadratic) / max(quadratic / (len(values) - 3), 1e-300)
+    )
     return AccelerationFit(
         a_m_per_s2=2.0 * float(coefficients[1]),
         start_m=float(coefficients[0]),
@@ -141,7 +149,9 @@ def fit_constant_acceleration(
     )
 
 
-def dynamic_error(times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float, friction: float) -> DynamicError:
+def dynamic_error(
+    times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float, friction: float
+) -> DynamicError:
     """Return by how much the force that a motion needs exceeds the available friction.
 
     Equations "c4-acceleration", "c4-unequal", "c4-friction" and "c4-de" of the paper's appendix: three-point
@@ -158,8 +168,14 @@ def dynamic_error(times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float,
     velocities = np.diff(values, axis=0) / steps
     accelerations = 2.0 * np.diff(velocities, axis=0) / (steps[1:] + steps[:-1])
     sizes: FloatArray = np.linalg.norm(accelerations, axis=1)
-    exceedance: FloatArray = np.maximum(0.0, mass_kg * sizes - friction * mass_kg * GRAVITY_M_PER_S2)
-    return DynamicError(de_n=float(exceedance.mean()), accelerations_m_per_s2=sizes, exceedance_n=exceedance)
+    exceedance: FloatArray = np.maximum(
+        0.0, mass_kg * sizes - friction * mass_kg * GRAVITY_M_PER_S2
+    )
+    return DynamicError(
+        de_n=float(exceedance.mean()),
+        accelerations_m_per_s2=sizes,
+        exceedance_n=exceedance,
+    )
 
 
 def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> float:
@@ -174,10 +190,18 @@ def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> flo
     heights = np.asarray(apex_heights_m, dtype=float).ravel()
     if not heights.size:
         raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
-    if not (np.isfinite(heights).all() and (heights >= 0.0).all() and np.isfinite(release_height_m)):
-        raise ParameterError("momentum transfer: heights must be finite and not negative")
+    if not (
+        np.isfinite(heights).all()
+        and (heights >= 0.0).all()
+        and np.isfinite(release_height_m)
+    ):
+        raise ParameterError(
+            "momentum transfer: heights must be finite and not negative"
+        )
     if release_height_m <= 0.0:
-        raise ParameterError(f"momentum transfer: the release height is {release_height_m} m; it must be positive")
+        raise ParameterError(
+            f"momentum transfer: the release height is {release_height_m} m; it must be positive"
+        )
     return float(np.sqrt(heights / release_height_m).mean())
 
 
@@ -193,11 +217,17 @@ def monotone_misfit(values: ArrayLike, *, is_rising: bool) -> float:
     """
     samples = np.asarray(values, dtype=float) * (1.0 if is_rising else -1.0)
     nearest = isotonic_regression(samples).x
-    return float(np.sqrt(((samples - nearest) ** 2).mean()) / max(float(np.abs(samples).mean()), 1e-300))
+    return float(
+        np.sqrt(((samples - nearest) ** 2).mean())
+        / max(float(np.abs(samples).mean()), 1e-300)
+    )
 
 
 def fit_damped_oscillation(
-    times_s: ArrayLike, angles_rad: ArrayLike, *, guess: tuple[float, float] | None = None
+    times_s: ArrayLike,
+    angles_rad: ArrayLike,
+    *,
+    guess: tuple[float, float] | None = None,
 ) -> OscillationFit:
     """Fit a damped oscillation to an angle over time.
 
@@ -214,7 +244,9 @@ def fit_damped_oscillation(
     times, values = _samples(times_s, angles_rad, LEAST_POINTS_OSCILLATION)
     spread = float(((values - values.mean()) ** 2).sum())
     if spread <= 0.0:
-        raise ParameterError("damped oscillation: the angle does not change, so there is no oscillation to fit")
+        raise ParameterError(
+            "damped oscillation: the angle does not change, so there is no oscillation to fit"
+        )
     clock = times - times[0]
     window = float(clock[-1])
     lowest, highest = np.pi / window, 0.5 * np.pi / float(np.median(np.diff(times)))
@@ -234,7 +266,9 @@ def fit_damped_oscillation(
         options={"xatol": 1e-7, "fatol": 1e-14 * spread, "maxiter": 2000},
     )
     beta, omega = float(found.x[0]) / window, abs(float(found.x[1])) / window
-    (equilibrium, cosine, sine), residual = _least_squares(_oscillation(clock, beta, omega), values)
+    (equilibrium, cosine, sine), residual = _least_squares(
+        _oscillation(clock, beta, omega), values
+    )
     return OscillationFit(
         period_s=2.0 * np.pi / omega,
         damping_per_s=beta,
@@ -245,12 +279,23 @@ def fit_damped_oscillation(
     )
 
 
-def _best_of_grid(clock: FloatArray, values: FloatArray, lowest: float, highest: float) -> tuple[float, float]:
+def _best_of_grid(
+    clock: FloatArray, values: FloatArray, lowest: float, highest: float
+) -> tuple[float, float]:
     """Return the damping and the angular frequency of a grid that leave the smallest residual."""
     window = float(clock[-1])
-    count = max(8, int(FREQUENCIES_PER_WINDOW * (highest - lowest) * window / (2.0 * np.pi)))
-    candidates = [(beta / window, float(omega)) for omega in np.linspace(lowest, highest, count) for beta in DAMPINGS]
-    return min(candidates, key=lambda pair: _residual_square(_oscillation(clock, *pair), values))
+    count = max(
+        8, int(FREQUENCIES_PER_WINDOW * (highest - lowest) * window / (2.0 * np.pi))
+    )
+    candidates = [
+        (beta / window, float(omega))
+        for omega in np.linspace(lowest, highest, count)
+        for beta in DAMPINGS
+    ]
+    return min(
+        candidates,
+        key=lambda pair: _residual_square(_oscillation(clock, *pair), values),
+    )
 
 
 # --- least squares ---------------------------------------------------------------------------------------------------
@@ -261,13 +306,19 @@ def _from_rest(times_s: FloatArray) -> FloatArray:
     return np.column_stack([np.ones_like(times_s), np.maximum(times_s, 0.0) ** 2])
 
 
-def _oscillation(times_s: FloatArray, damping_per_s: float, omega_rad_per_s: float) -> FloatArray:
+def _oscillation(
+    times_s: FloatArray, damping_per_s: float, omega_rad_per_s: float
+) -> FloatArray:
     decay = np.exp(-damping_per_s * times_s)
     phase = omega_rad_per_s * times_s
-    return np.column_stack([np.ones_like(times_s), decay * np.cos(phase), decay * np.sin(phase)])
+    return np.column_stack(
+        [np.ones_like(times_s), decay * np.cos(phase), decay * np.sin(phase)]
+    )
 
 
-def _least_squares(basis: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _least_squares(
+    basis: FloatArray, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return coefficients and residuals; columns are scaled, as powers of small times differ by orders of size."""
     scale = np.linalg.norm(basis, axis=0)
     scale[scale == 0.0] = 1.0
@@ -280,14 +331,20 @@ def _residual_square(basis: FloatArray, values: FloatArray) -> float:
     return float(residual @ residual)
 
 
-def _samples(times_s: ArrayLike, values: ArrayLike, least: int) -> tuple[FloatArray, FloatArray]:
+def _samples(
+    times_s: ArrayLike, values: ArrayLike, least: int
+) -> tuple[FloatArray, FloatArray]:
     times, samples = np.asarray(times_s, dtype=float), np.asarray(values, dtype=float)
     if times.ndim != 1 or len(times) != len(samples):
-        raise ParameterError(f"times have shape {times.shape} and values {samples.shape}: they must match")
+        raise ParameterError(
+            f"times have shape {times.shape} and values {samples.shape}: they must match"
+        )
     if len(times) < least:
         raise ParameterError(f"{len(times)} samples are too few: the fit needs {least}")
     if not (np.isfinite(times).all() and np.isfinite(samples).all()):
-        raise ParameterError("times and values must be finite: leave out frames without a position")
+        raise ParameterError(
+            "times and values must be finite: leave out frames without a position"
+        )
     if (np.diff(times) <= 0.0).any():
         raise ParameterError("times must increase from sample to sample")
     return times, samples
@@ -359,7 +416,11 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     elif task.motion is Motion.TURN:
         found = _without_rest(track.points_px[rows], MOVING_PX, keeps_end=False)
     else:
-        found = _without_rest(np.degrees(swing_angles_rad(track, task)[rows])[:, None], MOVING_DEG, keeps_end=True)
+        found = _without_rest(
+            np.degrees(swing_angles_rad(track, task)[rows])[:, None],
+            MOVING_DEG,
+            keeps_end=True,
+        )
     if found is None:
         return None
     first, last = int(rows[found[0]]), int(rows[found[1]])
@@ -383,12 +444,21 @@ def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
     for row in range(1, len(times_s) - 1):
         near = np.abs(times_s - times_s[row]) <= APEX_SEPARATION_S
         is_highest = angles_rad[row] >= angles_rad[near].max()
-        is_seen = max(times_s[row + 1] - times_s[row], times_s[row] - times_s[row - 1]) <= MOST_APEX_STEPS * step_s
+        is_seen = (
+            max(times_s[row + 1] - times_s[row], times_s[row] - times_s[row - 1])
+            <= MOST_APEX_STEPS * step_s
+        )
         sides = (angles_rad[:row][near[:row]], angles_rad[row + 1 :][near[row + 1 :]])
         fallen = max(APEX_FALL * angles_rad[row], angles_rad[row] - APEX_FALL_RAD)
         is_swing = all(side.min(initial=np.inf) <= fallen for side in sides)
         is_new = not (found and near[found[-1]])
-        if is_highest and is_seen and is_swing and is_new and angles_rad[row] >= LEAST_APEX_RAD:
+        if (
+            is_highest
+            and is_seen
+            and is_swing
+            and is_new
+            and angles_rad[row] >= LEAST_APEX_RAD
+        ):
             found.append(row)
     return np.array(found, dtype=np.intp)
 
@@ -406,13 +476,23 @@ def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]
     known = rows[apices(times_s, angles_rad)]
     rows = rows[angles_rad >= LEAST_APEX_RAD]
     swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_APEX_STEPS) + 1)
-    return [one for one in swings if len(one) and not np.isin(known, one).any() and one[-1] < len(track.frames) - 1]
+    return [
+        one
+        for one in swings
+        if len(one)
+        and not np.isin(known, one).any()
+        and one[-1] < len(track.frames) - 1
+    ]
 
 
-def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[int, int] | None:
+def _straight(
+    track: Track, task: VideoTask, rows: NDArray[np.intp]
+) -> tuple[int, int] | None:
     along = displacement_px(track, task)[rows]
     # A place that lasts one frame is a slip of the tracker and no motion.
-    along = np.median([np.r_[along[:1], along[:-1]], along, np.r_[along[1:], along[-1:]]], axis=0)
+    along = np.median(
+        [np.r_[along[:1], along[:-1]], along, np.r_[along[1:], along[-1:]]], axis=0
+    )
     rest = float(np.median(along[:WINDOW]))
     far = np.flatnonzero(along - rest > ESTABLISHED * task.size_px)
     if not len(far):
@@ -435,7 +515,10 @@ def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[in
             end = row - 1
             break
         later = min(row + WINDOW, len(rows) - 1)
-        if later - row >= WINDOW // 2 and along[row + 1 : later + 1].max() - along[row] < MOVING_PX:
+        if (
+            later - row >= WINDOW // 2
+            and along[row + 1 : later + 1].max() - along[row] < MOVING_PX
+        ):
             # This frame shows it at rest, and the exposure of the one before may hold the stop.
             end = row - 2
             break
@@ -444,7 +527,9 @@ def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[in
     return (start, end) if end - start >= 3 else None
 
 
-def _last_on_line(track: Track, task: VideoTask, rows: NDArray[np.intp], start: int) -> int:
+def _last_on_line(
+    track: Track, task: VideoTask, rows: NDArray[np.intp], start: int
+) -> int:
     """Return the last row before the object leaves the line of its motion."""
     assert task.direction is not None
     across = np.array([-task.direction[1], task.direction[0]])
@@ -453,7 +538,9 @@ def _last_on_line(track: Track, task: VideoTask, rows: NDArray[np.intp], start: 
     return start + int(off[0]) - 1 if len(off) else len(rows) - 1
 
 
-def _without_rest(values: FloatArray, threshold: float, *, keeps_end: bool) -> tuple[int, int] | None:
+def _without_rest(
+    values: FloatArray, threshold: float, *, keeps_end: bool
+) -> tuple[int, int] | None:
     """Return the first and last row without the rest before and, unless it is kept, after the motion."""
     moved = np.linalg.norm(values[WINDOW:] - values[:-WINDOW], axis=1) > threshold
     moving = np.flatnonzero(moved)
@@ -461,7 +548,10 @@ def _without_rest(values: FloatArray, threshold: float, *, keeps_end: bool) -> t
         return None
     start = int(moving[0])
     rest = values[start]
-    while start + 1 < len(values) and np.linalg.norm(values[start + 1] - rest) <= 0.4 * threshold:
+    while (
+        start + 1 < len(values)
+        and np.linalg.norm(values[start + 1] - rest) <= 0.4 * threshold
+    ):
         start += 1
     end = len(values) - 1 if keeps_end else int(moving[-1]) + WINDOW
     return (start, end) if end - start >= WINDOW else None

@@ -21,14 +21,31 @@ from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
+from gauge_envs.tools.video.plane import (
+    Board,
+    Lens,
+    PlaneView,
+    PointPairs,
+    frontal_task,
+    frontal_track,
+)
 from gauge_envs.tools.video.scoring import Grade, VideoScore, noise_px, score_track
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    Motion,
+    VideoTask,
+    video_task,
+)
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
 SLOPE = "SlopeSlider-2-wood"
-MOTIONS = {"slide": SLOPE, "roll": SLOPE, "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
+MOTIONS = {
+    "slide": SLOPE,
+    "roll": SLOPE,
+    "fall": "BouncingBall-rubber",
+    "pendulum": "Pendulum-metal",
+}
 """Tasks whose laws judge films of a phone, by the name of the motion."""
 
 SQUARES = np.array([7, 5])
@@ -71,13 +88,28 @@ def charuco() -> Any:
 def save_board(path: Path, square_mm: float) -> Path:
     """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
     if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
-        raise ParameterError(f"{path}, square_mm={square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm")
+        raise ParameterError(
+            f"{path}, square_mm={square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm"
+        )
     side = math.ceil(DPI * square_mm / 25.4)
-    sheet = cv2.copyMakeBorder(charuco().generateImage(tuple(map(int, SQUARES * side))), *[side // 2] * 4, 0, value=255)
+    sheet = cv2.copyMakeBorder(
+        charuco().generateImage(tuple(map(int, SQUARES * side))),
+        *[side // 2] * 4,
+        0,
+        value=255,
+    )
     low, bar = sheet.shape[0] - side // 3, round(100.0 * side / square_mm)
     sheet[low : low + side // 12, side // 2 : side // 2 + bar] = 0
     text = f"100 mm; squares {square_mm:g} mm"
-    cv2.putText(sheet, text, (side // 2, sheet.shape[0] - side // 12), 0, side / 250.0, 0, max(1, side // 120))
+    cv2.putText(
+        sheet,
+        text,
+        (side // 2, sheet.shape[0] - side // 12),
+        0,
+        side / 250.0,
+        0,
+        max(1, side // 120),
+    )
     dpi = 25.4 * side / square_mm
     with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
         Image.fromarray(sheet).save(path, dpi=(dpi, dpi), resolution=dpi)
@@ -110,16 +142,24 @@ class FrontalFilm(Frames):
             self._views = _board_views(source, view, view.source)
             self.camera = self._views[0] or view
         width, height = source.size_px
-        border = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]) * (width, height)
+        border = np.array(
+            [[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]
+        ) * (width, height)
         places_m = self.camera.to_plane_m(border)
         extent_m = places_m.max(axis=0) - places_m.min(axis=0)
         # What a slanted view shows far away would leave few pixels for the rest.
-        finest_m_per_px = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
+        finest_m_per_px = float(
+            self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0]
+        )
         whole_m_per_px = float((extent_m / REFERENCE_SIZE_PX).max())
         self.scale = min(whole_m_per_px, MOST_COARSE * finest_m_per_px)
-        self._blur_px = 0.4 * self.scale / finest_m_per_px * width / REFERENCE_SIZE_PX[0]
+        self._blur_px = (
+            0.4 * self.scale / finest_m_per_px * width / REFERENCE_SIZE_PX[0]
+        )
         middle_m = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
-        self._origin_px = 0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
+        self._origin_px = (
+            0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
+        )
         self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
         # What a moving camera uncovers is seen from the start, so that the scene stays the same.
         for _ in self.native():
@@ -137,7 +177,11 @@ class FrontalFilm(Frames):
     def native(self) -> Iterator[Picture]:
         """Yield the frontal pictures of the frames that show the board; what a frame does not show stays."""
         frontal = np.array(
-            [[1.0 / self.scale, 0.0, self._origin_px[0]], [0.0, -1.0 / self.scale, self._origin_px[1]], [0, 0, 1]]
+            [
+                [1.0 / self.scale, 0.0, self._origin_px[0]],
+                [0.0, -1.0 / self.scale, self._origin_px[1]],
+                [0, 0, 1],
+            ]
         )
         maps: Any = None
         for number, picture in enumerate(self._source.native()):
@@ -145,31 +189,65 @@ class FrontalFilm(Frames):
             if view is None:
                 continue
             if maps is None or self._views is not None:
-                lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
+                lens = (
+                    (np.eye(3), np.zeros(4))
+                    if view.lens is None
+                    else view.lens.coefficients
+                )
                 plane = view.source.to_plane(view.lens)
-                maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
-            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur_px) if self._blur_px > 0.5 else picture
-            cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
+                maps = cv2.initUndistortRectifyMap(
+                    *lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
+                )
+            smooth = (
+                cv2.GaussianBlur(picture, (0, 0), self._blur_px)
+                if self._blur_px > 0.5
+                else picture
+            )
+            cv2.remap(
+                smooth,
+                *maps,
+                cv2.INTER_LINEAR,
+                dst=self._canvas,
+                borderMode=cv2.BORDER_TRANSPARENT,
+            )
             yield self._canvas.copy()
 
     def to_grid_px(self, points_px: FloatArray) -> FloatArray:
         """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
-        return self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale + self._origin_px
+        return (
+            self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale
+            + self._origin_px
+        )
 
     def seen(self, track: Track) -> Track:
         """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
         places = np.full(track.points_px.shape, np.nan)
-        plane_m = (track.points_px[track.is_found] - self._origin_px) * (self.scale, -self.scale)
+        plane_m = (track.points_px[track.is_found] - self._origin_px) * (
+            self.scale,
+            -self.scale,
+        )
         shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
         places[track.is_found] = self.camera.to_picture_px(plane_m) * shrinkage
-        return replace(track, points_px=places, size_ratio=np.full(len(places), np.nan), registration=None)
+        return replace(
+            track,
+            points_px=places,
+            size_ratio=np.full(len(places), np.nan),
+            registration=None,
+        )
 
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
         """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
         if motion not in MOTIONS:
             raise UnknownNameError("motion of a film", motion, list(MOTIONS))
         left, top, width, height = box_px
-        corners = np.array([[left, top], [left + width, top], [left + width, top + height], [left, top + height]])
+        corners = np.array(
+            [
+                [left, top],
+                [left + width, top],
+                [left + width, top + height],
+                [left, top + height],
+            ]
+        )
         places = self.to_grid_px(corners)
         size = math.sqrt(cv2.contourArea(places.astype(np.float32)))
         centre, pivot = places.mean(axis=0), self.camera.pivot_m
@@ -179,7 +257,9 @@ class FrontalFilm(Frames):
             size_m=size * self.scale,
             size_px=size,
             centre_px=(float(centre[0]), float(centre[1])),
-            pivot_px=None if pivot is None else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
+            pivot_px=None
+            if pivot is None
+            else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
             real={},
         )
 
@@ -188,11 +268,15 @@ Corners: TypeAlias = tuple[FloatArray, FloatArray]
 """Corners of the board in a frame: places on the board [m], shape [count, 3], and in the picture [px], [count, 2]."""
 
 
-def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneView | None]:
+def _board_views(
+    source: Frames, view: PlaneView, board: Board
+) -> list[PlaneView | None]:
     """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
     # To the right and up from the middle of the board, and towards the camera.
     middle = np.array([*(0.5 * SQUARES), 0.0])
-    corners_m = (charuco().getChessboardCorners() - middle) * [1.0, -1.0, 0.0] * board.square_m
+    corners_m = (
+        (charuco().getChessboardCorners() - middle) * [1.0, -1.0, 0.0] * board.square_m
+    )
     found = _board_corners(source, corners_m)
     seen = [corners for corners in found if corners is not None]
     lens = view.lens or _calibrated(seen, source.size_px)
@@ -214,7 +298,9 @@ def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneVie
             sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
             uncertainty = {"sigma_px": float(missed_px.std()), "sigma_m": sigma_m}
         plane_px = _projected_px(plane_m, turn, away, lens)
-        pairs = PointPairs(px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty)
+        pairs = PointPairs(
+            px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty
+        )
         views.append(replace(view, lens=lens, source=pairs))
     return views
 
@@ -224,7 +310,9 @@ def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None
     detector = cv2.aruco.CharucoDetector(charuco())
     found: list[Corners | None] = []
     for picture in source.native():
-        places, ids, *_ = detector.detectBoard(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        places, ids, *_ = detector.detectBoard(
+            cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        )
         if ids is None or len(ids) < LEAST_CORNERS:
             found.append(None)
         else:
@@ -247,16 +335,37 @@ def _projected_px(places_m: FloatArray, turn: Any, away: Any, lens: Lens) -> Flo
 def _calibrated(seen: list[Corners], size_px: tuple[int, int]) -> Lens:
     """Return the lens by which a film sees the board: its focal length and one coefficient of distortion."""
     chosen = seen[:: math.ceil(len(seen) / MOST_CALIBRATED)]
-    start = np.array([[size_px[0], 0.0, 0.5 * size_px[0]], [0.0, size_px[0], 0.5 * size_px[1]], [0.0, 0.0, 1.0]])
-    names = ("USE_INTRINSIC_GUESS", "FIX_PRINCIPAL_POINT", "FIX_ASPECT_RATIO", "ZERO_TANGENT_DIST", "FIX_K2", "FIX_K3")
+    start = np.array(
+        [
+            [size_px[0], 0.0, 0.5 * size_px[0]],
+            [0.0, size_px[0], 0.5 * size_px[1]],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    names = (
+        "USE_INTRINSIC_GUESS",
+        "FIX_PRINCIPAL_POINT",
+        "FIX_ASPECT_RATIO",
+        "ZERO_TANGENT_DIST",
+        "FIX_K2",
+        "FIX_K3",
+    )
     fixed = sum(getattr(cv2, f"CALIB_{name}") for name in names)
-    objects, pictures = ([one[part].astype(np.float32) for one in chosen] for part in (0, 1))
-    _, matrix, bent, *_ = cv2.calibrateCamera(objects, pictures, size_px, start, None, flags=fixed)
+    objects, pictures = (
+        [one[part].astype(np.float32) for one in chosen] for part in (0, 1)
+    )
+    _, matrix, bent, *_ = cv2.calibrateCamera(
+        objects, pictures, size_px, start, None, flags=fixed
+    )
     return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
 def score_phone_film(
-    film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None
+    film: FrontalFilm,
+    motion: str,
+    box_px: Sequence[float],
+    *,
+    angle_deg: float | None = None,
 ) -> VideoScore:
     """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
 
@@ -273,7 +382,9 @@ def score_phone_film(
     task = film.task(motion, box_px)
     inertia = film.camera.inertia_factor
     if (motion == "roll") != (inertia is not None):
-        raise VideoError(f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file")
+        raise VideoError(
+            f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file"
+        )
     track = track_object(film, task)
     seen = film.seen(track)
     result = score_track(seen, task, name=film.name, camera=film.camera)
@@ -286,15 +397,30 @@ def score_phone_film(
     else:
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
         value, interval = _drawn(seen, task, film.camera, result)
-    gravity = result.metrics["a_m_s2"] if task.motion is Motion.FALL else laws.GRAVITY_M_PER_S2
+    gravity = (
+        result.metrics["a_m_s2"]
+        if task.motion is Motion.FALL
+        else laws.GRAVITY_M_PER_S2
+    )
     if plane.pivot_px is not None and (period_s := result.metrics["pd_s"]):
-        arms_px = np.subtract(frontal_track(film.camera, seen, plane).points_px[seen.is_found], plane.pivot_px)
-        gravity = (2.0 * math.pi / period_s) ** 2 * plane.scale_m_per_px * float(np.linalg.norm(arms_px, axis=1).mean())
+        arms_px = np.subtract(
+            frontal_track(film.camera, seen, plane).points_px[seen.is_found],
+            plane.pivot_px,
+        )
+        gravity = (
+            (2.0 * math.pi / period_s) ** 2
+            * plane.scale_m_per_px
+            * float(np.linalg.norm(arms_px, axis=1).mean())
+        )
     faults = [f"{name} is below 0"] if interval and interval[1] < 0.0 else []
-    if gravity is not None and abs(gravity / laws.GRAVITY_M_PER_S2 - 1.0) > MOST_GRAVITY:
+    if (
+        gravity is not None
+        and abs(gravity / laws.GRAVITY_M_PER_S2 - 1.0) > MOST_GRAVITY
+    ):
         faults.append(f"gravity is {gravity:.3g} m/s^2")
     reasons = [
-        f"{one}: give fps= of the camera if the film is in slow motion, and check the camera file" for one in faults
+        f"{one}: give fps= of the camera if the film is in slow motion, and check the camera file"
+        for one in faults
     ]
     return replace(
         result,
@@ -314,7 +440,10 @@ def swing_log(film: FrontalFilm, result: VideoScore) -> str:
     track = frontal_track(film.camera, seen, task)
     used = track.is_found & (track.frames >= first)
     clock, angles = track.times_s[used], laws.swing_angles_rad(track, task)[used]
-    rows = [f"{time:.6f},{angle:.6f}" for time, angle in zip(clock - clock[0], angles, strict=True)]
+    rows = [
+        f"{time:.6f},{angle:.6f}"
+        for time, angle in zip(clock - clock[0], angles, strict=True)
+    ]
     return "\n".join(["time_s,position_rad", *rows, ""])
 
 
@@ -322,13 +451,19 @@ Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
 """A value and its interval of 95 %; None where the film does not show it."""
 
 
-def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float) -> Estimate:
+def resistance(
+    result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float
+) -> Estimate:
     """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
     assert task.direction is not None
     a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
     if a is None or ends is None:
         return None, None
-    angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
+    angle = (
+        math.atan2(task.direction[1], abs(task.direction[0]))
+        if angle_deg is None
+        else math.radians(angle_deg)
+    )
 
     # A body that rolls has the inertia m (1 + k): it slides like one under the gravity g / (1 + k).
     gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
@@ -338,10 +473,15 @@ def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, ine
 
     tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
     below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)
-    return friction(a), (friction(a) - math.hypot(below, tilt), friction(a) + math.hypot(above, tilt))
+    return friction(a), (
+        friction(a) - math.hypot(below, tilt),
+        friction(a) + math.hypot(above, tilt),
+    )
 
 
-def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) -> Estimate:
+def _drawn(
+    seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore
+) -> Estimate:
     """Return the restitution of a drop or the damping of a swing over simulated noise and calibrations."""
     assert result.interval_frames is not None
     first, last = np.searchsorted(seen.frames, result.interval_frames)
@@ -357,12 +497,17 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
         angles = laws.swing_angles_rad(track, frontal)
         guess = (damping, 2.0 * math.pi / period)
         swung = rows[rows >= first]
-        return laws.fit_damped_oscillation(track.times_s[swung], angles[swung], guess=guess).damping_per_s
+        return laws.fit_damped_oscillation(
+            track.times_s[swung], angles[swung], guess=guess
+        ).damping_per_s
 
     try:
         values = [judged(camera, seen)]
         for _ in range(DRAWS):
-            moved = replace(seen, points_px=seen.points_px + rng.normal(0.0, noise, seen.points_px.shape))
+            moved = replace(
+                seen,
+                points_px=seen.points_px + rng.normal(0.0, noise, seen.points_px.shape),
+            )
             values.append(judged(camera.drawn(rng), moved))
     except ParameterError:
         return None, None
@@ -376,7 +521,9 @@ def restitution(track: Track, task: VideoTask) -> float:
     heights_m = -task.scale_m_per_px * track.points_px[rows, 1]
     flights = _flights(heights_m)
     if len(flights) < 2:
-        raise ParameterError(f"restitution: two flights of {LEAST_FLIGHT} frames are needed")
+        raise ParameterError(
+            f"restitution: two flights of {LEAST_FLIGHT} frames are needed"
+        )
     return restitution_of_flights(track.times_s[rows], heights_m, flights)
 
 
@@ -386,7 +533,9 @@ def _flights(heights_m: FloatArray) -> list[NDArray[np.intp]]:
     start = int(np.flatnonzero(heights_m < heights_m[0] - LEAST_FALL * drop_m)[0])
     cuts = [start - 2]
     for row in range(start + 1, len(heights_m) - 1):
-        is_lowest = heights_m[row] < heights_m[row - 1] and heights_m[row] <= heights_m[row + 1]
+        is_lowest = (
+            heights_m[row] < heights_m[row - 1] and heights_m[row] <= heights_m[row + 1]
+        )
         beside_m = heights_m[max(0, row - REACH) : row + REACH + 1]
         if is_lowest and np.ptp(beside_m) > LEAST_FALL * drop_m:
             cuts.append(row)

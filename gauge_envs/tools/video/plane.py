@@ -47,7 +47,10 @@ class Lens(FileModel):
 
     def straight(self, points_px: FloatArray) -> FloatArray:
         """Return normalized coordinates without distortion of pixels, both of shape [count, 2]."""
-        return np.asarray(cv2.undistortPoints(points_px[:, None], *self.coefficients)[:, 0], dtype=float)
+        return np.asarray(
+            cv2.undistortPoints(points_px[:, None], *self.coefficients)[:, 0],
+            dtype=float,
+        )
 
 
 class PointPairs(FileModel):
@@ -68,12 +71,17 @@ class PointPairs(FileModel):
     def to_plane(self, lens: Lens | None) -> FloatArray:
         """Return the homography from straight coordinates to the plane, shape [3, 3]."""
         px = np.array(self.px)
-        homography, _ = cv2.findHomography(px if lens is None else lens.straight(px), np.array(self.m))
+        homography, _ = cv2.findHomography(
+            px if lens is None else lens.straight(px), np.array(self.m)
+        )
         return np.asarray(homography, dtype=float)
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """Return the points moved within their uncertainty."""
-        drawn = {"px": rng.normal(self.px, self.sigma_px), "m": rng.normal(self.m, self.sigma_m)}
+        drawn = {
+            "px": rng.normal(self.px, self.sigma_px),
+            "m": rng.normal(self.m, self.sigma_m),
+        }
         return self.model_copy(update=drawn)
 
 
@@ -94,7 +102,9 @@ class Board(FileModel):
 
     def to_plane(self, lens: Lens | None) -> FloatArray:
         """Raise an error: the place of a board is found in a film."""
-        raise VideoError("[board] needs the film that shows it; a track goes with [points]")
+        raise VideoError(
+            "[board] needs the film that shows it; a track goes with [points]"
+        )
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """Return the board itself."""
@@ -136,15 +146,25 @@ class PlaneView:
 
     def to_picture_px(self, points_m: FloatArray) -> FloatArray:
         """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
-        straight = _homogeneous(np.linalg.inv(self.source.to_plane(self.lens)), points_m)
+        straight = _homogeneous(
+            np.linalg.inv(self.source.to_plane(self.lens)), points_m
+        )
         if self.lens is None:
             return straight
         rays = np.column_stack([straight, np.ones(len(straight))])
-        return np.asarray(cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens.coefficients)[0][:, 0])
+        return np.asarray(
+            cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens.coefficients)[
+                0
+            ][:, 0]
+        )
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """Return the view with calibration and pivot moved within their uncertainty."""
-        pivot = None if self.pivot_m is None else self.pivot_m + rng.normal(0.0, self.pivot_sigma_m, 2)
+        pivot = (
+            None
+            if self.pivot_m is None
+            else self.pivot_m + rng.normal(0.0, self.pivot_sigma_m, 2)
+        )
         return replace(self, source=self.source.drawn(rng), pivot_m=pivot)
 
     def grid_to_plane_m(self, points_px: FloatArray) -> FloatArray:
@@ -156,16 +176,27 @@ class PlaneView:
 
     def grid_scale_m_per_px(self, points_px: FloatArray) -> FloatArray:
         """Return the size of a pixel of the reference grid in the plane [m], shape [count]: root of its area."""
-        steps = [self.grid_to_plane_m(points_px + step) for step in ([-1, 0], [1, 0], [0, -1], [0, 1])]
+        steps = [
+            self.grid_to_plane_m(points_px + step)
+            for step in ([-1, 0], [1, 0], [0, -1], [0, 1])
+        ]
         across, down = 0.5 * (steps[1] - steps[0]), 0.5 * (steps[3] - steps[2])
-        return np.asarray(np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])))
+        return np.asarray(
+            np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
+        )
 
     @property
     def _from_grid(self) -> FloatArray:
         return np.array(self.size_px, dtype=float) / np.array(REFERENCE_SIZE_PX)
 
 
-def frontal_task(view: PlaneView, track: Track, task: VideoTask, *, scale_m_per_px: float | None = None) -> VideoTask:
+def frontal_task(
+    view: PlaneView,
+    track: Track,
+    task: VideoTask,
+    *,
+    scale_m_per_px: float | None = None,
+) -> VideoTask:
     """Return the task as a frontal picture of the plane shows it.
 
     Its pixels are as large as those of the track, so thresholds in pixels mean the same for an oblique recording as for
@@ -178,7 +209,11 @@ def frontal_task(view: PlaneView, track: Track, task: VideoTask, *, scale_m_per_
         scale_m_per_px: Size of its pixels [m]; the median of those of the track if None.
     """
     seen = track.points_px[track.is_found]
-    scale = float(np.median(view.grid_scale_m_per_px(seen))) if scale_m_per_px is None else scale_m_per_px
+    scale = (
+        float(np.median(view.grid_scale_m_per_px(seen)))
+        if scale_m_per_px is None
+        else scale_m_per_px
+    )
     places_m = view.grid_to_plane_m(seen)
     pivot, rest = None, None
     if view.pivot_m is not None:
@@ -199,7 +234,9 @@ def frontal_task(view: PlaneView, track: Track, task: VideoTask, *, scale_m_per_
         direction=direction,
         pivot_px=pivot,
         rest_px=rest,
-        release_height_m=task.release_height_m if view.release_height_m is None else view.release_height_m,
+        release_height_m=task.release_height_m
+        if view.release_height_m is None
+        else view.release_height_m,
     )
 
 
@@ -218,7 +255,9 @@ def frontal_track(view: PlaneView, track: Track, task: VideoTask) -> Track:
         # What comes nearer to the camera grows in the picture, and keeps its size in the plane.
         sizes = sizes * view.grid_scale_m_per_px(track.points_px)
     # A rolling shutter shows what is lower in the picture later; the clock is that of the middle row.
-    row = np.where(track.is_found, track.points_px[:, 1] / REFERENCE_SIZE_PX[1] - 0.5, 0.0)
+    row = np.where(
+        track.is_found, track.points_px[:, 1] / REFERENCE_SIZE_PX[1] - 0.5, 0.0
+    )
     clock = track.times_s + view.readout_s * row if view.readout_s else track.clock_s
     return replace(track, points_px=places, size_ratio=sizes, clock_s=clock)
 
@@ -285,40 +324,68 @@ def read_camera(path: Path | str) -> PlaneView:
     is_json = path.suffix == ".json"
     try:
         content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
-        file = CameraFile.model_validate(json_document(content) if is_json else toml_document(content))
+        file = CameraFile.model_validate(
+            json_document(content) if is_json else toml_document(content)
+        )
     except ValidationError as error:
         raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise VideoError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
     except ValueError as error:
-        raise VideoError(f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}") from None
+        raise VideoError(
+            f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}"
+        ) from None
     motion, lens = file.motion, file.lens
     if (file.points is None) == (file.board is None):
         raise VideoError(f"{path}: give either [points] or [board]")
     if (motion.pivot_m is None) != (motion.pivot_sigma_m is None):
-        raise VideoError(f"{path}: motion.pivot_m and motion.pivot_sigma_m go together: give both or none")
+        raise VideoError(
+            f"{path}: motion.pivot_m and motion.pivot_sigma_m go together: give both or none"
+        )
     if motion.direction is not None and not any(motion.direction):
         raise VideoError(f"{path}: motion.direction is zero; give a direction")
-    if lens is not None and (lens.matrix[0][0] <= 0.0 or lens.matrix[1][1] <= 0.0 or lens.matrix[2] != (0.0, 0.0, 1.0)):
-        raise VideoError(f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    if lens is not None and (
+        lens.matrix[0][0] <= 0.0
+        or lens.matrix[1][1] <= 0.0
+        or lens.matrix[2] != (0.0, 0.0, 1.0)
+    ):
+        raise VideoError(
+            f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
+        )
     if file.points is not None:
         _check(path, file.points)
     known: dict[str, Any] = {
-        name: np.array(one) if isinstance(one, tuple) else one for name, one in motion if one is not None
+        name: np.array(one) if isinstance(one, tuple) else one
+        for name, one in motion
+        if one is not None
     }
     source = file.board or file.points
     assert source is not None
-    return PlaneView(size_px=file.size_px, source=source, lens=lens, readout_s=file.readout_s, **known)
+    return PlaneView(
+        size_px=file.size_px,
+        source=source,
+        lens=lens,
+        readout_s=file.readout_s,
+        **known,
+    )
 
 
 def _check(path: Path, points: PointPairs) -> None:
     """Check that points span a plane: without any one of them, the others are no line."""
     if not len(points.px) == len(points.m) >= 4:
         counts = f"points.px has {len(points.px)} and points.m {len(points.m)} points"
-        raise VideoError(f"{path}: {counts}; give at least 4 of each, in the same order")
+        raise VideoError(
+            f"{path}: {counts}; give at least 4 of each, in the same order"
+        )
     for name, places in (("px", points.px), ("m", points.m)):
         for left_out in range(len(places)):
             kept = np.delete(places, left_out, axis=0)
-            longer, shorter = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)[:2]
+            longer, shorter = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)[
+                :2
+            ]
             if shorter <= LEAST_SPREAD * longer:
-                raise VideoError(f"{path}: points.{name} has three of four points on a line: they span no plane")
+                raise VideoError(
+                    f"{path}: points.{name} has three of four points on a line: they span no plane"
+                )

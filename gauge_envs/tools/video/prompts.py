@@ -71,17 +71,25 @@ class InputFile(FileModel):
         if len(content) != self.size_bytes:
             return f"has {len(content)} bytes, expected {self.size_bytes}"
         found = hashlib.sha256(content).hexdigest()
-        return "" if found == self.sha256 else f"has the SHA-256 hash {found}, expected {self.sha256}"
+        return (
+            ""
+            if found == self.sha256
+            else f"has the SHA-256 hash {found}, expected {self.sha256}"
+        )
 
 
 @cache
 def input_files() -> tuple[InputFile, ...]:
     """Return the table of all files: first frames, then prompts, then the negative prompt."""
     file = scoring_folder("published") / "world_model_inputs.csv"
-    return tuple(row for _, row in read_rows(file, list(InputFile.model_fields), InputFile))
+    return tuple(
+        row for _, row in read_rows(file, list(InputFile.model_fields), InputFile)
+    )
 
 
-def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str], None] | None = None) -> list[Path]:
+def fetch_inputs(
+    folder: Path, *, source: str = SOURCE, advance: Callable[[str], None] | None = None
+) -> list[Path]:
     """Write the first frames, the prompts and a note to a folder; files that it has are kept and not fetched again.
 
     Each file is checked by size and hash, and is written whole or not at all. After an error, the same call continues.
@@ -96,16 +104,29 @@ def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str],
     """
     is_address = source.lower().startswith(("http://", "https://"))
     if "://" in source and not is_address:
-        raise ParameterError(f"source {source!r}: give an address that starts with https:// or http://, or a folder")
+        raise ParameterError(
+            f"source {source!r}: give an address that starts with https:// or http://, or a folder"
+        )
     if not is_address and not Path(source).is_dir():
         raise ParameterError(f"source {source!r} is no folder: {BY_HAND}")
-    read = partial(_download, source.rstrip("/")) if is_address else partial(_copy, Path(source))
+    read = (
+        partial(_download, source.rstrip("/"))
+        if is_address
+        else partial(_copy, Path(source))
+    )
     # Before anything is fetched, all files that are there are checked.
     contents = {
-        file.file: content for file in input_files() if (content := _kept(folder / file.file, file.fault)) is not None
+        file.file: content
+        for file in input_files()
+        if (content := _kept(folder / file.file, file.fault)) is not None
     }
     note = _note().encode()
-    has_note = _kept(folder / NOTE, lambda content: "" if content == note else "is another note") is not None
+    has_note = (
+        _kept(
+            folder / NOTE, lambda content: "" if content == note else "is another note"
+        )
+        is not None
+    )
     written = []
     for file in input_files():
         if file.file not in contents:
@@ -118,7 +139,9 @@ def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str],
     return written
 
 
-def _fetched(file: InputFile, read: Callable[[InputFile], bytes], contents: dict[str, bytes]) -> bytes:
+def _fetched(
+    file: InputFile, read: Callable[[InputFile], bytes], contents: dict[str, bytes]
+) -> bytes:
     if file.source is not None:
         return read(file)
     text = contents[WOOD_PROMPT].decode("utf-8")
@@ -126,31 +149,43 @@ def _fetched(file: InputFile, read: Callable[[InputFile], bytes], contents: dict
         text = text.replace(wood, plastic)
     content = text.encode("utf-8")
     if fault := file.fault(content):
-        raise DatasetError(f"{file.file}, made from {WOOD_PROMPT}, {fault}: this installation is damaged")
+        raise DatasetError(
+            f"{file.file}, made from {WOOD_PROMPT}, {fault}: this installation is damaged"
+        )
     return content
 
 
 def _download(source: str, file: InputFile) -> bytes:
     address = f"{source}/{quote(file.source or '')}"
     try:
-        request = Request(address, headers={"User-Agent": f"gauge-envs/{version('gauge-envs')}"})
+        request = Request(
+            address, headers={"User-Agent": f"gauge-envs/{version('gauge-envs')}"}
+        )
         with urlopen(request, timeout=TIMEOUT_S) as response:
             content: bytes = response.read(file.size_bytes + 1)
     except HTTPError as error:
-        raise DatasetError(f"{address}: the server answers {error.code} {error.reason}; {BY_HAND}") from error
+        raise DatasetError(
+            f"{address}: the server answers {error.code} {error.reason}; {BY_HAND}"
+        ) from error
     except (OSError, HTTPException, ValueError) as error:
         cause = error.reason if isinstance(error, URLError) else error
-        raise DatasetError(f"{address}: cannot be downloaded: {cause or type(error).__name__}; {BY_HAND}") from error
+        raise DatasetError(
+            f"{address}: cannot be downloaded: {cause or type(error).__name__}; {BY_HAND}"
+        ) from error
     if fault := file.fault(content):
         # One byte more than expected is read, so that a longer answer shows.
         longer = " or more" if len(content) > file.size_bytes else ""
-        raise DatasetError(f"{address}: {fault}{longer}: the answer is damaged or another file; {BY_HAND}")
+        raise DatasetError(
+            f"{address}: {fault}{longer}: the answer is damaged or another file; {BY_HAND}"
+        )
     return content
 
 
 def _copy(source: Path, file: InputFile) -> bytes:
     path = source / (file.source or "")
-    with os_errors(lambda cause: DatasetError(f"{path}: cannot be read: {cause}; {BY_HAND}")):
+    with os_errors(
+        lambda cause: DatasetError(f"{path}: cannot be read: {cause}; {BY_HAND}")
+    ):
         content = read_regular(path, MEGABYTE)
     if fault := file.fault(content):
         raise DatasetError(f"{path}: {fault}; {BY_HAND}")
@@ -159,13 +194,19 @@ def _copy(source: Path, file: InputFile) -> bytes:
 
 def _kept(path: Path, fault_of: Callable[[bytes], str]) -> bytes | None:
     """Return the content of a file that is there already; None if it is missing."""
-    with os_errors(lambda cause: DatasetError(f"{path}: cannot be read: {cause}; name another folder")):
+    with os_errors(
+        lambda cause: DatasetError(
+            f"{path}: cannot be read: {cause}; name another folder"
+        )
+    ):
         try:
             content = read_regular(path, MEGABYTE)
         except FileNotFoundError:
             return None
     if fault := fault_of(content):
-        raise DatasetError(f"{path} {fault}: move it away, or name another folder; no file was changed")
+        raise DatasetError(
+            f"{path} {fault}: move it away, or name another folder; no file was changed"
+        )
     return content
 
 
@@ -183,8 +224,15 @@ def _note() -> str:
         f"| `{file.sha256}` |"
         for file in input_files()
     )
-    changes = "\n".join(f"- `{wood}` is `{plastic}`" for wood, plastic in PLASTIC_CHANGES)
+    changes = "\n".join(
+        f"- `{wood}` is `{plastic}`" for wood, plastic in PLASTIC_CHANGES
+    )
     text = (files("gauge_envs.tools.video") / NOTE).read_text(encoding="utf-8")
     return Template(text).substitute(
-        repository=REPOSITORY, commit=COMMIT, plastic=PLASTIC_PROMPT, wood=WOOD_PROMPT, changes=changes, rows=rows
+        repository=REPOSITORY,
+        commit=COMMIT,
+        plastic=PLASTIC_PROMPT,
+        wood=WOOD_PROMPT,
+        changes=changes,
+        rows=rows,
     )

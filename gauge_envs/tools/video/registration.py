@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, cv2, stretched
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    SLOPE_DIRECTION,
+    Motion,
+    VideoTask,
+)
 
 CLOSE_PX = 2.0
 """Distance from the known outline at which an edge agrees [px]: the outlines were read by eye."""
@@ -63,7 +68,9 @@ CRADLE_ROW_PX = (367.0, 404.0, 440.5)
 """Horizontal places of the other hanging balls of the cradle in the first frame [px]."""
 
 
-def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Registration:
+def registration_by_outline(
+    picture: NDArray[np.uint8], task: VideoTask
+) -> Registration:
     """Return the registration of a first frame from the known outline of the task's object.
 
     Args:
@@ -85,19 +92,32 @@ def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Regi
     equals = [one for one in candidates if best - one.support < CLEAR]
     distances = [scene.distance_px(one) for one in equals]
     nearest = equals[int(np.argmin(distances))]
-    open_ones = [one for one, distance in zip(equals, distances, strict=True) if distance - min(distances) < CLEAR_PX]
+    open_ones = [
+        one
+        for one, distance in zip(equals, distances, strict=True)
+        if distance - min(distances) < CLEAR_PX
+    ]
     if len(open_ones) == 1:
         return nearest
     # Between equals, the paper's own scaling is kept.
     chosen = next((one for one in open_ones if one.method == "stretch"), nearest)
-    rivals = [one for one in open_ones if one is not chosen and not _is_harmless(chosen, one, task)]
+    rivals = [
+        one
+        for one in open_ones
+        if one is not chosen and not _is_harmless(chosen, one, task)
+    ]
     if not rivals:
         return chosen
     names = " or ".join(one.method for one in (chosen, *rivals))
-    return replace(chosen, problem=f"the first frame may be a {names} of the known one; give it with --first-frame")
+    return replace(
+        chosen,
+        problem=f"the first frame may be a {names} of the known one; give it with --first-frame",
+    )
 
 
-def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray[np.uint8]) -> Registration:
+def registration_by_first_frame(
+    picture: NDArray[np.uint8], first_frame: NDArray[np.uint8]
+) -> Registration:
     """Return the registration of a video from the first frame that its model was given.
 
     Args:
@@ -112,13 +132,27 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     ours, ours_like = finder.detectAndCompute(small, None)
     whole = stretched((first_frame.shape[1], first_frame.shape[0])).applied(first_frame)
     known, known_like = finder.detectAndCompute(whole, None)
-    if ours_like is None or known_like is None or min(len(ours), len(known)) < LEAST_INLIERS:
-        found = [0 if points is None else len(points) for points in (ours_like, known_like)]
-        raise VideoError(f"the first frames have {found[0]} and {found[1]} points; {LEAST_INLIERS} of each are needed")
-    pairs = [pair for pair in cv2.BFMatcher().knnMatch(ours_like, known_like, k=2) if len(pair) == 2]
+    if (
+        ours_like is None
+        or known_like is None
+        or min(len(ours), len(known)) < LEAST_INLIERS
+    ):
+        found = [
+            0 if points is None else len(points) for points in (ours_like, known_like)
+        ]
+        raise VideoError(
+            f"the first frames have {found[0]} and {found[1]} points; {LEAST_INLIERS} of each are needed"
+        )
+    pairs = [
+        pair
+        for pair in cv2.BFMatcher().knnMatch(ours_like, known_like, k=2)
+        if len(pair) == 2
+    ]
     good = [first for first, second in pairs if first.distance < 0.75 * second.distance]
     # Points count from the middle of a pixel.
-    seen = (np.array([ours[one.queryIdx].pt for one in good]).reshape(-1, 2) + 0.5) / factor
+    seen = (
+        np.array([ours[one.queryIdx].pt for one in good]).reshape(-1, 2) + 0.5
+    ) / factor
     wanted = np.array([known[one.trainIdx].pt for one in good]).reshape(-1, 2) + 0.5
     scale, offset, agree = _axis_fit(seen, wanted)
     count = int(agree.sum())
@@ -139,7 +173,10 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     )
 
     def scatter_px(one: Registration) -> float:
-        places = seen[agree] * (one.scale_x, one.scale_y) + (one.offset_x_px, one.offset_y_px)
+        places = seen[agree] * (one.scale_x, one.scale_y) + (
+            one.offset_x_px,
+            one.offset_y_px,
+        )
         return float(np.sqrt(((places - wanted[agree]) ** 2).sum(axis=1).mean()))
 
     # A simple way of scaling that fits the points as well is exact; a free fit has their scatter.
@@ -157,8 +194,12 @@ class _Scene:
     def __init__(self, picture: NDArray[np.uint8], task: VideoTask) -> None:
         small, self._shrinkage = _shrunk(picture)
         self._size = (picture.shape[1], picture.shape[0])
-        blur = max(small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1])
-        self._light = cv2.GaussianBlur(small.astype(np.float32), (0, 0), blur).max(axis=2)
+        blur = max(
+            small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1]
+        )
+        self._light = cv2.GaussianBlur(small.astype(np.float32), (0, 0), blur).max(
+            axis=2
+        )
         self._picture = picture
         self.points, self.normals = _outline(task)
         self.task = task
@@ -166,10 +207,16 @@ class _Scene:
     def judged(self, one: Registration) -> Registration:
         """Return a registration with its support: strength of the edges on the outline against those beside it."""
         distances, strength, is_seen = self._profiles(one)
-        share = strength[:, np.abs(distances) <= CLOSE_PX].max(axis=1) / np.maximum(strength.max(axis=1), 1e-3)
+        share = strength[:, np.abs(distances) <= CLOSE_PX].max(axis=1) / np.maximum(
+            strength.max(axis=1), 1e-3
+        )
         if is_seen.mean() < LEAST_VISIBLE:
             return replace(one, support=0.0, inliers=0)
-        return replace(one, support=float(share[is_seen].mean()), inliers=int((share[is_seen] > 0.9).sum()))
+        return replace(
+            one,
+            support=float(share[is_seen].mean()),
+            inliers=int((share[is_seen] > 0.9).sum()),
+        )
 
     def distance_px(self, one: Registration) -> float:
         """Return the mean square distance by which the outline must be moved and scaled to meet the edges [px]."""
@@ -179,21 +226,43 @@ class _Scene:
         basis = np.column_stack([self.normals, self.normals * arms])
         weights = np.where(is_seen, strength.max(axis=1), 0.0)
         for _ in range(6):
-            found, *_ = np.linalg.lstsq(basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None)
+            found, *_ = np.linalg.lstsq(
+                basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None
+            )
             # Edges of other things lie far from the common motion.
-            weights = np.where(is_seen, strength.max(axis=1), 0.0) / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
+            weights = (
+                np.where(is_seen, strength.max(axis=1), 0.0)
+                / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
+            )
         move = found[:2] + arms * found[2:]
         return float(np.sqrt((move**2).sum(axis=1).mean()))
 
-    def _profiles(self, one: Registration) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    def _profiles(
+        self, one: Registration
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return distances along the normals, the strength of the edge there, and which points are in the picture."""
         distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
-        places = self.points[:, None, :] + distances[None, :, None] * self.normals[:, None, :]
-        native = (places - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)
-        inside = ((self.points - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)) / self._size
+        places = (
+            self.points[:, None, :]
+            + distances[None, :, None] * self.normals[:, None, :]
+        )
+        native = (places - (one.offset_x_px, one.offset_y_px)) / (
+            one.scale_x,
+            one.scale_y,
+        )
+        inside = (
+            (self.points - (one.offset_x_px, one.offset_y_px))
+            / (one.scale_x, one.scale_y)
+        ) / self._size
         is_seen = np.asarray(((inside > 0.0) & (inside < 1.0)).all(axis=1))
         maps = (native * self._shrinkage - 0.5).astype(np.float32)
-        values = cv2.remap(self._light, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        values = cv2.remap(
+            self._light,
+            maps[..., 0],
+            maps[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
         strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
         return distances[1:-1], strength, is_seen
 
@@ -202,10 +271,17 @@ def _candidates(size_px: tuple[int, int]) -> list[Registration]:
     """Return the ways in which a model reaches another size; those that are the same are there once."""
     plain = stretched(size_px)
     found = [plain]
-    for method, scale in (("crop", min(plain.scale_x, plain.scale_y)), ("pad", max(plain.scale_x, plain.scale_y))):
+    for method, scale in (
+        ("crop", min(plain.scale_x, plain.scale_y)),
+        ("pad", max(plain.scale_x, plain.scale_y)),
+    ):
         offset = 0.5 * (np.array(REFERENCE_SIZE_PX) - scale * np.array(size_px))
         one = Registration(
-            scale_x=scale, scale_y=scale, offset_x_px=float(offset[0]), offset_y_px=float(offset[1]), method=method
+            scale_x=scale,
+            scale_y=scale,
+            offset_x_px=float(offset[0]),
+            offset_y_px=float(offset[1]),
+            method=method,
         )
         if abs(plain.scale_x / plain.scale_y - 1.0) > 1e-3:
             found.append(one)
@@ -217,7 +293,13 @@ def _is_harmless(first: Registration, second: Registration, task: VideoTask) -> 
     a, b = (np.array([one.scale_x, one.scale_y]) for one in (first, second))
     if np.abs(b / a - 1.0).max() > HARMLESS_SCALE:
         return False
-    places = np.array([place for place in (task.centre_px, task.pivot_px, task.rest_px) if place is not None])
+    places = np.array(
+        [
+            place
+            for place in (task.centre_px, task.pivot_px, task.rest_px)
+            if place is not None
+        ]
+    )
     native = (places - (first.offset_x_px, first.offset_y_px)) / a
     moved = native * b + (second.offset_x_px, second.offset_y_px)
     return bool(np.linalg.norm(moved - places, axis=1).max() <= HARMLESS_PX)
@@ -229,29 +311,48 @@ def _outline(task: VideoTask) -> tuple[FloatArray, FloatArray]:
         parts = [_square(task.centre_px, task.size_px, SLOPE_DIRECTION)]
     elif task.motion is Motion.TURN:
         assert task.pivot_px is not None
-        parts = [_square(task.centre_px, task.size_px, (1.0, 0.0)), _circle(task.pivot_px, 2.0 * PLATE_RADIUS_PX)]
+        parts = [
+            _square(task.centre_px, task.size_px, (1.0, 0.0)),
+            _circle(task.pivot_px, 2.0 * PLATE_RADIUS_PX),
+        ]
     elif task.motion is Motion.CRADLE:
         assert task.rest_px is not None
         row = [(x, task.rest_px[1]) for x in CRADLE_ROW_PX]
-        parts = [_circle(place, task.size_px) for place in (task.centre_px, *row, task.rest_px)]
+        parts = [
+            _circle(place, task.size_px)
+            for place in (task.centre_px, *row, task.rest_px)
+        ]
     else:
         parts = [_circle(task.centre_px, task.size_px)]
-    return np.vstack([points for points, _ in parts]), np.vstack([normals for _, normals in parts])
+    return np.vstack([points for points, _ in parts]), np.vstack(
+        [normals for _, normals in parts]
+    )
 
 
-def _circle(centre: tuple[float, float], diameter: float) -> tuple[FloatArray, FloatArray]:
+def _circle(
+    centre: tuple[float, float], diameter: float
+) -> tuple[FloatArray, FloatArray]:
     angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     normals = np.column_stack([np.cos(angles), np.sin(angles)])
     return np.array(centre) + 0.5 + 0.5 * diameter * normals, normals
 
 
-def _square(centre: tuple[float, float], edge: float, direction: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+def _square(
+    centre: tuple[float, float], edge: float, direction: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
     first = np.array(direction)
     second = np.array([-first[1], first[0]])
     points, normals = [], []
-    for normal, along in ((first, second), (second, first), (-first, second), (-second, first)):
+    for normal, along in (
+        (first, second),
+        (second, first),
+        (-first, second),
+        (-second, first),
+    ):
         steps = np.linspace(-0.4, 0.4, 18)[:, None]
-        points.append(np.array(centre) + 0.5 + 0.5 * edge * normal + steps * edge * along)
+        points.append(
+            np.array(centre) + 0.5 + 0.5 * edge * normal + steps * edge * along
+        )
         normals.append(np.tile(normal, (len(steps), 1)))
     return np.vstack(points), np.vstack(normals)
 
@@ -265,16 +366,22 @@ def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), factor
 
 
-def _axis_fit(seen: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+def _axis_fit(
+    seen: FloatArray, wanted: FloatArray
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
     scale, offset, best = np.ones(2), np.zeros(2), np.zeros(len(seen), dtype=bool)
     if len(seen) >= LEAST_INLIERS:
-        _, inliers = cv2.estimateAffine2D(seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000)
+        _, inliers = cv2.estimateAffine2D(
+            seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000
+        )
         best = inliers.ravel() == 1
     for _ in range(3):
         if best.sum() < 3:
             break
         for axis in (0, 1):
-            scale[axis], offset[axis] = np.polyfit(seen[best, axis], wanted[best, axis], 1)
+            scale[axis], offset[axis] = np.polyfit(
+                seen[best, axis], wanted[best, axis], 1
+            )
         best = np.linalg.norm(wanted - offset - scale * seen, axis=1) < MOST_SCATTER_PX
     return scale, offset, best

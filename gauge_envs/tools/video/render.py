@@ -26,7 +26,12 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.video.frames import write_mp4
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    Motion,
+    VideoTask,
+    video_task,
+)
 from gauge_envs.tools.video.track import Track
 
 SAMPLE_RATE_HZ = round(1.0 / SAMPLE_INTERVAL_S)
@@ -39,7 +44,11 @@ MIDDLE_PX = 0.5 * (np.array(REFERENCE_SIZE_PX) - 1.0)
 """Middle of a picture [px]; the first pixel has its centre at 0."""
 
 DARK = (0.09, 0.09, 0.10, 1.0)
-COLORS = {"wood": (0.80, 0.62, 0.42, 1.0), "plastic": (0.16, 0.17, 0.20, 1.0), "metal": (0.78, 0.76, 0.78, 1.0)}
+COLORS = {
+    "wood": (0.80, 0.62, 0.42, 1.0),
+    "plastic": (0.16, 0.17, 0.20, 1.0),
+    "metal": (0.78, 0.76, 0.78, 1.0),
+}
 """Colours of the cubes by material; balls are dark, as in the first frames."""
 
 
@@ -65,7 +74,9 @@ class Film:
         places = zip(self.track.frames, self.track.points_px, strict=True)
         rows = [f"{frame},{x:.4f},{y:.4f}" for frame, (x, y) in places]
         table = path.with_suffix(".track.csv")
-        with os_errors(lambda cause: VideoError(f"{table}: cannot be written: {cause}")):
+        with os_errors(
+            lambda cause: VideoError(f"{table}: cannot be written: {cause}")
+        ):
             write_whole(table, ("\n".join(["frame,x,y", *rows]) + "\n").encode())
         return table
 
@@ -96,13 +107,19 @@ def film(
     chosen = video_task(task)
     samples_per_frame = SAMPLE_RATE_HZ / fps if fps > 0.0 else 0.0
     if samples_per_frame < 1.0 or samples_per_frame != int(samples_per_frame):
-        raise ParameterError(f"fps is {fps:g}: it must divide {SAMPLE_RATE_HZ}, as 15, 30 or 60")
+        raise ParameterError(
+            f"fps is {fps:g}: it must divide {SAMPLE_RATE_HZ}, as 15, 30 or 60"
+        )
     scene = _as_in_first_frame(load_experiment(task, parameters).scene, chosen)
     lasts_s = min(scene.duration_s, 8.0) if seconds is None else seconds
     if not 0.0 < lasts_s <= MOST_SECONDS:
-        raise ParameterError(f"seconds is {lasts_s:g}: it must be more than 0 and at most {MOST_SECONDS:g}")
+        raise ParameterError(
+            f"seconds is {lasts_s:g}: it must be more than 0 and at most {MOST_SECONDS:g}"
+        )
     if not 0.0 <= release_s <= MOST_SECONDS:
-        raise ParameterError(f"release_s is {release_s:g}: it must be from 0 to {MOST_SECONDS:g}")
+        raise ParameterError(
+            f"release_s is {release_s:g}: it must be from 0 to {MOST_SECONDS:g}"
+        )
     engine = backend_named(backend)
     if missing := engine.supports(scene).missing:
         raise UnsupportedSceneError(engine.name, missing)
@@ -111,7 +128,14 @@ def film(
         simulation.reset(seed)
         release_samples = round(release_s * SAMPLE_RATE_HZ)
         frames = list(
-            _frames(simulation, scene, chosen, release_samples, round(lasts_s * SAMPLE_RATE_HZ), int(samples_per_frame))
+            _frames(
+                simulation,
+                scene,
+                chosen,
+                release_samples,
+                round(lasts_s * SAMPLE_RATE_HZ),
+                int(samples_per_frame),
+            )
         )
     finally:
         simulation.close()
@@ -122,11 +146,21 @@ def film(
         confidence=np.ones(len(frames)),
         size_ratio=np.ones(len(frames)),
     )
-    return Film(task=chosen, fps=float(fps), pictures=tuple(picture for picture, _ in frames), track=track)
+    return Film(
+        task=chosen,
+        fps=float(fps),
+        pictures=tuple(picture for picture, _ in frames),
+        track=track,
+    )
 
 
 def _frames(
-    simulation: Simulation, scene: Scene, task: VideoTask, release_samples: int, count: int, samples_per_frame: int
+    simulation: Simulation,
+    scene: Scene,
+    task: VideoTask,
+    release_samples: int,
+    count: int,
+    samples_per_frame: int,
 ) -> Iterator[tuple[NDArray[np.uint8], FloatArray]]:
     """Yield pictures, and the place of the object in each [px]; a frame is exposed in the first half of its time."""
     view = _view(scene, task)
@@ -146,9 +180,17 @@ def _frames(
                 if sample <= release_samples and pictures:
                     pictures.append(pictures[-1])
                 else:
-                    pictures.append(renderer.picture(dict(zip(names, states[:, :7], strict=True)), {}))
-                away = (states[names.index(tracked), :3] - view.centre_m) / view.scale_m_per_px
-                places.append(np.array([away @ view.right, away @ view.down]) + MIDDLE_PX)
+                    pictures.append(
+                        renderer.picture(
+                            dict(zip(names, states[:, :7], strict=True)), {}
+                        )
+                    )
+                away = (
+                    states[names.index(tracked), :3] - view.centre_m
+                ) / view.scale_m_per_px
+                places.append(
+                    np.array([away @ view.right, away @ view.down]) + MIDDLE_PX
+                )
             if sample % samples_per_frame == exposed - 1:
                 mean = np.mean(pictures, axis=0, dtype=np.float32)
                 yield np.asarray(mean.round(), dtype=np.uint8), np.mean(places, axis=0)
@@ -180,7 +222,10 @@ def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
     # A positive rotation about right x down moves a hanging ball to the left of the picture.
     turn = Rotation.from_rotvec(-angle * np.cross(right, (0.0, 0.0, -1.0)))
     started = swung(body, turn, np.asarray(hinge.anchor_m))
-    return replace(scene, bodies=tuple(started if one.name == body.name else one for one in scene.bodies))
+    return replace(
+        scene,
+        bodies=tuple(started if one.name == body.name else one for one in scene.bodies),
+    )
 
 
 def _view(scene: Scene, task: VideoTask) -> FlatView:
@@ -204,7 +249,9 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
         assert task.pivot_px is not None
         plate = next(one for one in scene.bodies if one.motion is BodyMotion.KINEMATIC)
         arm = seen_m - plate.pose.position_m
-        right = np.array([arm[0], arm[1], 0.0]) * np.sign(task.centre_px[0] - task.pivot_px[0])
+        right = np.array([arm[0], arm[1], 0.0]) * np.sign(
+            task.centre_px[0] - task.pivot_px[0]
+        )
         right /= np.linalg.norm(right)
         down = np.cross((0.0, 0.0, -1.0), right)
     else:
@@ -219,7 +266,8 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
     offset_px = MIDDLE_PX - seen_px
     colors, grain = _colors(scene, task)
     return FlatView(
-        centre_m=seen_m + task.scale_m_per_px * (offset_px[0] * right + offset_px[1] * down),
+        centre_m=seen_m
+        + task.scale_m_per_px * (offset_px[0] * right + offset_px[1] * down),
         right=right,
         down=down,
         scale_m_per_px=task.scale_m_per_px,
@@ -228,16 +276,24 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
     )
 
 
-def _colors(scene: Scene, task: VideoTask) -> tuple[dict[str, tuple[float, float, float, float]], frozenset[str]]:
+def _colors(
+    scene: Scene, task: VideoTask
+) -> tuple[dict[str, tuple[float, float, float, float]], frozenset[str]]:
     """Return the colours of the moving bodies, and the names of those with a grain, by which a turning face is seen."""
     if task.motion in (Motion.SLIDE, Motion.TURN):
         body = scene.dynamic_bodies[-1].name
         return {body: COLORS[task.id.rsplit("-", 1)[1]]}, frozenset({body})
-    return dict.fromkeys((body.name for body in scene.dynamic_bodies), DARK), frozenset()
+    return dict.fromkeys(
+        (body.name for body in scene.dynamic_bodies), DARK
+    ), frozenset()
 
 
 def _hinge(scene: Scene, body: RigidBody) -> Hinge:
-    return next(joint for joint in scene.joints if isinstance(joint, Hinge) and joint.body == body.name)
+    return next(
+        joint
+        for joint in scene.joints
+        if isinstance(joint, Hinge) and joint.body == body.name
+    )
 
 
 def _sideways(hinge: Hinge) -> FloatArray:

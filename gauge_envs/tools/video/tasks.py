@@ -25,7 +25,14 @@ SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
 
 
-PUBLISHED_NAMES = {"a": "a_m_s2", "qfi": "qfi", "r2": "r2", "pd": "pd_s", "mte": "mte", "de": "de_n"}
+PUBLISHED_NAMES = {
+    "a": "a_m_s2",
+    "qfi": "qfi",
+    "r2": "r2",
+    "pd": "pd_s",
+    "mte": "mte",
+    "de": "de_n",
+}
 """Names of the metrics in this package by those of the published table."""
 
 
@@ -97,7 +104,11 @@ class VideoTask:
     def friction(self) -> float:
         """Coefficient of friction between the cube and the plate of a turntable, 1."""
         contacts = _scene(self.id).contacts
-        return next(contact.friction for contact in contacts if {"cube", "plate"} == {*contact.first, *contact.second})
+        return next(
+            contact.friction
+            for contact in contacts
+            if {"cube", "plate"} == {*contact.first, *contact.second}
+        )
 
 
 @cache
@@ -108,12 +119,18 @@ def _scene(task: str) -> Scene:
 @cache
 def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
-    entries = toml_document((files("gauge_envs.tools.video") / "tasks.toml").read_bytes())["task"]
+    entries = toml_document(
+        (files("gauge_envs.tools.video") / "tasks.toml").read_bytes()
+    )["task"]
     tasks = []
     for entry in entries:
-        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in entry.items()}
+        values: dict[str, Any] = {
+            n: tuple(v) if isinstance(v, list) else v for n, v in entry.items()
+        }
         motion = Motion(values.pop("motion"))
-        tasks.append(VideoTask(motion=motion, direction=DIRECTIONS.get(motion), **values))
+        tasks.append(
+            VideoTask(motion=motion, direction=DIRECTIONS.get(motion), **values)
+        )
     return tuple(tasks)
 
 
@@ -136,7 +153,9 @@ def published_results() -> dict[str, dict[tuple[str, str], float | None]]:
     They are Table 3 of GAUGE's paper: ten configurations of six models.
     """
     found: dict[str, dict[tuple[str, str], float | None]] = {}
-    with (scoring_folder("published") / "world_model_results.csv").open(newline="", encoding="utf-8") as file:
+    with (scoring_folder("published") / "world_model_results.csv").open(
+        newline="", encoding="utf-8"
+    ) as file:
         for row in csv.DictReader(file):
             key = (row.pop("variant"), PUBLISHED_NAMES[row.pop("metric")])
             for name in ("real_baseline", "unit"):

@@ -82,7 +82,9 @@ class Track:
         return self.frames / self.fps if self.clock_s is None else self.clock_s
 
 
-def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX) -> Track:
+def read_track(
+    path: Path | str, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX
+) -> Track:
     """Return a track from a CSV file with the columns frame, x, y and optionally confidence.
 
     Args:
@@ -95,11 +97,15 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
     """
     path = Path(path)
     if not (math.isfinite(fps) and fps > 0.0):
-        raise VideoError(f"fps is {fps}: state the frame rate of the video, as --fps 30")
+        raise VideoError(
+            f"fps is {fps}: state the frame rate of the video, as --fps 30"
+        )
     try:
         text = read_regular(path, MOST_TRACK_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise VideoError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
     found: dict[int, tuple[float, float, float]] = {}
     for number, row in enumerate(_rows(path, text), start=2):
         frame = _number(path, number, "frame", row["frame"])
@@ -108,10 +114,16 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
                 f"{path}: line {number}: frame is {row['frame']!r}; it must be a whole number from 0 to {LAST_FRAME}"
             )
         if int(frame) in found:
-            raise VideoError(f"{path}: line {number}: frame {int(frame)} stands there twice")
+            raise VideoError(
+                f"{path}: line {number}: frame {int(frame)} stands there twice"
+            )
         x, y = (_number(path, number, name, row[name]) for name in ("x", "y"))
         sure = _number(path, number, "confidence", row.get("confidence") or "1")
-        place = (math.nan, math.nan, 0.0) if x is None or y is None else (x, y, 1.0 if sure is None else sure)
+        place = (
+            (math.nan, math.nan, 0.0)
+            if x is None or y is None
+            else (x, y, 1.0 if sure is None else sure)
+        )
         found[int(frame)] = place
     if not found:
         raise VideoError(f"{path}: there is no row below the names of the columns")
@@ -133,7 +145,9 @@ def _rows(path: Path, text: str) -> Iterator[dict[str, str]]:
         rows = csv.DictReader(io.StringIO(text, newline=""))
         missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
         if missing:
-            raise VideoError(f"{path}: there is no column {', '.join(missing)}; the first line must name frame, x, y")
+            raise VideoError(
+                f"{path}: there is no column {', '.join(missing)}; the first line must name frame, x, y"
+            )
         yield from rows
     except csv.Error as error:
         raise VideoError(f"{path}: it is no CSV: {error}") from error
@@ -148,5 +162,7 @@ def _number(path: Path, line: int, name: str, text: str | None) -> float | None:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise VideoError(f"{path}: line {line}: {name} is {text!r}; it must be a finite number or empty")
+        raise VideoError(
+            f"{path}: line {line}: {name} is {text!r}; it must be a finite number or empty"
+        )
     return value

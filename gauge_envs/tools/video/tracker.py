@@ -31,7 +31,10 @@ from gauge_envs.tools.video.frames import (
     stretched,
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
-from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
+from gauge_envs.tools.video.registration import (
+    registration_by_first_frame,
+    registration_by_outline,
+)
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
 
@@ -49,7 +52,8 @@ CRADLE_BALLS = 5
 
 UNSEEN = "the object is not seen"
 FOREIGN = (
-    "the first frame does not show the object of the task at its place, so its law, scale and direction do not apply"
+    "the first frame does not show the object of the task at its place, "
+    "so its law, scale and direction do not apply"
 )
 """What is said of a clip whose first frame, or the picture that is given as it, shows something else."""
 
@@ -60,7 +64,9 @@ TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
 """Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
-def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
+def track_object(
+    frames: Frames, task: VideoTask, *, first_frame: Path | None = None
+) -> Track:
     """Return the track of the object of a task.
 
     A first pass finds the motion of the camera and the background, a second one the candidates of each frame, from
@@ -74,8 +80,14 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     cadence = read_cadence(frames)
     count = int(cadence.is_new.sum())
     if count < LEAST_FRAMES:
-        lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
-        raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
+        lost = (
+            f" that can be decoded, of the {frames.stated_count} that it states"
+            if _is_cut(frames, cadence)
+            else ""
+        )
+        raise VideoError(
+            f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}"
+        )
     registration, foreign = _registered(next(frames.native()), task, first_frame)
 
     def pictures() -> Iterator[Picture]:
@@ -92,7 +104,9 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     for number, picture in enumerate(pictures()):
         watch.look(picture)
         if number and number % max(1, count // MOST_SAMPLED) == 0:
-            sampled.append(watch.steadied(picture, number)[top:bottom, left:right].copy())
+            sampled.append(
+                watch.steadied(picture, number)[top:bottom, left:right].copy()
+            )
     follower = ShapeFollower(
         _background(first, sampled, part, task),
         first,
@@ -108,11 +122,22 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         candidates.append(follower.candidates(steady))
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
     # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
-    most_m_s2 = (2.0 if task.motion in (Motion.CRADLE, Motion.PENDULUM) else 1.0) * GRAVITY_M_PER_S2
+    most_m_s2 = (
+        2.0 if task.motion in (Motion.CRADLE, Motion.PENDULUM) else 1.0
+    ) * GRAVITY_M_PER_S2
     lawful_px = most_m_s2 / cadence.fps**2 / task.scale_m_per_px
-    path = best_path(allowed, centre, task.size_px, lawful_px, is_struck=task.motion is Motion.CRADLE)
-    early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
-    if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
+    path = best_path(
+        allowed, centre, task.size_px, lawful_px, is_struck=task.motion is Motion.CRADLE
+    )
+    early = [
+        math.dist(one.place, centre)
+        for ones in candidates[:FIRST_FRAMES]
+        for one in ones
+    ]
+    if (
+        task.motion is not Motion.CRADLE
+        and min(early, default=math.inf) > FIRST_STEP * task.size_px
+    ):
         foreign = FOREIGN
     doubts = (registration.problem, foreign, task.doubt)
     return Track(
@@ -121,22 +146,34 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         points_px=_on_face(np.array([s.place for s in path]), task),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
-        events=(*_of_the_file(frames, cadence, *doubts), *watch.events(), *_twins(candidates, path, task)),
+        events=(
+            *_of_the_file(frames, cadence, *doubts),
+            *watch.events(),
+            *_twins(candidates, path, task),
+        ),
         clock_s=cadence.times_s,
         registration=registration,
     )
 
 
-def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None) -> tuple[Registration, str]:
+def _registered(
+    start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None
+) -> tuple[Registration, str]:
     """Return the registration of a video, and why its first frame is that of another scene; empty if it is not."""
     if first_frame is None:
         return registration_by_outline(start, task), ""
     given = read_picture(first_frame)
-    shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
-    return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
+    shown = registration_by_outline(
+        stretched((given.shape[1], given.shape[0])).applied(given), task
+    )
+    return registration_by_first_frame(
+        start, given
+    ), FOREIGN if shown.problem.startswith(UNSEEN) else ""
 
 
-def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str, look: str) -> Iterator[Event]:
+def _of_the_file(
+    frames: Frames, cadence: Cadence, registration: str, foreign: str, look: str
+) -> Iterator[Event]:
     """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
@@ -149,7 +186,14 @@ def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: s
         if text:
             last = int(np.flatnonzero(cadence.is_new)[-1])
             is_fatal, is_note = kind == "picture", kind == "cadence"
-            yield Event(kind=kind, first_frame=0, last_frame=last, text=text, is_fatal=is_fatal, is_note=is_note)
+            yield Event(
+                kind=kind,
+                first_frame=0,
+                last_frame=last,
+                text=text,
+                is_fatal=is_fatal,
+                is_note=is_note,
+            )
 
 
 def _is_cut(frames: Frames, cadence: Cadence) -> bool:
@@ -157,7 +201,9 @@ def _is_cut(frames: Frames, cadence: Cadence) -> bool:
     return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
 
 
-def _background(first: Picture, sampled: list[Picture], part: Region, task: VideoTask) -> Background:
+def _background(
+    first: Picture, sampled: list[Picture], part: Region, task: VideoTask
+) -> Background:
     if task.motion is Motion.CRADLE:
         # The ball is looked for away from where it hangs, so that nothing is invented behind it there.
         return Background(first)
@@ -184,7 +230,9 @@ def _on_face(places: FloatArray, task: VideoTask) -> FloatArray:
     if task.motion is not Motion.TURN or not len(found):
         return places
     pivot = np.array(task.pivot_px)
-    ratio = math.dist(task.centre_px, pivot) / max(float(np.linalg.norm(found[0] - pivot)), 1.0)
+    ratio = math.dist(task.centre_px, pivot) / max(
+        float(np.linalg.norm(found[0] - pivot)), 1.0
+    )
     return pivot + (places - pivot) * (ratio if abs(ratio - 1.0) < MOST_DEPTH else 1.0)
 
 
@@ -196,7 +244,10 @@ def _is_allowed(sight: Sight, task: VideoTask) -> bool:
     length = math.dist(task.rest_px or task.centre_px, task.pivot_px)
     if task.motion is Motion.PENDULUM:
         return 0.8 * length <= math.hypot(x, y) <= 1.2 * length
-    return 0.92 * length <= math.hypot(x, y) <= 1.08 * length and 0.05 < math.atan2(x, y) < 0.5 * math.pi
+    return (
+        0.92 * length <= math.hypot(x, y) <= 1.08 * length
+        and 0.05 < math.atan2(x, y) < 0.5 * math.pi
+    )
 
 
 def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
@@ -208,7 +259,9 @@ def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
     length = task.rest_px[1] - task.pivot_px[1]
     # The incoming ball hangs as many diameters to the left as there are balls before the last one.
     first_x = x + (CRADLE_BALLS - 1) * task.size_px
-    is_on_arc = first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
+    is_on_arc = (
+        first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
+    )
     return is_on_arc or abs(y - length) < task.size_px
 
 
@@ -217,7 +270,12 @@ def _surroundings(centre: FloatArray, size_px: float) -> Region:
     half = 1.1 * size_px
     low, high = np.floor(centre - half), np.ceil(centre + half)
     width, height = REFERENCE_SIZE_PX
-    return max(0, int(low[0])), max(0, int(low[1])), min(width, int(high[0])), min(height, int(high[1]))
+    return (
+        max(0, int(low[0])),
+        max(0, int(low[1])),
+        min(width, int(high[0])),
+        min(height, int(high[1])),
+    )
 
 
 def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
@@ -242,7 +300,9 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
     return np.hypot(columns - centre[0], rows - centre[1]) < radius
 
 
-def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) -> list[Event]:
+def _twins(
+    candidates: list[list[Sight]], path: list[Sight], task: VideoTask
+) -> list[Event]:
     """Return the event of a second object that looks like the first one."""
     frames = []
     for number, (ones, chosen) in enumerate(zip(candidates, path, strict=True)):
@@ -250,13 +310,22 @@ def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) ->
             is_far = not np.linalg.norm(one.place - chosen.place) < task.size_px
             # Where an object cannot be, it is seen for another one although its own place is unknown.
             is_other = chosen.likeness > 0.0 or not _is_allowed(one, task)
-            if is_far and is_other and one.likeness >= TWIN_LIKENESS and not _is_neighbour(one, task):
+            if (
+                is_far
+                and is_other
+                and one.likeness >= TWIN_LIKENESS
+                and not _is_neighbour(one, task)
+            ):
                 frames.append(number)
                 break
     if len(frames) < LEAST_TWIN_FRAMES:
         return []
     text = f"a second object of the same shape and colour is seen in {len(frames)} frames, {frames[0]} to {frames[-1]}"
-    return [Event(kind="duplicated", first_frame=frames[0], last_frame=frames[-1], text=text)]
+    return [
+        Event(
+            kind="duplicated", first_frame=frames[0], last_frame=frames[-1], text=text
+        )
+    ]
 
 
 # --- camera and scene -------------------------------------------------------------------------------------------------
@@ -318,48 +387,78 @@ class SceneWatch:
             return picture
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = REFERENCE_SIZE_PX
-        return np.asarray(cv2.warpAffine(picture, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
+        return np.asarray(
+            cv2.warpAffine(
+                picture, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
+            )
+        )
 
     def compare(self, picture: Picture, frame: int) -> None:
         """Compare the scene of a steadied frame with that of the first one."""
         if frame % STRIDE == 0:
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
             difference = np.abs(self._small(grey.astype(np.float32)) - self._first)
-            self._changed[frame] = float((difference[self._counted] > CHANGED).mean()) if self._counted.any() else 0.0
+            self._changed[frame] = (
+                float((difference[self._counted] > CHANGED).mean())
+                if self._counted.any()
+                else 0.0
+            )
 
     def events(self) -> list[Event]:
         """Return what happened to the camera and the scene."""
         found = []
-        recomposed = [frame for frame, share in self._changed.items() if share > RECOMPOSED_SHARE]
+        recomposed = [
+            frame for frame, share in self._changed.items() if share > RECOMPOSED_SHARE
+        ]
         if recomposed:
             worst = max(self._changed.values())
             text = f"the scene is recomposed: up to {worst:.0%} of the picture differs from the first frame"
             found.append(_event("scene", recomposed, text))
-        known = {frame: move for frame, move in enumerate(self._moves) if move is not None}
+        known = {
+            frame: move for frame, move in enumerate(self._moves) if move is not None
+        }
         moved = [frame for frame, move in known.items() if _shift_px(move) > STILL_PX]
         if moved:
             shift = max(_shift_px(known[frame]) for frame in moved)
-            zoom = max((float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs)
+            zoom = max(
+                (float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs
+            )
             is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
-            what = "more than a flat scene allows to subtract" if is_too_far else "this is subtracted"
+            what = (
+                "more than a flat scene allows to subtract"
+                if is_too_far
+                else "this is subtracted"
+            )
             text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
             found.append(_event("camera", moved, text, is_note=not is_too_far))
             lost = [frame for frame, move in enumerate(self._moves) if move is None]
             if len(lost) > len(self._moves) // 10:
-                found.append(_event("camera", lost, "the camera moves, and its motion is not found in some frames"))
+                found.append(
+                    _event(
+                        "camera",
+                        lost,
+                        "the camera moves, and its motion is not found in some frames",
+                    )
+                )
         return found
 
     def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
         """Return where the first frame is now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
         if len(self._points) < LEAST_POINTS:
             return None
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3)
+        moved, status, _ = cv2.calcOpticalFlowPyrLK(
+            self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3
+        )
         is_found = status.ravel() == 1
         if is_found.sum() < LEAST_POINTS:
             return None
         before, after = self._points[is_found], moved[is_found]
-        matrix, inliers = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=1.5)
-        if matrix is None or inliers.sum() < max(LEAST_POINTS, LEAST_AGREEING * len(before)):
+        matrix, inliers = cv2.estimateAffinePartial2D(
+            before, after, method=cv2.RANSAC, ransacReprojThreshold=1.5
+        )
+        if matrix is None or inliers.sum() < max(
+            LEAST_POINTS, LEAST_AGREEING * len(before)
+        ):
             return None
         return np.asarray(matrix)
 
@@ -367,16 +466,26 @@ class SceneWatch:
     def _small(picture: NDArray[np.float32]) -> NDArray[np.float32]:
         height, width = picture.shape[:2]
         size = (width // SHRINKAGE, height // SHRINKAGE)
-        return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+        return np.asarray(
+            cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32
+        )
 
 
 def _shift_px(move: FloatArray) -> float:
     """Return the mean shift of the corners of the picture [px]."""
     width, height = REFERENCE_SIZE_PX
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
-    return float(np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean())
+    return float(
+        np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean()
+    )
 
 
 def _event(kind: str, frames: list[int], text: str, *, is_note: bool = False) -> Event:
     text = f"{text} (frames {frames[0]} to {frames[-1]})"
-    return Event(kind=kind, first_frame=frames[0], last_frame=frames[-1], text=text, is_note=is_note)
+    return Event(
+        kind=kind,
+        first_frame=frames[0],
+        last_frame=frames[-1],
+        text=text,
+        is_note=is_note,
+    )

@@ -50,7 +50,9 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
                 "motion": task.motion.value,
                 "size_mm": 1000.0 * task.size_m,
                 "size_px": task.size_px,
-                "metrics": ", ".join(f"{TITLES[name]} {value:g}" for name, value in task.real.items()),
+                "metrics": ", ".join(
+                    f"{TITLES[name]} {value:g}" for name, value in task.real.items()
+                ),
             }
             for task in tasks
         ],
@@ -71,15 +73,31 @@ def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
     table = Table(
         columns=(
             Column("", "metric", TITLES.__getitem__),
-            Column("", "video", lambda name: short_text(result.metrics[name]), is_number=True),
-            Column("", "95 % interval", lambda name: interval_text(result.uncertainty[name])),
-            Column("", "real", lambda name: short_text(real[name]) if name in real else "-", is_number=True),
+            Column(
+                "",
+                "video",
+                lambda name: short_text(result.metrics[name]),
+                is_number=True,
+            ),
+            Column(
+                "",
+                "95 % interval",
+                lambda name: interval_text(result.uncertainty[name]),
+            ),
+            Column(
+                "",
+                "real",
+                lambda name: short_text(real[name]) if name in real else "-",
+                is_number=True,
+            ),
         ),
         rows=known,
     )
     return Document(
         parts=(
-            Paragraph(f"{result.video}: {result.grade.value} for {result.task}; {span_text(result)}; {scale}"),
+            Paragraph(
+                f"{result.video}: {result.grade.value} for {result.task}; {span_text(result)}; {scale}"
+            ),
             *(Paragraph(f"  {reason}") for reason in result.reasons),
             *([table] if known else []),
         ),
@@ -90,7 +108,11 @@ def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
 def span_text(result: VideoScore) -> str:
     """Return the frames that a law was fitted to."""
     span = result.interval_frames
-    return "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
+    return (
+        "no frame is retained"
+        if span is None
+        else f"frames {span[0]} to {span[1]} are retained"
+    )
 
 
 def short_text(value: float | None) -> str:
@@ -100,7 +122,11 @@ def short_text(value: float | None) -> str:
 
 def interval_text(interval: tuple[float, float] | None) -> str:
     """Return both ends of an interval; empty for None."""
-    return "" if interval is None else f"{short_text(interval[0])} to {short_text(interval[1])}"
+    return (
+        ""
+        if interval is None
+        else f"{short_text(interval[0])} to {short_text(interval[1])}"
+    )
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -125,26 +151,41 @@ Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files."""
     tasks = {task.id: order for order, task in enumerate(video_tasks())}
-    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not file.name.startswith(".")]
+    files = [
+        file
+        for file in sorted(folder.rglob("*"))
+        if file.is_file() and not file.name.startswith(".")
+    ]
     found = []
     for file in files:
         model, *names = file.relative_to(folder).with_suffix("").parts
         is_seed = len(names) == 2 and re.fullmatch("seed_[0-9]+", names[1]) is not None
-        if file.suffix.lower() in SUFFIXES and names and names[0] in tasks and (len(names) == 1 or is_seed):
+        if (
+            file.suffix.lower() in SUFFIXES
+            and names
+            and names[0] in tasks
+            and (len(names) == 1 or is_seed)
+        ):
             found.append((model, names[0], file))
     if not found:
         raise VideoError(
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
     used = {file for *_, file in found}
-    return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [file for file in files if file not in used]
+    return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [
+        file for file in files if file not in used
+    ]
 
 
 def results_table(results: Results) -> Table:
     """Return a row for each model, task and metric: the mean over valid clips, and what it is worth."""
     rows = []
     for (model, task), clips in results.items():
-        valid = [one for one in clips.values() if one is not None and one.grade is Grade.VALID]
+        valid = [
+            one
+            for one in clips.values()
+            if one is not None and one.grade is Grade.VALID
+        ]
         for name in (*video_task(task).real, "form"):
             values = np.array([one.metrics[name] for one in valid], dtype=float)
             values = values[np.isfinite(values)]
@@ -153,22 +194,63 @@ def results_table(results: Results) -> Table:
                 mean, ends = float(values.mean()), valid[0].uncertainty[name]
             if mean is not None and len(values) > 1:
                 spread = float(values.std(ddof=1))
-                half = float(stdtrit(len(values) - 1, 0.975)) * spread / math.sqrt(len(values))
+                half = (
+                    float(stdtrit(len(values) - 1, 0.975))
+                    * spread
+                    / math.sqrt(len(values))
+                )
                 ends = (mean - half, mean + half)
-            row = {"model": model, "task": task, "metric": TITLES[name], "mean": mean, "spread": spread}
+            row = {
+                "model": model,
+                "task": task,
+                "metric": TITLES[name],
+                "mean": mean,
+                "spread": spread,
+            }
             row["real"] = video_task(task).real.get(name)
             row["low"], row["high"] = ends or (None, None)
-            rows.append(row | {"usable": len(valid) / len(clips), "valid": len(valid), "clips": len(clips)})
-    keys = [(task, name) for task in dict.fromkeys(task for _, task in results) for name in video_task(task).real]
+            rows.append(
+                row
+                | {
+                    "usable": len(valid) / len(clips),
+                    "valid": len(valid),
+                    "clips": len(clips),
+                }
+            )
+    keys = [
+        (task, name)
+        for task in dict.fromkeys(task for _, task in results)
+        for name in video_task(task).real
+    ]
     for model, known in published_results().items():
         rows += [
-            {"model": f"{model}, published", "task": t, "metric": TITLES[n], "mean": known.get((t, n))} for t, n in keys
+            {
+                "model": f"{model}, published",
+                "task": t,
+                "metric": TITLES[n],
+                "mean": known.get((t, n)),
+            }
+            for t, n in keys
         ]
-    titles = {"mean": "mean", "low": "95 % from", "high": "to", "spread": "spread", "real": "real"}
-    columns = [Column(key, title, short_text, is_number=True) for key, title in titles.items()]
+    titles = {
+        "mean": "mean",
+        "low": "95 % from",
+        "high": "to",
+        "spread": "spread",
+        "real": "real",
+    }
+    columns = [
+        Column(key, title, short_text, is_number=True) for key, title in titles.items()
+    ]
     columns.insert(0, Column("usable", "usable", "{:.0%}".format, is_number=True))
-    columns += [Column(key, key, short_text, is_number=True) for key in ("valid", "clips")]
-    names = (Column("model", "model"), Column("task", "task"), Column("metric", "metric"))
+    columns += [
+        Column(key, key, short_text, is_number=True) for key in ("valid", "clips")
+    ]
+    names = (
+        Column("model", "model"),
+        Column("task", "task"),
+        Column("metric", "metric"),
+    )
     return Table(columns=(*names, *columns), rows=rows, notes=(VALUES_NOTE,))
 
 
@@ -178,7 +260,9 @@ def video_page(results: Results) -> str:
     last = ""
     for (model, task), clips in results.items():
         parts += [Heading(task)] if task != last else []
-        parts += [_clip(model, one, file) for file, one in clips.items() if one is not None]
+        parts += [
+            _clip(model, one, file) for file, one in clips.items() if one is not None
+        ]
         last = task
     return page("Videos and the laws of motion", parts)
 
@@ -189,18 +273,24 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
         text += f"; registered by {result.track.registration.method}"
     pictures = element("div", *_pictures(result, file), class_="strip")
     name = model if file.stem == result.task else f"{model}, {file.stem}"
-    return join([element("p", element("b", name), text), listed(result.reasons), pictures])
+    return join(
+        [element("p", element("b", name), text), listed(result.reasons), pictures]
+    )
 
 
 def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
     """Yield frames of a video with the track drawn into them."""
     first, last = result.interval_frames or (0, len(result.track.frames) - 1)
     wanted = set(np.linspace(first, last, PICTURES).astype(int).tolist())
-    for number, picture in enumerate(drawn_frames(FileFrames(file, fps=result.track.fps), result)):
+    for number, picture in enumerate(
+        drawn_frames(FileFrames(file, fps=result.track.fps), result)
+    ):
         if number not in wanted:
             continue
         height = round(picture.shape[0] * PICTURE_WIDTH_PX / picture.shape[1])
-        small = cv2.resize(picture, (PICTURE_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+        small = cv2.resize(
+            picture, (PICTURE_WIDTH_PX, height), interpolation=cv2.INTER_AREA
+        )
         _, packed = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
         source = f"data:image/jpeg;base64,{b64encode(packed.tobytes()).decode('ascii')}"
         yield element("img", loading="lazy", alt=f"frame {number}", src=source)
@@ -237,20 +327,43 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     track, span = result.track, result.interval_frames
     # A frame that repeats a picture shows the place of the one before.
     row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
-    for frame, place in zip(track.frames[: row + 1], track.points_px[: row + 1], strict=True):
+    for frame, place in zip(
+        track.frames[: row + 1], track.points_px[: row + 1], strict=True
+    ):
         if np.isfinite(place).all():
             counts = span is not None and span[0] <= frame <= span[1]
-            cv2.circle(drawn, (round(place[0]), round(place[1])), 2, COUNTED if counts else DROPPED, -1)
+            cv2.circle(
+                drawn,
+                (round(place[0]), round(place[1])),
+                2,
+                COUNTED if counts else DROPPED,
+                -1,
+            )
     if np.isfinite(track.points_px[row]).all():
         x, y = track.points_px[row]
         cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
-    values = [f"{name} {value:.3g}" for name, value in result.metrics.items() if value is not None]
+    values = [
+        f"{name} {value:.3g}"
+        for name, value in result.metrics.items()
+        if value is not None
+    ]
     is_counted = span is not None and span[0] <= number <= span[1]
     state = "counted" if is_counted else "dropped"
     seen = f"frame {number}, {state}, confidence {track.confidence[row]:.2f}"
     lines = [seen, f"{result.grade.value}: {', '.join(values)}"]
     for line, text in enumerate(lines):
         place = (10, drawn.shape[0] - 30 + 20 * line)
-        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
-        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+        cv2.putText(
+            drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA
+        )
+        cv2.putText(
+            drawn,
+            text,
+            place,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            0.5,
+            (255, 255, 255),
+            1,
+            cv2.LINE_AA,
+        )
     return drawn

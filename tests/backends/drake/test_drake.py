@@ -36,13 +36,24 @@ from pydrake.multibody.plant import DiscreteContactApproximation
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.drake.contacts import PHASES, impact_constants, rebound
-from gauge_envs.backends.drake.model import APPROXIMATIONS as DRAKE_NAMES, inner_radius_m
-from gauge_envs.backends.drake.settings import PRESETS, impact_speed_m_per_s, settings_for
+from gauge_envs.backends.drake.model import (
+    APPROXIMATIONS as DRAKE_NAMES,
+    inner_radius_m,
+)
+from gauge_envs.backends.drake.settings import (
+    PRESETS,
+    impact_speed_m_per_s,
+    settings_for,
+)
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.conformance import Status, run_checks
 
 DRAKE = backend("drake")
-APPROXIMATIONS = [name for name, member in DRAKE_NAMES.items() if hasattr(DiscreteContactApproximation, member)]
+APPROXIMATIONS = [
+    name
+    for name, member in DRAKE_NAMES.items()
+    if hasattr(DiscreteContactApproximation, member)
+]
 """Approximations that the installed Drake has; 1.58 has no TAMSI."""
 G = GRAVITY_M_PER_S2
 FRICTION = 0.273673
@@ -50,8 +61,14 @@ SLOPE = Rotation.from_euler("y", 30, degrees=True)
 SLIDE_M_PER_S2 = G * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi / 6))
 
 
-def solid(name: str, shape: object, position_m: tuple = (0.0, 0.0, 0.0), **changes) -> RigidBody:
-    values = {"motion": Motion.DYNAMIC, "pose": Pose(position_m=position_m), "mass_kg": 0.1} | changes
+def solid(
+    name: str, shape: object, position_m: tuple = (0.0, 0.0, 0.0), **changes
+) -> RigidBody:
+    values = {
+        "motion": Motion.DYNAMIC,
+        "pose": Pose(position_m=position_m),
+        "mass_kg": 0.1,
+    } | changes
     return RigidBody(name=name, shape=shape, **values)
 
 
@@ -61,16 +78,31 @@ GROUND = solid("ground", Plane(), motion=Motion.FIXED, mass_kg=0.0)
 # --- impacts ---------------------------------------------------------------------------------------------------------
 
 
-def impact(approximation: str, restitution: float, phase: float, speed: float, **settings) -> float:
+def impact(
+    approximation: str, restitution: float, phase: float, speed: float, **settings
+) -> float:
     """Rebound of a ball without gravity, whose first step in contact has a depth of `phase` times its step."""
     step_s = 1 / 9000
     start = (0.0, 0.0, 0.03 + (2.0 - phase) * step_s * speed)
-    ball = solid("ball", Sphere(radius_m=0.03), start, linear_velocity_m_per_s=(0.0, 0.0, -speed))
-    contact = Contact(
-        first=("ball",), second=("ground",), friction=0.5, restitution=restitution, mode=ContactMode.IMPACT
+    ball = solid(
+        "ball", Sphere(radius_m=0.03), start, linear_velocity_m_per_s=(0.0, 0.0, -speed)
     )
-    scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.1, gravity_m_per_s2=0.0)
-    given = {"approximation": approximation, "contact_model": "point", "timestep_s": step_s, "impact_rate": 0.1}
+    contact = Contact(
+        first=("ball",),
+        second=("ground",),
+        friction=0.5,
+        restitution=restitution,
+        mode=ContactMode.IMPACT,
+    )
+    scene = Scene(
+        bodies=(GROUND, ball), contacts=(contact,), duration_s=0.1, gravity_m_per_s2=0.0
+    )
+    given = {
+        "approximation": approximation,
+        "contact_model": "point",
+        "timestep_s": step_s,
+        "impact_rate": 0.1,
+    }
     simulation = DRAKE.build(scene, given | settings)
     for _ in range(36):
         simulation.advance(1 / 180)
@@ -82,11 +114,15 @@ def impact(approximation: str, restitution: float, phase: float, speed: float, *
 
 @pytest.mark.parametrize("approximation", APPROXIMATIONS)
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
-def test_the_scheme_of_an_impact_is_drakes(approximation: str, restitution: float) -> None:
+def test_the_scheme_of_an_impact_is_drakes(
+    approximation: str, restitution: float
+) -> None:
     law = "relaxation" if approximation == "sap" else "hunt_crossley"
     expected = rebound(law, *impact_constants(law, restitution, 0.1))
     for index in (0, 7):
-        measured = impact(approximation, restitution, PHASES[index], 1.0, impact_speed_m_per_s=1.0)
+        measured = impact(
+            approximation, restitution, PHASES[index], 1.0, impact_speed_m_per_s=1.0
+        )
         assert measured == pytest.approx(expected[index], abs=1e-6)
 
 
@@ -95,13 +131,18 @@ def test_the_scheme_of_an_impact_is_drakes(approximation: str, restitution: floa
 def test_fitted_constants_have_the_restitution(law: str, restitution: float) -> None:
     ratios = rebound(law, *impact_constants(law, restitution, 0.03))
     assert ratios.mean() == pytest.approx(restitution, abs=1e-6)
-    assert np.abs(ratios - restitution).max() < (0.0055 if law == "relaxation" else 0.0006)
+    assert np.abs(ratios - restitution).max() < (
+        0.0055 if law == "relaxation" else 0.0006
+    )
 
 
 def test_hunt_crossley_follows_its_closed_form_when_the_step_is_short() -> None:
     # Work of k x^n (1 + d v) over the impact: u - ln(1 + u) is the same for u = d v0 and u = -d e v0.
     _, dissipation = impact_constants("hunt_crossley", 0.5, 0.005)
-    inside, outside = dissipation - np.log1p(dissipation), -0.5 * dissipation - np.log1p(-0.5 * dissipation)
+    inside, outside = (
+        dissipation - np.log1p(dissipation),
+        -0.5 * dissipation - np.log1p(-0.5 * dissipation),
+    )
     assert inside == pytest.approx(outside, rel=0.02)
 
 
@@ -109,28 +150,54 @@ def test_relaxation_follows_its_closed_form_when_the_step_is_short() -> None:
     _, steps = impact_constants("relaxation", 0.577, 0.002)
     ratio = 0.5 * 0.002 * steps
     ending = np.arctan2(2.0 * ratio * np.sqrt(1.0 - ratio**2), 2.0 * ratio**2 - 1.0)
-    assert np.exp(-ratio / np.sqrt(1.0 - ratio**2) * ending) == pytest.approx(0.577, abs=0.002)
+    assert np.exp(-ratio / np.sqrt(1.0 - ratio**2) * ending) == pytest.approx(
+        0.577, abs=0.002
+    )
 
 
-def test_linear_dissipation_has_the_restitution_at_any_speed_and_hunt_crossley_at_one() -> None:
+def test_linear_dissipation_has_the_restitution_at_any_speed_and_hunt_crossley_at_one() -> (
+    None
+):
     linear = [impact("sap", 0.577, PHASES[6], speed) for speed in (0.1, 1.0, 4.0)]
     assert np.ptp(linear) < 1e-6
     # Three tenths of the speed have a third of the dissipation.
     slow = impact("lagged", 0.577, PHASES[6], 0.3, impact_speed_m_per_s=1.0)
     _, dissipation = impact_constants("hunt_crossley", 0.577, 0.1)
-    assert slow == pytest.approx(rebound("hunt_crossley", 0.1, 0.3 * dissipation)[6], abs=1e-6)
+    assert slow == pytest.approx(
+        rebound("hunt_crossley", 0.1, 0.3 * dissipation)[6], abs=1e-6
+    )
     assert slow > 0.7
 
 
 @pytest.mark.parametrize(
     ("speed", "mass_kg", "expected"),
-    [(2.8, 0.001, 0.577), (2.8, 10.0, 0.577), (6.0, 0.1, 0.5775), (1.0, 0.1, 0.5754), (0.3, 0.1, 0.5692)],
+    [
+        (2.8, 0.001, 0.577),
+        (2.8, 10.0, 0.577),
+        (6.0, 0.1, 0.5775),
+        (1.0, 0.1, 0.5754),
+        (0.3, 0.1, 0.5692),
+    ],
 )
-def test_the_page_has_the_restitution_of_impacts_of_other_speeds(speed: float, mass_kg: float, expected: float) -> None:
+def test_the_page_has_the_restitution_of_impacts_of_other_speeds(
+    speed: float, mass_kg: float, expected: float
+) -> None:
     step_s = 1 / 72000
     start = (0.0, 0.0, 0.03 + 1.5 * step_s * speed)
-    ball = solid("ball", Sphere(radius_m=0.03), start, linear_velocity_m_per_s=(0.0, 0.0, -speed), mass_kg=mass_kg)
-    contact = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.577, mode=ContactMode.IMPACT)
+    ball = solid(
+        "ball",
+        Sphere(radius_m=0.03),
+        start,
+        linear_velocity_m_per_s=(0.0, 0.0, -speed),
+        mass_kg=mass_kg,
+    )
+    contact = Contact(
+        first=("ball",),
+        second=("ground",),
+        friction=0.5,
+        restitution=0.577,
+        mode=ContactMode.IMPACT,
+    )
     scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.1)
     simulation = DRAKE.build(scene, {"impact_speed_m_per_s": 2.8})
     assert simulation.settings["preset"] == "impact"
@@ -139,7 +206,9 @@ def test_the_page_has_the_restitution_of_impacts_of_other_speeds(speed: float, m
         height, outgoing = simulation.body_states(["ball"])[0, [2, 9]]
         if outgoing > 0.0 and height > 0.03:
             break
-    assert np.sqrt(outgoing**2 + 2.0 * G * (height - 0.03)) / speed == pytest.approx(expected, abs=1e-3)
+    assert np.sqrt(outgoing**2 + 2.0 * G * (height - 0.03)) / speed == pytest.approx(
+        expected, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("preset", ["default", "point"])
@@ -147,9 +216,16 @@ def test_the_page_has_the_restitution_of_impacts_of_other_speeds(speed: float, m
 def test_a_box_that_lands_flat_rebounds(preset: str, restitution: float) -> None:
     box = solid("box", Box(size_m=(0.1, 0.05, 0.02)), (0.0, 0.0, 0.21))
     contact = Contact(
-        first=("box",), second=("ground",), friction=0.3, restitution=restitution, mode=ContactMode.IMPACT
+        first=("box",),
+        second=("ground",),
+        friction=0.3,
+        restitution=restitution,
+        mode=ContactMode.IMPACT,
     )
-    simulation = DRAKE.build(Scene(bodies=(GROUND, box), contacts=(contact,), duration_s=1.0), {"preset": preset})
+    simulation = DRAKE.build(
+        Scene(bodies=(GROUND, box), contacts=(contact,), duration_s=1.0),
+        {"preset": preset},
+    )
     heights = []
     for _ in range(70):
         simulation.advance(1 / 180)
@@ -162,12 +238,20 @@ def test_gravity_during_the_contact_is_made_up_for() -> None:
     weight = G / 72000 / 2.8
     fitted = impact_constants("relaxation", 0.2, 0.03, weight)
     assert rebound("relaxation", *fitted, weight).mean() == pytest.approx(0.2, abs=1e-6)
-    assert rebound("relaxation", *impact_constants("relaxation", 0.2, 0.03), weight).mean() < 0.198
+    assert (
+        rebound("relaxation", *impact_constants("relaxation", 0.2, 0.03), weight).mean()
+        < 0.198
+    )
 
 
 def test_perfect_restitution_and_none() -> None:
-    assert rebound("relaxation", *impact_constants("relaxation", 1.0, 0.03)).mean() == pytest.approx(0.999, abs=1e-4)
-    assert rebound("hunt_crossley", *impact_constants("hunt_crossley", 0.0, 0.1)).max() < 1e-5
+    assert rebound(
+        "relaxation", *impact_constants("relaxation", 1.0, 0.03)
+    ).mean() == pytest.approx(0.999, abs=1e-4)
+    assert (
+        rebound("hunt_crossley", *impact_constants("hunt_crossley", 0.0, 0.1)).max()
+        < 1e-5
+    )
 
 
 # --- friction --------------------------------------------------------------------------------------------------------
@@ -179,10 +263,19 @@ def slide(**settings) -> tuple[float, float]:
     def on_slope(position_m: tuple) -> Pose:
         return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
 
-    board = solid("board", Box(size_m=(2.0, 0.3, 0.02)), motion=Motion.FIXED, pose=on_slope((0, 0, -0.01)))
+    board = solid(
+        "board",
+        Box(size_m=(2.0, 0.3, 0.02)),
+        motion=Motion.FIXED,
+        pose=on_slope((0, 0, -0.01)),
+    )
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), pose=on_slope((0, 0, 0.025)))
-    contact = Contact(first=("cube",), second=("board",), friction=FRICTION, restitution=0.0)
-    simulation = DRAKE.build(Scene(bodies=(board, cube), contacts=(contact,), duration_s=1.0), settings)
+    contact = Contact(
+        first=("cube",), second=("board",), friction=FRICTION, restitution=0.0
+    )
+    simulation = DRAKE.build(
+        Scene(bodies=(board, cube), contacts=(contact,), duration_s=1.0), settings
+    )
     places = []
     for _ in range(73):
         places.append(SLOPE.inv().apply(simulation.body_states(["cube"])[0, :3]))
@@ -192,7 +285,9 @@ def slide(**settings) -> tuple[float, float]:
     return acceleration / SLIDE_M_PER_S2, float(along[:, 2].max() - 0.025)
 
 
-@pytest.mark.parametrize("approximation", [name for name in APPROXIMATIONS if name in ("tamsi", "lagged")])
+@pytest.mark.parametrize(
+    "approximation", [name for name in APPROXIMATIONS if name in ("tamsi", "lagged")]
+)
 def test_tamsi_and_lagged_slide_by_coulombs_law(approximation: str) -> None:
     ratio, rise_m = slide(approximation=approximation, timestep_s=1 / 1800)
     assert ratio == pytest.approx(1.0, abs=1e-4)
@@ -202,7 +297,12 @@ def test_tamsi_and_lagged_slide_by_coulombs_law(approximation: str) -> None:
 @pytest.mark.parametrize("approximation", ["sap", "similar"])
 def test_convex_approximations_lift_a_sliding_box(approximation: str) -> None:
     # They let a sliding contact open with friction times the sliding speed, which throws the box up.
-    ratio, rise_m = slide(approximation=approximation, timestep_s=1 / 1800, contact_model="point", sustained_rate=2.0)
+    ratio, rise_m = slide(
+        approximation=approximation,
+        timestep_s=1 / 1800,
+        contact_model="point",
+        sustained_rate=2.0,
+    )
     speed = FRICTION * SLIDE_M_PER_S2 * 0.4
     thrown_m = speed**2 / (2.0 * G * np.cos(np.pi / 6))
     assert 0.5 * thrown_m < rise_m < 1.3 * thrown_m
@@ -225,7 +325,9 @@ def slide_of_prism(**settings) -> float:
 def test_lagged_contacts_that_are_too_stiff_or_have_few_points_stick() -> None:
     base = load_experiment("SlopeContact-wood").scene
     friction = base.contacts[0].friction
-    directions = [np.cross(*np.diff(face, axis=0)[:2]) for face in _faces(base.body("base").shape)]
+    directions = [
+        np.cross(*np.diff(face, axis=0)[:2]) for face in _faces(base.body("base").shape)
+    ]
     steepest = [abs(d[2]) / np.linalg.norm(d) for d in directions]
     cosine = min((c for c in steepest if 0.1 < c < 0.95), default=0.0)
     law = G * (np.sqrt(1.0 - cosine**2) - friction * cosine)
@@ -241,19 +343,33 @@ def _faces(shape: ConvexUnion) -> list[np.ndarray]:
 
 def test_pairs_of_one_body_have_their_own_constants() -> None:
     def flat(name: str, x: float) -> RigidBody:
-        return solid(name, Box(size_m=(0.05, 0.05, 0.05)), (x, 0.0, 0.025), linear_velocity_m_per_s=(0.0, 1.0, 0.0))
+        return solid(
+            name,
+            Box(size_m=(0.05, 0.05, 0.05)),
+            (x, 0.0, 0.025),
+            linear_velocity_m_per_s=(0.0, 1.0, 0.0),
+        )
 
     frictions = {"rough": 0.4, "smooth": 0.1, "free": 0.0}
-    bodies = (GROUND, *(flat(name, 0.2 * index) for index, name in enumerate(frictions)))
-    contacts = tuple(
-        Contact(first=(name,), second=("ground",), friction=value, restitution=0.0) for name, value in frictions.items()
+    bodies = (
+        GROUND,
+        *(flat(name, 0.2 * index) for index, name in enumerate(frictions)),
     )
-    simulation = DRAKE.build(Scene(bodies=bodies, contacts=contacts, duration_s=1.0), {"timestep_s": 1 / 1800})
+    contacts = tuple(
+        Contact(first=(name,), second=("ground",), friction=value, restitution=0.0)
+        for name, value in frictions.items()
+    )
+    simulation = DRAKE.build(
+        Scene(bodies=bodies, contacts=contacts, duration_s=1.0),
+        {"timestep_s": 1 / 1800},
+    )
     simulation.advance(9 / 180)
     before = simulation.body_states(list(frictions))[:, 8]
     simulation.advance(9 / 180)
     slowed = (before - simulation.body_states(list(frictions))[:, 8]) / 0.05
-    assert slowed == pytest.approx([value * G for value in frictions.values()], abs=5e-3)
+    assert slowed == pytest.approx(
+        [value * G for value in frictions.values()], abs=5e-3
+    )
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------
@@ -261,7 +377,9 @@ def test_pairs_of_one_body_have_their_own_constants() -> None:
 
 def carried(**settings) -> float:
     """Displacement of a cube on a plate that accelerates with 2 m/s^2 for 0.25 s [m]."""
-    plate = solid("plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
+    plate = solid(
+        "plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC
+    )
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.535))
     contact = Contact(first=("cube",), second=("plate",), friction=0.4, restitution=0.0)
     scene = Scene(bodies=(plate, cube), contacts=(contact,), duration_s=1.0)
@@ -269,7 +387,12 @@ def carried(**settings) -> float:
     for number in range(45):
         start_s = number / 180
         pose = Pose(position_m=(start_s**2, 0.0, 0.5))
-        simulation.drive("plate", pose, np.array([2.0 * start_s, 0, 0, 0, 0, 0]), np.array([2.0, 0, 0, 0, 0, 0]))
+        simulation.drive(
+            "plate",
+            pose,
+            np.array([2.0 * start_s, 0, 0, 0, 0, 0]),
+            np.array([2.0, 0, 0, 0, 0, 0]),
+        )
         simulation.advance(1 / 180)
     state = simulation.body_states(["plate", "cube"])
     assert state[0, 0] == pytest.approx(0.0625, abs=1e-9)
@@ -299,7 +422,9 @@ def test_a_restored_copy_continues_while_driven() -> None:
     one, other = DRAKE.build(scene), DRAKE.build(scene)
     plate = scene.drivers[0].body
     for simulation in (one, other):
-        simulation.drive(plate, scene.body(plate).pose, np.array([0, 0, 0, 0, 0, 1.0]), np.zeros(6))
+        simulation.drive(
+            plate, scene.body(plate).pose, np.array([0, 0, 0, 0, 0, 1.0]), np.zeros(6)
+        )
     one.advance(2 / 180)
     other.restore(pickle.loads(pickle.dumps(one.state())))
     names = [body.name for body in scene.bodies]
@@ -325,16 +450,29 @@ def test_a_scene_gets_its_preset_by_its_contents() -> None:
         "WallBreaking-wood": "stack",
         "CubeToss-acrylic": "corners",
     }
-    assert {name: settings_for(load_experiment(name).scene).preset for name in expected} == expected
+    assert {
+        name: settings_for(load_experiment(name).scene).preset for name in expected
+    } == expected
     cylinder = solid("can", Cylinder(radius_m=0.03, length_m=0.1), (0.0, 0.0, 0.05))
     contact = Contact(first=("can",), second=("ground",), friction=0.5, restitution=0.0)
-    assert settings_for(Scene(bodies=(GROUND, cylinder), contacts=(contact,), duration_s=1.0)).preset == "rolling"
+    assert (
+        settings_for(
+            Scene(bodies=(GROUND, cylinder), contacts=(contact,), duration_s=1.0)
+        ).preset
+        == "rolling"
+    )
 
 
 def sinking_corner_mm(preset: str) -> float:
     """Return how deep a cube of 105 mm sinks in that strikes on one corner, without friction."""
-    start = {"cube.position_m": (0.0, 0.0, 0.2), "cube.euler_deg": (35.0, 25.0, 0.0), "cube.friction": 0.0}
-    scene = load_experiment("CubeToss-acrylic", {"cube.restitution": 0.5, **start}).scene
+    start = {
+        "cube.position_m": (0.0, 0.0, 0.2),
+        "cube.euler_deg": (35.0, 25.0, 0.0),
+        "cube.friction": 0.0,
+    }
+    scene = load_experiment(
+        "CubeToss-acrylic", {"cube.restitution": 0.5, **start}
+    ).scene
     simulation = DRAKE.build(scene, {"preset": preset})
     simulation.reset(0)
     corners, lowest_m = scene.body("cube").shape.corners_m, 0.0
@@ -352,7 +490,12 @@ def test_a_hydroelastic_corner_sinks_in_as_its_cubic_force_says() -> None:
     Integrated over the triangle of this corner, c is 0.607 times modulus over half width. Dissipation makes the depth
     smaller than that of energy alone.
     """
-    mass_kg, inertia, half_m, speed = 0.37, 8.1e-4, 0.0524, np.sqrt(2.0 * GRAVITY_M_PER_S2 * (0.2 - 0.0883))
+    mass_kg, inertia, half_m, speed = (
+        0.37,
+        8.1e-4,
+        0.0524,
+        np.sqrt(2.0 * GRAVITY_M_PER_S2 * (0.2 - 0.0883)),
+    )
     arm = np.array([0.0166, -0.0129])  # The corner beside the centre, horizontally.
     reduced_kg = 1.0 / (1.0 / mass_kg + float(arm @ arm) / inertia)
     face_n_per_m = mass_kg * (0.1 * 3600.0) ** 2
@@ -368,16 +511,28 @@ def test_the_impact_speed_is_that_of_the_scene() -> None:
     fall_m = ball.pose.position_m[2] - ball.shape.radius_m - scene.floor_height_m
     assert impact_speed_m_per_s(scene) == pytest.approx(np.sqrt(2.0 * G * fall_m))
     thrown = replace(ball, linear_velocity_m_per_s=(3.0, 0.0, 0.0))
-    faster = replace(scene, bodies=tuple(thrown if body is ball else body for body in scene.bodies))
-    assert impact_speed_m_per_s(faster) == pytest.approx(np.sqrt(9.0 + 2.0 * G * fall_m))
+    faster = replace(
+        scene, bodies=tuple(thrown if body is ball else body for body in scene.bodies)
+    )
+    assert impact_speed_m_per_s(faster) == pytest.approx(
+        np.sqrt(9.0 + 2.0 * G * fall_m)
+    )
 
 
 def test_settings_are_checked_and_recorded() -> None:
     scene = load_experiment("SlopeSlider-2-wood").scene
     simulation = DRAKE.build(scene, {"preset": "out_of_box"})
-    assert simulation.settings["timestep_s"] == 1 / 180 and simulation.settings["approximation"] == "lagged"
+    assert (
+        simulation.settings["timestep_s"] == 1 / 180
+        and simulation.settings["approximation"] == "lagged"
+    )
     assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
-    for wrong in ({"approximation": "pgs"}, {"timestep_s": 0.004}, {"substeps": 2}, {"sustained_rate": 0.0}):
+    for wrong in (
+        {"approximation": "pgs"},
+        {"timestep_s": 0.004},
+        {"substeps": 2},
+        {"sustained_rate": 0.0},
+    ):
         with pytest.raises(ParameterError):
             DRAKE.build(scene, wrong)
     with pytest.raises(UnknownNameError):
@@ -410,7 +565,9 @@ def test_drake_prints_nothing() -> None:
         "from gauge_envs.backends import backend\n"
         "backend('drake').build(load_experiment('SlopeSlider-2-wood').scene).advance(1 / 180)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert (done.stdout, done.stderr) == ("", "")
 
 
@@ -421,5 +578,9 @@ def test_a_missing_engine_is_an_error_that_names_the_extra() -> None:
         "from gauge_envs.backends.drake import BackendDrake\n"
         "BackendDrake()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert MissingExtraError.__name__ in done.stderr and "gauge-envs[drake]" in done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert (
+        MissingExtraError.__name__ in done.stderr and "gauge-envs[drake]" in done.stderr
+    )

@@ -14,7 +14,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import BackendError, ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.errors import (
+    BackendError,
+    ParameterError,
+    UnknownNameError,
+    UnsupportedSceneError,
+)
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -48,8 +53,14 @@ SLIDE_M_PER_S2 = G * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi / 6))
 FAST = {"timestep_s": 1 / 1800}
 
 
-def solid(name: str, shape: object, position_m: tuple = (0.0, 0.0, 0.0), **changes) -> RigidBody:
-    values = {"motion": Motion.DYNAMIC, "pose": Pose(position_m=position_m), "mass_kg": 0.1} | changes
+def solid(
+    name: str, shape: object, position_m: tuple = (0.0, 0.0, 0.0), **changes
+) -> RigidBody:
+    values = {
+        "motion": Motion.DYNAMIC,
+        "pose": Pose(position_m=position_m),
+        "mass_kg": 0.1,
+    } | changes
     return RigidBody(name=name, shape=shape, **values)
 
 
@@ -57,16 +68,33 @@ GROUND = solid("ground", Plane(), motion=Motion.FIXED, mass_kg=0.0)
 
 
 def touching(first: str, second: str, friction: float = 0.3, **changes) -> Contact:
-    return Contact(**{"first": (first,), "second": (second,), "friction": friction, "restitution": 0.0} | changes)
+    return Contact(
+        **{
+            "first": (first,),
+            "second": (second,),
+            "friction": friction,
+            "restitution": 0.0,
+        }
+        | changes
+    )
 
 
 def sliding_scene() -> Scene:
     def on_slope(position_m: tuple) -> Pose:
         return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
 
-    board = solid("board", Box(size_m=(2.0, 0.3, 0.02)), motion=Motion.FIXED, pose=on_slope((0, 0, -0.01)))
+    board = solid(
+        "board",
+        Box(size_m=(2.0, 0.3, 0.02)),
+        motion=Motion.FIXED,
+        pose=on_slope((0, 0, -0.01)),
+    )
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), pose=on_slope((0, 0, 0.025)))
-    return Scene(bodies=(board, cube), contacts=(touching("cube", "board", FRICTION),), duration_s=1.0)
+    return Scene(
+        bodies=(board, cube),
+        contacts=(touching("cube", "board", FRICTION),),
+        duration_s=1.0,
+    )
 
 
 def slide(**settings) -> tuple[float, float]:
@@ -108,22 +136,35 @@ def test_pairs_of_one_body_have_their_own_friction() -> None:
         )
         for index, name in enumerate(frictions)
     )
-    contacts = tuple(touching(name, "ground", value) for name, value in frictions.items())
-    simulation = GENESIS.build(Scene(bodies=(GROUND, *bodies), contacts=contacts, duration_s=1.0), FAST)
+    contacts = tuple(
+        touching(name, "ground", value) for name, value in frictions.items()
+    )
+    simulation = GENESIS.build(
+        Scene(bodies=(GROUND, *bodies), contacts=contacts, duration_s=1.0), FAST
+    )
     simulation.advance(9 / 180)
     before = simulation.body_states(list(frictions))[:, 8]
     simulation.advance(9 / 180)
     slowed = (before - simulation.body_states(list(frictions))[:, 8]) / 0.05
     simulation.close()
-    assert slowed == pytest.approx([value * G for value in frictions.values()], rel=2e-3)
+    assert slowed == pytest.approx(
+        [value * G for value in frictions.values()], rel=2e-3
+    )
 
 
 def test_torsional_friction_does_not_depend_on_earlier_scenes() -> None:
     """A ball of 30 mm that spins loses 5/2 g arm / r^2 in 1 s, also after scenes with the same geoms and other arms."""
-    ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.03), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
+    ball = solid(
+        "ball",
+        Sphere(radius_m=0.03),
+        (0.0, 0.0, 0.03),
+        angular_velocity_rad_per_s=(0.0, 0.0, 20.0),
+    )
     for arm_m in (0.0, 2e-4, 4e-4):
         touch = touching("ball", "ground", torsion_m=arm_m)
-        simulation = GENESIS.build(Scene(bodies=(GROUND, ball), contacts=(touch,), duration_s=1.0), FAST)
+        simulation = GENESIS.build(
+            Scene(bodies=(GROUND, ball), contacts=(touch,), duration_s=1.0), FAST
+        )
         simulation.advance(36 / 180)
         lost = 20.0 - simulation.body_states(["ball"])[0, 12]
         simulation.close()
@@ -157,7 +198,10 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none() -> None:
 
 def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> None:
     simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
-    ours, step_s = simulation._lent.model.solver._options, simulation.settings["timestep_s"]
+    ours, step_s = (
+        simulation._lent.model.solver._options,
+        simulation.settings["timestep_s"],
+    )
     simulation.close()
     forget_models()
     gs = engine()
@@ -168,8 +212,21 @@ def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> N
     plain.build()
     default = plain.sim.rigid_solver._options
     names = (
-        *("integrator", "constraint_solver", "iterations", "tolerance", "ls_iterations", "ls_tolerance"),
-        *("noslip_iterations", "friction_cone", "contact_resolution", "impratio", "contact_pruning_tolerance"),
+        *(
+            "integrator",
+            "constraint_solver",
+            "iterations",
+            "tolerance",
+            "ls_iterations",
+            "ls_tolerance",
+        ),
+        *(
+            "noslip_iterations",
+            "friction_cone",
+            "contact_resolution",
+            "impratio",
+            "contact_pruning_tolerance",
+        ),
         *("enable_multi_contact", "box_box_detection", "use_gjk_collision"),
     )
     both = {name: (getattr(ours, name), getattr(default, name)) for name in names}
@@ -184,7 +241,11 @@ def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> N
     lease.release()
     assert wrong == {}
     preset = PRESETS["out_of_box"]
-    solref = (preset.sustained_timeconst_s, preset.sustained_dampratio, *preset.sustained_impedance)
+    solref = (
+        preset.sustained_timeconst_s,
+        preset.sustained_dampratio,
+        *preset.sustained_impedance,
+    )
     assert constants[:5] == pytest.approx(solref, rel=1e-5)
 
 
@@ -192,7 +253,9 @@ def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> N
 
 
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
-def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(restitution: float) -> None:
+def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(
+    restitution: float,
+) -> None:
     # Continuous time: exp(-z / sqrt(1 - z^2) * (angle at which the force vanishes)).
     ratio = damping_ratio(restitution, 2000)
     root = np.sqrt(1.0 - ratio**2)
@@ -202,9 +265,21 @@ def test_the_damping_ratio_is_that_of_a_spring_that_only_pushes(restitution: flo
 
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
 def test_a_ball_rebounds_with_its_restitution(restitution: float) -> None:
-    ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.13), linear_velocity_m_per_s=(0.0, 0.0, -2.0))
-    contact = touching("ball", "ground", 0.5, restitution=restitution, mode=ContactMode.IMPACT)
-    scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.2, gravity_m_per_s2=1e-9)
+    ball = solid(
+        "ball",
+        Sphere(radius_m=0.03),
+        (0.0, 0.0, 0.13),
+        linear_velocity_m_per_s=(0.0, 0.0, -2.0),
+    )
+    contact = touching(
+        "ball", "ground", 0.5, restitution=restitution, mode=ContactMode.IMPACT
+    )
+    scene = Scene(
+        bodies=(GROUND, ball),
+        contacts=(contact,),
+        duration_s=0.2,
+        gravity_m_per_s2=1e-9,
+    )
     simulation = GENESIS.build(scene)
     for _ in range(18):
         simulation.advance(1 / 180)
@@ -214,7 +289,12 @@ def test_a_ball_rebounds_with_its_restitution(restitution: float) -> None:
 
 
 def test_impacts_without_the_recipe_have_no_restitution() -> None:
-    ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.13), linear_velocity_m_per_s=(0.0, 0.0, -2.0))
+    ball = solid(
+        "ball",
+        Sphere(radius_m=0.03),
+        (0.0, 0.0, 0.13),
+        linear_velocity_m_per_s=(0.0, 0.0, -2.0),
+    )
     contact = touching("ball", "ground", 0.5, restitution=0.9, mode=ContactMode.IMPACT)
     scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.2)
     simulation = GENESIS.build(scene, {"impact_steps": None})
@@ -228,9 +308,13 @@ def test_impacts_without_the_recipe_have_no_restitution() -> None:
 
 
 def test_a_driven_plate_carries_a_cube() -> None:
-    plate = solid("plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
+    plate = solid(
+        "plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC
+    )
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.535))
-    scene = Scene(bodies=(plate, cube), contacts=(touching("cube", "plate", 0.4),), duration_s=1.0)
+    scene = Scene(
+        bodies=(plate, cube), contacts=(touching("cube", "plate", 0.4),), duration_s=1.0
+    )
     simulation = GENESIS.build(scene, FAST)
     pose, velocity = plate.pose, np.zeros(6)
     for _ in range(45):
@@ -244,9 +328,14 @@ def test_a_driven_plate_carries_a_cube() -> None:
 
 
 def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
-    plate = solid("plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC)
+    plate = solid(
+        "plate", Box(size_m=(0.5, 0.3, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC
+    )
     simulation = GENESIS.build(Scene(bodies=(plate,), duration_s=1.0), FAST)
-    velocity, acceleration = np.array([0.1, 0, 0, 0, 0, 1.0]), np.array([2.0, 0, -1.0, 0, 0, 3.0])
+    velocity, acceleration = (
+        np.array([0.1, 0, 0, 0, 0, 1.0]),
+        np.array([2.0, 0, -1.0, 0, 0, 3.0]),
+    )
     simulation.drive("plate", plate.pose, velocity, acceleration)
     simulation.advance(1 / 180)
     place = simulation._lent.model.links["plate"]
@@ -256,14 +345,20 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
     reached = coordinates[place.q_start : place.q_start + 7]
     assert reached[:3] == pytest.approx(end[:3], abs=1e-9)
     # Genesis turns a body that nothing touches by the mean of the old and the new rate, which lags by half a step.
-    lag = Rotation.from_quat(reached[3:], scalar_first=True).inv() * Rotation.from_quat(end[3:7], scalar_first=True)
+    lag = Rotation.from_quat(reached[3:], scalar_first=True).inv() * Rotation.from_quat(
+        end[3:7], scalar_first=True
+    )
     assert lag.as_rotvec() == pytest.approx([0.0, 0.0, 3.0 / 1800 / 180 / 2], abs=1e-8)
     assert end[0] == pytest.approx(0.1 / 180 + 1 / 180**2)
 
 
 def test_a_tether_only_pulls() -> None:
     ball = solid("ball", Sphere(radius_m=0.03), (0.4, 0.0, 1.0))
-    scene = Scene(bodies=(ball,), joints=(Tether(body="ball", anchor_m=(0.0, 0.0, 1.0), length_m=0.5),), duration_s=1.0)
+    scene = Scene(
+        bodies=(ball,),
+        joints=(Tether(body="ball", anchor_m=(0.0, 0.0, 1.0), length_m=0.5),),
+        duration_s=1.0,
+    )
     simulation = GENESIS.build(scene)
     distances = []
     for step in range(60):
@@ -271,7 +366,9 @@ def test_a_tether_only_pulls() -> None:
         position = simulation.body_states(["ball"])[0, :3]
         distances.append(np.linalg.norm(position - [0.0, 0.0, 1.0]))
         if step == 20:
-            assert position[2] == pytest.approx(1.0 - 0.5 * G * (21 / 180) ** 2, abs=1e-3)
+            assert position[2] == pytest.approx(
+                1.0 - 0.5 * G * (21 / 180) ** 2, abs=1e-3
+            )
     simulation.close()
     assert 0.4999 < max(distances) < 0.5005
 
@@ -289,7 +386,13 @@ def rollout(simulation, seconds: float = 0.1) -> np.ndarray:
 
 def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one() -> None:
     scene = sliding_scene()
-    moved = replace(scene, bodies=(scene.bodies[0], replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose))))
+    moved = replace(
+        scene,
+        bodies=(
+            scene.bodies[0],
+            replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose)),
+        ),
+    )
     forget_models()
     first = GENESIS.build(moved, FAST)
     new = rollout(first)
@@ -308,11 +411,19 @@ def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one() -> None:
 
 
 def lifted(pose: Pose) -> Pose:
-    return replace(pose, position_m=(pose.position_m[0], pose.position_m[1], pose.position_m[2] + 0.003))
+    return replace(
+        pose,
+        position_m=(pose.position_m[0], pose.position_m[1], pose.position_m[2] + 0.003),
+    )
 
 
-def test_a_state_continues_bit_for_bit_after_pickling_and_in_another_simulation() -> None:
-    one, other = GENESIS.build(sliding_scene(), FAST), GENESIS.build(sliding_scene(), FAST)
+def test_a_state_continues_bit_for_bit_after_pickling_and_in_another_simulation() -> (
+    None
+):
+    one, other = (
+        GENESIS.build(sliding_scene(), FAST),
+        GENESIS.build(sliding_scene(), FAST),
+    )
     rollout(one, 0.05)
     kept = pickle.dumps(one.state())
     expected = rollout(one)
@@ -330,7 +441,9 @@ def test_another_process_gives_the_same_bits() -> None:
         "from test_genesis import GENESIS, FAST, sliding_scene, rollout\n"
         "print(json.dumps(rollout(GENESIS.build(sliding_scene(), FAST)).tolist()))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     simulation = GENESIS.build(sliding_scene(), FAST)
     assert json.loads(done.stdout) == rollout(simulation).tolist()
     simulation.close()
@@ -338,7 +451,13 @@ def test_another_process_gives_the_same_bits() -> None:
 
 def test_environments_of_one_genesis_scene_have_their_own_starts() -> None:
     scene = sliding_scene()
-    moved = replace(scene, bodies=(scene.bodies[0], replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose))))
+    moved = replace(
+        scene,
+        bodies=(
+            scene.bodies[0],
+            replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose)),
+        ),
+    )
     worlds = GENESIS.build_worlds([scene, moved], FAST)
     assert type(worlds).__name__ == "WorldsGenesis"
     for _ in range(18):
@@ -368,8 +487,16 @@ def test_genesis_writes_nothing_to_stdout() -> None:
         "assert sys.excepthook is hook"
     )
     # Genesis sets this variable on import, by the stdout of the tests.
-    environment = {name: value for name, value in os.environ.items() if name != "QD_ENABLE_PYBUF"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    environment = {
+        name: value for name, value in os.environ.items() if name != "QD_ENABLE_PYBUF"
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
     assert done.stdout == ""
     assert all("Genesis" in line for line in done.stderr.splitlines())
 
@@ -410,19 +537,27 @@ def test_a_scene_gets_its_preset_by_its_contents() -> None:
         "Pendulum-metal": "contact_free",
         "WallBreaking-wood": "stack",
     }
-    assert {name: settings_for(load_experiment(name).scene).preset for name in expected} == expected
+    assert {
+        name: settings_for(load_experiment(name).scene).preset for name in expected
+    } == expected
 
 
 def test_what_genesis_lacks_is_declined() -> None:
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)))
     hinge = Hinge(body="cube", anchor_m=(0.0, 0.0, 0.1), axis=(0.0, 1.0, 0.0))
-    (reason,) = GENESIS.supports(Scene(bodies=(cube,), joints=(hinge, hinge), duration_s=1.0)).missing
+    (reason,) = GENESIS.supports(
+        Scene(bodies=(cube,), joints=(hinge, hinge), duration_s=1.0)
+    ).missing
     assert "2 hinges" in reason
     names = [f"can-{number}" for number in range(CONTACT_LIMIT + 1)]
     cans = tuple(solid(name, Cylinder(radius_m=0.03, length_m=0.1)) for name in names)
     contacts = tuple(touching(name, "ground") for name in names)
-    (reason,) = GENESIS.supports(Scene(bodies=(GROUND, *cans), contacts=contacts, duration_s=1.0)).missing
+    (reason,) = GENESIS.supports(
+        Scene(bodies=(GROUND, *cans), contacts=contacts, duration_s=1.0)
+    ).missing
     assert str(CONTACT_LIMIT) in reason
     bouncy = touching("cube", "ground", restitution=1.1, mode=ContactMode.IMPACT)
-    (reason,) = GENESIS.supports(Scene(bodies=(GROUND, cube), contacts=(bouncy,), duration_s=1.0)).missing
+    (reason,) = GENESIS.supports(
+        Scene(bodies=(GROUND, cube), contacts=(bouncy,), duration_s=1.0)
+    ).missing
     assert "1.1" in reason

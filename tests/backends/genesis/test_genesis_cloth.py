@@ -56,8 +56,12 @@ def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(fabric: str) -> No
     directions = np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 0.5], [0.5, 0.5, -0.5]])
     weights = np.array([along, along, 2.0 * diagonal, 2.0 * diagonal])
     compliance = np.linalg.inv(directions.T @ (weights[:, None] * directions))
-    assert 1.0 / compliance[0, 0] == pytest.approx(cloth.stretch_stiffness_n_per_m, rel=1e-9)
-    assert 1.0 / compliance[2, 2] == pytest.approx(cloth.shear_stiffness_n_per_m, rel=1e-9)
+    assert 1.0 / compliance[0, 0] == pytest.approx(
+        cloth.stretch_stiffness_n_per_m, rel=1e-9
+    )
+    assert 1.0 / compliance[2, 2] == pytest.approx(
+        cloth.shear_stiffness_n_per_m, rel=1e-9
+    )
 
 
 def test_default_cloth_has_its_stretch_shear_and_bending_stiffness() -> None:
@@ -122,7 +126,9 @@ def test_a_step_in_which_a_spring_would_close_is_an_error() -> None:
 def test_the_default_step_is_below_the_longest_one(fabric: str) -> None:
     scene = load_experiment(f"TextileFlinging-{fabric}").scene
     settings = pbd_presets(scene)["default"]
-    assert settings.timestep_s <= longest_timestep_s(cloth_of(fabric), cell_m=0.025) * (1.0 + 1e-9)
+    assert settings.timestep_s <= longest_timestep_s(cloth_of(fabric), cell_m=0.025) * (
+        1.0 + 1e-9
+    )
     assert settings.timestep_s <= 1 / 3600 * (1.0 + 1e-9)
 
 
@@ -133,12 +139,16 @@ def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric: str) -> No
     grid = ClothGrid(cloth, 0.025)
     springs = grid_springs(grid)
     ends = grid.plane_m[springs]
-    directions = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1, keepdims=True)
+    directions = (ends[:, 1] - ends[:, 0]) / np.linalg.norm(
+        ends[:, 1] - ends[:, 0], axis=1, keepdims=True
+    )
     rows = np.zeros((len(springs), 2 * len(grid.plane_m)))
     for axis in range(2):
         rows[np.arange(len(springs)), 2 * springs[:, 0] + axis] = -directions[:, axis]
         rows[np.arange(len(springs)), 2 * springs[:, 1] + axis] = directions[:, axis]
-    root_mass = np.sqrt(np.repeat(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2(), 2))
+    root_mass = np.sqrt(
+        np.repeat(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2(), 2)
+    )
     scaled = np.sqrt(grid_stiffnesses(cloth, grid, springs))[:, None] * rows / root_mass
     fastest = float(np.linalg.norm(scaled, ord=2)) ** 2
     share = fastest * longest_timestep_s(cloth, cell_m=0.025) ** 2
@@ -149,7 +159,9 @@ def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric: str) -> No
 
 def test_cells_are_small_enough_for_narrow_bodies() -> None:
     assert cloth_cell_m(load_experiment("TextileFlinging-satin").scene) == 0.025
-    assert cloth_cell_m(load_experiment("TextileStretching-satin").scene) == pytest.approx(1.4 * 0.005)
+    assert cloth_cell_m(
+        load_experiment("TextileStretching-satin").scene
+    ) == pytest.approx(1.4 * 0.005)
     assert cloth_cell_m(load_experiment("RotatingBall-satin").scene) == 0.025
 
 
@@ -161,7 +173,9 @@ def test_cells_are_small_enough_for_narrow_bodies() -> None:
         ({"mesh": "remeshed"}, "nominal"),
     ],
 )
-def test_effective_stiffness_needs_one_whole_iteration(changes: dict[str, object], field: str) -> None:
+def test_effective_stiffness_needs_one_whole_iteration(
+    changes: dict[str, object], field: str
+) -> None:
     scene = load_experiment("TextileFlinging-satin").scene
     with pytest.raises(ParameterError, match=field):
         backend("genesis").build(scene, changes)
@@ -175,7 +189,8 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
     strip = sheet(fabric(density, stretch, 1e-4), pose, (length_m, width_m))
     simulation = backend("genesis").build(
-        clamped(strip, Region(axis="x", side="high"), duration_s=0.8), {"timestep_s": 1 / rate_hz}
+        clamped(strip, Region(axis="x", side="high"), duration_s=0.8),
+        {"timestep_s": 1 / rate_hz},
     )
     heights = []
     for _ in range(144):
@@ -184,11 +199,24 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
     simulation.close()
     times = np.arange(1, 145) / 180
 
-    def bob(t: NDArray[np.float64], rest: float, size: float, decay: float, w: float, phase: float) -> Any:
+    def bob(
+        t: NDArray[np.float64],
+        rest: float,
+        size: float,
+        decay: float,
+        w: float,
+        phase: float,
+    ) -> Any:
         return rest + size * np.exp(-decay * t) * np.cos(w * t + phase)
 
     w = np.pi / (2 * length_m) * np.sqrt(stretch / density)
-    found, _ = curve_fit(bob, times, np.array(heights), p0=[np.mean(heights), 5e-4, 2.0, w, 0.0], maxfev=20000)
+    found, _ = curve_fit(
+        bob,
+        times,
+        np.array(heights),
+        p0=[np.mean(heights), 5e-4, 2.0, w, 0.0],
+        maxfev=20000,
+    )
     assert found[3] == pytest.approx(w, rel=0.02)
     assert found[2] == pytest.approx(0.5 * found[3] ** 2 / rate_hz, rel=0.02)
 
@@ -196,13 +224,19 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
 @pytest.mark.slow
 def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
     """A sheet falls on another that falls more slowly, with no body beside them."""
-    square = replace(cloth_of("leather"), size_m=(0.1, 0.1), mass_kg=0.02, thickness_m=4e-3)
+    square = replace(
+        cloth_of("leather"), size_m=(0.1, 0.1), mass_kg=0.02, thickness_m=4e-3
+    )
     lower = replace(square, name="lower", pose=Pose(position_m=(0.0, 0.0, 1.0)))
     upper = replace(square, name="upper", pose=Pose(position_m=(0.0, 0.0, 1.01)))
-    contact = Contact(first=("lower",), second=("upper",), friction=0.3, restitution=0.0)
+    contact = Contact(
+        first=("lower",), second=("upper",), friction=0.3, restitution=0.0
+    )
     gaps = []
     for contacts in ((contact,), ()):
-        scene = Scene(bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2)
+        scene = Scene(
+            bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2
+        )
         simulation = backend("genesis").build(scene)
         positions, velocities = simulation._lent.model.part.state()
         velocities[len(positions) // 2 :, 2] = -0.2
@@ -217,12 +251,22 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
 
 
 def test_cloth_that_genesis_cannot_simulate_is_declined() -> None:
-    loaded = tuple(unsupported_deformables(load_experiment("TableclothPulling-wood").scene))
+    loaded = tuple(
+        unsupported_deformables(load_experiment("TableclothPulling-wood").scene)
+    )
     assert len(loaded) == 1
     assert "'cube' is dynamic and touches cloth" in loaded[0]
     scene = load_experiment("TextileFlinging-satin").scene
-    dynamic = replace(scene, bodies=(replace(scene.bodies[0], motion=Motion.DYNAMIC), *scene.bodies[1:]), drivers=())
-    assert any("moves under forces" in reason for reason in unsupported_deformables(dynamic))
-    face = Attachment(deformable="textile", region=Region(axis="z", side="high"), to="rod")
+    dynamic = replace(
+        scene,
+        bodies=(replace(scene.bodies[0], motion=Motion.DYNAMIC), *scene.bodies[1:]),
+        drivers=(),
+    )
+    assert any(
+        "moves under forces" in reason for reason in unsupported_deformables(dynamic)
+    )
+    face = Attachment(
+        deformable="textile", region=Region(axis="z", side="high"), to="rod"
+    )
     with pytest.raises(UnsupportedSceneError, match="by its face"):
         backend("genesis").build(replace(scene, attachments=(face,)))

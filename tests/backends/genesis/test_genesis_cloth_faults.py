@@ -21,13 +21,17 @@ Patch = pytest.MonkeyPatch
 def bending_compliance_halved(patch: Patch) -> None:
     """Hinges are twice as stiff."""
     healthy = PBDKernels.set_compliance
-    patch.setattr(PBDKernels, "set_compliance", lambda self, values: healthy(self, 0.5 * values))
+    patch.setattr(
+        PBDKernels, "set_compliance", lambda self, values: healthy(self, 0.5 * values)
+    )
 
 
 def friction_halved(patch: Patch) -> None:
     """Bodies rub half as much."""
     healthy = PBDKernels.set_friction
-    patch.setattr(PBDKernels, "set_friction", lambda self, values: healthy(self, 0.5 * values))
+    patch.setattr(
+        PBDKernels, "set_friction", lambda self, values: healthy(self, 0.5 * values)
+    )
 
 
 def border_springs_whole(patch: Patch) -> None:
@@ -45,7 +49,11 @@ def border_springs_whole(patch: Patch) -> None:
 def held_edge_late(patch: Patch) -> None:
     """Held particles are where their body was one step earlier."""
     healthy = cloth.driven_places
-    patch.setattr(cloth, "driven_places", lambda motion, places, times: healthy(motion, places, times - times[1]))
+    patch.setattr(
+        cloth,
+        "driven_places",
+        lambda motion, places, times: healthy(motion, places, times - times[1]),
+    )
 
 
 FAULTS: list[tuple[Callable[[Patch], None], str, float, float]] = [
@@ -59,7 +67,11 @@ FAULTS: list[tuple[Callable[[Patch], None], str, float, float]] = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("plant", "check", "ratio", "tolerance"), FAULTS)
 def test_a_fault_in_cloth_fails_its_check(
-    plant: Callable[[Patch], None], check: str, ratio: float, tolerance: float, monkeypatch: Patch
+    plant: Callable[[Patch], None],
+    check: str,
+    ratio: float,
+    tolerance: float,
+    monkeypatch: Patch,
 ) -> None:
     plant(monkeypatch)
     (result,) = run_checks("genesis", only=(check,))

@@ -32,7 +32,9 @@ def engine():
 def ball_scene(**rigid) -> gs.Scene:
     scene = gs.Scene(
         show_viewer=False,
-        sim_options=gs.options.SimOptions(dt=0.004, substeps=2, gravity=(0.0, 0.0, -3.7)),
+        sim_options=gs.options.SimOptions(
+            dt=0.004, substeps=2, gravity=(0.0, 0.0, -3.7)
+        ),
         rigid_options=gs.options.RigidOptions(**rigid),
     )
     scene.add_entity(gs.morphs.Plane())
@@ -41,7 +43,9 @@ def ball_scene(**rigid) -> gs.Scene:
 
 
 def test_the_options_of_a_scene_are_read(engine) -> None:
-    scene = ball_scene(friction_cone=gs.friction_cone.elliptic, iterations=7, constraint_timeconst=0.03)
+    scene = ball_scene(
+        friction_cone=gs.friction_cone.elliptic, iterations=7, constraint_timeconst=0.03
+    )
     read = reader_of(scene).read(scene)
     assert read.backend == "genesis" and read.language == "genesis"
     assert read.gravity_m_per_s2 == (0.0, 0.0, -3.7)
@@ -80,10 +84,17 @@ def test_saved_options_are_those_of_the_scene(engine, tmp_path: Path) -> None:
     assert "Genesis" in reader_of(path).accepts
     values = {
         "sim": {"dt": 0.004, "substeps": 2},
-        "rigid": {"iterations": 7, "noslip_iterations": 3, "friction_cone": 0, "contact_resolution": None},
+        "rigid": {
+            "iterations": 7,
+            "noslip_iterations": 3,
+            "friction_cone": 0,
+            "contact_resolution": None,
+        },
     }
     settings = options_settings(values, 32)
-    assert settings["timestep_s"] == 0.002 and settings["contact_resolution"] == "convex"
+    assert (
+        settings["timestep_s"] == 0.002 and settings["contact_resolution"] == "convex"
+    )
     assert settings["iterations"] == 7 and settings["noslip_iterations"] == 3
 
 
@@ -99,17 +110,25 @@ def test_short_time_constants_are_raised_to_two_steps() -> None:
 
 
 def test_changes_can_be_pasted(engine) -> None:
-    text = LANGUAGE.paste_text({"timestep_s": 0.001, "friction_cone": "elliptic", "iterations": 100})
+    text = LANGUAGE.paste_text(
+        {"timestep_s": 0.001, "friction_cone": "elliptic", "iterations": 100}
+    )
     simulation, _, rigid = text.partition(" and ")
     names = {"gs": gs}
     assert eval(f"dict({simulation})", names)["sim_options"].dt == 0.001
     options = eval(f"dict({rigid})", names)["rigid_options"]
-    assert options.iterations == 100 and options.friction_cone == gs.friction_cone.elliptic
+    assert (
+        options.iterations == 100 and options.friction_cone == gs.friction_cone.elliptic
+    )
     scene = ball_scene()
     scene.build()
-    constants = LANGUAGE.paste_text({"sustained_timeconst_s": 0.03, "sustained_impedance": (0.95, 0.95, 0.001)})
+    constants = LANGUAGE.paste_text(
+        {"sustained_timeconst_s": 0.03, "sustained_impedance": (0.95, 0.95, 0.001)}
+    )
     exec(constants, {"scene": scene, "torch": torch})
     pasted = np.asarray(scene.rigid_solver.get_sol_params()).reshape(-1, 7)
     scene.destroy()
     assert pasted[:, 0] == pytest.approx(0.03) and pasted[:, 2:4] == pytest.approx(0.95)
-    assert LANGUAGE.gravity_text((0.0, 0.0, -9.81)).endswith("SimOptions(gravity=(0, 0, -9.81))")
+    assert LANGUAGE.gravity_text((0.0, 0.0, -9.81)).endswith(
+        "SimOptions(gravity=(0, 0, -9.81))"
+    )

@@ -31,7 +31,9 @@ def fling(parameters: str = "air") -> tuple[Scene, SimulationMuJoCo, DriverPath]
     return scene, simulation, DriverPath(scene.drivers[0], scene, 11)
 
 
-def advance(simulation: SimulationMuJoCo, path: DriverPath, first: int, last: int) -> None:
+def advance(
+    simulation: SimulationMuJoCo, path: DriverPath, first: int, last: int
+) -> None:
     for index in range(first, last):
         state = path.interval(index, ZERO)
         simulation.drive(path.body, *state)
@@ -48,14 +50,20 @@ def air_of(simulation: SimulationMuJoCo) -> tuple[AirOnCloth, ClothPartMuJoCo]:
 def test_vertices_receive_the_force_and_the_power_of_the_triangles() -> None:
     _, simulation, _ = fling()
     air, part = air_of(simulation)
-    simulation.data.qvel[part.points.dofs] = np.random.default_rng(0).normal(size=part.points.dofs.shape)
+    simulation.data.qvel[part.points.dofs] = np.random.default_rng(0).normal(
+        size=part.points.dofs.shape
+    )
     forces = air.triangle_forces_n()
     on_vertices = air._to_vertices @ forces
     assert on_vertices.sum(axis=0) == pytest.approx(forces.sum(axis=0), rel=1e-12)
     speeds = part.points.velocities()
-    assert np.vdot(on_vertices, speeds) == pytest.approx(np.vdot(forces, air._to_triangles @ speeds), rel=1e-12)
+    assert np.vdot(on_vertices, speeds) == pytest.approx(
+        np.vdot(forces, air._to_triangles @ speeds), rel=1e-12
+    )
     air.apply()
-    assert simulation.data.qfrc_applied[part.points.dofs] == pytest.approx(on_vertices[part.points.free])
+    assert simulation.data.qfrc_applied[part.points.dofs] == pytest.approx(
+        on_vertices[part.points.free]
+    )
     others = np.setdiff1d(np.arange(simulation.model.nv), part.points.dofs.ravel())
     assert not simulation.data.qfrc_applied[others].any()
 
@@ -63,7 +71,9 @@ def test_vertices_receive_the_force_and_the_power_of_the_triangles() -> None:
 def test_a_uniform_load_gives_each_vertex_the_load_of_its_area() -> None:
     _, simulation, _ = fling()
     air, part = air_of(simulation)
-    areas = np.full(len(part.grid.triangles), 0.5 * part.grid.cell_m[0] * part.grid.cell_m[1])
+    areas = np.full(
+        len(part.grid.triangles), 0.5 * part.grid.cell_m[0] * part.grid.cell_m[1]
+    )
     assert air._to_vertices @ areas == pytest.approx(part.grid.vertex_areas_m2())
 
 
@@ -76,20 +86,34 @@ def test_vertex_velocities_are_those_of_mujoco() -> None:
     before = part.points.positions()
     step = 1e-7
     mujoco.mj_integratePos(model, data.qpos, data.qvel, step)
-    assert (part.points.positions() - before) / step == pytest.approx(part.points.velocities(), abs=1e-5)
+    assert (part.points.positions() - before) / step == pytest.approx(
+        part.points.velocities(), abs=1e-5
+    )
 
 
 def test_cloth_that_drifts_with_the_wind_feels_no_force() -> None:
     wind = (0.5, -1.0, 0.25)
-    cloth = sheet(fabric(0.1, 110.0, 1e-4), Pose(position_m=(0.0, 0.0, 1.0)), (0.1, 0.1))
-    air = Air(density_kg_per_m3=1.2, normal_coefficient=1.0, tangential_coefficient=0.1, lift_coefficient=1.0)
-    scene = replace(clamped(cloth, duration_s=1.0, gravity_m_per_s2=0.0), air=replace(air, wind_m_per_s=wind))
+    cloth = sheet(
+        fabric(0.1, 110.0, 1e-4), Pose(position_m=(0.0, 0.0, 1.0)), (0.1, 0.1)
+    )
+    air = Air(
+        density_kg_per_m3=1.2,
+        normal_coefficient=1.0,
+        tangential_coefficient=0.1,
+        lift_coefficient=1.0,
+    )
+    scene = replace(
+        clamped(cloth, duration_s=1.0, gravity_m_per_s2=0.0),
+        air=replace(air, wind_m_per_s=wind),
+    )
     simulation = BackendMuJoCo().build(scene)
     _, part = air_of(simulation)
     simulation.data.qvel[part.points.dofs] = wind
     start = simulation.nodes("cloth")
     simulation.advance(0.1)
-    assert simulation.nodes("cloth") - start == pytest.approx(np.tile(0.1 * np.array(wind), (len(start), 1)), abs=1e-9)
+    assert simulation.nodes("cloth") - start == pytest.approx(
+        np.tile(0.1 * np.array(wind), (len(start), 1)), abs=1e-9
+    )
 
 
 @pytest.mark.slow
@@ -104,10 +128,14 @@ def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
     cloth = sheet(fabric(density, 110.0, 0.1), pose, (side, side))
     air = Air(density_kg_per_m3=1.2, normal_coefficient=coefficient)
-    scene = replace(clamped(cloth, Region(axis="x", side="high"), duration_s=3.0), air=air)
+    scene = replace(
+        clamped(cloth, Region(axis="x", side="high"), duration_s=3.0), air=air
+    )
 
     def inverse_amplitudes(one: Scene) -> np.ndarray:
-        simulation = BackendMuJoCo().build(one, {"cell_m": side, "timestep_s": 1.0 / 7200.0})
+        simulation = BackendMuJoCo().build(
+            one, {"cell_m": side, "timestep_s": 1.0 / 7200.0}
+        )
         (part,) = simulation._parts.values()
         frequency = np.sqrt(9.80665 / side)
         simulation.data.qvel[part.points.dofs[:, 0]] = amplitude * frequency * side
@@ -117,9 +145,14 @@ def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
             simulation.advance(SAMPLE_INTERVAL_S)
             angles.append(np.arctan2(simulation.nodes("cloth")[low, 0].mean(), side))
         values = np.array(angles)
-        peaks = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
+        peaks = (
+            np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))
+            + 1
+        )
         before, top, after = values[peaks - 1], values[peaks], values[peaks + 1]
-        return np.asarray(1.0 / (top - (after - before) ** 2 / (8.0 * (before - 2.0 * top + after))))
+        return np.asarray(
+            1.0 / (top - (after - before) ** 2 / (8.0 * (before - 2.0 * top + after)))
+        )
 
     rate = 0.5 * 1.2 * coefficient * (0.25**3 + 0.75**3) * side / density
     growth = np.diff(inverse_amplitudes(scene))
@@ -133,7 +166,10 @@ def test_steps_too_long_for_the_air_are_refused() -> None:
     scene = load_experiment(FLING, "air").scene
     assert scene.air is not None
     dense = replace(scene, air=replace(scene.air, density_kg_per_m3=1000.0))
-    with pytest.raises(ParameterError, match=r"steps of 0\.00111 s are stable up to .* reduce timestep_s to"):
+    with pytest.raises(
+        ParameterError,
+        match=r"steps of 0\.00111 s are stable up to .* reduce timestep_s to",
+    ):
         BackendMuJoCo().build(dense)
 
 
@@ -164,7 +200,9 @@ def test_without_air_the_model_steps_as_mujoco_alone() -> None:
 
 def test_a_vector_environment_gives_the_motion_of_one() -> None:
     one = gymnasium.make(f"GAUGE/{FLING}", backend="mujoco", parameters="air")
-    many = gymnasium.make_vec(f"GAUGE/{FLING}", num_envs=2, backend="mujoco", parameters="air")
+    many = gymnasium.make_vec(
+        f"GAUGE/{FLING}", num_envs=2, backend="mujoco", parameters="air"
+    )
     single, _ = one.reset(seed=0)
     both, _ = many.reset(seed=0)
     for _ in range(2):

@@ -60,6 +60,11 @@ def test_impossible_settings(settings: Any, message: str) -> None:
         GaugeEnv(NAME, settings=settings)
 
 
-def test_an_integrator_that_cannot_simulate_the_scene_is_an_error_of_the_settings() -> None:
-    with pytest.raises(ParameterError, match=r"MuJoCo cannot build the scene with these settings: .*discrete"):
+def test_an_integrator_that_cannot_simulate_the_scene_is_an_error_of_the_settings() -> (
+    None
+):
+    with pytest.raises(
+        ParameterError,
+        match=r"MuJoCo cannot build the scene with these settings: .*discrete",
+    ):
         GaugeEnv("TextileBending-rayon", settings={"integrator": "implicitfast"})

@@ -45,19 +45,25 @@ def test_a_file_gives_the_same_scene_and_motion(file: Path, scene: Scene) -> Non
     read = engine.read_file(file, scene)
     assert read.changes == ()
     assert read.scene == scene
-    np.testing.assert_array_equal(flight(engine.build_file(file, read.scene)), flight(engine.build(scene)))
+    np.testing.assert_array_equal(
+        flight(engine.build_file(file, read.scene)), flight(engine.build(scene))
+    )
 
 
 def test_an_edited_hinge_is_named_and_read(file: Path, scene: Scene) -> None:
     text = file.read_text()
-    edited = re.sub(r'(<joint name="second"[^>]* pos=")([^" ]+)', lambda m: f"{m[1]}{float(m[2]) + 0.01}", text)
+    edited = re.sub(
+        r'(<joint name="second"[^>]* pos=")([^" ]+)',
+        lambda m: f"{m[1]}{float(m[2]) + 0.01}",
+        text,
+    )
     assert edited != text
     file.write_text(edited)
     read = BackendMuJoCo().read_file(file, scene)
     assert any("second" in line and "pos" in line for line in read.changes)
-    assert np.linalg.norm(np.subtract(read.scene.body_hinges[0].anchor_m, scene.body_hinges[0].anchor_m)) == (
-        pytest.approx(0.01, abs=1e-9)
-    )
+    assert np.linalg.norm(
+        np.subtract(read.scene.body_hinges[0].anchor_m, scene.body_hinges[0].anchor_m)
+    ) == (pytest.approx(0.01, abs=1e-9))
 
 
 def test_edited_start_rates_keep_the_hinge_closed(file: Path, scene: Scene) -> None:
@@ -71,14 +77,19 @@ def test_edited_start_rates_keep_the_hinge_closed(file: Path, scene: Scene) -> N
     file.write_text(text.replace(rates[1], " ".join(map(str, values))))
     read = BackendMuJoCo().read_file(file, scene).scene
     assert read.body("first").linear_velocity_m_per_s[0] == pytest.approx(values[0])
-    assert read.body("second").linear_velocity_m_per_s != scene.body("second").linear_velocity_m_per_s
+    assert (
+        read.body("second").linear_velocity_m_per_s
+        != scene.body("second").linear_velocity_m_per_s
+    )
 
 
 def test_a_body_that_hangs_elsewhere_is_refused(file: Path, scene: Scene) -> None:
     text = file.read_text()
     block = re.search(r'\s*<body name="second".*?</body>', text, flags=re.DOTALL)
     assert block is not None
-    file.write_text(text.replace(block[0], "").replace("</worldbody>", f"{block[0]}\n</worldbody>"))
+    file.write_text(
+        text.replace(block[0], "").replace("</worldbody>", f"{block[0]}\n</worldbody>")
+    )
     with pytest.raises(AssetError, match="hangs on 'first'"):
         BackendMuJoCo().read_file(file, scene)
 
@@ -94,7 +105,10 @@ def test_states_belong_to_their_hinge(scene: Scene) -> None:
     simulation = engine.build(scene)
     state = simulation.state()
     hinge = scene.body_hinges[0]
-    moved = replace(hinge, anchor_m=tuple(np.add(hinge.anchor_m, np.multiply(0.01, hinge.axis)).tolist()))
+    moved = replace(
+        hinge,
+        anchor_m=tuple(np.add(hinge.anchor_m, np.multiply(0.01, hinge.axis)).tolist()),
+    )
     other = engine.build(replace(scene, body_hinges=(moved,)))
     with pytest.raises(BackendError, match="the state is from a simulation with scene"):
         other.restore(state)
@@ -106,4 +120,6 @@ def test_positions_are_those_of_states(scene: Scene) -> None:
     for row in positions:
         other.advance(1.0 / 180.0)
         np.testing.assert_allclose(row, other.body_states(BODIES)[:, :3], atol=1e-14)
-        np.testing.assert_allclose(other.body_states(("second",))[0], other.body_states(BODIES)[1], atol=1e-14)
+        np.testing.assert_allclose(
+            other.body_states(("second",))[0], other.body_states(BODIES)[1], atol=1e-14
+        )

@@ -56,8 +56,14 @@ class Energies:
         momentum = np.empty_like(velocity)
         mujoco.mj_makeM(self._model, self._scratch)
         mujoco.mj_mulM(self._model, self._scratch, momentum, velocity)
-        potential = -float(self._masses @ (self._scratch.xipos @ self._model.opt.gravity))
-        return 0.5 * float(velocity @ momentum), potential, sum(self._elastic(flex) for flex in self._cloths())
+        potential = -float(
+            self._masses @ (self._scratch.xipos @ self._model.opt.gravity)
+        )
+        return (
+            0.5 * float(velocity @ momentum),
+            potential,
+            sum(self._elastic(flex) for flex in self._cloths()),
+        )
 
     def elastic_at(self, qpos: NDArray[np.float64]) -> float:
         """Elastic energy at given joint positions [J]."""
@@ -75,19 +81,28 @@ class Energies:
 
     def _vertices(self, flex: int) -> NDArray[np.float64]:
         first = self._model.flex_vertadr[flex]
-        return self._scratch.flexvert_xpos[first : first + self._model.flex_vertnum[flex]]
+        return self._scratch.flexvert_xpos[
+            first : first + self._model.flex_vertnum[flex]
+        ]
 
     def _squared_edges(self, flex: int) -> NDArray[np.float64]:
         """Squared edge lengths [m^2] from vertex 1 to 2, 2 to 0 and 0 to 1, shape [triangle_count, 3]."""
-        first, count = self._model.flex_elemdataadr[flex], self._model.flex_elemnum[flex]
-        corners = self._vertices(flex)[self._model.flex_elem[first : first + 3 * count].reshape(-1, 3)]
+        first, count = (
+            self._model.flex_elemdataadr[flex],
+            self._model.flex_elemnum[flex],
+        )
+        corners = self._vertices(flex)[
+            self._model.flex_elem[first : first + 3 * count].reshape(-1, 3)
+        ]
         return ((corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]) ** 2).sum(axis=2)
 
     def _elastic(self, flex: int) -> float:
         """Membrane energy s' S s / 4 a triangle and bending energy x' B x / 2 an edge [J]."""
         changes = self._squared_edges(flex) - self._rest_m2[flex]
         start = self._model.flex_stiffnessadr[flex]
-        table = self._model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(changes)]
+        table = self._model.flex_stiffness[
+            start : start + STIFFNESS_PER_TRIANGLE * len(changes)
+        ]
         stiffness = np.zeros((len(changes), 3, 3))
         rows, columns = np.triu_indices(3)
         stiffness[:, rows, columns] = table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6]
@@ -97,13 +112,19 @@ class Energies:
         first, count = self._model.flex_edgeadr[flex], self._model.flex_edgenum[flex]
         flaps = self._model.flex_edgeflap[first : first + count]
         folds = (flaps >= 0).all(axis=1)
-        ends = np.column_stack([self._model.flex_edge[first : first + count], flaps])[folds]
+        ends = np.column_stack([self._model.flex_edge[first : first + count], flaps])[
+            folds
+        ]
         start = self._model.flex_bendingadr[flex]
-        forms = self._model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
+        forms = self._model.flex_bending[
+            start : start + BENDING_PER_EDGE * count
+        ].reshape(-1, BENDING_PER_EDGE)
         points = self._vertices(flex)[ends]
         # About their mean: a form does not see where its four points are, but rounding does.
         points = points - points.mean(axis=1, keepdims=True)
-        bending = 0.5 * np.einsum("eix,eij,ejx", points, forms[folds, :16].reshape(-1, 4, 4), points)
+        bending = 0.5 * np.einsum(
+            "eix,eij,ejx", points, forms[folds, :16].reshape(-1, 4, 4), points
+        )
         return float(membrane + bending)
 
 
@@ -157,7 +178,10 @@ def ledger(
     (driver,) = experiment.scene.drivers
     path = DriverPath(driver, experiment.scene, experiment.frame_count)
     energies = Energies(simulation, driver.body)
-    mass, timestep = simulation.settings["kinematic_mass_kg"], simulation.settings["timestep_s"]
+    mass, timestep = (
+        simulation.settings["kinematic_mass_kg"],
+        simulation.settings["timestep_s"],
+    )
     first = round(clock_s / SAMPLE_INTERVAL_S)
     parts, works, work = [energies.now()], [0.0], 0.0
     for sample in range((frame_count - 1) * SAMPLES_PER_FRAME):
@@ -202,7 +226,9 @@ def test_elastic_energy_is_that_of_mujocos_forces() -> None:
     data.qpos[7:] += 1e-3 * random.standard_normal(model.nv - 6)
     direction = np.concatenate([np.zeros(6), random.standard_normal(model.nv - 6)])
     step = 1e-7 * np.concatenate([[0.0], direction])
-    slope = (energies.elastic_at(data.qpos + step) - energies.elastic_at(data.qpos - step)) / 2e-7
+    slope = (
+        energies.elastic_at(data.qpos + step) - energies.elastic_at(data.qpos - step)
+    ) / 2e-7
     mujoco.mj_forward(model, data)
     assert slope == pytest.approx(-float(data.qfrc_passive @ direction), rel=1e-6)
 
@@ -217,7 +243,10 @@ def test_ledger_closes_where_nothing_rubs() -> None:
 @pytest.mark.slow
 def test_finer_steps_lose_less() -> None:
     """What the implicit integrator takes away is of first order in the step."""
-    coarse, fine = (ledger("TextileFlinging-rayon", 10, settings={"timestep_s": step}) for step in (1 / 900, 1 / 1800))
+    coarse, fine = (
+        ledger("TextileFlinging-rayon", 10, settings={"timestep_s": step})
+        for step in (1 / 900, 1 / 1800)
+    )
     assert coarse.unpaid_j[-1] < fine.unpaid_j[-1] < 0.0
 
 
@@ -237,7 +266,12 @@ def test_cloth_on_a_turning_ball() -> None:
 def test_ball_pushes_cloth_into_a_hole() -> None:
     """The ball starts just above the cloth, at the speed that it has after one second."""
     check(
-        ledger("Funnel-rayon", 14, clock_s=1.0, parameters=ON_ITS_LAYER | {"ball.position_m": [0.4785, 0.4285, 0.3257]})
+        ledger(
+            "Funnel-rayon",
+            14,
+            clock_s=1.0,
+            parameters=ON_ITS_LAYER | {"ball.position_m": [0.4785, 0.4285, 0.3257]},
+        )
     )
 
 
@@ -253,7 +287,9 @@ def test_cloth_is_lifted_out_of_the_board_once() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fabric", ["rayon", "satin", "uniform", "nylon", "oxford", "leather"])
+@pytest.mark.parametrize(
+    "fabric", ["rayon", "satin", "uniform", "nylon", "oxford", "leather"]
+)
 def test_flung_fabrics(fabric: str) -> None:
     check(ledger(f"TextileFlinging-{fabric}", 60))
 

@@ -21,7 +21,13 @@ from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.tools.mjcf.writer import exact_xml, start_notes
 
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
-SERVO = Servo(command=COMMAND, kp_n_m_per_rad=0.8123456789, kv_n_m_s_per_rad=0.013, torque_limit_n_m=1.7, delay_s=0.02)
+SERVO = Servo(
+    command=COMMAND,
+    kp_n_m_per_rad=0.8123456789,
+    kv_n_m_s_per_rad=0.013,
+    torque_limit_n_m=1.7,
+    delay_s=0.02,
+)
 DYNAMICS = JointDynamics(
     dry_friction_n_m=0.0103456789,
     viscous_friction_n_m_s_per_rad=0.0212345678,
@@ -32,15 +38,28 @@ DYNAMICS = JointDynamics(
 
 def chain() -> Scene:
     """Return two blocks on a hinge to the world with friction, and a servo between them."""
-    scene = load_experiment("ElbowToss-blocks", {"first.position_m": (0.0, 0.0, 0.15)}).scene
+    scene = load_experiment(
+        "ElbowToss-blocks", {"first.position_m": (0.0, 0.0, 0.15)}
+    ).scene
     (elbow,) = scene.body_hinges
-    shoulder = Hinge(body="first", anchor_m=(0.0, 0.0, 0.2), axis=(0.0, 1.0, 0.0), dynamics=DYNAMICS)
-    return replace(scene, joints=(shoulder,), body_hinges=(replace(elbow, motor=SERVO),), contacts=())
+    shoulder = Hinge(
+        body="first", anchor_m=(0.0, 0.0, 0.2), axis=(0.0, 1.0, 0.0), dynamics=DYNAMICS
+    )
+    return replace(
+        scene,
+        joints=(shoulder,),
+        body_hinges=(replace(elbow, motor=SERVO),),
+        contacts=(),
+    )
 
 
-def read(scene: Scene, folder: Path, *replacements: tuple[str, str]) -> tuple[Path, ModelFile]:
+def read(
+    scene: Scene, folder: Path, *replacements: tuple[str, str]
+) -> tuple[Path, ModelFile]:
     """Return the file of a scene after edits of its text, and what is read from it."""
-    text = ElementTree.tostring(exact_xml(BackendMuJoCo().build(scene)), encoding="unicode")
+    text = ElementTree.tostring(
+        exact_xml(BackendMuJoCo().build(scene)), encoding="unicode"
+    )
     for old, new in replacements:
         assert old in text, text
         text = text.replace(old, new)
@@ -69,19 +88,71 @@ def test_a_torque_motor_stays(tmp_path: Path) -> None:
     torque = replace(scene.body_hinges[0], motor=TorqueMotor(command=COMMAND))
     scene = replace(scene, body_hinges=(torque,))
     assert read(scene, tmp_path)[1].scene == scene
-    assert "Motors 'second': this file holds no commands" in start_notes(BackendMuJoCo().build(scene))[0]
+    assert (
+        "Motors 'second': this file holds no commands"
+        in start_notes(BackendMuJoCo().build(scene))[0]
+    )
 
 
 @pytest.mark.parametrize(
     ("old", "new", "part", "field", "value", "change"),
     [
-        ('frictionloss="0.0103456789"', 'frictionloss="0.5"', "dynamics", "dry_friction_n_m", 0.5, "dof_frictionloss"),
-        ('damping="0.0212345678"', 'damping="0"', "dynamics", "viscous_friction_n_m_s_per_rad", 0.0, "dof_damping"),
-        ('armature="0.00171234567"', 'armature="0.25"', "dynamics", "armature_kg_m2", 0.25, "dof_armature"),
-        ("-0.01172839455 0.01172839455", "-0.25 0.25", "dynamics", "backlash_rad", 0.5, "first/play"),
-        ('gainprm="0.8123456789"', 'gainprm="2"', "motor", "kp_n_m_per_rad", 2.0, "second: actuator_gainprm"),
-        ("-0.8123456789 -0.013", "-0.8123456789 -0.5", "motor", "kv_n_m_s_per_rad", 0.5, "second: actuator_biasprm"),
-        ("-1.7 1.7", "-2 2", "motor", "torque_limit_n_m", 2.0, "second: actuator_forcerange"),
+        (
+            'frictionloss="0.0103456789"',
+            'frictionloss="0.5"',
+            "dynamics",
+            "dry_friction_n_m",
+            0.5,
+            "dof_frictionloss",
+        ),
+        (
+            'damping="0.0212345678"',
+            'damping="0"',
+            "dynamics",
+            "viscous_friction_n_m_s_per_rad",
+            0.0,
+            "dof_damping",
+        ),
+        (
+            'armature="0.00171234567"',
+            'armature="0.25"',
+            "dynamics",
+            "armature_kg_m2",
+            0.25,
+            "dof_armature",
+        ),
+        (
+            "-0.01172839455 0.01172839455",
+            "-0.25 0.25",
+            "dynamics",
+            "backlash_rad",
+            0.5,
+            "first/play",
+        ),
+        (
+            'gainprm="0.8123456789"',
+            'gainprm="2"',
+            "motor",
+            "kp_n_m_per_rad",
+            2.0,
+            "second: actuator_gainprm",
+        ),
+        (
+            "-0.8123456789 -0.013",
+            "-0.8123456789 -0.5",
+            "motor",
+            "kv_n_m_s_per_rad",
+            0.5,
+            "second: actuator_biasprm",
+        ),
+        (
+            "-1.7 1.7",
+            "-2 2",
+            "motor",
+            "torque_limit_n_m",
+            2.0,
+            "second: actuator_forcerange",
+        ),
     ],
 )
 def test_an_edit_counts_and_is_listed(
@@ -97,10 +168,18 @@ def test_an_edit_counts_and_is_listed(
 
 
 def test_a_file_without_the_motor_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="its joint has a motor and needs an actuator with its name"):
-        read(chain(), tmp_path, ('name="second" joint="second"', 'name="other" joint="second"'))
+    with pytest.raises(
+        AssetError, match="its joint has a motor and needs an actuator with its name"
+    ):
+        read(
+            chain(),
+            tmp_path,
+            ('name="second" joint="second"', 'name="other" joint="second"'),
+        )
 
 
 def test_a_file_without_the_play_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="its joint has backlash and needs a second hinge 'first/play'"):
+    with pytest.raises(
+        AssetError, match="its joint has backlash and needs a second hinge 'first/play'"
+    ):
         read(chain(), tmp_path, ('name="first/play"', 'name="other"'))

@@ -39,11 +39,20 @@ MUJOCO = backend("mujoco")
 
 def plane(height_m: float = 0.0) -> RigidBody:
     return RigidBody(
-        name="ground", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0, 0, height_m)), mass_kg=0.0
+        name="ground",
+        shape=Plane(),
+        motion=Motion.FIXED,
+        pose=Pose(position_m=(0, 0, height_m)),
+        mass_kg=0.0,
     )
 
 
-def ball(name: str, position_m: tuple[float, float, float], mass_kg: float = 0.1, radius_m: float = 0.03) -> RigidBody:
+def ball(
+    name: str,
+    position_m: tuple[float, float, float],
+    mass_kg: float = 0.1,
+    radius_m: float = 0.03,
+) -> RigidBody:
     return RigidBody(
         name=name,
         shape=Sphere(radius_m=radius_m),
@@ -66,10 +75,18 @@ def states_over_time(simulation, name: str, seconds: float) -> np.ndarray:
 def test_friction_override_changes_the_slide_by_the_laws_amount(rollout) -> None:
     accelerations = []
     for friction in (0.30, 0.15):
-        _, trajectory, _ = rollout("SlopeSlider-2-wood", parameters={"cube.friction": friction})
-        displacement_m = 1e-3 * (trajectory.frames[:12] - trajectory.frames[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
+        _, trajectory, _ = rollout(
+            "SlopeSlider-2-wood", parameters={"cube.friction": friction}
+        )
+        displacement_m = (
+            1e-3
+            * (trajectory.frames[:12] - trajectory.frames[0])
+            @ [np.cos(np.pi / 6), 0.0, -0.5]
+        )
         accelerations.append(fitted_acceleration(np.arange(12) / 30, displacement_m))
-    assert accelerations[1] - accelerations[0] == pytest.approx(G * 0.15 * np.cos(np.pi / 6), rel=0.005)
+    assert accelerations[1] - accelerations[0] == pytest.approx(
+        G * 0.15 * np.cos(np.pi / 6), rel=0.005
+    )
 
 
 def test_impact_with_friction_stops_the_slip_and_does_not_reverse_it() -> None:
@@ -85,7 +102,13 @@ def test_impact_with_friction_stops_the_slip_and_does_not_reverse_it() -> None:
             plane(),
         ),
         contacts=(
-            Contact(first=("slab",), second=("ground",), friction=0.5, restitution=0.5, mode=ContactMode.IMPACT),
+            Contact(
+                first=("slab",),
+                second=("ground",),
+                friction=0.5,
+                restitution=0.5,
+                mode=ContactMode.IMPACT,
+            ),
         ),
         duration_s=1.0,
     )
@@ -104,17 +127,28 @@ def test_pendulum_period_and_energy(rollout) -> None:
     assert abs(score.el) < 1e-4
     assert 1.0 <= score.pd_normalized <= 1.1
     hinge = env.experiment.scene.joints[0]
-    arm = np.linalg.norm(np.subtract(hinge.anchor_m, env.experiment.scene.bodies[0].pose.position_m))
+    arm = np.linalg.norm(
+        np.subtract(hinge.anchor_m, env.experiment.scene.bodies[0].pose.position_m)
+    )
     # A sphere on a light rod, including its own inertia 2/5 m r^2.
     stiffness = G * arm / (arm**2 + 0.4 * 0.03**2)
     exact = solve_ivp(
-        lambda _, y: [y[1], -stiffness * np.sin(y[0])], (0, 10), [-np.pi / 2, 0.0], rtol=1e-11, atol=1e-12, t_eval=[10]
+        lambda _, y: [y[1], -stiffness * np.sin(y[0])],
+        (0, 10),
+        [-np.pi / 2, 0.0],
+        rtol=1e-11,
+        atol=1e-12,
+        t_eval=[10],
     )
-    expected = np.asarray(hinge.anchor_m)[[0, 2]] + arm * np.array([np.sin(exact.y[0, 0]), -np.cos(exact.y[0, 0])])
+    expected = np.asarray(hinge.anchor_m)[[0, 2]] + arm * np.array(
+        [np.sin(exact.y[0, 0]), -np.cos(exact.y[0, 0])]
+    )
     assert 1e-3 * trajectory.frames[300, [0, 2]] == pytest.approx(expected, abs=2e-4)
 
 
-def carried_scene(motions: tuple[DriverMotion, ...], friction: float, offset_m: float = 0.05) -> Scene:
+def carried_scene(
+    motions: tuple[DriverMotion, ...], friction: float, offset_m: float = 0.05
+) -> Scene:
     table = RigidBody(
         name="table",
         shape=Cylinder(radius_m=0.3, length_m=0.02),
@@ -131,7 +165,11 @@ def carried_scene(motions: tuple[DriverMotion, ...], friction: float, offset_m: 
     )
     return Scene(
         bodies=(cube, table, plane()),
-        contacts=(Contact(first=("cube",), second=("table",), friction=friction, restitution=0.0),),
+        contacts=(
+            Contact(
+                first=("cube",), second=("table",), friction=friction, restitution=0.0
+            ),
+        ),
         drivers=(Driver(body="table", motions=motions, provenance="nominal"),),
         duration_s=2.0,
     )
@@ -142,15 +180,22 @@ def drive(simulation, scene: Scene, seconds: float) -> np.ndarray:
     simulation.reset(0)
     path = DriverPath(scene.drivers[0], scene, round(seconds * 30) + 2)
     for sample in range(round(seconds / SAMPLE_INTERVAL_S)):
-        simulation.drive("table", *path.interval(sample, np.zeros(len(scene.drivers[0].motions))))
+        simulation.drive(
+            "table", *path.interval(sample, np.zeros(len(scene.drivers[0].motions)))
+        )
         simulation.advance(SAMPLE_INTERVAL_S)
     return simulation.body_states(["cube", "table"])
 
 
 def test_turning_table_carries_a_cube_round_with_the_stated_outward_creep() -> None:
     speed = 2.0
-    turn = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=speed * 9.75)
-    scene = carried_scene((DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,)),), friction=0.35)
+    turn = TrapezoidProfile(
+        start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=speed * 9.75
+    )
+    scene = carried_scene(
+        (DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,)),),
+        friction=0.35,
+    )
     cube, _ = drive(MUJOCO.build(scene), scene, 1.75)
     angle = np.arctan2(cube[1], cube[0])
     assert np.angle(np.exp(1j * (angle - speed * 1.5))) == pytest.approx(0.0, abs=0.01)
@@ -161,7 +206,9 @@ def test_turning_table_carries_a_cube_round_with_the_stated_outward_creep() -> N
 def test_driven_body_follows_its_path_exactly_under_load(rollout) -> None:
     env, trajectory, _ = rollout("SlopeSlider-3-metal")
     driver = env.experiment.scene.drivers[0]
-    end = driver.pose(env.experiment.scene.body("board").pose, (len(trajectory.frames) - 1) / 30)
+    end = driver.pose(
+        env.experiment.scene.body("board").pose, (len(trajectory.frames) - 1) / 30
+    )
     board = env.simulation.body_states(["board"])[0]
     assert board[:3] == pytest.approx(end.position_m, abs=1e-6)
     assert abs(board[3:7] @ end.quaternion) == pytest.approx(1.0, abs=1e-9)
@@ -169,24 +216,48 @@ def test_driven_body_follows_its_path_exactly_under_load(rollout) -> None:
 
 def test_tilting_board_lets_go_at_the_friction_angle(rollout) -> None:
     env, trajectory, _ = rollout("SlopeSlider-3-metal")
-    driver, start = env.experiment.scene.drivers[0], env.experiment.scene.body("board").pose
+    driver, start = (
+        env.experiment.scene.drivers[0],
+        env.experiment.scene.body("board").pose,
+    )
     poses = [driver.pose(start, t) for t in trajectory.times_s]
-    along_board = np.array([p.to_body(1e-3 * g)[0] for p, g in zip(poses, trajectory.samples, strict=True)])
+    along_board = np.array(
+        [p.to_body(1e-3 * g)[0] for p, g in zip(poses, trajectory.samples, strict=True)]
+    )
     first = int(np.flatnonzero(along_board - along_board[0] > 2e-4)[0])
     tilt_deg = np.degrees(driver.motions[0].value(trajectory.times_s[first]))
     friction = env.experiment.scene.contacts[0].friction
     # 0.2 mm of slip at the growing acceleration takes about 0.05 s, which is 0.7 degrees of tilt.
-    assert np.degrees(np.arctan(friction)) < tilt_deg < np.degrees(np.arctan(friction)) + 1.2
+    assert (
+        np.degrees(np.arctan(friction))
+        < tilt_deg
+        < np.degrees(np.arctan(friction)) + 1.2
+    )
 
 
 def test_concave_solids_are_concave(rollout) -> None:
     scene = load_experiment("NonsmoothContact-1-wood").scene
     base = scene.body("squarebase")
-    probe = ball("probe", (*base.pose.position_m[:2], base.pose.position_m[2] + 0.02), radius_m=0.005)
-    wall = ball("wall", (base.pose.position_m[0] + 0.04, *base.pose.position_m[1:2], 0.06), radius_m=0.005)
+    probe = ball(
+        "probe",
+        (*base.pose.position_m[:2], base.pose.position_m[2] + 0.02),
+        radius_m=0.005,
+    )
+    wall = ball(
+        "wall",
+        (base.pose.position_m[0] + 0.04, *base.pose.position_m[1:2], 0.06),
+        radius_m=0.005,
+    )
     dropped = Scene(
         bodies=(probe, wall, base),
-        contacts=(Contact(first=("probe", "wall"), second=("squarebase",), friction=0.5, restitution=0.0),),
+        contacts=(
+            Contact(
+                first=("probe", "wall"),
+                second=("squarebase",),
+                friction=0.5,
+                restitution=0.0,
+            ),
+        ),
         duration_s=1.0,
     )
     simulation = MUJOCO.build(dropped)
@@ -232,7 +303,9 @@ def test_wall_stands_until_it_is_hit(rollout) -> None:
 def test_hinged_body_velocity_is_the_derivative_of_its_position() -> None:
     bob = ball("bob", (0.2, 0.0, 1.0), radius_m=0.01)
     joint = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
-    states = states_over_time(MUJOCO.build(Scene(bodies=(bob,), joints=(joint,), duration_s=1.0)), "bob", 0.5)
+    states = states_over_time(
+        MUJOCO.build(Scene(bodies=(bob,), joints=(joint,), duration_s=1.0)), "bob", 0.5
+    )
     central = (states[2:, :3] - states[:-2, :3]) / (2 * SAMPLE_INTERVAL_S)
     assert states[1:-1, 7:10] == pytest.approx(central, abs=5e-3)
 
@@ -247,7 +320,9 @@ def test_hinged_body_velocity_is_the_derivative_of_its_position() -> None:
         ({"integrator": "magic"}, ParameterError, "integrator"),
     ],
 )
-def test_wrong_settings_are_named(settings: dict, error: type[Exception], message: str) -> None:
+def test_wrong_settings_are_named(
+    settings: dict, error: type[Exception], message: str
+) -> None:
     with pytest.raises(error, match=message):
         MUJOCO.build(load_experiment("SlopeSlider-2-wood").scene, settings)
 

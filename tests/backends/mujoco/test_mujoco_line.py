@@ -22,14 +22,19 @@ BALL_M = 0.03
 ROD_M = 0.15
 ROD_RADIUS_M = 0.005
 SOFT_PA, HARD_PA = 9285115.0, 1e9
-DISCRETE, FAST = mujoco.mjtIntegrator.mjINT_DISCRETE, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+DISCRETE, FAST = (
+    mujoco.mjtIntegrator.mjINT_DISCRETE,
+    mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+)
 TOP = Pose(position_m=(0.0, 0.0, 0.0))
 
 
 class Bench:
     """A line with a body at its start, in a model of its own."""
 
-    def __init__(self, *, step_s: float, integrator: int, gravity: float = GRAVITY_M_PER_S2) -> None:
+    def __init__(
+        self, *, step_s: float, integrator: int, gravity: float = GRAVITY_M_PER_S2
+    ) -> None:
         self.spec = mujoco.MjSpec()
         self.spec.option.timestep = step_s
         self.spec.option.integrator = integrator
@@ -37,12 +42,18 @@ class Bench:
         self.spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         self.spec.option.impratio = 10.0
 
-    def add_body(self, name: str, pose: Pose, motion: Motion, mass_kg: float = 1e3) -> mujoco.MjsBody:
-        body = self.spec.worldbody.add_body(name=name, pos=pose.position_m, quat=pose.quaternion)
+    def add_body(
+        self, name: str, pose: Pose, motion: Motion, mass_kg: float = 1e3
+    ) -> mujoco.MjsBody:
+        body = self.spec.worldbody.add_body(
+            name=name, pos=pose.position_m, quat=pose.quaternion
+        )
         if motion is not Motion.FIXED:
             body.add_freejoint(name=name)
             body.explicitinertial, body.mass = True, mass_kg
-            body.inertia = [mass_kg if motion is Motion.KINEMATIC else 0.4 * mass_kg * BALL_M**2] * 3
+            body.inertia = [
+                mass_kg if motion is Motion.KINEMATIC else 0.4 * mass_kg * BALL_M**2
+            ] * 3
             body.gravcomp = float(motion is Motion.KINEMATIC)
             body.ipos = [0.0, 0.0, 0.0]
         return body
@@ -65,11 +76,16 @@ class Bench:
 
     def lengths(self) -> NDArray[np.float64]:
         """Distances of neighbouring nodes as parts of those at rest, less one."""
-        rest, now = (np.linalg.norm(np.diff(x, axis=0), axis=1) for x in (self.part.rest_m, self.part.nodes()))
+        rest, now = (
+            np.linalg.norm(np.diff(x, axis=0), axis=1)
+            for x in (self.part.rest_m, self.part.nodes())
+        )
         return now / rest - 1.0
 
 
-def ball_on_rope(direction: tuple[float, float, float], motion: Motion = Motion.FIXED) -> Bench:
+def ball_on_rope(
+    direction: tuple[float, float, float], motion: Motion = Motion.FIXED
+) -> Bench:
     """A ball on a rope that starts straight in a direction, both above the origin's height; its top end at TOP."""
     bench = Bench(step_s=1 / 9000, integrator=FAST)
     turn = Rotation.align_vectors([direction], [[1.0, 0.0, 0.0]])[0]
@@ -87,8 +103,15 @@ def ball_on_rope(direction: tuple[float, float, float], motion: Motion = Motion.
     bench.add_body("top", TOP, motion)
     bench.add_body("ball", pose, Motion.DYNAMIC, BALL_KG)
     attachments = [
-        RigidAttachment(region=Region(axis="x", side="low"), body="top", motion=motion, pose=TOP),
-        RigidAttachment(region=Region(axis="x", side="high"), body="ball", motion=Motion.DYNAMIC, pose=pose),
+        RigidAttachment(
+            region=Region(axis="x", side="low"), body="top", motion=motion, pose=TOP
+        ),
+        RigidAttachment(
+            region=Region(axis="x", side="high"),
+            body="ball",
+            motion=Motion.DYNAMIC,
+            pose=pose,
+        ),
     ]
     bench.finish(add_rope(bench.spec, rope, attachments=attachments))
     return bench
@@ -99,7 +122,11 @@ def test_rope_carries_a_ball_without_stretching() -> None:
     assert np.allclose(bench.part.nodes(), bench.part.rest_m, atol=1e-12)
     mujoco.mj_step(bench.model, bench.data, nstep=bench.steps(0.5))
     assert 0.0 < bench.lengths().mean() < 5e-4
-    bodies = [i for i in range(bench.model.nbody) if bench.model.body(i).name.startswith("rope")]
+    bodies = [
+        i
+        for i in range(bench.model.nbody)
+        if bench.model.body(i).name.startswith("rope")
+    ]
     assert bench.model.body_mass[bodies].sum() == pytest.approx(0.005 * 33 / 34)
 
 
@@ -114,7 +141,10 @@ def test_ball_swings_from_level_like_a_pendulum() -> None:
     assert worst < 2e-3
     # A point mass on a massless string; the rope's weight is 1.6 % of the ball's.
     fall = solve_ivp(
-        lambda _, s: [s[1], GRAVITY_M_PER_S2 / (ROPE_M + BALL_M) * cos(s[0])], (0.0, 0.3), [0.0, 0.0], rtol=1e-9
+        lambda _, s: [s[1], GRAVITY_M_PER_S2 / (ROPE_M + BALL_M) * cos(s[0])],
+        (0.0, 0.3),
+        [0.0, 0.0],
+        rtol=1e-9,
     )
     angle = fall.y[0, -1]
     expected = (ROPE_M + BALL_M) * np.array([cos(angle), 0.0, -sin(angle)])
@@ -136,15 +166,34 @@ def test_rope_follows_a_driven_body() -> None:
 def test_two_balls_hang_over_a_beam() -> None:
     """The rope stays on the beam although it weighs a hundredth of what pulls on it."""
     bench = Bench(step_s=1 / 9000, integrator=FAST)
-    beam = bench.spec.worldbody.add_body(name="beam", pos=[0.0, 0.0, -0.007], quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0])
-    beam.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[0.005, 0.1, 0.0], contype=0, conaffinity=1)
-    rope = Rope(name="rope", pose=TOP, length_m=ROPE_M, radius_m=0.002, mass_kg=0.005, young_modulus_pa=795.0)
+    beam = bench.spec.worldbody.add_body(
+        name="beam", pos=[0.0, 0.0, -0.007], quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0]
+    )
+    beam.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[0.005, 0.1, 0.0],
+        contype=0,
+        conaffinity=1,
+    )
+    rope = Rope(
+        name="rope",
+        pose=TOP,
+        length_m=ROPE_M,
+        radius_m=0.002,
+        mass_kg=0.005,
+        young_modulus_pa=795.0,
+    )
     attachments = []
     for name, side, sign in (("a", "low", -1.0), ("b", "high", 1.0)):
         pose = Pose(position_m=(sign * (0.5 * ROPE_M + BALL_M), 0.0, 0.0))
         bench.add_body(name, pose, Motion.DYNAMIC, BALL_KG)
         attachments.append(
-            RigidAttachment(region=Region(axis="x", side=side), body=name, motion=Motion.DYNAMIC, pose=pose)
+            RigidAttachment(
+                region=Region(axis="x", side=side),
+                body=name,
+                motion=Motion.DYNAMIC,
+                pose=pose,
+            )
         )
     part = add_rope(bench.spec, rope, attachments=attachments)
     part.flex.contype, part.flex.condim, part.flex.friction = 1, 3, [0.467, 0.0, 0.0]
@@ -159,7 +208,9 @@ def test_two_balls_hang_over_a_beam() -> None:
     assert part.nodes()[17] == pytest.approx([0.0, 0.0, 1.25e-3], abs=1.25e-3)
 
 
-def rod(young_pa: float, motion: Motion, *, step_s: float = 1 / 900, damping_s: float = 0.01) -> Bench:
+def rod(
+    young_pa: float, motion: Motion, *, step_s: float = 1 / 900, damping_s: float = 0.01
+) -> Bench:
     """A rod that hangs from the origin without weight, by its high end."""
     bench = Bench(step_s=step_s, integrator=DISCRETE, gravity=0.0)
     bench.add_body("base", TOP, motion)
@@ -172,8 +223,14 @@ def rod(young_pa: float, motion: Motion, *, step_s: float = 1 / 900, damping_s: 
         young_modulus_pa=young_pa,
         poisson_ratio=0.49,
     )
-    attachments = [RigidAttachment(region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP)]
-    bench.finish(add_rod(bench.spec, body, attachments=attachments, damping_s=damping_s))
+    attachments = [
+        RigidAttachment(
+            region=Region(axis="z", side="high"), body="base", motion=motion, pose=TOP
+        )
+    ]
+    bench.finish(
+        add_rod(bench.spec, body, attachments=attachments, damping_s=damping_s)
+    )
     return bench
 
 
@@ -233,13 +290,17 @@ def test_points_on_the_surface_turn_with_the_rod() -> None:
         bench.part.track([[0.0, 0.0, -0.2]])
 
 
-@pytest.mark.parametrize(("young_pa", "friction"), [(SOFT_PA, 0.8087), (HARD_PA, 0.5801)])
+@pytest.mark.parametrize(
+    ("young_pa", "friction"), [(SOFT_PA, 0.8087), (HARD_PA, 0.5801)]
+)
 def test_foot_that_slides_feels_the_friction(young_pa: float, friction: float) -> None:
     """The base moves sideways a tenth of a millimetre too low. The stiff rod sticks and slides, the other slides."""
     bench = rod(young_pa, Motion.KINEMATIC)
     spec = bench.spec
     board = spec.worldbody.add_body(name="board", pos=[0.0, 0.0, -ROD_M - 0.005])
-    board.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.1, 0.005], contype=0, conaffinity=1)
+    board.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.1, 0.005], contype=0, conaffinity=1
+    )
     for geom in bench.part.geoms:
         geom.contype, geom.friction, geom.priority = 1, [friction, 0.0, 0.0], 1
     spec.option.timestep = 1 / 1800
@@ -251,7 +312,9 @@ def test_foot_that_slides_feels_the_friction(young_pa: float, friction: float) -
     force = np.empty(6)
     for index in range(180):
         time = index / 180
-        bench.place("base", Pose(position_m=(0.017 * time, 0.0, -1e-4 * min(4 * time, 1.0))))
+        bench.place(
+            "base", Pose(position_m=(0.017 * time, 0.0, -1e-4 * min(4 * time, 1.0)))
+        )
         bench.data.qvel[bench.model.joint("base").dofadr[0]] = 0.017
         mujoco.mj_step(bench.model, bench.data, nstep=10)
         if index > 120:
@@ -266,11 +329,21 @@ def test_foot_that_slides_feels_the_friction(young_pa: float, friction: float) -
 
 def test_what_cannot_be_built_is_named() -> None:
     bench = Bench(step_s=1 / 900, integrator=DISCRETE)
-    rope = Rope(name="rope", pose=TOP, length_m=1.0, radius_m=0.002, mass_kg=0.01, young_modulus_pa=1.0)
+    rope = Rope(
+        name="rope",
+        pose=TOP,
+        length_m=1.0,
+        radius_m=0.002,
+        mass_kg=0.01,
+        young_modulus_pa=1.0,
+    )
     wrong = {"x": (0.1, "over a length"), "y": (0.0, "elsewhere")}
     for axis, (depth, message) in wrong.items():
         attachment = RigidAttachment(
-            region=Region(axis=axis, side="low", depth_m=depth), body="top", motion=Motion.FIXED, pose=TOP
+            region=Region(axis=axis, side="low", depth_m=depth),
+            body="top",
+            motion=Motion.FIXED,
+            pose=TOP,
         )
         with pytest.raises(UnsupportedSceneError, match=message):
             add_rope(bench.spec, rope, attachments=[attachment])

@@ -20,13 +20,24 @@ from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Region, SoftBody
 
 
-def held(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
+def held(
+    side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z"
+) -> RigidAttachment:
     """To a plate at the world's origin: `low` and `high` are their names."""
-    return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+    return RigidAttachment(
+        region=Region(axis=axis, side=side, depth_m=depth_m),
+        body=side,
+        motion=motion,
+        pose=ORIGIN,
+    )
 
 
 def part_of(
-    spec: mujoco.MjSpec, row: SoftRow, *, cells: tuple[int, int] | None = None, damping_s: float = 1e-4
+    spec: mujoco.MjSpec,
+    row: SoftRow,
+    *,
+    cells: tuple[int, int] | None = None,
+    damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
     """The part of a row, with other numbers of cells along and across each body where they are given."""
     with pytest.MonkeyPatch.context() as patch:
@@ -60,11 +71,20 @@ class Bench:
             frame = spec.worldbody.add_body(name=name)
             if motion is Motion.KINEMATIC:
                 frame.add_freejoint(name=name)
-                frame.explicitinertial, frame.mass, frame.inertia, frame.gravcomp = True, 1e3, [1e3] * 3, 1.0
+                frame.explicitinertial, frame.mass, frame.inertia, frame.gravcomp = (
+                    True,
+                    1e3,
+                    [1e3] * 3,
+                    1.0,
+                )
         more(spec)
         attachments = {bodies[0].name: [held("low", Motion.FIXED, depth_m, axis)]}
-        attachments.setdefault(bodies[-1].name, []).append(held("high", high, depth_m, axis))
-        self.part: SoftPartMuJoCo = part_of(spec, SoftRow.of(bodies, attachments), damping_s=damping_s, cells=cells)
+        attachments.setdefault(bodies[-1].name, []).append(
+            held("high", high, depth_m, axis)
+        )
+        self.part: SoftPartMuJoCo = part_of(
+            spec, SoftRow.of(bodies, attachments), damping_s=damping_s, cells=cells
+        )
         self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
         self.model = spec.compile()
         self.part.complete(self.model)
@@ -72,17 +92,25 @@ class Bench:
         self.part.bind(self.model, self.data)
         self.driven = high is Motion.KINEMATIC
 
-    def place(self, move_m: NDArray[np.float64] | list[float], turn: Rotation | None = None) -> None:
+    def place(
+        self, move_m: NDArray[np.float64] | list[float], turn: Rotation | None = None
+    ) -> None:
         """Put the driven plate, at rest."""
         joint = self.model.joint("high")
         position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
         self.data.qpos[position : position + 3] = move_m
-        self.data.qpos[position + 3 : position + 7] = (turn or Rotation.identity()).as_quat(scalar_first=True)
+        self.data.qpos[position + 3 : position + 7] = (
+            turn or Rotation.identity()
+        ).as_quat(scalar_first=True)
         self.data.qvel[speed : speed + 6] = 0.0
         for grip in self.part.grips:
             grip.follow()
 
-    def run(self, seconds: float, path: Callable[[float], tuple] = lambda time: ([0, 0, 0], None)) -> None:
+    def run(
+        self,
+        seconds: float,
+        path: Callable[[float], tuple] = lambda time: ([0, 0, 0], None),
+    ) -> None:
         """Simulate while the driven plate follows a path, placed at 180 Hz."""
         steps = round(1 / 180 / self.model.opt.timestep)
         for index in range(round(180 * seconds)):
@@ -90,12 +118,16 @@ class Bench:
                 self.place(*path(index / 180))
             mujoco.mj_step(self.model, self.data, nstep=steps)
 
-    def reaction(self, move_m: list[float], turn: Rotation | None = None) -> NDArray[np.float64]:
+    def reaction(
+        self, move_m: list[float], turn: Rotation | None = None
+    ) -> NDArray[np.float64]:
         """Force [N] and torque [N m] that hold the plate there at rest, shape [6]."""
         self.run(0.5, lambda time: (move_m, turn))
         self.place(move_m, turn)
         mujoco.mj_forward(self.model, self.data)
-        ids = [self.model.body(name).id for grip in self.part.grips for name in grip.names]
+        ids = [
+            self.model.body(name).id for grip in self.part.grips for name in grip.names
+        ]
         dofs = self.model.body_dofadr[ids][:, None] + np.arange(3)
         # `qfrc_spring` and `qfrc_damper` without the compensation of the nodes' weight.
         forces = -(self.data.qfrc_spring + self.data.qfrc_damper)[dofs]
@@ -110,7 +142,9 @@ def static(*bodies: SoftBody, **options) -> Bench:
 
 def test_tension_is_exact_without_lateral_contraction() -> None:
     bench = static(block(), depth_m=0.01285)
-    assert bench.reaction([0.0, 0.0, 1e-3])[2] == pytest.approx(YOUNG_PA * AREA_M2 / 0.1743 * 1e-3, rel=1e-3)
+    assert bench.reaction([0.0, 0.0, 1e-3])[2] == pytest.approx(
+        YOUNG_PA * AREA_M2 / 0.1743 * 1e-3, rel=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -123,7 +157,9 @@ def test_tension_and_contraction_away_from_the_ends(poisson: float) -> None:
         compliance.append(1e-3 / bench.reaction([0.0, 0.0, 1e-3])[2])
     assert np.diff(compliance)[0] == pytest.approx(0.2 / (YOUNG_PA * AREA_M2), rel=0.01)
     sides = bench.part.track([[-0.025, 0.0, 0.0], [0.025, 0.0, 0.0]])()
-    assert (EDGE_M - np.ptp(sides[:, 0])) / EDGE_M / (1e-3 / 0.4) == pytest.approx(poisson, rel=0.02)
+    assert (EDGE_M - np.ptp(sides[:, 0])) / EDGE_M / (1e-3 / 0.4) == pytest.approx(
+        poisson, rel=0.02
+    )
 
 
 @pytest.mark.slow
@@ -133,48 +169,80 @@ def test_torsion_of_a_square_bar() -> None:
     compliance = []
     for cells, length in ((4, 0.1743), (8, 0.3486)):
         bench = static(block(length_m=length, poisson=poisson), cells=(cells, 2))
-        compliance.append(angle / bench.reaction([0, 0, 0], Rotation.from_rotvec([0, 0, angle]))[5])
+        compliance.append(
+            angle / bench.reaction([0, 0, 0], Rotation.from_rotvec([0, 0, angle]))[5]
+        )
     shear_pa = YOUNG_PA / (2 * (1 + poisson))
-    assert 1 / np.diff(compliance)[0] == pytest.approx(0.1406 * shear_pa * EDGE_M**4 / 0.1743, rel=0.03)
+    assert 1 / np.diff(compliance)[0] == pytest.approx(
+        0.1406 * shear_pa * EDGE_M**4 / 0.1743, rel=0.03
+    )
 
 
 @pytest.mark.parametrize("poisson", [0.0, pytest.param(0.23, marks=pytest.mark.slow)])
 def test_shear_of_a_clamped_and_guided_bar(poisson: float) -> None:
     """Timoshenko; clamps that keep the ends from contracting add up to 4 %."""
-    force = static(block(poisson=poisson), depth_m=0.01285).reaction([1e-3, 0.0, 0.0])[0]
+    force = static(block(poisson=poisson), depth_m=0.01285).reaction([1e-3, 0.0, 0.0])[
+        0
+    ]
     inertia, shear_pa = EDGE_M**4 / 12, YOUNG_PA / (2 * (1 + poisson))
-    compliance = 0.1743**3 / (12 * YOUNG_PA * inertia) + 0.1743 / (5 / 6 * shear_pa * AREA_M2)
+    compliance = 0.1743**3 / (12 * YOUNG_PA * inertia) + 0.1743 / (
+        5 / 6 * shear_pa * AREA_M2
+    )
     assert force == pytest.approx(1e-3 / compliance, rel=0.05)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("axis", "limit"), [(0, 0.05), (2, 0.02)], ids=["shear", "tension"])
+@pytest.mark.parametrize(
+    ("axis", "limit"), [(0, 0.05), (2, 0.02)], ids=["shear", "tension"]
+)
 @pytest.mark.parametrize("poisson", [0.23, 0.34])
-def test_clamped_bar_agrees_with_fine_finite_elements(poisson: float, axis: int, limit: float) -> None:
+def test_clamped_bar_agrees_with_fine_finite_elements(
+    poisson: float, axis: int, limit: float
+) -> None:
     """The clamps' share, which beam theory leaves out, is the same in an independent solution."""
-    force = static(block(poisson=poisson), depth_m=0.01285).reaction(list(1e-3 * np.eye(3)[axis]))[axis]
-    fine = extrapolated_end_force(edge_m=EDGE_M, length_m=0.1743, young_pa=YOUNG_PA, poisson=poisson, axis=axis)
+    force = static(block(poisson=poisson), depth_m=0.01285).reaction(
+        list(1e-3 * np.eye(3)[axis])
+    )[axis]
+    fine = extrapolated_end_force(
+        edge_m=EDGE_M, length_m=0.1743, young_pa=YOUNG_PA, poisson=poisson, axis=axis
+    )
     assert force / 1e-3 == pytest.approx(fine, rel=limit)
     assert force / 1e-3 > fine
 
 
 def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
-    stiff = block("stiff", length_m=0.05, centre_m=(0, 0, -0.025), young_pa=100 * YOUNG_PA, density=1000.0)
+    stiff = block(
+        "stiff",
+        length_m=0.05,
+        centre_m=(0, 0, -0.025),
+        young_pa=100 * YOUNG_PA,
+        density=1000.0,
+    )
     soft = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
     bench = static(stiff, soft)
     force = bench.reaction([0.0, 0.0, 1e-3])[2]
-    assert force == pytest.approx(1e-3 * AREA_M2 / (0.05 / YOUNG_PA + 0.05 / (100 * YOUNG_PA)), rel=2e-3)
+    assert force == pytest.approx(
+        1e-3 * AREA_M2 / (0.05 / YOUNG_PA + 0.05 / (100 * YOUNG_PA)), rel=2e-3
+    )
     assert bench.part.names == ("stiff", "soft")
     rest, moved = bench.part.rest_m, bench.part.nodes() - bench.part.rest_m
     assert rest[bench.part.node_indices["soft"], 2].min() == pytest.approx(0.0)
-    assert moved[bench.part.node_indices["stiff"], 2].max() == pytest.approx(1e-3 / 101, rel=2e-3)
+    assert moved[bench.part.node_indices["stiff"], 2].max() == pytest.approx(
+        1e-3 / 101, rel=2e-3
+    )
 
 
 def test_mass_is_that_of_the_free_material() -> None:
     bench = Bench(block(), depth_m=0.01285, high=Motion.FIXED)
-    held = DENSITY_KG_PER_M3 * AREA_M2 * 0.1743 / 4 / 6 * 2  # Simpson's share of the two pinned layers.
+    held = (
+        DENSITY_KG_PER_M3 * AREA_M2 * 0.1743 / 4 / 6 * 2
+    )  # Simpson's share of the two pinned layers.
     expected = DENSITY_KG_PER_M3 * AREA_M2 * 0.1743 - held
-    bodies = [index for index in range(bench.model.nbody) if bench.model.body(index).name.startswith("foam")]
+    bodies = [
+        index
+        for index in range(bench.model.nbody)
+        if bench.model.body(index).name.startswith("foam")
+    ]
     assert bench.model.body_mass[bodies].sum() == pytest.approx(expected)
 
 
@@ -195,8 +263,14 @@ def test_points_are_those_of_the_elements() -> None:
     bench.data.qpos += np.random.default_rng(0).normal(0.0, 2e-3, bench.model.nq)
     mujoco.mj_forward(bench.model, bench.data)
     assert np.allclose(bench.part.nodes(), bench.data.flexvert_xpos, atol=1e-12)
-    assert np.allclose(bench.part.track(bench.part.rest_m[::7])(), bench.data.flexvert_xpos[::7], atol=1e-12)
-    assert np.abs(np.diff(np.unique(bench.part.rest_m[:, 2].round(9)))).max() == pytest.approx(0.0125)
+    assert np.allclose(
+        bench.part.track(bench.part.rest_m[::7])(),
+        bench.data.flexvert_xpos[::7],
+        atol=1e-12,
+    )
+    assert np.abs(
+        np.diff(np.unique(bench.part.rest_m[:, 2].round(9)))
+    ).max() == pytest.approx(0.0125)
     with pytest.raises(ShapeError, match="outside the free soft material"):
         bench.part.track([[0.0, 0.0, 0.2]])
 
@@ -216,13 +290,22 @@ def test_a_driven_grip_moves_its_nodes_rigidly() -> None:
     # At a steady rate the nodes have the velocity of the plate, and its acceleration towards the axis.
     joint = bench.model.joint("high")
     bench.place([0.0, 0.0, 0.0])
-    bench.data.qvel[joint.dofadr[0] : joint.dofadr[0] + 6] = [0.0, 0.0, 0.1, 0.0, 0.0, 2.0]
+    bench.data.qvel[joint.dofadr[0] : joint.dofadr[0] + 6] = [
+        0.0,
+        0.0,
+        0.1,
+        0.0,
+        0.0,
+        2.0,
+    ]
     (grip,) = bench.part.grips
     grip.follow()
     ids = [bench.model.body(name).id for name in grip.names]
     arms = bench.model.body_pos[ids]
     dofs = bench.model.body_dofadr[ids][:, None] + np.arange(3)
-    assert bench.data.qvel[dofs] == pytest.approx(np.cross([0.0, 0.0, 2.0], arms) + np.array([0.0, 0.0, 0.1]))
+    assert bench.data.qvel[dofs] == pytest.approx(
+        np.cross([0.0, 0.0, 2.0], arms) + np.array([0.0, 0.0, 0.1])
+    )
     inward = -4.0 * arms * [1.0, 1.0, 0.0]
     assert bench.data.xfrc_applied[ids, :3] == pytest.approx(1e3 * inward)
 
@@ -231,7 +314,13 @@ def test_a_driven_grip_moves_its_nodes_rigidly() -> None:
 def test_quarter_turn() -> None:
     bench = Bench(block(poisson=0.34), depth_m=0.01285)
     middle = bench.part.track([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0]])
-    bench.run(0.6, lambda time: ([0, 0, 0], Rotation.from_rotvec([0, 0, np.pi / 2 * ramp(time, 0.4)])))
+    bench.run(
+        0.6,
+        lambda time: (
+            [0, 0, 0],
+            Rotation.from_rotvec([0, 0, np.pi / 2 * ramp(time, 0.4)]),
+        ),
+    )
     angles = np.degrees(np.arctan2(middle()[:, 1], middle()[:, 0]))
     assert angles == pytest.approx([45.0, 135.0], abs=0.3)
     assert np.abs(bench.data.qvel).max() < 0.05
@@ -239,9 +328,13 @@ def test_quarter_turn() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "move_m", [(0.06, 0.0, -0.0015), (0.0, 0.0, 0.009), (0.0, 0.0, -0.009)], ids=["shear", "stretch", "compress"]
+    "move_m",
+    [(0.06, 0.0, -0.0015), (0.0, 0.0, 0.009), (0.0, 0.0, -0.009)],
+    ids=["shear", "stretch", "compress"],
 )
-def test_large_motions_leave_the_middle_half_way(move_m: tuple[float, float, float]) -> None:
+def test_large_motions_leave_the_middle_half_way(
+    move_m: tuple[float, float, float],
+) -> None:
     bench = Bench(block(poisson=0.34), depth_m=0.01285)
     middle = bench.part.track([[0.0, 0.0, 0.0]])
     bench.run(0.6, lambda time: (ramp(time, 0.4) * np.array(move_m), None))
@@ -254,16 +347,26 @@ def test_pressed_cube_does_not_sink_in() -> None:
     def add_cube(spec: mujoco.MjSpec) -> None:
         cube = spec.worldbody.add_body(name="cube", pos=[0.0, 0.0, 0.05])
         cube.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, name="cube", axis=[0, 0, 1])
-        cube.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.025] * 3, mass=1e3, contype=1, conaffinity=0)
+        cube.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.025] * 3,
+            mass=1e3,
+            contype=1,
+            conaffinity=0,
+        )
 
     body = block(poisson=0.23, euler_deg=(90.0, 0.0, 0.0))
-    bench = Bench(body, depth_m=0.01285, high=Motion.FIXED, more=add_cube, conaffinity=1)
+    bench = Bench(
+        body, depth_m=0.01285, high=Motion.FIXED, more=add_cube, conaffinity=1
+    )
     joint = bench.model.joint("cube")
     for index in range(90):
         bench.data.qpos[joint.qposadr[0]] = -0.03 * ramp(index, 72)
         bench.data.qvel[joint.dofadr[0]] = 0.0
         mujoco.mj_step(bench.model, bench.data, nstep=5)
-    under = (bench.part.rest_m[:, 2] > 0.0249) & (np.abs(bench.part.rest_m[:, 1]) < 0.0249)
+    under = (bench.part.rest_m[:, 2] > 0.0249) & (
+        np.abs(bench.part.rest_m[:, 1]) < 0.0249
+    )
     gap_m = 0.025 - 0.03 - bench.part.nodes()[under, 2]
     assert -2e-4 < gap_m.min() < 1e-3
     # Beam theory with shear: more than for a load on a line in the middle, less than if the foam stayed flat below.
@@ -312,7 +415,10 @@ def test_droop_of_a_row_of_four() -> None:
     bench.run(1.5)
     places, piece = np.linspace(0.0, 0.2, 2000, endpoint=False, retstep=True)
     kind = (places // 0.05).astype(int) % 2
-    young_pa, poisson = np.array([86410.0, 9285115.0])[kind], np.array([0.23, 0.49])[kind]
+    young_pa, poisson = (
+        np.array([86410.0, 9285115.0])[kind],
+        np.array([0.23, 0.49])[kind],
+    )
     load = np.array([12.8, 1072.8])[kind] * AREA_M2 * 0.098
     shear_n = np.cumsum(load[::-1])[::-1] * piece
     moment = np.cumsum(shear_n[::-1])[::-1] * piece
@@ -340,14 +446,25 @@ def test_row_of_four_swings_without_gaining_energy() -> None:
 
 
 def test_blocks_of_unequal_length_move_like_the_same_row_in_equal_pieces() -> None:
-    soft, heavy = {"young_pa": 2e5, "density": 1000.0}, {"young_pa": 4e5, "density": 5000.0}
+    soft, heavy = (
+        {"young_pa": 2e5, "density": 1000.0},
+        {"young_pa": 4e5, "density": 5000.0},
+    )
     turned = {"euler_deg": (-90.0, 0.0, 0.0)}
 
     def piece(name: str, low_m: float, length_m: float, kind: dict) -> SoftBody:
-        return block(name, centre_m=(0.0, low_m + 0.5 * length_m, 0.0), length_m=length_m, **turned, **kind)
+        return block(
+            name,
+            centre_m=(0.0, low_m + 0.5 * length_m, 0.0),
+            length_m=length_m,
+            **turned,
+            **kind,
+        )
 
     unequal = [piece("arm", 0.0, 0.15, soft), piece("end", 0.15, 0.05, heavy)]
-    equal = [piece(f"part-{index}", 0.05 * index, 0.05, soft) for index in range(3)] + [piece("tip", 0.15, 0.05, heavy)]
+    equal = [piece(f"part-{index}", 0.05 * index, 0.05, soft) for index in range(3)] + [
+        piece("tip", 0.15, 0.05, heavy)
+    ]
     paths = []
     for bodies, cells in ((unequal, (3, 1)), (equal, (1, 1))):
         bench = hanging(bodies, cells=cells)
@@ -374,12 +491,22 @@ def test_row_of_four_with_finer_cells() -> None:
     [
         ([block(euler_deg=(30.0, 0.0, 0.0))], {}, "right angles"),
         ([block("a"), block("b", centre_m=(0.0, 0.0, 0.21))], {}, "do not join"),
-        ([block("a"), block("b", length_m=0.0713, centre_m=(0.0, 0.0, 0.13565))], {}, "200, 71.3 mm: equal cells"),
+        (
+            [block("a"), block("b", length_m=0.0713, centre_m=(0.0, 0.0, 0.13565))],
+            {},
+            "200, 71.3 mm: equal cells",
+        ),
         ([block()], {"foam": [held("low", Motion.DYNAMIC)]}, "moves under forces"),
-        ([block()], {"foam": [held("low", Motion.FIXED), held("high", Motion.FIXED, axis="x")]}, "elsewhere"),
+        (
+            [block()],
+            {"foam": [held("low", Motion.FIXED), held("high", Motion.FIXED, axis="x")]},
+            "elsewhere",
+        ),
     ],
 )
-def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict, message: str) -> None:
+def test_what_cannot_be_built_is_named(
+    bodies: list[SoftBody], attachments: dict, message: str
+) -> None:
     spec = mujoco.MjSpec()
     for name in ("low", "high"):
         spec.worldbody.add_body(name=name)

@@ -44,13 +44,21 @@ def test_support_follows_the_installed_version() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"speculative": True}, r"'speculative': the installed MuJoCo 3\.11\.0 does not have it, .* MuJoCo 4\.0"),
+        (
+            {"speculative": True},
+            r"'speculative': the installed MuJoCo 3\.11\.0 does not have it, .* MuJoCo 4\.0",
+        ),
         ({"speculative": False}, "'speculative'.*leave it out"),
-        ({"integrator": "discrete"}, r"'integrator': the installed MuJoCo 3\.11\.0 has no value 'discrete'.*3\.13"),
+        (
+            {"integrator": "discrete"},
+            r"'integrator': the installed MuJoCo 3\.11\.0 has no value 'discrete'.*3\.13",
+        ),
         ({"preset": "rod"}, "'integrator'.*'discrete'"),
     ],
 )
-def test_a_setting_that_the_installed_version_lacks_is_an_error(settings: dict[str, object], message: str) -> None:
+def test_a_setting_that_the_installed_version_lacks_is_an_error(
+    settings: dict[str, object], message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         backend("mujoco").build(RIGID, settings)
 
@@ -63,11 +71,17 @@ def test_a_setting_that_the_installed_version_lacks_is_not_in_force() -> None:
 
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.since)
-def test_a_feature_is_installed_from_the_version_on_that_is_stated(feature: versions.Feature) -> None:
+def test_a_feature_is_installed_from_the_version_on_that_is_stated(
+    feature: versions.Feature,
+) -> None:
     installed = tuple(int(part) for part in mujoco.__version__.split(".")[:2])
-    assert feature.is_installed is (installed >= tuple(int(part) for part in feature.since.split(".")))
+    assert feature.is_installed is (
+        installed >= tuple(int(part) for part in feature.since.split("."))
+    )
 
 
 def test_constants_that_the_installed_version_lacks_are_left_out() -> None:
     names = {"Euler": "mjINT_EULER", "later": "mjINT_LATER"}
-    assert constants_of("mjtIntegrator", names) == {"Euler": mujoco.mjtIntegrator.mjINT_EULER}
+    assert constants_of("mjtIntegrator", names) == {
+        "Euler": mujoco.mjtIntegrator.mjINT_EULER
+    }

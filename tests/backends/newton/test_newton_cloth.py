@@ -59,7 +59,9 @@ def weight_n_per_m2(cloth: Cloth) -> float:
 
 def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> RigidAttachment:
     region = Region(axis=axis, side=side, depth_m=depth_m)  # type: ignore[arg-type]
-    return RigidAttachment(region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN)
+    return RigidAttachment(
+        region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN
+    )
 
 
 class Rig:
@@ -76,8 +78,12 @@ class Rig:
         cell_m: float = CELL_M,
     ) -> None:
         builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
-        settings = SettingsVBD(preset="rig", timestep_s=1 / rate_hz, iterations=iterations, cell_m=cell_m)
-        self.part: ClothPartNewton = add_cloth(builder, cloth, attachments=attachments, bodies={}, settings=settings)
+        settings = SettingsVBD(
+            preset="rig", timestep_s=1 / rate_hz, iterations=iterations, cell_m=cell_m
+        )
+        self.part: ClothPartNewton = add_cloth(
+            builder, cloth, attachments=attachments, bodies={}, settings=settings
+        )
         builder.color(include_bending=True)
         self.model = builder.finalize(device="cpu")
         self.stepper = StepperVBD(self.model, driven=[], settings=settings)
@@ -124,13 +130,19 @@ class Bench:
         self.parts: list[dict[str, ClothPartNewton]] = []
         for _ in range(worlds):
             builder.begin_world()
-            index = add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0))
+            index = add_bodies(
+                builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0)
+            )
             parts = {}
             for cloth in scene.deformables:
                 assert isinstance(cloth, Cloth)
                 attachments = rigid_attachments(scene, cloth.name)
                 parts[cloth.name] = add_cloth(
-                    builder, cloth, attachments=attachments, bodies=index.bodies, settings=settings
+                    builder,
+                    cloth,
+                    attachments=attachments,
+                    bodies=index.bodies,
+                    settings=settings,
                 )
             apply_contacts(contacts, builder, index.shapes)
             builder.end_world()
@@ -139,8 +151,17 @@ class Bench:
         builder.color(include_bending=True)
         self.stepper = StepperVBD(
             builder.finalize(device="cpu"),
-            driven=[index.bodies[driver.body] for index in self.indices for driver in scene.drivers],
-            pins=[pin for parts in self.parts for part in parts.values() for pin in part.pins],
+            driven=[
+                index.bodies[driver.body]
+                for index in self.indices
+                for driver in scene.drivers
+            ],
+            pins=[
+                pin
+                for parts in self.parts
+                for part in parts.values()
+                for pin in part.pins
+            ],
             settings=settings,
             contacts=contacts,
             contact_stiffness_n_per_m=max(
@@ -150,7 +171,9 @@ class Bench:
             ),
         )
         self.stepper.record()
-        self.paths = [DriverPath(driver, scene, frame_count=200) for driver in scene.drivers]
+        self.paths = [
+            DriverPath(driver, scene, frame_count=200) for driver in scene.drivers
+        ]
         self.sample = 0
 
     def nodes(self, name: str = "textile", world: int = 0) -> np.ndarray:
@@ -179,16 +202,24 @@ class Bench:
 
 def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
     """Strain of each edge of the mesh along warp and weft."""
-    edges = np.unique(np.sort(part.grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = np.unique(
+        np.sort(part.grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1),
+        axis=0,
+    )
     rest = np.linalg.norm(part.rest_m[edges[:, 1]] - part.rest_m[edges[:, 0]], axis=1)
     edges, rest = edges[rest < 1.2 * rest.min()], rest[rest < 1.2 * rest.min()]
-    return np.linalg.norm(nodes_m[edges[:, 1]] - nodes_m[edges[:, 0]], axis=1) / rest - 1.0
+    return (
+        np.linalg.norm(nodes_m[edges[:, 1]] - nodes_m[edges[:, 0]], axis=1) / rest - 1.0
+    )
 
 
 # --- elasticity ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*FABRICS[:2], *(pytest.param(one, marks=pytest.mark.slow) for one in FABRICS[2:])])
+@pytest.mark.parametrize(
+    "name",
+    [*FABRICS[:2], *(pytest.param(one, marks=pytest.mark.slow) for one in FABRICS[2:])],
+)
 def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
     """Its end sinks by weight times length squared over twice the stiffness, with the iterations that a run has."""
     length_m = 0.4
@@ -196,7 +227,9 @@ def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
     rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
     rig.stepper.advance(1.0)
     low = np.isclose(rig.part.rest_m[:, 2], -0.5 * length_m)
-    expected = weight_n_per_m2(cloth) * length_m**2 / (2.0 * cloth.stretch_stiffness_n_per_m)
+    expected = (
+        weight_n_per_m2(cloth) * length_m**2 / (2.0 * cloth.stretch_stiffness_n_per_m)
+    )
     assert -rig.moved_m[low, 2].mean() == pytest.approx(expected, rel=0.02)
     # Nothing breaks the symmetry of a flat sheet, so what leaves its plane would be a mistake.
     assert np.abs(rig.moved_m[:, 0]).max() < 1e-6
@@ -220,17 +253,29 @@ def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> N
     walls = [pinned("x"), pinned("x", "high")]
     rig = Rig(cloth, walls, gravity_m_per_s2=(0.0, -GRAVITY_M_PER_S2, 0.0))
     rig.stepper.advance(0.5)
-    middle = np.isclose(rig.part.rest_m[:, 0], 0.0) & (np.abs(rig.part.rest_m[:, 1]) < 0.06)
-    expected = weight_n_per_m2(cloth) * span_m**2 / (8.0 * cloth.shear_stiffness_n_per_m)
+    middle = np.isclose(rig.part.rest_m[:, 0], 0.0) & (
+        np.abs(rig.part.rest_m[:, 1]) < 0.06
+    )
+    expected = (
+        weight_n_per_m2(cloth) * span_m**2 / (8.0 * cloth.shear_stiffness_n_per_m)
+    )
     assert -rig.moved_m[middle, 1].mean() == pytest.approx(expected, rel=0.01)
 
 
-def heavy_elastica_sag_m(load_per_bending: float, length_m: float, bare_m: float) -> float:
+def heavy_elastica_sag_m(
+    load_per_bending: float, length_m: float, bare_m: float
+) -> float:
     """How far the tip of a clamped strip sinks; it has no weight within `bare_m` of the clamp."""
 
     def slope(s: np.ndarray, state: np.ndarray, share: float) -> np.ndarray:
         beyond = length_m - np.maximum(s, bare_m)
-        return np.vstack([state[1], -share * load_per_bending * beyond * np.cos(state[0]), np.sin(state[0])])
+        return np.vstack(
+            [
+                state[1],
+                -share * load_per_bending * beyond * np.cos(state[0]),
+                np.sin(state[0]),
+            ]
+        )
 
     s, state = np.linspace(0.0, length_m, 200), np.zeros((3, 200))
     for share in np.linspace(0.1, 1.0, 10):
@@ -260,11 +305,15 @@ def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None
     cloth = fabric("satin", size if axis == "x" else size[::-1])
     intended = weight_n_per_m2(cloth) * free_m**3 / 5.0
     cloth = replace(cloth, bend_stiffness_n_m_per_rad=intended)
-    rig = Rig(cloth, [pinned(axis, depth_m=CELL_M)], rate_hz=360, iterations=40).settle(1.5)
+    rig = Rig(cloth, [pinned(axis, depth_m=CELL_M)], rate_hz=360, iterations=40).settle(
+        1.5
+    )
     tip = np.isclose(rig.part.rest_m[:, "xy".index(axis)], 0.5 * size[0])
     # Interior edges: two legs and a diagonal a cell. The rim's legs bring the mean of this mesh from 0.879 to 0.885.
     bending = 0.885 * intended
-    expected = heavy_elastica_sag_m(weight_n_per_m2(cloth) / bending, free_m + 0.5 * CELL_M, 0.5 * CELL_M)
+    expected = heavy_elastica_sag_m(
+        weight_n_per_m2(cloth) / bending, free_m + 0.5 * CELL_M, 0.5 * CELL_M
+    )
     assert expected > 0.5 * free_m
     assert -rig.moved_m[tip, 2].mean() == pytest.approx(expected, rel=tolerance)
 
@@ -272,10 +321,14 @@ def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None
 def energy_j(rig: Rig) -> float:
     """Kinetic, potential and elastic energy, from the laws that Newton's documentation states."""
     model, state = rig.model, rig.stepper.now
-    x, v = (array.numpy().astype(float) for array in (state.particle_q, state.particle_qd))
+    x, v = (
+        array.numpy().astype(float) for array in (state.particle_q, state.particle_qd)
+    )
     masses = model.particle_mass.numpy().astype(float)
     corners = x[model.tri_indices.numpy()]
-    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
+    sides = np.stack(
+        [corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1
+    )
     gradient = sides @ model.tri_poses.numpy().astype(float)
     mu, lame = model.tri_materials.numpy()[:, :2].astype(float).T
     lame = lame + mu
@@ -287,10 +340,18 @@ def energy_j(rig: Rig) -> float:
     a, b, c, d = x[edges[inner]].transpose(1, 0, 2)
     first, second = np.cross(c - a, d - a), np.cross(d - b, c - b)
     along = (d - c) / np.linalg.norm(d - c, axis=1, keepdims=True)
-    angle = np.arctan2((np.cross(first, second) * along).sum(axis=1), (first * second).sum(axis=1))
-    hinges = model.edge_bending_properties.numpy()[inner, 0] * model.edge_rest_length.numpy()[inner]
+    angle = np.arctan2(
+        (np.cross(first, second) * along).sum(axis=1), (first * second).sum(axis=1)
+    )
+    hinges = (
+        model.edge_bending_properties.numpy()[inner, 0]
+        * model.edge_rest_length.numpy()[inner]
+    )
     return float(
-        (0.5 * masses * np.square(v).sum(axis=1) + GRAVITY_M_PER_S2 * masses * x[:, 2]).sum()
+        (
+            0.5 * masses * np.square(v).sum(axis=1)
+            + GRAVITY_M_PER_S2 * masses * x[:, 2]
+        ).sum()
         + (model.tri_areas.numpy() * (stretch + spread)).sum()
         + (0.5 * hinges * angle**2).sum()
     )
@@ -338,7 +399,9 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
     for sample in range(90):
         bench.step()
         rod, velocity, _ = bench.paths[0].interval(sample + 1, np.zeros(1))
-        worst = max(worst, float(np.abs(bench.nodes()[held] - rod.to_world(arms)).max()))
+        worst = max(
+            worst, float(np.abs(bench.nodes()[held] - rod.to_world(arms)).max())
+        )
         strain = max(strain, float(strains(part, bench.nodes()).max()))
     assert worst < 2e-7
     assert 0.001 < strain < 0.01
@@ -354,7 +417,9 @@ def test_reset_and_restore_repeat_bit_for_bit() -> None:
     first = bench.play(0.1)
     state, later = bench.stepper.state(), bench.play(0.1)
     bench.reset()
-    assert np.array_equal(bench.nodes(), bench.parts[0]["textile"].rest_m.astype(np.float32))
+    assert np.array_equal(
+        bench.nodes(), bench.parts[0]["textile"].rest_m.astype(np.float32)
+    )
     assert np.array_equal(bench.play(0.1), first)
     bench.play(0.1)
     bench.stepper.restore(state)
@@ -386,7 +451,9 @@ def test_a_face_or_a_dynamic_body_cannot_be_attached() -> None:
 # --- contact ---------------------------------------------------------------------------------------------------------
 
 
-def body(name: str, shape: Box | Sphere, pose: Pose, motion: Motion = Motion.FIXED) -> RigidBody:
+def body(
+    name: str, shape: Box | Sphere, pose: Pose, motion: Motion = Motion.FIXED
+) -> RigidBody:
     return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=1.0)
 
 
@@ -394,7 +461,9 @@ def touching(first: str, second: str, friction: float = 0.0) -> Contact:
     return Contact(first=(first,), second=(second,), friction=friction, restitution=0.0)
 
 
-def sheet(name: str, size_m: tuple[float, float], pose: Pose, as_name: str = "textile") -> Cloth:
+def sheet(
+    name: str, size_m: tuple[float, float], pose: Pose, as_name: str = "textile"
+) -> Cloth:
     return replace(fabric(name, size_m, pose), name=as_name)
 
 
@@ -420,8 +489,14 @@ def test_cloth_stays_on_a_slope_that_holds_it() -> None:
 
 def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
     scene = on_a_slope(0.3, 0.0)
-    other = body("other", Box(size_m=(0.1, 0.1, 0.1)), Pose(position_m=(0.3, 0.0, 0.06)))
-    scene = replace(scene, bodies=(*scene.bodies, other), contacts=(touching("textile", "other", 0.3),))
+    other = body(
+        "other", Box(size_m=(0.1, 0.1, 0.1)), Pose(position_m=(0.3, 0.0, 0.06))
+    )
+    scene = replace(
+        scene,
+        bodies=(*scene.bodies, other),
+        contacts=(touching("textile", "other", 0.3),),
+    )
     bench = Bench(scene)
     bench.play(0.2)
     assert bench.nodes()[:, 2].max() < -0.15
@@ -429,12 +504,23 @@ def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
 
 @pytest.mark.slow
 def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
-    ball = body("ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085)))
+    ball = body(
+        "ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085))
+    )
     scene = Scene(
-        bodies=(ball, body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))),
+        bodies=(
+            ball,
+            body(
+                "frame",
+                Box(size_m=(0.01, 0.01, 0.01)),
+                Pose(position_m=(0.0, 0.0, 1.0)),
+            ),
+        ),
         deformables=(sheet("satin", (0.2, 0.2), ORIGIN),),
         attachments=tuple(
-            Attachment(deformable="textile", region=Region(axis=axis, side=side), to="frame")  # type: ignore[arg-type]
+            Attachment(
+                deformable="textile", region=Region(axis=axis, side=side), to="frame"
+            )  # type: ignore[arg-type]
             for axis in "xy"
             for side in ("low", "high")
         ),
@@ -457,19 +543,28 @@ def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
 @pytest.mark.slow
 def test_cloth_rests_on_cloth() -> None:
     """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
-    corners = body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))
+    corners = body(
+        "frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0))
+    )
     scene = Scene(
         bodies=(corners,),
         deformables=(
             sheet("uniform", (0.3, 0.3), ORIGIN, "taut"),
-            sheet("uniform", (0.15, 0.15), Pose(position_m=(0.004, 0.003, 0.02)), "loose"),
+            sheet(
+                "uniform", (0.15, 0.15), Pose(position_m=(0.004, 0.003, 0.02)), "loose"
+            ),
         ),
         attachments=tuple(
-            Attachment(deformable="taut", region=Region(axis=axis, side=side), to="frame")  # type: ignore[arg-type]
+            Attachment(
+                deformable="taut", region=Region(axis=axis, side=side), to="frame"
+            )  # type: ignore[arg-type]
             for axis in "xy"
             for side in ("low", "high")
         ),
-        contacts=tuple(touching(a, b, 0.3) for a, b in (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))),
+        contacts=tuple(
+            touching(a, b, 0.3)
+            for a, b in (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))
+        ),
         duration_s=1.0,
     )
     bench = Bench(scene)
@@ -491,7 +586,9 @@ def test_every_pair_gets_its_own_friction() -> None:
     for contact in scene.contacts:
         for first in contact.first:
             for second in contact.second:
-                assert np.sqrt(sides[first] * sides[second]) == pytest.approx(contact.friction, rel=1e-6)
+                assert np.sqrt(sides[first] * sides[second]) == pytest.approx(
+                    contact.friction, rel=1e-6
+                )
     assert contacts.touched == {"cube", "table"}
     assert not contacts.itself
 

@@ -50,11 +50,15 @@ QUICK = {"timestep_s": 1 / 3600, "cell_m": 0.02, "rope_strain": 2e-3}
 """Settings of ropes in tests."""
 
 
-def rope(direction: tuple[float, float, float] = (1.0, 0.0, 0.0), *, start: bool = True) -> Rope:
+def rope(
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0), *, start: bool = True
+) -> Rope:
     """A rope along a direction, with its low end or its middle at the origin."""
     turn = Rotation.align_vectors([direction], [[1.0, 0.0, 0.0]])[0]
     w, x, y, z = turn.as_quat(scalar_first=True).tolist()
-    middle = tuple((0.5 * ROPE_M * np.array(direction) if start else np.zeros(3)).tolist())
+    middle = tuple(
+        (0.5 * ROPE_M * np.array(direction) if start else np.zeros(3)).tolist()
+    )
     return Rope(
         name="rope",
         pose=Pose(position_m=middle, quaternion=(w, x, y, z)),
@@ -79,21 +83,39 @@ def rod(young_pa: float = SOFT_PA, *, length_m: float = ROD_M) -> Rod:
 
 
 def holder(motion: Motion = Motion.FIXED) -> RigidBody:
-    return RigidBody(name="top", shape=Box(size_m=(0.05, 0.05, 0.05)), motion=motion, pose=TOP, mass_kg=1.0)
+    return RigidBody(
+        name="top",
+        shape=Box(size_m=(0.05, 0.05, 0.05)),
+        motion=motion,
+        pose=TOP,
+        mass_kg=1.0,
+    )
 
 
 def ball(name: str, place_m: NDArray[np.float64]) -> RigidBody:
     pose = Pose(position_m=tuple(place_m.tolist()))
-    return RigidBody(name=name, shape=Sphere(radius_m=BALL_M), motion=Motion.DYNAMIC, pose=pose, mass_kg=BALL_KG)
+    return RigidBody(
+        name=name,
+        shape=Sphere(radius_m=BALL_M),
+        motion=Motion.DYNAMIC,
+        pose=pose,
+        mass_kg=BALL_KG,
+    )
 
 
-def ball_on_rope(direction: tuple[float, float, float], motion: Motion = Motion.FIXED) -> Scene:
+def ball_on_rope(
+    direction: tuple[float, float, float], motion: Motion = Motion.FIXED
+) -> Scene:
     return Scene(
         bodies=(holder(motion), ball("ball", (ROPE_M + BALL_M) * np.array(direction))),
         deformables=(rope(direction),),
         attachments=(
-            Attachment(deformable="rope", region=Region(axis="x", side="low"), to="top"),
-            Attachment(deformable="rope", region=Region(axis="x", side="high"), to="ball"),
+            Attachment(
+                deformable="rope", region=Region(axis="x", side="low"), to="top"
+            ),
+            Attachment(
+                deformable="rope", region=Region(axis="x", side="high"), to="ball"
+            ),
         ),
         duration_s=1.0,
     )
@@ -105,7 +127,9 @@ def build(scene: Scene, **settings: object) -> Simulation:
     return simulation
 
 
-def run(world: World, advance, scene: Scene, samples: int, name: str) -> NDArray[np.float64]:
+def run(
+    world: World, advance, scene: Scene, samples: int, name: str
+) -> NDArray[np.float64]:
     """Nodes of a line after each interval, driven as the scene says, shape [samples, node_count, 3]."""
     paths = [DriverPath(driver, scene, samples // 6 + 2) for driver in scene.drivers]
     nodes = []
@@ -130,14 +154,18 @@ def test_rope_carries_a_ball() -> None:
     """Its springs bounce about the length that the load asks for; at a held end they are twice as stiff."""
     scene = ball_on_rope((0.0, 0.0, -1.0))
     simulation = build(scene, **QUICK)
-    assert np.linalg.norm(np.diff(simulation.nodes("rope"), axis=0), axis=1) == pytest.approx(0.02, abs=1e-7)
+    assert np.linalg.norm(
+        np.diff(simulation.nodes("rope"), axis=0), axis=1
+    ) == pytest.approx(0.02, abs=1e-7)
     strains = strain(run(simulation, simulation.advance, scene, 60, "rope"))
     static = QUICK["rope_strain"]
     assert strains.min() > 0.0
     assert strains.max() < 2.1 * static
     assert strains.mean() == pytest.approx(static, rel=0.2)
     low = simulation.body_states(["ball"])[0, :3]
-    assert simulation.nodes("rope")[-1] == pytest.approx(low + np.array([0.0, 0.0, BALL_M]), abs=1e-4)
+    assert simulation.nodes("rope")[-1] == pytest.approx(
+        low + np.array([0.0, 0.0, BALL_M]), abs=1e-4
+    )
 
 
 def test_ball_swings_from_level_like_a_pendulum() -> None:
@@ -146,13 +174,18 @@ def test_ball_swings_from_level_like_a_pendulum() -> None:
     strains = strain(run(simulation, simulation.advance, scene, 54, "rope"))
     assert np.abs(strains).max() < 6e-3
     fall = solve_ivp(
-        lambda _, s: [s[1], GRAVITY_M_PER_S2 / (ROPE_M + BALL_M) * cos(s[0])], (0.0, 0.3), [0.0, 0.0], rtol=1e-9
+        lambda _, s: [s[1], GRAVITY_M_PER_S2 / (ROPE_M + BALL_M) * cos(s[0])],
+        (0.0, 0.3),
+        [0.0, 0.0],
+        rtol=1e-9,
     )
     angle = fall.y[0, -1]
     expected = (ROPE_M + BALL_M) * np.array([cos(angle), 0.0, -sin(angle)])
     state = simulation.body_states(["ball"])[0]
     assert state[:3] == pytest.approx(expected, abs=4e-3)
-    assert np.linalg.norm(state[7:10]) == pytest.approx((ROPE_M + BALL_M) * fall.y[1, -1], rel=0.02)
+    assert np.linalg.norm(state[7:10]) == pytest.approx(
+        (ROPE_M + BALL_M) * fall.y[1, -1], rel=0.02
+    )
 
 
 @pytest.mark.slow
@@ -160,11 +193,15 @@ def test_rope_follows_a_driven_body() -> None:
     simulation = build(ball_on_rope((0.0, 0.0, -1.0), Motion.KINEMATIC), **QUICK)
     for index in range(36):
         pose = Pose(position_m=(0.0, 0.0, 1e-3 * index))
-        simulation.drive("top", pose, np.array([0.0, 0.0, 0.18, 0.0, 0.0, 0.0]), np.zeros(6))
+        simulation.drive(
+            "top", pose, np.array([0.0, 0.0, 0.18, 0.0, 0.0, 0.0]), np.zeros(6)
+        )
         simulation.advance(SAMPLE_INTERVAL_S)
     # The node is half way along the spring at the end, which the ball's weight stretches by 15 micrometres.
     assert simulation.nodes("rope")[0] == pytest.approx([0.0, 0.0, 0.036], abs=3e-5)
-    assert simulation.body_states(["ball"])[0, 2] == pytest.approx(0.036 - ROPE_M - BALL_M, abs=2e-3)
+    assert simulation.body_states(["ball"])[0, 2] == pytest.approx(
+        0.036 - ROPE_M - BALL_M, abs=2e-3
+    )
 
 
 @pytest.mark.slow
@@ -174,7 +211,9 @@ def test_two_balls_hang_over_a_beam() -> None:
     scene = replace(
         scene,
         bodies=tuple(body for body in scene.bodies if body.name in names),
-        contacts=tuple(c for c in scene.contacts if (c.first, c.second) == (("rope",), ("beam",))),
+        contacts=tuple(
+            c for c in scene.contacts if (c.first, c.second) == (("rope",), ("beam",))
+        ),
         drivers=(),
     )
     simulation = build(scene)
@@ -186,8 +225,13 @@ def test_two_balls_hang_over_a_beam() -> None:
     assert 0.0068 < np.linalg.norm((nodes[-1, 17] - middle)[[0, 2]]) < 0.0097
     energy = sum(
         BALL_KG
-        * (0.5 * np.square(state[7:10]).sum() + GRAVITY_M_PER_S2 * (state[2] - scene.body(name).pose.position_m[2]))
-        for name, state in zip(names[:2], simulation.body_states(names[:2]), strict=True)
+        * (
+            0.5 * np.square(state[7:10]).sum()
+            + GRAVITY_M_PER_S2 * (state[2] - scene.body(name).pose.position_m[2])
+        )
+        for name, state in zip(
+            names[:2], simulation.body_states(names[:2]), strict=True
+        )
     )
     assert -0.15 < energy < 1e-3
 
@@ -198,18 +242,29 @@ def test_two_balls_hang_over_a_beam() -> None:
 class Bench:
     """A rod that hangs from the origin without weight, loaded at its low end."""
 
-    def __init__(self, young_pa: float, motion: Motion, *, damping_s: float, depth_m: float = 0.0) -> None:
+    def __init__(
+        self, young_pa: float, motion: Motion, *, damping_s: float, depth_m: float = 0.0
+    ) -> None:
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
         top = -1
         if motion is Motion.KINEMATIC:
-            top = builder.add_body(is_kinematic=True, mass=1.0, inertia=wp.mat33(np.eye(3)))
+            top = builder.add_body(
+                is_kinematic=True, mass=1.0, inertia=wp.mat33(np.eye(3))
+            )
         grip = RigidAttachment(
-            region=Region(axis="z", side="high", depth_m=depth_m), body="top", motion=motion, pose=TOP
+            region=Region(axis="z", side="high", depth_m=depth_m),
+            body="top",
+            motion=motion,
+            pose=TOP,
         )
         body = replace(rod(young_pa), length_m=ROD_M + depth_m)
         body = replace(body, pose=Pose(position_m=(0.0, 0.0, 0.5 * (depth_m - ROD_M))))
-        settings = SettingsLines(preset="bench", timestep_s=1 / 3600, rod_damping_s=damping_s)
-        self.part = add_line(builder, body, attachments=[grip], bodies={"top": top}, settings=settings)
+        settings = SettingsLines(
+            preset="bench", timestep_s=1 / 3600, rod_damping_s=damping_s
+        )
+        self.part = add_line(
+            builder, body, attachments=[grip], bodies={"top": top}, settings=settings
+        )
         builder.color()
         self.builder = builder
         model = builder.finalize(device="cpu")
@@ -224,7 +279,12 @@ class Bench:
             pose = self.stepper.now.body_q.numpy()[self.part.segments[0]]
             arm = Rotation.from_quat(pose[3:]).apply([0.0, 0.0, -half])
             wrench = np.zeros((self.builder.body_count, 6), dtype=np.float32)
-            wrench[self.part.segments[0]] = [force_n, 0.0, 0.0, *np.cross(arm, [force_n, 0.0, 0.0])]
+            wrench[self.part.segments[0]] = [
+                force_n,
+                0.0,
+                0.0,
+                *np.cross(arm, [force_n, 0.0, 0.0]),
+            ]
             for state in self.stepper._states:
                 state.body_f.assign(wrench)
             self.stepper.advance(1 / 180)
@@ -238,10 +298,16 @@ def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
     length = ROD_M / 8
     inertia = np.array(bench.builder.body_inertia[0]).reshape(3, 3)
     across = (3 * ROD_RADIUS_M**2 + length**2) / 12
-    assert np.diag(inertia) == pytest.approx(masses[0] * np.array([across, across, 0.5 * ROD_RADIUS_M**2]))
+    assert np.diag(inertia) == pytest.approx(
+        masses[0] * np.array([across, across, 0.5 * ROD_RADIUS_M**2])
+    )
     # The tip in the grip is a node, too.
-    assert bench.part.rest_m[:, 2] == pytest.approx([*np.linspace(-ROD_M, 0.0, 9), 0.03])
-    assert bench.part.nodes(bench.stepper.now) == pytest.approx(bench.part.rest_m, abs=1e-8)
+    assert bench.part.rest_m[:, 2] == pytest.approx(
+        [*np.linspace(-ROD_M, 0.0, 9), 0.03]
+    )
+    assert bench.part.nodes(bench.stepper.now) == pytest.approx(
+        bench.part.rest_m, abs=1e-8
+    )
     assert bench.part.pins == ()
 
 
@@ -254,7 +320,9 @@ def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
         (HARD_PA, Motion.FIXED, 0.002, 8.5 / 2e5),
     ],
 )
-def test_clamped_rod_bends_as_theory_says(young_pa: float, motion: Motion, damping_s: float, slack: float) -> None:
+def test_clamped_rod_bends_as_theory_says(
+    young_pa: float, motion: Motion, damping_s: float, slack: float
+) -> None:
     rigidity = young_pa * pi / 4 * ROD_RADIUS_M**4
     force = 3e-3 * rigidity / ROD_M**3
     bench = Bench(young_pa, motion, damping_s=damping_s)
@@ -293,7 +361,9 @@ def test_points_on_the_surface_turn_with_the_rod() -> None:
     assert np.linalg.norm(tangent[:2]) > 0.1 * np.linalg.norm(tangent)
     assert np.linalg.norm(surface - centre) == pytest.approx(0.005)
     # Half way between nodes the line turns half as much as there.
-    assert (surface - centre) @ tangent / np.linalg.norm(tangent) == pytest.approx(0.0, abs=1e-4)
+    assert (surface - centre) @ tangent / np.linalg.norm(tangent) == pytest.approx(
+        0.0, abs=1e-4
+    )
     assert other[1] == pytest.approx(-0.005, abs=1e-6)
     with pytest.raises(ShapeError, match="beyond an end"):
         bench.part.track(np.array([[0.0, 0.0, -0.2]]))
@@ -316,10 +386,21 @@ def sliding_lag_m(scene: Scene, *, contact_n_per_m: float, stretch_n: float) -> 
         along_z = unknown[0] - weight * (body.length_m - s)
         x, z = np.sin(angle), -np.cos(angle)
         stretch = 1 + (along_x * x + along_z * z) / stretch_n
-        return np.array([moment / rigidity, stretch * (z * along_x - x * along_z), stretch * x, stretch * z])
+        return np.array(
+            [
+                moment / rigidity,
+                stretch * (z * along_x - x * along_z),
+                stretch * x,
+                stretch * z,
+            ]
+        )
 
     def ends(top, foot, unknown):
-        height = body.radius_m * (1 - np.cos(foot[0])) - unknown[0] / contact_n_per_m - body.length_m
+        height = (
+            body.radius_m * (1 - np.cos(foot[0]))
+            - unknown[0] / contact_n_per_m
+            - body.length_m
+        )
         return np.array([top[0], top[2], top[3], foot[1], foot[3] - height])
 
     s = np.linspace(0, body.length_m, 201)
@@ -331,7 +412,9 @@ def sliding_lag_m(scene: Scene, *, contact_n_per_m: float, stretch_n: float) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["soft", "hard"])
-def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str) -> None:
+def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(
+    name: str,
+) -> None:
     """The rod's own weight stretches it by 15 micrometres, and presses the foot on the board until it bends."""
     scene = load_experiment(f"StickStack-{name}").scene
     simulation = build(scene)
@@ -344,10 +427,15 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str)
     expected = sliding_lag_m(
         scene,
         contact_n_per_m=body.mass_kg * GRAVITY_M_PER_S2 / settings["contact_depth_m"],
-        stretch_n=min(body.young_modulus_pa * pi * ROD_RADIUS_M**2, settings["rod_joint_stiffness_n_per_m"] * segment),
+        stretch_n=min(
+            body.young_modulus_pa * pi * ROD_RADIUS_M**2,
+            settings["rod_joint_stiffness_n_per_m"] * segment,
+        ),
     )
     # Stiff: springs across give way by 2 %, and that the last half segment is rigid adds 7 % to the force.
-    assert lag[-45:].mean() == pytest.approx(expected, rel=0.02 if name == "soft" else 0.11)
+    assert lag[-45:].mean() == pytest.approx(
+        expected, rel=0.02 if name == "soft" else 0.11
+    )
     assert lag[-45:].std() < 0.005 * expected + 1e-6
     assert np.abs(nodes[:, :, 1] - body.pose.position_m[1]).max() < 1e-6
     marker = simulation.track("rod", np.array(scene.markers.positions_m))()
@@ -372,13 +460,21 @@ def test_rope_slides_down_a_slope(friction: float) -> None:
     )
     middle = slope.to_world(np.array([0.0, 0.0, ROPE_RADIUS_M]))
     line = replace(rope(), pose=replace(slope, position_m=tuple(middle.tolist())))
-    contact = Contact(first=("rope",), second=("board",), friction=friction, restitution=0.0)
-    scene = Scene(bodies=(board,), deformables=(line,), contacts=(contact,), duration_s=0.3)
+    contact = Contact(
+        first=("rope",), second=("board",), friction=friction, restitution=0.0
+    )
+    scene = Scene(
+        bodies=(board,), deformables=(line,), contacts=(contact,), duration_s=0.3
+    )
     simulation = build(scene, **QUICK)
     before = simulation.nodes("rope").mean(axis=0)
     run(simulation, simulation.advance, scene, 54, "rope")
-    way = slope.rotation.apply(simulation.nodes("rope").mean(axis=0) - before, inverse=True)
-    expected = 0.5 * GRAVITY_M_PER_S2 * (np.sin(angle) - friction * np.cos(angle)) * 0.3**2
+    way = slope.rotation.apply(
+        simulation.nodes("rope").mean(axis=0) - before, inverse=True
+    )
+    expected = (
+        0.5 * GRAVITY_M_PER_S2 * (np.sin(angle) - friction * np.cos(angle)) * 0.3**2
+    )
     assert way == pytest.approx([expected, 0.0, 0.0], abs=0.005 * expected)
 
 
@@ -401,7 +497,9 @@ def test_a_lines_course_repeats_bit_for_bit() -> None:
 @pytest.mark.slow
 def test_worlds_are_as_single_ones() -> None:
     scene = load_experiment("StickStack-soft").scene
-    lower = replace(scene.deformables[0], pose=Pose(position_m=(0.26265, 0.41963, 0.08915)))
+    lower = replace(
+        scene.deformables[0], pose=Pose(position_m=(0.26265, 0.41963, 0.08915))
+    )
     base = replace(scene.bodies[0], pose=Pose(position_m=(0.26265, 0.41963, 0.17615)))
     other = replace(scene, deformables=(lower,), bodies=(base, *scene.bodies[1:]))
     single = []
@@ -423,25 +521,43 @@ def test_worlds_are_as_single_ones() -> None:
 def test_presets_are_for_lines_or_not() -> None:
     scene = load_experiment("StickStack-soft").scene
     settings = build(scene).settings
-    assert (settings["preset"], settings["solver"], settings["cell_m"]) == ("rod", "SolverVBD", None)
+    assert (settings["preset"], settings["solver"], settings["cell_m"]) == (
+        "rod",
+        "SolverVBD",
+        None,
+    )
     assert len(build(scene).nodes("rod")) == ROD_SEGMENTS + 1
     for preset in ("cloth", "mpm", "rigid"):
         with pytest.raises(UnsupportedSceneError, match=preset):
             backend("newton").build(scene, {"preset": preset})
     with pytest.raises(UnsupportedSceneError, match="rope"):
-        backend("newton").build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "rope"})
+        backend("newton").build(
+            load_experiment("SlopeSlider-2-wood").scene, {"preset": "rope"}
+        )
 
 
 def test_what_cannot_be_built_is_named() -> None:
     engine = backend("newton")
-    missing = " ".join(engine.supports(load_experiment("RopeWinding-rubber").scene).missing)
-    assert "'ball-1' rebounds from 'billiard'" in missing and "geometric mean" in missing
+    missing = " ".join(
+        engine.supports(load_experiment("RopeWinding-rubber").scene).missing
+    )
+    assert (
+        "'ball-1' rebounds from 'billiard'" in missing and "geometric mean" in missing
+    )
     scene = ball_on_rope((1.0, 0.0, 0.0))
     region = Region(axis="x", side="low", depth_m=0.1)
     cases = [
-        (replace(scene, attachments=(replace(scene.attachments[0], region=region),)), "over a length"),
         (
-            replace(scene, attachments=(replace(scene.attachments[0], region=Region(axis="y", side="low")),)),
+            replace(scene, attachments=(replace(scene.attachments[0], region=region),)),
+            "over a length",
+        ),
+        (
+            replace(
+                scene,
+                attachments=(
+                    replace(scene.attachments[0], region=Region(axis="y", side="low")),
+                ),
+            ),
             "elsewhere",
         ),
         (replace(scene, deformables=(rope(), rod())), ""),
@@ -449,7 +565,13 @@ def test_what_cannot_be_built_is_named() -> None:
             replace(
                 scene,
                 contacts=(
-                    Contact(first=("rope",), second=("ball",), friction=0.3, restitution=0.5, mode=ContactMode.IMPACT),
+                    Contact(
+                        first=("rope",),
+                        second=("ball",),
+                        friction=0.3,
+                        restitution=0.5,
+                        mode=ContactMode.IMPACT,
+                    ),
                 ),
             ),
             "no restitution",
@@ -458,12 +580,24 @@ def test_what_cannot_be_built_is_named() -> None:
             replace(
                 scene,
                 deformables=(rope(), rod()),
-                attachments=(Attachment(deformable="rod", region=Region(axis="z", side="high"), to="rope"),),
+                attachments=(
+                    Attachment(
+                        deformable="rod",
+                        region=Region(axis="z", side="high"),
+                        to="rope",
+                    ),
+                ),
             ),
             "not a rigid body",
         ),
         (
-            replace(scene, deformables=(rope(), *load_experiment("FoamStretching-soft").scene.deformables)),
+            replace(
+                scene,
+                deformables=(
+                    rope(),
+                    *load_experiment("FoamStretching-soft").scene.deformables,
+                ),
+            ),
             "with rigid bodies only",
         ),
     ]
@@ -473,7 +607,10 @@ def test_what_cannot_be_built_is_named() -> None:
         assert message in " ".join(support.missing)
     with pytest.raises(UnsupportedSceneError, match="over all"):
         attachment = RigidAttachment(
-            region=Region(axis="z", side="high", depth_m=ROD_M), body="top", motion=Motion.FIXED, pose=TOP
+            region=Region(axis="z", side="high", depth_m=ROD_M),
+            body="top",
+            motion=Motion.FIXED,
+            pose=TOP,
         )
         add_line(
             newton.ModelBuilder(),

@@ -37,8 +37,21 @@ from gauge_envs.scene.meshes import mass_properties
 NEWTON = backend("newton")
 
 
-def solid(name: str, shape: object, position_m: tuple, *, motion: Motion = Motion.DYNAMIC, mass_kg: float = 0.1):
-    return RigidBody(name=name, shape=shape, motion=motion, pose=Pose(position_m=position_m), mass_kg=mass_kg)
+def solid(
+    name: str,
+    shape: object,
+    position_m: tuple,
+    *,
+    motion: Motion = Motion.DYNAMIC,
+    mass_kg: float = 0.1,
+):
+    return RigidBody(
+        name=name,
+        shape=shape,
+        motion=motion,
+        pose=Pose(position_m=position_m),
+        mass_kg=mass_kg,
+    )
 
 
 @pytest.mark.slow
@@ -50,49 +63,80 @@ def test_the_same_scene_in_two_engines_moves_alike() -> None:
             env.reset(seed=0)
             # Two swings of the pendulum, whose episode has 3000 frames.
             for _ in range(min(66, env.experiment.frame_count - 1)):
-                env.step(np.zeros(env.action_space.shape) if env.action_space.shape else 0)
+                env.step(
+                    np.zeros(env.action_space.shape) if env.action_space.shape else 0
+                )
             courses.append(env.trajectory().samples)
         moved = np.linalg.norm(np.ptp(courses[0], axis=0))
-        assert np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean()) < 0.03 * moved
+        assert (
+            np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean())
+            < 0.03 * moved
+        )
 
 
 def test_worlds_are_the_single_simulation_bit_for_bit() -> None:
     still = Jitter(position_m=0.0, angle_rad=0.0)
     single = run_episode(RunRequest("Turntable-2-wood", backend="newton")).trajectory
     assert [
-        r.trajectory for r in run_episodes(RunRequest("Turntable-2-wood", repeats=3, backend="newton", jitter=still))
+        r.trajectory
+        for r in run_episodes(
+            RunRequest("Turntable-2-wood", repeats=3, backend="newton", jitter=still)
+        )
     ] == [single] * 3
 
 
 @pytest.mark.slow
 def test_worlds_start_apart_and_do_not_meet() -> None:
-    results = run_episodes(RunRequest("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1))
-    singles = run_episodes(RunRequest("SlopeSlider-2-wood", jitter=Jitter(), backend="newton", seed=4))
+    results = run_episodes(
+        RunRequest("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1)
+    )
+    singles = run_episodes(
+        RunRequest("SlopeSlider-2-wood", jitter=Jitter(), backend="newton", seed=4)
+    )
     assert len({result.score.rmse for result in results}) == 6
     assert results[3].trajectory == singles[0].trajectory
 
 
-def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitution() -> None:
+def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitution() -> (
+    None
+):
     """Newton keeps constants with shapes; here three bodies touch with three, so that none has them all.
 
     The cart brakes with (0.3 * 2 - 0.1) g, the load on it with 0.1 g. A ball rebounds from either with its own speed.
     """
     friction = {("cart", "floor"): 0.3, ("load", "cart"): 0.1, ("load", "floor"): 0.2}
-    restitution = {("first", "floor"): 0.8, ("second", "floor"): 0.4, ("first", "second"): 0.2}
+    restitution = {
+        ("first", "floor"): 0.8,
+        ("second", "floor"): 0.4,
+        ("first", "second"): 0.2,
+    }
     solids = (
-        solid("floor", Box(size_m=(4.0, 4.0, 0.1)), (0.0, 0.0, -0.05), motion=Motion.FIXED),
-        replace(
-            solid("cart", Box(size_m=(0.4, 0.2, 0.05)), (0.0, 0.0, 0.025)), linear_velocity_m_per_s=(1.0, 0.0, 0.0)
+        solid(
+            "floor", Box(size_m=(4.0, 4.0, 0.1)), (0.0, 0.0, -0.05), motion=Motion.FIXED
         ),
         replace(
-            solid("load", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.075)), linear_velocity_m_per_s=(1.0, 0.0, 0.0)
+            solid("cart", Box(size_m=(0.4, 0.2, 0.05)), (0.0, 0.0, 0.025)),
+            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
+        ),
+        replace(
+            solid("load", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.075)),
+            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
         ),
         solid("first", Sphere(radius_m=0.02), (1.0, 1.0, 0.22)),
         solid("second", Sphere(radius_m=0.02), (-1.0, 1.0, 0.22)),
     )
-    contacts = [Contact(first=(x,), second=(y,), friction=mu, restitution=0.0) for (x, y), mu in friction.items()]
+    contacts = [
+        Contact(first=(x,), second=(y,), friction=mu, restitution=0.0)
+        for (x, y), mu in friction.items()
+    ]
     contacts += [
-        Contact(first=(x,), second=(y,), friction=0.0, restitution=e, mode=ContactMode.IMPACT)
+        Contact(
+            first=(x,),
+            second=(y,),
+            friction=0.0,
+            restitution=e,
+            mode=ContactMode.IMPACT,
+        )
         for (x, y), e in restitution.items()
     ]
     scene = Scene(bodies=solids, contacts=tuple(contacts), duration_s=0.5)
@@ -105,7 +149,9 @@ def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitutio
     assert braked / (GRAVITY_M_PER_S2 * 0.1) == pytest.approx([0.5, 0.1], rel=0.02)
     simulation.advance(0.1)
     fallen = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.2)
-    rebounds = simulation.body_states(["first", "second"])[:, 9] + GRAVITY_M_PER_S2 * (0.25 - fallen / GRAVITY_M_PER_S2)
+    rebounds = simulation.body_states(["first", "second"])[:, 9] + GRAVITY_M_PER_S2 * (
+        0.25 - fallen / GRAVITY_M_PER_S2
+    )
     assert rebounds / fallen == pytest.approx([0.8, 0.4], abs=0.01)
 
 
@@ -113,12 +159,20 @@ def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
     """A board carries neither; the two bodies on it do (MuJoCo's maximum would give both the larger)."""
     scene = Scene(
         bodies=(
-            solid("board", Box(size_m=(2.0, 1.0, 0.02)), (0.0, 0.0, 0.5), motion=Motion.KINEMATIC, mass_kg=1.0),
+            solid(
+                "board",
+                Box(size_m=(2.0, 1.0, 0.02)),
+                (0.0, 0.0, 0.5),
+                motion=Motion.KINEMATIC,
+                mass_kg=1.0,
+            ),
             solid("slick", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.2, 0.535)),
             solid("rough", Box(size_m=(0.05, 0.05, 0.05)), (0.0, -0.2, 0.535)),
         ),
         contacts=(
-            Contact(first=("slick",), second=("board",), friction=0.05, restitution=0.0),
+            Contact(
+                first=("slick",), second=("board",), friction=0.05, restitution=0.0
+            ),
             Contact(first=("rough",), second=("board",), friction=0.5, restitution=0.0),
         ),
         duration_s=1.0,
@@ -130,7 +184,9 @@ def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
         t = k / 180
         place = Pose(position_m=(0.5 * 2.0 * t * t, 0.0, pose.position_m[2]))
         speed[0] = 2.0 * t
-        simulation.drive("board", place, speed, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        simulation.drive(
+            "board", place, speed, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        )
         simulation.advance(1 / 180)
     speeds = simulation.body_states(["slick", "rough"])[:, 7]
     assert speeds[0] == pytest.approx(0.05 * GRAVITY_M_PER_S2 * 0.2, rel=0.03)
@@ -153,15 +209,21 @@ def test_inertia_of_solids(shape: object, inertia: np.ndarray) -> None:
 
 def test_inertia_of_a_union_is_that_of_its_pieces_about_their_common_centre() -> None:
     """A box cut in two unequal pieces is the box; one of the pieces alone lies off the origin."""
-    corners = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.05) for z in (-0.02, 0.02)])
+    corners = np.array(
+        [[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.05) for z in (-0.02, 0.02)]
+    )
     low, high = corners.copy(), corners.copy()
     low[:, 0] = np.where(low[:, 0] > 0, 0.03, -0.1)
     high[:, 0] = np.where(high[:, 0] < 0, 0.03, 0.1)
     pieces = tuple(tuple(map(tuple, piece.tolist())) for piece in (low, high))
     centre, matrix = mass_properties(ConvexUnion(pieces_m=pieces), 2.0)
     assert centre == pytest.approx(np.zeros(3), abs=1e-12)
-    assert matrix == pytest.approx(mass_properties(Box(size_m=(0.2, 0.1, 0.04)), 2.0)[1], abs=1e-12)
-    assert mass_properties(ConvexUnion(pieces_m=pieces[:1]), 2.0)[0] == pytest.approx([-0.035, 0.0, 0.0])
+    assert matrix == pytest.approx(
+        mass_properties(Box(size_m=(0.2, 0.1, 0.04)), 2.0)[1], abs=1e-12
+    )
+    assert mass_properties(ConvexUnion(pieces_m=pieces[:1]), 2.0)[0] == pytest.approx(
+        [-0.035, 0.0, 0.0]
+    )
 
 
 def test_models_share_the_kernels_of_their_collision_pipelines() -> None:
@@ -214,7 +276,9 @@ def test_meshes_that_touch_in_one_point_creep_as_published() -> None:
     """The published Newton creeps by 14.6 mm on 10 degrees; boxes with four contact points hold."""
     scores = {
         preset: run_episode(
-            RunRequest("SlopeSlider-1-wood", backend="newton", settings={"preset": preset})
+            RunRequest(
+                "SlopeSlider-1-wood", backend="newton", settings={"preset": preset}
+            )
         ).score.rmse_normalized
         for preset in ("paper", "out_of_box")
     }
@@ -230,7 +294,9 @@ def test_importing_the_package_does_not_import_the_engine() -> None:
         "gymnasium.make('GAUGE/SlopeSlider-2-wood').reset()\n"
         "print([name for name in ('warp', 'newton', 'mujoco_warp') if name in sys.modules])"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert found.stdout.strip() == "[]"
 
 
@@ -244,6 +310,8 @@ def test_without_the_extra_the_error_names_the_pip_command() -> None:
         "except gauge_envs.GaugeError as error:\n"
         "    print(type(error).__name__, error)"
     )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert found.stdout.startswith(MissingExtraError.__name__)
     assert "pip install 'gauge-envs[newton]'" in found.stdout

@@ -20,7 +20,18 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.scene import Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene, SoftBody
+from gauge_envs.scene import (
+    Attachment,
+    Box,
+    Cloth,
+    Contact,
+    Motion,
+    Pose,
+    Region,
+    RigidBody,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.jitter import jittered
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -39,9 +50,15 @@ def run(
     proxy: str = "material",
 ) -> GaugeEnv:
     """Environment some frames after its start, with the recorded motion."""
-    env = gymnasium.make(f"GAUGE/{name}", backend=engine, settings=settings, marker_proxy=proxy)
+    env = gymnasium.make(
+        f"GAUGE/{name}", backend=engine, settings=settings, marker_proxy=proxy
+    )
     env.reset(seed=0)
-    zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    zero = (
+        0
+        if isinstance(env.action_space, gymnasium.spaces.Discrete)
+        else np.zeros(env.action_space.shape)
+    )
     for _ in range(frames):
         *_, terminated, _, info = env.step(zero)
         assert not terminated, info
@@ -53,7 +70,9 @@ def markers_mm(env: GaugeEnv) -> NDArray[np.float64]:
     return 1e3 * env.trajectory().markers_m
 
 
-def distance_mm(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+def distance_mm(
+    one: NDArray[np.float64], other: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Root mean square distance of markers in each frame, shape [frame_count]."""
     return np.sqrt(np.square(one - other).sum(axis=-1).mean(axis=-1))
 
@@ -62,12 +81,17 @@ class Player:
     """Drives worlds of a scene along their recorded motions."""
 
     def __init__(self, scene: Scene, seconds: float) -> None:
-        self._paths = [DriverPath(driver, scene, round(30 * seconds) + 2) for driver in scene.drivers]
+        self._paths = [
+            DriverPath(driver, scene, round(30 * seconds) + 2)
+            for driver in scene.drivers
+        ]
         self.sample = 0
 
     def drive(self, world: World) -> None:
         for path in self._paths:
-            world.drive(path.body, *path.interval(self.sample, np.zeros(path.motion_count)))
+            world.drive(
+                path.body, *path.interval(self.sample, np.zeros(path.motion_count))
+            )
 
     def play(self, simulation: Simulation, samples: int) -> None:
         for _ in range(samples):
@@ -79,7 +103,9 @@ class Player:
 def everything(world: World, scene: Scene) -> NDArray[np.float64]:
     """All nodes and states of bodies of a world, one after another."""
     nodes = [world.nodes(body.name).ravel() for body in scene.deformables]
-    return np.concatenate([*nodes, world.body_states([body.name for body in scene.bodies]).ravel()])
+    return np.concatenate(
+        [*nodes, world.body_states([body.name for body in scene.bodies]).ravel()]
+    )
 
 
 # --- what is taken and what is declined ------------------------------------------------------------------------------
@@ -100,7 +126,9 @@ def test_families_that_newton_takes_and_declines(family: str) -> None:
 
 
 def test_a_declined_experiment_names_a_backend_that_can() -> None:
-    with pytest.raises(UnsupportedSceneError, match=r"no restitution.*backend='mujoco' can"):
+    with pytest.raises(
+        UnsupportedSceneError, match=r"no restitution.*backend='mujoco' can"
+    ):
         gymnasium.make("GAUGE/RopeWinding-rubber", backend="newton")
 
 
@@ -110,7 +138,10 @@ def test_a_declined_experiment_names_a_backend_that_can() -> None:
 @pytest.mark.slow
 def test_stretched_foam_goes_as_in_mujoco() -> None:
     """Both solve the same elasticity, on cells of their own: where 1.5 mm are moved they differ by 0.01 mm."""
-    ours, theirs = (run("FoamStretching-soft", 8, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    ours, theirs = (
+        run("FoamStretching-soft", 8, engine=one, proxy="material")
+        for one in ("newton", "mujoco")
+    )
     paths = markers_mm(ours)
     assert distance_mm(paths, paths[:1])[-1] > 1.0
     assert distance_mm(paths, markers_mm(theirs)).max() < 0.05
@@ -120,7 +151,10 @@ def test_stretched_foam_goes_as_in_mujoco() -> None:
 def test_a_result_says_what_it_was_made_with() -> None:
     result = run_episode(RunRequest("FoamStretching-soft", backend="newton"))
     assert result.outcome == "finished"
-    assert (result.settings["preset"], result.settings["solver"]) == ("soft", "SolverVBD")
+    assert (result.settings["preset"], result.settings["solver"]) == (
+        "soft",
+        "SolverVBD",
+    )
     assert result.versions["newton"] and result.versions["warp-lang"]
     nylon = run_episode(RunRequest("TextileBending-nylon", backend="newton"))
     assert nylon.outcome == "finished"
@@ -135,7 +169,9 @@ def strains(env: GaugeEnv) -> NDArray[np.float64]:
     counts = [round(size / env.simulation.settings["cell_m"]) for size in cloth.size_m]
     nodes = env.simulation.nodes(cloth.name).reshape(counts[0] + 1, counts[1] + 1, 3)
     along = [
-        np.linalg.norm(np.diff(nodes, axis=axis), axis=-1).ravel() * counts[axis] / cloth.size_m[axis]
+        np.linalg.norm(np.diff(nodes, axis=axis), axis=-1).ravel()
+        * counts[axis]
+        / cloth.size_m[axis]
         for axis in (0, 1)
     ]
     return np.concatenate(along) - 1.0
@@ -144,7 +180,10 @@ def strains(env: GaugeEnv) -> NDArray[np.float64]:
 @pytest.mark.slow
 def test_a_flung_cloth_keeps_to_its_rod_and_goes_as_in_mujoco() -> None:
     """The meshes are alike and the membranes' small-strain limits too; the rest is a step that is 3 times as short."""
-    ours, theirs = (run("TextileFlinging-satin", 15, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    ours, theirs = (
+        run("TextileFlinging-satin", 15, engine=one, proxy="material")
+        for one in ("newton", "mujoco")
+    )
     scene = ours.experiment.scene
     nodes = ours.simulation.nodes("textile")
     assert np.isfinite(nodes).all()
@@ -179,7 +218,10 @@ def test_markers_start_where_they_are_attached(name: str, proxy: str) -> None:
 @pytest.mark.slow
 def test_a_beam_of_foam_and_rubber_drops_as_in_mujoco() -> None:
     """Rubber, a hundred times as stiff as the foam, is rigid here and elastic there."""
-    ours, theirs = (run("CantileverBeam-soft", 4, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    ours, theirs = (
+        run("CantileverBeam-soft", 4, engine=one, proxy="material")
+        for one in ("newton", "mujoco")
+    )
     assert ours.simulation.settings["preset"] == "soft_row"
     assert ours.simulation.settings["soft_rigid_ratio"] == 50.0
     paths = markers_mm(ours)
@@ -198,7 +240,9 @@ def falling(name: str, x_m: float, young_pa: float = 1e5) -> SoftBody:
     )
 
 
-def on_a_slab(*bodies: SoftBody, touching: Sequence[str], attachments: Sequence[Attachment] = ()) -> Scene:
+def on_a_slab(
+    *bodies: SoftBody, touching: Sequence[str], attachments: Sequence[Attachment] = ()
+) -> Scene:
     """Blocks 5 mm above a slab that some of them touch."""
     slab = RigidBody(
         name="slab",
@@ -211,7 +255,11 @@ def on_a_slab(*bodies: SoftBody, touching: Sequence[str], attachments: Sequence[
         bodies=(slab,),
         deformables=bodies,
         attachments=tuple(attachments),
-        contacts=(Contact(first=tuple(touching), second=("slab",), friction=0.3, restitution=0.0),),
+        contacts=(
+            Contact(
+                first=tuple(touching), second=("slab",), friction=0.3, restitution=0.0
+            ),
+        ),
         duration_s=1.0,
     )
 
@@ -219,50 +267,73 @@ def on_a_slab(*bodies: SoftBody, touching: Sequence[str], attachments: Sequence[
 @pytest.mark.parametrize("worlds", [1, 2])
 def test_each_body_collides_with_what_its_contacts_say(worlds: int) -> None:
     scene = on_a_slab(falling("held", 0.0), falling("passing", 0.2), touching=["held"])
-    copies = backend("newton").build_worlds([scene] * worlds, {"preset": "soft_row", "cell_m": 0.025})
+    copies = backend("newton").build_worlds(
+        [scene] * worlds, {"preset": "soft_row", "cell_m": 0.025}
+    )
     seconds = 0.2
     copies.advance(seconds)
     for world in copies.worlds:
         assert world.nodes("held")[:, 2].min() == pytest.approx(0.0, abs=2e-3)
         fall = 0.03 - world.nodes("passing")[:, 2].mean()
         # An implicit Euler step falls half a step further each time.
-        assert fall == pytest.approx(0.5 * GRAVITY_M_PER_S2 * seconds * (seconds + 1 / 3600), rel=1e-4)
+        assert fall == pytest.approx(
+            0.5 * GRAVITY_M_PER_S2 * seconds * (seconds + 1 / 3600), rel=1e-4
+        )
 
 
 def test_partial_contacts_are_declined_where_faces_collide() -> None:
     scene = on_a_slab(falling("held", 0.0), falling("passing", 0.2), touching=["held"])
-    with pytest.raises(UnsupportedSceneError, match="passing would touch slab as well as held"):
+    with pytest.raises(
+        UnsupportedSceneError, match="passing would touch slab as well as held"
+    ):
         backend("newton").build(scene, {"preset": "soft"})
-    assert "passing would touch slab" in "; ".join(backend("newton").supports(scene).missing)
+    assert "passing would touch slab" in "; ".join(
+        backend("newton").supports(scene).missing
+    )
 
 
 def test_blocks_of_a_row_collide_on_their_own() -> None:
     """A light foam block bonded to a heavy rigid one: whichever may touch the slab holds its end up."""
-    foam, rubber = replace(falling("foam", 0.0), mass_kg=0.002), replace(falling("rubber", 0.05, 1e7), mass_kg=0.02)
-    bond = Attachment(deformable="rubber", region=Region(axis="x", side="low"), to="foam")
+    foam, rubber = (
+        replace(falling("foam", 0.0), mass_kg=0.002),
+        replace(falling("rubber", 0.05, 1e7), mass_kg=0.02),
+    )
+    bond = Attachment(
+        deformable="rubber", region=Region(axis="x", side="low"), to="foam"
+    )
     lowest_mm = {}
     for touching in ("foam", "rubber", "nothing"):
         scene = on_a_slab(foam, rubber, touching=[touching], attachments=[bond])
         simulation = backend("newton").build(scene, {"cell_m": 0.025})
         assert simulation.settings["preset"] == "soft_row"
         simulation.advance(0.1)
-        lowest_mm[touching] = [1e3 * float(simulation.nodes(name)[:, 2].min()) for name in ("foam", "rubber")]
+        lowest_mm[touching] = [
+            1e3 * float(simulation.nodes(name)[:, 2].min())
+            for name in ("foam", "rubber")
+        ]
     # Both rest on the millimetre that keeps nodes off what they touch.
     assert lowest_mm["rubber"] == pytest.approx([1.0, 1.0], abs=0.1)
     # The heavy end tips over the edge of the light one, through the slab.
     assert lowest_mm["foam"][0] == pytest.approx(1.0, abs=0.2)
     assert lowest_mm["foam"][1] < -20.0
-    assert lowest_mm["nothing"] == pytest.approx([5.0 - 0.5e3 * GRAVITY_M_PER_S2 * 0.1**2] * 2, abs=0.2)
+    assert lowest_mm["nothing"] == pytest.approx(
+        [5.0 - 0.5e3 * GRAVITY_M_PER_S2 * 0.1**2] * 2, abs=0.2
+    )
 
 
 @pytest.mark.slow
 def test_a_beam_of_foam_and_rubber_swings_at_mujocos_rate() -> None:
-    ours, theirs = (run("CantileverBeam-soft", 89, engine=one, proxy="material") for one in ("newton", "mujoco"))
+    ours, theirs = (
+        run("CantileverBeam-soft", 89, engine=one, proxy="material")
+        for one in ("newton", "mujoco")
+    )
     rates_hz = []
     for env in (ours, theirs):
         height = markers_mm(env)[:, 15, 2]
         crossings = np.flatnonzero(np.diff(np.sign(height - 160.0)))
-        times = crossings + (160.0 - height[crossings]) / (height[crossings + 1] - height[crossings])
+        times = crossings + (160.0 - height[crossings]) / (
+            height[crossings + 1] - height[crossings]
+        )
         rates_hz.append(30.0 * (len(times) - 1) / (2.0 * (times[-1] - times[0])))
     assert rates_hz[1] == pytest.approx(2.49, abs=0.01)
     assert rates_hz[0] == pytest.approx(rates_hz[1], rel=0.02)
@@ -303,7 +374,9 @@ def test_a_preset_for_other_bodies_is_refused(name: str, preset: str) -> None:
         ("FoamBending-hard", "SolverImplicitMPM", 900),
     ],
 )
-def test_preset_paper_has_the_solver_and_the_rate_of_the_paper(name: str, solver: str, rate_hz: int) -> None:
+def test_preset_paper_has_the_solver_and_the_rate_of_the_paper(
+    name: str, solver: str, rate_hz: int
+) -> None:
     settings = settings_for(load_experiment(name).scene, {"preset": "paper"})
     assert (settings.preset, settings.solver) == ("paper", solver)
     assert settings.timestep_s == pytest.approx(1 / rate_hz)
@@ -311,29 +384,47 @@ def test_preset_paper_has_the_solver_and_the_rate_of_the_paper(name: str, solver
 
 def test_preset_paper_declines_what_the_paper_did_not_run() -> None:
     with pytest.raises(UnsupportedSceneError, match=r"'paper' does not support 'rope'"):
-        backend("newton").build(load_experiment("RopeWinding-rubber").scene, {"preset": "paper"})
+        backend("newton").build(
+            load_experiment("RopeWinding-rubber").scene, {"preset": "paper"}
+        )
 
 
 def test_points_beside_a_free_body_are_declined() -> None:
     scene = load_experiment("FoamBending-soft").scene
-    free = tuple(replace(b, motion=Motion.DYNAMIC) if b.name == "cube" else b for b in scene.bodies)
+    free = tuple(
+        replace(b, motion=Motion.DYNAMIC) if b.name == "cube" else b
+        for b in scene.bodies
+    )
     drivers = tuple(driver for driver in scene.drivers if driver.body != "cube")
     loaded = replace(scene, bodies=free, drivers=drivers)
     assert backend("newton").supports(loaded)
-    with pytest.raises(UnsupportedSceneError, match=r"'mpm' does not support this scene: 'cube' moves freely"):
+    with pytest.raises(
+        UnsupportedSceneError,
+        match=r"'mpm' does not support this scene: 'cube' moves freely",
+    ):
         backend("newton").build(loaded, {"preset": "mpm"})
-    with pytest.raises(UnsupportedSceneError, match=r"'mpm' does not support this scene: 'cube' moves freely"):
+    with pytest.raises(
+        UnsupportedSceneError,
+        match=r"'mpm' does not support this scene: 'cube' moves freely",
+    ):
         backend("newton").build_worlds([loaded] * 2, {"preset": "mpm"})
 
 
 def test_stiff_fabric_gets_half_the_step_and_says_so() -> None:
-    steps = {name: run(f"TextileFlinging-{name}", 0).simulation.settings["timestep_s"] for name in ("satin", "nylon")}
+    steps = {
+        name: run(f"TextileFlinging-{name}", 0).simulation.settings["timestep_s"]
+        for name in ("satin", "nylon")
+    }
     assert steps == {"satin": 1 / 1440, "nylon": 1 / 2880}
 
 
 def test_a_step_that_is_too_long_for_its_start_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"3 iterations .* at 1/180 s are too few"):
-        gymnasium.make("GAUGE/TextileFlinging-satin", backend="newton", settings={"timestep_s": 1 / 180})
+        gymnasium.make(
+            "GAUGE/TextileFlinging-satin",
+            backend="newton",
+            settings={"timestep_s": 1 / 180},
+        )
 
 
 # --- repeats ---------------------------------------------------------------------------------------------------------
@@ -348,7 +439,9 @@ REPEATED = [
 
 
 @pytest.mark.parametrize(("name", "settings"), REPEATED)
-def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, Any] | None) -> None:
+def test_reset_and_restore_repeat_bit_for_bit(
+    name: str, settings: Mapping[str, Any] | None
+) -> None:
     scene = load_experiment(name).scene
     simulation = backend("newton").build(scene, settings)
     start = everything(simulation, scene)
@@ -374,7 +467,9 @@ def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["TableclothPulling-metal", "RotatingBall-satin"])
 def test_worlds_equal_their_single_runs(name: str) -> None:
-    scenes = [jittered(load_experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)]
+    scenes = [
+        jittered(load_experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)
+    ]
     worlds = backend("newton").build_worlds(scenes)
     worlds.reset(0)
     players = [Player(scene, 0.2) for scene in scenes]
@@ -383,7 +478,10 @@ def test_worlds_equal_their_single_runs(name: str) -> None:
             player.drive(world)
             player.sample += 1
         worlds.advance(SAMPLE_INTERVAL_S)
-    together = [everything(world, scene) for world, scene in zip(worlds.worlds, scenes, strict=True)]
+    together = [
+        everything(world, scene)
+        for world, scene in zip(worlds.worlds, scenes, strict=True)
+    ]
     assert np.abs(together[0] - together[1]).max() > 1e-4
     for scene, both in zip(scenes, together, strict=True):
         simulation = backend("newton").build(scene)
@@ -399,7 +497,11 @@ def test_worlds_equal_their_single_runs(name: str) -> None:
 @needs_opengl
 def test_pictures_show_the_cloth_where_newton_has_it() -> None:
     env = gymnasium.make(
-        "GAUGE/TextileFlinging-satin", backend="newton", render_mode="rgb_array", width=160, height=120
+        "GAUGE/TextileFlinging-satin",
+        backend="newton",
+        render_mode="rgb_array",
+        width=160,
+        height=120,
     )
     env.reset(seed=0)
     first = env.render()

@@ -13,7 +13,17 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.scene import Contact, ContactMode, ConvexUnion, Hinge, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Hinge,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 
 
 def unsupported(scene: Scene) -> list[str]:
@@ -21,17 +31,28 @@ def unsupported(scene: Scene) -> list[str]:
 
 
 NAMES = "abcde"
-GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(lambda names: tuple(sorted(names)))
+GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(
+    lambda names: tuple(sorted(names))
+)
 
 
 def ball(name: str) -> RigidBody:
     return RigidBody(
-        name=name, shape=Sphere(radius_m=0.1), motion=Motion.DYNAMIC, pose=Pose(position_m=(0, 0, 1)), mass_kg=1
+        name=name,
+        shape=Sphere(radius_m=0.1),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0, 0, 1)),
+        mass_kg=1,
     )
 
 
 def scene_of(*contacts: Contact, bodies: str = NAMES, **parts: object) -> Scene:
-    return Scene(bodies=tuple(ball(name) for name in bodies), contacts=contacts, duration_s=1.0, **parts)
+    return Scene(
+        bodies=tuple(ball(name) for name in bodies),
+        contacts=contacts,
+        duration_s=1.0,
+        **parts,
+    )
 
 
 def materials_that_touch(groups: dict, one: str, other: str) -> set[Constants]:
@@ -45,12 +66,28 @@ def materials_that_touch(groups: dict, one: str, other: str) -> set[Constants]:
     return found
 
 
-@given(st.lists(st.tuples(GROUPS, GROUPS, st.sampled_from([0.0, 0.2, 0.7]), st.sampled_from([0.0, 0.5])), max_size=6))
-def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows: list) -> None:
+@given(
+    st.lists(
+        st.tuples(
+            GROUPS,
+            GROUPS,
+            st.sampled_from([0.0, 0.2, 0.7]),
+            st.sampled_from([0.0, 0.5]),
+        ),
+        max_size=6,
+    )
+)
+def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(
+    rows: list,
+) -> None:
     contacts, seen = [], set()
     for first, second, friction, restitution in rows:
         contact = Contact(
-            first=first, second=second, friction=friction, restitution=restitution, mode=ContactMode.IMPACT
+            first=first,
+            second=second,
+            friction=friction,
+            restitution=restitution,
+            mode=ContactMode.IMPACT,
         )
         pairs = {frozenset(pair) for pair in scene_of(contact).colliding_pairs(contact)}
         if not pairs & seen:
@@ -63,7 +100,10 @@ def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows: li
         for pair in scene.colliding_pairs(contact)
     }
     groups = groups_of_bodies(scene, sustained_restitution=False)
-    touching = {frozenset(pair): materials_that_touch(groups, *pair) for pair in combinations(NAMES, 2)}
+    touching = {
+        frozenset(pair): materials_that_touch(groups, *pair)
+        for pair in combinations(NAMES, 2)
+    }
     assert {pair: found for pair, found in touching.items() if found} == expected
 
 
@@ -79,26 +119,50 @@ def test_what_physx_cannot_do_is_declined_with_the_part_of_the_scene() -> None:
     names = [f"ball-{number}" for number in range(34)]
     many = Scene(
         bodies=tuple(ball(name) for name in names),
-        contacts=tuple(Contact(first=(names[0],), second=(name,), friction=0.1, restitution=0.0) for name in names[1:]),
+        contacts=tuple(
+            Contact(first=(names[0],), second=(name,), friction=0.1, restitution=0.0)
+            for name in names[1:]
+        ),
         duration_s=1.0,
     )
     (crowded,) = unsupported(many)
-    assert crowded.startswith("33 contacts have the same friction and restitution") and "32" in crowded
-    bouncy = scene_of(Contact(first=("a",), second=("b",), friction=0.1, restitution=1.2))
-    assert unsupported(bouncy) == ["'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"]
-    hinges = tuple(Hinge(body="a", anchor_m=(0, 0, 2), axis=axis) for axis in ((1, 0, 0), (0, 1, 0)))
-    assert unsupported(scene_of(joints=hinges)) == ["'a' hangs on 2 hinges: this backend builds one hinge per body"]
+    assert (
+        crowded.startswith("33 contacts have the same friction and restitution")
+        and "32" in crowded
+    )
+    bouncy = scene_of(
+        Contact(first=("a",), second=("b",), friction=0.1, restitution=1.2)
+    )
+    assert unsupported(bouncy) == [
+        "'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"
+    ]
+    hinges = tuple(
+        Hinge(body="a", anchor_m=(0, 0, 2), axis=axis)
+        for axis in ((1, 0, 0), (0, 1, 0))
+    )
+    assert unsupported(scene_of(joints=hinges)) == [
+        "'a' hangs on 2 hinges: this backend builds one hinge per body"
+    ]
     (soft,) = unsupported(load_experiment("TextileFlinging-satin").scene)
     assert "is deformable" in soft and "GPU" in soft
 
 
 def test_every_rigid_scene_is_supported() -> None:
-    for name in ("WallBreaking-wood", "NewtonsCradle-metal", "Turntable-3-metal", "NonsmoothContact-3-wood"):
+    for name in (
+        "WallBreaking-wood",
+        "NewtonsCradle-metal",
+        "Turntable-3-metal",
+        "NonsmoothContact-3-wood",
+    ):
         assert unsupported(load_experiment(name).scene) == []
 
 
-def test_the_message_without_sapien_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.backends.shared.bundled.find_spec", lambda name: None)
+def test_the_message_without_sapien_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "gauge_envs.backends.shared.bundled.find_spec", lambda name: None
+    )
     from gauge_envs.backends.physx import BackendPhysX
 
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[physx\]'"):
@@ -108,11 +172,19 @@ def test_the_message_without_sapien_names_the_extra(monkeypatch: pytest.MonkeyPa
 
 def test_a_hull_that_physx_would_simplify_is_declined() -> None:
     count = 300
-    turns, heights = np.pi * (1.0 + 5.0**0.5) * np.arange(count), np.linspace(-0.99, 0.99, count)
+    turns, heights = (
+        np.pi * (1.0 + 5.0**0.5) * np.arange(count),
+        np.linspace(-0.99, 0.99, count),
+    )
     radii = np.sqrt(1.0 - heights**2)
     points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), heights])
-    (reason,) = unsupported(Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0))
-    assert reason == "piece 0 of 'a' has 300 vertices: PhysX simplifies pieces with more than 128; divide it"
+    (reason,) = unsupported(
+        Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0)
+    )
+    assert (
+        reason
+        == "piece 0 of 'a' has 300 vertices: PhysX simplifies pieces with more than 128; divide it"
+    )
     fewer = replace(ball("a"), shape=union_of(points[:: count // 100]))
     assert unsupported(Scene(bodies=(fewer,), duration_s=1.0)) == []
 

@@ -43,11 +43,17 @@ SLOPE = Rotation.from_euler("y", 30, degrees=True)
 
 def fixed(name: str, shape: Shape, pose: Pose) -> RigidBody:
     return RigidBody(
-        name=name, shape=shape, motion=Motion.FIXED, pose=pose, mass_kg=0.0 if shape.kind == "plane" else 1
+        name=name,
+        shape=shape,
+        motion=Motion.FIXED,
+        pose=pose,
+        mass_kg=0.0 if shape.kind == "plane" else 1,
     )
 
 
-def states(scene: Scene, names: list[str], seconds: float, **settings: object) -> np.ndarray:
+def states(
+    scene: Scene, names: list[str], seconds: float, **settings: object
+) -> np.ndarray:
     """States at 180 Hz, shape [sample_count, len(names), 13]."""
     simulation = PHYSX.build(scene, settings)
     rows = [simulation.body_states(names)]
@@ -59,15 +65,29 @@ def states(scene: Scene, names: list[str], seconds: float, **settings: object) -
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.577, 0.9])
-def test_rebounds_have_the_restitution_and_the_bias_of_a_step(restitution: float) -> None:
+def test_rebounds_have_the_restitution_and_the_bias_of_a_step(
+    restitution: float,
+) -> None:
     """PhysX adds the speed g h of one more step of gravity to the speed of approach."""
     pose = Pose(position_m=(0, 0, 0.33))
-    ball = RigidBody(name="ball", shape=Sphere(radius_m=0.03), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+    ball = RigidBody(
+        name="ball",
+        shape=Sphere(radius_m=0.03),
+        motion=Motion.DYNAMIC,
+        pose=pose,
+        mass_kg=0.1,
+    )
     contact = Contact(
-        first=("ball",), second=("ground",), friction=0.8, restitution=restitution, mode=ContactMode.IMPACT
+        first=("ball",),
+        second=("ground",),
+        friction=0.8,
+        restitution=restitution,
+        mode=ContactMode.IMPACT,
     )
     ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    rows = states(Scene(bodies=(ball, ground), contacts=(contact,), duration_s=2.0), ["ball"], 2.0)[:, 0]
+    rows = states(
+        Scene(bodies=(ball, ground), contacts=(contact,), duration_s=2.0), ["ball"], 2.0
+    )[:, 0]
     energy = 0.5 * rows[:, 9] ** 2 + GRAVITY_M_PER_S2 * (rows[:, 2] - 0.03)
     tops = np.flatnonzero((rows[:-1, 9] > 0) & (rows[1:, 9] <= 0))
     speeds = np.sqrt(2.0 * np.array([GRAVITY_M_PER_S2 * 0.3, *energy[tops]][:4]))
@@ -77,7 +97,12 @@ def test_rebounds_have_the_restitution_and_the_bias_of_a_step(restitution: float
     assert speeds[1:] == pytest.approx(biased, rel=0.01)
 
 
-FRICTIONS = {("one", "low"): 0.1, ("one", "high"): 0.5, ("two", "low"): 0.5, ("two", "high"): 0.1}
+FRICTIONS = {
+    ("one", "low"): 0.1,
+    ("one", "high"): 0.5,
+    ("two", "low"): 0.5,
+    ("two", "high"): 0.1,
+}
 """Friction of each cube on each board: no coefficients of the four bodies have these means."""
 
 
@@ -85,14 +110,26 @@ def crossed_slides(boards: dict[str, str]) -> Scene:
     """Two cubes that may touch both of two leaning boards, each on the board that is named."""
     normal = SLOPE.apply([0.0, 0.0, 1.0])
     bodies = [
-        fixed(name, Box(size_m=(2.0, 0.4, 0.02)), Pose.from_rotation((0.0, 3.0 * place, 1.0), SLOPE))
+        fixed(
+            name,
+            Box(size_m=(2.0, 0.4, 0.02)),
+            Pose.from_rotation((0.0, 3.0 * place, 1.0), SLOPE),
+        )
         for place, name in enumerate(("low", "high"))
     ]
     for cube, board in boards.items():
-        place = np.array([0.0, 3.0 * ("low", "high").index(board), 1.0]) + 0.035 * normal
+        place = (
+            np.array([0.0, 3.0 * ("low", "high").index(board), 1.0]) + 0.035 * normal
+        )
         pose = Pose.from_rotation(vector(place), SLOPE)
         bodies.append(
-            RigidBody(name=cube, shape=Box(size_m=(0.05,) * 3), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+            RigidBody(
+                name=cube,
+                shape=Box(size_m=(0.05,) * 3),
+                motion=Motion.DYNAMIC,
+                pose=pose,
+                mass_kg=0.1,
+            )
         )
     contacts = tuple(
         Contact(first=(cube,), second=(board,), friction=friction, restitution=0.0)
@@ -101,15 +138,24 @@ def crossed_slides(boards: dict[str, str]) -> Scene:
     return Scene(bodies=tuple(bodies), contacts=contacts, duration_s=0.5)
 
 
-@pytest.mark.parametrize("boards", [{"one": "low", "two": "high"}, {"one": "high", "two": "low"}], ids=str)
-def test_pairs_have_their_friction_where_no_coefficients_of_bodies_give_it(boards: dict[str, str]) -> None:
+@pytest.mark.parametrize(
+    "boards", [{"one": "low", "two": "high"}, {"one": "high", "two": "low"}], ids=str
+)
+def test_pairs_have_their_friction_where_no_coefficients_of_bodies_give_it(
+    boards: dict[str, str],
+) -> None:
     scene = crossed_slides(boards)
     with pytest.raises(UnsupportedSceneError, match="no values of bodies"):
         body_values(pair_values(scene, "friction"), "mean")
     rows = states(scene, [*boards], 0.5)
     down = (rows[:, :, :3] - rows[0, :, :3]) @ SLOPE.apply([1.0, 0.0, 0.0])
-    measured = [fitted_acceleration(np.arange(len(down)) / 180, column) for column in down.T]
-    expected = [GRAVITY_M_PER_S2 * (0.5 - FRICTIONS[pair] * np.cos(np.pi / 6)) for pair in boards.items()]
+    measured = [
+        fitted_acceleration(np.arange(len(down)) / 180, column) for column in down.T
+    ]
+    expected = [
+        GRAVITY_M_PER_S2 * (0.5 - FRICTIONS[pair] * np.cos(np.pi / 6))
+        for pair in boards.items()
+    ]
     assert measured == pytest.approx(expected, rel=2e-3)
 
 
@@ -119,13 +165,23 @@ def rolling_share(length_m: float) -> float:
     place = tuple((0.03 * lean.apply([0, 0, 1.0])).tolist())
     pose = Pose.from_rotation(place, lean * Rotation.from_euler("x", 90, degrees=True))
     shape = Cylinder(radius_m=0.03, length_m=length_m)
-    body = RigidBody(name="roller", shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=0.2)
+    body = RigidBody(
+        name="roller", shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=0.2
+    )
     plane = fixed("plane", Plane(), Pose.from_rotation((0, 0, 0), lean))
-    contact = Contact(first=("roller",), second=("plane",), friction=0.5, restitution=0.0)
-    rows = states(Scene(bodies=(body, plane), contacts=(contact,), duration_s=0.6), ["roller"], 0.6)[:, 0]
+    contact = Contact(
+        first=("roller",), second=("plane",), friction=0.5, restitution=0.0
+    )
+    rows = states(
+        Scene(bodies=(body, plane), contacts=(contact,), duration_s=0.6),
+        ["roller"],
+        0.6,
+    )[:, 0]
     along = rows[:, :3] @ lean.apply([1.0, 0.0, 0.0])
     law = 2.0 / 3.0 * GRAVITY_M_PER_S2 * np.sin(np.radians(20))
-    return float(fitted_acceleration(np.arange(len(along)) / 180, along - along[0]) / law)
+    return float(
+        fitted_acceleration(np.arange(len(along)) / 180, along - along[0]) / law
+    )
 
 
 def test_long_cylinders_roll_and_short_ones_are_prisms() -> None:
@@ -147,14 +203,26 @@ def test_a_cube_that_spins_on_its_face_is_braked_at_its_corners() -> None:
         angular_velocity_rad_per_s=(0.0, 0.0, 20.0),
     )
     ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(first=("cube",), second=("ground",), friction=friction, restitution=0.0)
-    rows = states(Scene(bodies=(cube, ground), contacts=(contact,), duration_s=0.2), ["cube"], 0.05)[:, 0]
+    contact = Contact(
+        first=("cube",), second=("ground",), friction=friction, restitution=0.0
+    )
+    rows = states(
+        Scene(bodies=(cube, ground), contacts=(contact,), duration_s=0.2),
+        ["cube"],
+        0.05,
+    )[:, 0]
     torque = mass * edge**2 / 6.0 * 180.0 * np.diff(rows[:, 12]).mean()
-    assert -torque / (friction * mass * GRAVITY_M_PER_S2 * edge) == pytest.approx(0.5**0.5, rel=0.02)
+    assert -torque / (friction * mass * GRAVITY_M_PER_S2 * edge) == pytest.approx(
+        0.5**0.5, rel=0.02
+    )
 
 
-@pytest.mark.parametrize(("hinges", "tolerance"), [("articulation", 1e-4), ("joint", 2e-4)])
-def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(hinges: str, tolerance: float) -> None:
+@pytest.mark.parametrize(
+    ("hinges", "tolerance"), [("articulation", 1e-4), ("joint", 2e-4)]
+)
+def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(
+    hinges: str, tolerance: float
+) -> None:
     ball = RigidBody(
         name="bob",
         shape=Sphere(radius_m=0.02),
@@ -163,13 +231,22 @@ def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(hinges: str, 
         mass_kg=0.3,
     )
     length = float(np.hypot(0.02, 0.2))
-    scene = Scene(bodies=(ball,), joints=(Hinge(body="bob", anchor_m=(0, 0, 1), axis=(0, 1, 0)),), duration_s=8)
+    scene = Scene(
+        bodies=(ball,),
+        joints=(Hinge(body="bob", anchor_m=(0, 0, 1), axis=(0, 1, 0)),),
+        duration_s=8,
+    )
     rows = states(scene, ["bob"], 8.0, hinges=hinges)[:, 0]
     assert np.hypot(rows[:, 0], rows[:, 2] - 1.0) == pytest.approx(length, abs=2e-6)
     up = np.flatnonzero((rows[:-1, 0] < 0) & (rows[1:, 0] >= 0))
     crossings = (up - rows[up, 0] / (rows[up + 1, 0] - rows[up, 0])) / 180
     amplitude = np.arctan2(0.02, 0.2)
-    law = 2 * np.pi * np.sqrt((length**2 + 0.4 * 0.02**2) / (GRAVITY_M_PER_S2 * length)) * (1 + amplitude**2 / 16)
+    law = (
+        2
+        * np.pi
+        * np.sqrt((length**2 + 0.4 * 0.02**2) / (GRAVITY_M_PER_S2 * length))
+        * (1 + amplitude**2 / 16)
+    )
     assert np.diff(crossings).mean() == pytest.approx(law, rel=tolerance)
 
 
@@ -184,7 +261,10 @@ def test_another_process_gives_the_same_bits_and_prints_nothing() -> None:
         "simulation.advance(0.4)\n"
         "sys.stderr.write(simulation.body_states(['wedge']).tobytes().hex())\n"
     )
-    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True) for _ in range(2)]
+    runs = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        for _ in range(2)
+    ]
     scene = load_experiment("NonsmoothContact-3-plastic").scene
     other = PHYSX.build(load_experiment("WallBreaking-wood").scene)
     simulation = PHYSX.build(scene)
@@ -196,7 +276,11 @@ def test_another_process_gives_the_same_bits_and_prints_nothing() -> None:
 
 def test_thin_and_round_pieces_keep_their_vertices() -> None:
     """PhysX leaves out vertices within 0.7 mm of a plane of others, if it makes the mesh in metres."""
-    sliver = ConvexUnion(pieces_m=(((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0.1, 0.1, 0.0005), (0, 0, 0.0005)),))
+    sliver = ConvexUnion(
+        pieces_m=(
+            ((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0.1, 0.1, 0.0005), (0, 0, 0.0005)),
+        )
+    )
     plate = prism(Cylinder(radius_m=0.15, length_m=0.01))
     pose = Pose(position_m=(0, 0, 1))
     bodies = [
@@ -204,31 +288,46 @@ def test_thin_and_round_pieces_keep_their_vertices() -> None:
         for name, shape in (("sliver", sliver), ("plate", plate))
     ]
     ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(first=("sliver", "plate"), second=("ground",), friction=0.3, restitution=0.0)
-    simulation = PHYSX.build(Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=1.0))
+    contact = Contact(
+        first=("sliver", "plate"), second=("ground",), friction=0.3, restitution=0.0
+    )
+    simulation = PHYSX.build(
+        Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=1.0)
+    )
     for body in bodies:
         (shape,) = simulation._inner._model.parts[body.name].component.collision_shapes
         corners = np.asarray(body.shape.pieces_m[0])
-        gaps = np.linalg.norm(corners[:, None] - shape.vertices * shape.scale, axis=2).min(axis=1)
+        gaps = np.linalg.norm(
+            corners[:, None] - shape.vertices * shape.scale, axis=2
+        ).min(axis=1)
         assert gaps.max() < 1e-7
     simulation.close()
 
 
 def test_a_piece_that_physx_simplifies_is_an_error() -> None:
     turns = 2.0 * np.pi * np.arange(120) / 120
-    rings = [np.column_stack([np.cos(turns), np.sin(turns), np.full(120, height)]) for height in (0.0, 1.0)]
+    rings = [
+        np.column_stack([np.cos(turns), np.sin(turns), np.full(120, height)])
+        for height in (0.0, 1.0)
+    ]
     drum = RigidBody(
         name="drum",
-        shape=ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),)),
+        shape=ConvexUnion(
+            pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),)
+        ),
         motion=Motion.DYNAMIC,
         pose=Pose(position_m=(0, 0, 1)),
         mass_kg=0.1,
     )
     ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(first=("drum",), second=("ground",), friction=0.3, restitution=0.0)
+    contact = Contact(
+        first=("drum",), second=("ground",), friction=0.3, restitution=0.0
+    )
     scene = Scene(bodies=(drum, ground), contacts=(contact,), duration_s=1.0)
     assert not PHYSX.supports(scene)
-    with pytest.raises(UnsupportedSceneError, match="PhysX simplifies a convex piece of 240 vertices"):
+    with pytest.raises(
+        UnsupportedSceneError, match="PhysX simplifies a convex piece of 240 vertices"
+    ):
         PHYSX.build(scene)
 
 
@@ -237,12 +336,26 @@ def turned_deg(plate: Shape, *, acceleration: float, **settings: object) -> floa
     cube = Box(size_m=(0.05, 0.05, 0.05))
     bodies = (
         RigidBody(
-            name="cube", shape=cube, motion=Motion.DYNAMIC, pose=Pose(position_m=(0, -0.075, 0.025)), mass_kg=0.09
+            name="cube",
+            shape=cube,
+            motion=Motion.DYNAMIC,
+            pose=Pose(position_m=(0, -0.075, 0.025)),
+            mass_kg=0.09,
         ),
-        RigidBody(name="plate", shape=plate, motion=Motion.KINEMATIC, pose=Pose(position_m=(0, 0, -0.01)), mass_kg=1.0),
+        RigidBody(
+            name="plate",
+            shape=plate,
+            motion=Motion.KINEMATIC,
+            pose=Pose(position_m=(0, 0, -0.01)),
+            mass_kg=1.0,
+        ),
     )
-    contact = Contact(first=("cube",), second=("plate",), friction=0.38, restitution=0.0)
-    simulation = PHYSX.build(Scene(bodies=bodies, contacts=(contact,), duration_s=1.0), settings)
+    contact = Contact(
+        first=("cube",), second=("plate",), friction=0.38, restitution=0.0
+    )
+    simulation = PHYSX.build(
+        Scene(bodies=bodies, contacts=(contact,), duration_s=1.0), settings
+    )
     change = np.array([acceleration, 0.0, 0.0, 0.0, 0.0, 0.0])
     for sample in range(18):
         time_s = sample / 180
@@ -251,7 +364,11 @@ def turned_deg(plate: Shape, *, acceleration: float, **settings: object) -> floa
         simulation.advance(1 / 180)
     row = simulation.body_states(["cube"])[0]
     simulation.close()
-    return abs(float(np.degrees(Rotation.from_quat(row[3:7], scalar_first=True).as_rotvec()[2])))
+    return abs(
+        float(
+            np.degrees(Rotation.from_quat(row[3:7], scalar_first=True).as_rotvec()[2])
+        )
+    )
 
 
 def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
@@ -263,13 +380,23 @@ def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
     assert turned_deg(disc, acceleration=4.2) > 0.1
 
 
-def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checks_see_a_driven_body_that_physx_does_not_move(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The state of a driven body is PhysX's: one that gets no targets stands still, whatever its driver prescribes."""
     from gauge_envs.backends.physx import simulation
     from gauge_envs.backends.physx.model import physx
 
-    monkeypatch.setattr(physx.PhysxRigidDynamicComponent, "set_kinematic_target", lambda self, pose: None)
+    monkeypatch.setattr(
+        physx.PhysxRigidDynamicComponent,
+        "set_kinematic_target",
+        lambda self, pose: None,
+    )
     monkeypatch.setattr(simulation, "SAME_POSE", np.inf)
     results = list(run_checks(PHYSX, only=["driven-*"]))
-    assert [one.check for one in results if one.is_bad] == ["driven-velocity", "driven-path", "driven-flick"]
+    assert [one.check for one in results if one.is_bad] == [
+        "driven-velocity",
+        "driven-path",
+        "driven-flick",
+    ]
     assert results[0].measured == 0.0

@@ -41,29 +41,49 @@ def test_the_number_of_dynamic_bodies_decides_the_preset() -> None:
 
 def test_out_of_box_has_sapiens_own_values() -> None:
     ours = PRESETS["out_of_box"]
-    scene, shape, body = physx.get_scene_config(), physx.get_shape_config(), physx.PhysxRigidDynamicComponent()
+    scene, shape, body = (
+        physx.get_scene_config(),
+        physx.get_shape_config(),
+        physx.PhysxRigidDynamicComponent(),
+    )
     pairs = {
         "solver": (ours.solver, "TGS" if scene.enable_tgs else "PGS"),
         "bounce": (ours.bounce_threshold_m_per_s, scene.bounce_threshold),
-        "friction": (ours.friction_every_iteration, scene.enable_friction_every_iteration),
+        "friction": (
+            ours.friction_every_iteration,
+            scene.enable_friction_every_iteration,
+        ),
         "manifolds": (ours.persistent_manifolds, scene.enable_pcm),
         "determinism": (ours.enhanced_determinism, scene.enable_enhanced_determinism),
         "ccd": (ours.continuous_detection, scene.enable_ccd),
         "contact offset": (ours.contact_offset_m, shape.contact_offset),
         "rest offset": (ours.rest_offset_m, shape.rest_offset),
-        "position iterations": (ours.position_iterations, body.solver_position_iterations),
-        "velocity iterations": (ours.velocity_iterations, body.solver_velocity_iterations),
+        "position iterations": (
+            ours.position_iterations,
+            body.solver_position_iterations,
+        ),
+        "velocity iterations": (
+            ours.velocity_iterations,
+            body.solver_velocity_iterations,
+        ),
         "sleep": (ours.sleep_threshold_m2_per_s2, body.sleep_threshold),
         "linear damping": (ours.linear_damping_per_s, body.linear_damping),
         "angular damping": (ours.angular_damping_per_s, body.angular_damping),
         "linear speed": (ours.max_linear_velocity_m_per_s, body.max_linear_velocity),
-        "angular speed": (ours.max_angular_velocity_rad_per_s, body.max_angular_velocity),
-        "depenetration": (ours.max_depenetration_velocity_m_per_s, body.max_depenetration_velocity),
+        "angular speed": (
+            ours.max_angular_velocity_rad_per_s,
+            body.max_angular_velocity,
+        ),
+        "depenetration": (
+            ours.max_depenetration_velocity_m_per_s,
+            body.max_depenetration_velocity,
+        ),
     }
     wrong = {
         name: (one, other)
         for name, (one, other) in pairs.items()
-        if one != (other if isinstance(other, bool | str) else pytest.approx(other, rel=1e-6))
+        if one
+        != (other if isinstance(other, bool | str) else pytest.approx(other, rel=1e-6))
     }
     assert wrong == {}
 
@@ -75,14 +95,26 @@ def test_the_page_lists_every_preset() -> None:
 
 
 def test_settings_reach_the_engine() -> None:
-    settings = {"preset": "isaac", "position_iterations": 7, "rest_offset_m": 0.001, "patch_radius_m": 0.002}
+    settings = {
+        "preset": "isaac",
+        "position_iterations": 7,
+        "rest_offset_m": 0.001,
+        "patch_radius_m": 0.002,
+    }
     simulation = PHYSX.build(BALL, settings)
     model = simulation._inner._model
     body = model.parts["ball"].component
     (shape,) = body.collision_shapes
     assert (body.solver_position_iterations, body.solver_velocity_iterations) == (7, 1)
-    assert (shape.contact_offset, shape.rest_offset, shape.patch_radius) == pytest.approx((0.02, 0.001, 0.002))
-    assert (model.system.config.bounce_threshold, model.system.config.enable_tgs) == (0.5, True)
+    assert (
+        shape.contact_offset,
+        shape.rest_offset,
+        shape.patch_radius,
+    ) == pytest.approx((0.02, 0.001, 0.002))
+    assert (model.system.config.bounce_threshold, model.system.config.enable_tgs) == (
+        0.5,
+        True,
+    )
     assert not model.system.config.enable_friction_every_iteration
     assert simulation.settings["rest_offset_m"] == 0.001
     simulation.close()
@@ -98,7 +130,10 @@ def test_the_defaults_of_sapien_do_not_change() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"contact_offset_m": 0.001, "rest_offset_m": 0.002}, "contact_offset_m must be larger than rest_offset_m"),
+        (
+            {"contact_offset_m": 0.001, "rest_offset_m": 0.002},
+            "contact_offset_m must be larger than rest_offset_m",
+        ),
         ({"position_iterations": 0}, "position_iterations"),
         ({"solver": "newton"}, "solver"),
         ({"friction_type": "patch"}, "friction_type"),
@@ -112,7 +147,9 @@ def test_impossible_settings_are_errors(changes: dict, message: str) -> None:
 @pytest.mark.slow
 def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
     first = PHYSX.build(BALL)
-    with pytest.raises(BackendError, match=r"one engine per process.*Close the other one first"):
+    with pytest.raises(
+        BackendError, match=r"one engine per process.*Close the other one first"
+    ):
         PHYSX.build(BALL, {"preset": "isaac"})
     first.close()
     second = PHYSX.build(BALL, {"preset": "isaac"})
@@ -129,7 +166,9 @@ def test_the_engine_takes_the_tolerances_of_each_simulation() -> None:
     for length_m in (0.1, 1.0, 0.1, 1.0):
         simulation = PHYSX.build(scene, {"tolerance_length_m": length_m})
         simulation.advance(0.5)
-        ends.setdefault(length_m, set()).add(simulation.body_states(["wedge"]).tobytes())
+        ends.setdefault(length_m, set()).add(
+            simulation.body_states(["wedge"]).tobytes()
+        )
         simulation.close()
     assert [len(found) for found in ends.values()] == [1, 1]
     assert ends[0.1] != ends[1.0]
@@ -152,10 +191,14 @@ def test_a_closed_simulation_says_so() -> None:
         ("SlopeSlider-2-plastic", {"cube.friction": 0.5 * (0.275018 + 0.262758)}),
     ],
 )
-def test_published_scores_of_isaac_sim_follow_if_frames_are_late(name: str, parameters: object) -> None:
+def test_published_scores_of_isaac_sim_follow_if_frames_are_late(
+    name: str, parameters: object
+) -> None:
     """docs/engines/physx.md: the published score within 3 %, and not without the late step."""
     published = published_baselines(name)["rmse"].engines["isaacsim"]
-    request = RunRequest(name, backend="physx", parameters=parameters, settings={"preset": "paper"})
+    request = RunRequest(
+        name, backend="physx", parameters=parameters, settings={"preset": "paper"}
+    )
     late, on_time = late_score(request, 1), late_score(request, 0)
     assert on_time.rmse_normalized == run_episode(request).score.rmse_normalized
     assert late.rmse_normalized == pytest.approx(published, rel=0.03)
@@ -186,6 +229,10 @@ def test_every_rigid_experiment_finishes(preset: str) -> None:
     outcomes = {}
     for name in (variant.name for variant in variants()):
         if PHYSX.supports(load_experiment(name).scene):
-            outcomes[name] = run_episode(RunRequest(name, backend="physx", settings={"preset": preset})).outcome
+            outcomes[name] = run_episode(
+                RunRequest(name, backend="physx", settings={"preset": preset})
+            ).outcome
     assert len(outcomes) == 30
-    assert {name for name, outcome in outcomes.items() if outcome is not Outcome.FINISHED} == set()
+    assert {
+        name for name, outcome in outcomes.items() if outcome is not Outcome.FINISHED
+    } == set()

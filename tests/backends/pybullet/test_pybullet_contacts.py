@@ -10,21 +10,40 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.pybullet import BackendPyBullet
-from gauge_envs.backends.pybullet.contacts import impact_bodies, products, pushing_bodies, surfaces
+from gauge_envs.backends.pybullet.contacts import (
+    impact_bodies,
+    products,
+    pushing_bodies,
+    surfaces,
+)
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
 from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
-from gauge_envs.scene import Contact, ContactMode, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    Contact,
+    ContactMode,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 
 
 def test_products_of_bodies_are_the_values_of_pairs() -> None:
     pairs = {("a", "b"): 0.3, ("b", "c"): 0.1, ("c", "d"): 0.8, ("a", "d"): 2.4}
     values = products(pairs, "friction")
-    assert {pair: values[pair[0]] * values[pair[1]] for pair in pairs} == pytest.approx(pairs, rel=1e-9)
+    assert {pair: values[pair[0]] * values[pair[1]] for pair in pairs} == pytest.approx(
+        pairs, rel=1e-9
+    )
 
 
 def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair() -> None:
-    pairs = {("ball", "brick-1"): 0.22, ("ball", "brick-2"): 0.22, ("brick-1", "brick-2"): 0.0}
+    pairs = {
+        ("ball", "brick-1"): 0.22,
+        ("ball", "brick-2"): 0.22,
+        ("brick-1", "brick-2"): 0.0,
+    }
     values = products(pairs, "restitution")
     assert values["ball"] * values["brick-1"] == pytest.approx(0.22, rel=1e-9)
     assert values["brick-1"] * values["brick-2"] <= 1.000001e-6
@@ -38,7 +57,9 @@ def test_body_whose_pairs_are_all_zero_has_the_value_zero() -> None:
 
 def test_values_without_products_name_a_pair() -> None:
     pairs = {("a", "b"): 0.5, ("c", "d"): 0.5, ("a", "c"): 0.5, ("b", "d"): 0.1}
-    with pytest.raises(UnsupportedSceneError, match=r"'a' and 'b' has the friction 0\.5"):
+    with pytest.raises(
+        UnsupportedSceneError, match=r"'a' and 'b' has the friction 0\.5"
+    ):
         products(pairs, "friction")
 
 
@@ -46,9 +67,13 @@ def test_wall_is_representable() -> None:
     scene = load_experiment("WallBreaking-wood").scene
     values = {name: one.restitution for name, (one,) in surfaces(scene).items()}
     ball, bricks, _, _ = scene.contacts
-    assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
+    assert values["ball"] * values["brick-7"] == pytest.approx(
+        ball.restitution, rel=1e-9
+    )
     assert values["brick-7"] * values["brick-8"] < 1.1e-6
-    assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
+    assert (
+        bricks.restitution > 0.0
+    )  # The pair is sustained, so that its restitution has no effect.
     assert list(backend("pybullet").unsupported(scene)) == []
 
 
@@ -57,7 +82,12 @@ def pair_contact(first: str, second: str, friction: float) -> Contact:
 
 
 def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
-    motions = {"one": "dynamic", "two": "dynamic", "board": "fixed", "plate": "kinematic"}
+    motions = {
+        "one": "dynamic",
+        "two": "dynamic",
+        "board": "fixed",
+        "plate": "kinematic",
+    }
     bodies = tuple(
         RigidBody(
             name=name,
@@ -82,12 +112,18 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
         (one,), (other,) = contact.first, contact.second
         (first,) = [surface for surface in found[one] if other in surface.partners]
         (second,) = [surface for surface in found[other] if one in surface.partners]
-        assert first.friction * second.friction == pytest.approx(contact.friction, rel=1e-9)
+        assert first.friction * second.friction == pytest.approx(
+            contact.friction, rel=1e-9
+        )
 
 
 def test_rope_in_contact_is_declined() -> None:
-    missing = list(backend("pybullet").unsupported(load_experiment("RopeWinding-rubber").scene))
-    assert missing == ["'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"]
+    missing = list(
+        backend("pybullet").unsupported(load_experiment("RopeWinding-rubber").scene)
+    )
+    assert missing == [
+        "'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -98,21 +134,39 @@ def test_rope_in_contact_is_declined() -> None:
         ("WallBreaking-wood", {"ball"}),
     ],
 )
-def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name: str, late: set[str]) -> None:
+def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(
+    name: str, late: set[str]
+) -> None:
     assert impact_bodies(load_experiment(name).scene) == late
 
 
 def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() -> None:
-    motions = {"cube": "dynamic", "ball": "dynamic", "board": "fixed", "bar": "kinematic", "ground": "fixed"}
+    motions = {
+        "cube": "dynamic",
+        "ball": "dynamic",
+        "board": "fixed",
+        "bar": "kinematic",
+        "ground": "fixed",
+    }
     bodies = tuple(
         RigidBody(
-            name=name, shape=Sphere(radius_m=0.1), pose=Pose(position_m=(0, 0, 0)), motion=Motion(motion), mass_kg=1.0
+            name=name,
+            shape=Sphere(radius_m=0.1),
+            pose=Pose(position_m=(0, 0, 0)),
+            motion=Motion(motion),
+            mass_kg=1.0,
         )
         for name, motion in motions.items()
     )
 
     def impact(first: str, second: str) -> Contact:
-        return Contact(first=(first,), second=(second,), friction=0.3, restitution=0.2, mode=ContactMode.IMPACT)
+        return Contact(
+            first=(first,),
+            second=(second,),
+            friction=0.3,
+            restitution=0.2,
+            mode=ContactMode.IMPACT,
+        )
 
     def found(*contacts: Contact) -> set[str]:
         return pushing_bodies(Scene(bodies=bodies, contacts=contacts, duration_s=1.0))
@@ -124,7 +178,15 @@ def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() ->
     assert found(held, pair_contact("cube", "ball", 0.3)) == set()
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-3-wood", "Turntable-1-wood", "WallBreaking-wood", "SlopeContact-wood"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "SlopeSlider-3-wood",
+        "Turntable-1-wood",
+        "WallBreaking-wood",
+        "SlopeContact-wood",
+    ],
+)
 def test_no_body_of_the_benchmark_needs_the_cone(name: str) -> None:
     assert pushing_bodies(load_experiment(name).scene) == set()
 
@@ -142,7 +204,14 @@ def test_no_body_of_the_benchmark_needs_the_cone(name: str) -> None:
 )
 def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
     assert settings_for(load_experiment(name).scene).preset == preset
-    assert set(PRESETS) == {"contact", "joint_impact", "rope", "soft", "stack", "out_of_box"}
+    assert set(PRESETS) == {
+        "contact",
+        "joint_impact",
+        "rope",
+        "soft",
+        "stack",
+        "out_of_box",
+    }
 
 
 def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> None:
@@ -156,21 +225,35 @@ def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> Non
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("CantileverBeam-soft", "'cube-2' is attached to 'cube-1': this backend builds no bonds"),
+        (
+            "CantileverBeam-soft",
+            "'cube-2' is attached to 'cube-1': this backend builds no bonds",
+        ),
         ("StickStack-soft", "'rod' is a rod"),
         ("TextileBending-satin", "is cloth"),
     ],
 )
-def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: str) -> None:
-    assert any(reason in one for one in backend("pybullet").unsupported(load_experiment(name).scene))
+def test_deformable_bodies_that_are_not_built_are_declined(
+    name: str, reason: str
+) -> None:
+    assert any(
+        reason in one
+        for one in backend("pybullet").unsupported(load_experiment(name).scene)
+    )
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])
 def test_missing_engine_names_the_extra_and_the_python_with_wheels(
     monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr(bundled, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
+    monkeypatch.setattr(
+        bundled,
+        "find_spec",
+        lambda name: None if name == "pybullet" else find_spec(name),
+    )
     monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
-    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'") as found:
+    with pytest.raises(
+        MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'"
+    ) as found:
         BackendPyBullet()
     assert ("on Python 3.11" in str(found.value)) == (version == (3, 12))

@@ -46,15 +46,34 @@ ENGINE = backend("pybullet")
 G = GRAVITY_M_PER_S2
 
 
-def solid(name: str, shape: object, position_m: tuple, *, motion: Motion = Motion.DYNAMIC, mass_kg: float = 0.1):
-    return RigidBody(name=name, shape=shape, motion=motion, pose=Pose(position_m=position_m), mass_kg=mass_kg)
+def solid(
+    name: str,
+    shape: object,
+    position_m: tuple,
+    *,
+    motion: Motion = Motion.DYNAMIC,
+    mass_kg: float = 0.1,
+):
+    return RigidBody(
+        name=name,
+        shape=shape,
+        motion=motion,
+        pose=Pose(position_m=position_m),
+        mass_kg=mass_kg,
+    )
 
 
 def dropped_ball(motion: Motion, restitution: float) -> Scene:
     ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.43))
-    plate = solid("plate", Box(size_m=(0.5, 0.5, 0.02)), (0.0, 0.0, -0.01), motion=motion)
+    plate = solid(
+        "plate", Box(size_m=(0.5, 0.5, 0.02)), (0.0, 0.0, -0.01), motion=motion
+    )
     contact = Contact(
-        first=("ball",), second=("plate",), friction=0.5, restitution=restitution, mode=ContactMode.IMPACT
+        first=("ball",),
+        second=("plate",),
+        friction=0.5,
+        restitution=restitution,
+        mode=ContactMode.IMPACT,
     )
     return Scene(bodies=(ball, plate), contacts=(contact,), duration_s=1.0)
 
@@ -76,13 +95,21 @@ def rebound(scene: Scene, **settings: object) -> float:
 def failures(*only: str) -> list[str]:
     results = list(run_checks("pybullet", only=only))
     assert len(results) >= len(only)
-    return [f"{one.check}: {one.measured} {one.diagnosis}" for one in results if one.status is not Status.PASS]
+    return [
+        f"{one.check}: {one.measured} {one.diagnosis}"
+        for one in results
+        if one.status is not Status.PASS
+    ]
 
 
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
-def test_rebound_is_the_pairs_on_fixed_and_on_driven_bodies(motion: Motion, restitution: float) -> None:
-    assert rebound(dropped_ball(motion, restitution)) == pytest.approx(restitution, rel=0.01)
+def test_rebound_is_the_pairs_on_fixed_and_on_driven_bodies(
+    motion: Motion, restitution: float
+) -> None:
+    assert rebound(dropped_ball(motion, restitution)) == pytest.approx(
+        restitution, rel=0.01
+    )
 
 
 def test_velocity_correction_of_penetrations_would_add_to_the_rebound() -> None:
@@ -93,7 +120,10 @@ def test_velocity_correction_of_penetrations_would_add_to_the_rebound() -> None:
 def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
     slope = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 30.0, 0.0))
     frictions = {"smooth": 0.1, "rough": 0.3}
-    places = [slope.to_world(np.array([-0.3, 0.2 * index, 0.035])) for index in range(len(frictions))]
+    places = [
+        slope.to_world(np.array([-0.3, 0.2 * index, 0.035]))
+        for index in range(len(frictions))
+    ]
     cubes = tuple(
         replace(
             solid(name, Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.0)),
@@ -101,31 +131,57 @@ def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
         )
         for name, place in zip(frictions, places, strict=True)
     )
-    board = replace(solid("board", Box(size_m=(1.2, 0.6, 0.02)), (0, 0, 1), motion=motion), pose=slope)
-    far = solid("far", Box(size_m=(0.1, 0.1, 0.1)), (9.0, 0.0, 0.0), motion=Motion.FIXED)
+    board = replace(
+        solid("board", Box(size_m=(1.2, 0.6, 0.02)), (0, 0, 1), motion=motion),
+        pose=slope,
+    )
+    far = solid(
+        "far", Box(size_m=(0.1, 0.1, 0.1)), (9.0, 0.0, 0.0), motion=Motion.FIXED
+    )
     contacts = tuple(
-        Contact(first=(name,), second=("board",), friction=value, restitution=0.0) for name, value in frictions.items()
+        Contact(first=(name,), second=("board",), friction=value, restitution=0.0)
+        for name, value in frictions.items()
     )
     # No values of bodies have these three products.
-    contacts += (Contact(first=tuple(frictions), second=("far",), friction=0.2, restitution=0.0),)
-    simulation = ENGINE.build(Scene(bodies=(*cubes, board, far), contacts=contacts, duration_s=1.0))
+    contacts += (
+        Contact(first=tuple(frictions), second=("far",), friction=0.2, restitution=0.0),
+    )
+    simulation = ENGINE.build(
+        Scene(bodies=(*cubes, board, far), contacts=contacts, duration_s=1.0)
+    )
     simulation.reset(0)
     start = simulation.body_states(list(frictions))[:, :3]
     simulation.advance(0.3)
-    moved = np.linalg.norm(simulation.body_states(list(frictions))[:, :3] - start, axis=1)
+    moved = np.linalg.norm(
+        simulation.body_states(list(frictions))[:, :3] - start, axis=1
+    )
     simulation.close()
     for distance, friction in zip(moved, frictions.values(), strict=True):
-        assert distance == pytest.approx(0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01)
+        assert distance == pytest.approx(
+            0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01
+        )
 
 
 def pushed_cube(friction: float) -> Scene:
     """A cube on a board, and a bar behind it that is driven."""
     bodies = (
         solid("cube", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.025)),
-        solid("board", Box(size_m=(2.0, 2.0, 0.02)), (0.0, 0.0, -0.01), motion=Motion.FIXED),
-        solid("bar", Box(size_m=(0.02, 0.12, 0.03)), (-0.035, 0.0, 0.025), motion=Motion.KINEMATIC),
+        solid(
+            "board",
+            Box(size_m=(2.0, 2.0, 0.02)),
+            (0.0, 0.0, -0.01),
+            motion=Motion.FIXED,
+        ),
+        solid(
+            "bar",
+            Box(size_m=(0.02, 0.12, 0.03)),
+            (-0.035, 0.0, 0.025),
+            motion=Motion.KINEMATIC,
+        ),
     )
-    contact = Contact(first=("cube",), second=("board", "bar"), friction=friction, restitution=0.0)
+    contact = Contact(
+        first=("cube",), second=("board", "bar"), friction=friction, restitution=0.0
+    )
     return Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
 
 
@@ -138,14 +194,23 @@ def test_cube_that_a_bar_pushes_and_slips_along_moves_along_the_edge_of_the_fric
     scene = pushed_cube(friction)
     simulation = ENGINE.build(scene)
     simulation.reset(0)
-    place, velocity = np.array(scene.body("bar").pose.position_m), np.array([0.0, aside, 0.0])
+    place, velocity = (
+        np.array(scene.body("bar").pose.position_m),
+        np.array([0.0, aside, 0.0]),
+    )
     change = np.array([acceleration, 0.0, 0.0])
     for _ in range(9):
         simulation.drive(
-            "bar", Pose(position_m=tuple(place.tolist())), np.r_[velocity, 0, 0, 0], np.r_[change, 0, 0, 0]
+            "bar",
+            Pose(position_m=tuple(place.tolist())),
+            np.r_[velocity, 0, 0, 0],
+            np.r_[change, 0, 0, 0],
         )
         simulation.advance(step)
-        place, velocity = place + (velocity + 0.5 * change * step) * step, velocity + change * step
+        place, velocity = (
+            place + (velocity + 0.5 * change * step) * step,
+            velocity + change * step,
+        )
     speed = simulation.body_states(["cube"])[0, 7:9]
     simulation.close()
     assert speed[0] == pytest.approx(velocity[0], rel=0.002)
@@ -174,7 +239,9 @@ def test_driven_body_without_a_new_drive_stays() -> None:
     scene = dropped_ball(Motion.KINEMATIC, 0.5)
     simulation = ENGINE.build(scene)
     simulation.reset(0)
-    simulation.drive("plate", scene.body("plate").pose, np.array([0.18, 0, 0, 0, 0, 0]), np.zeros(6))
+    simulation.drive(
+        "plate", scene.body("plate").pose, np.array([0.18, 0, 0, 0, 0, 0]), np.zeros(6)
+    )
     simulation.advance(1 / 180)
     moved = simulation.body_states(["plate"])[0]
     assert moved[0] == pytest.approx(0.001, rel=1e-12)
@@ -187,7 +254,11 @@ def test_gravity_does_not_move_a_driven_body_within_a_step() -> None:
     box = Box(size_m=(0.1, 0.1, 0.1))
     plate = solid("plate", box, (0.0, 0.0, -0.05), motion=Motion.KINEMATIC)
     contact = Contact(first=("cube",), second=("plate",), friction=0.5, restitution=0.0)
-    scene = Scene(bodies=(solid("cube", box, (0.0, 0.0, 0.05)), plate), contacts=(contact,), duration_s=1.0)
+    scene = Scene(
+        bodies=(solid("cube", box, (0.0, 0.0, 0.05)), plate),
+        contacts=(contact,),
+        duration_s=1.0,
+    )
     simulation = ENGINE.build(scene, {"timestep_s": 1 / 180})
     simulation.reset(0)
     simulation.advance(1.0)
@@ -217,18 +288,32 @@ def test_bob_on_a_light_rope_is_a_pendulum(held: str, order: int) -> None:
     pitch = 85.0 if held == "low" else -85.0
     rope = replace(ROPE, pose=Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, pitch, 0.0)))
     down = rope.pose.rotation.apply([1.0 if held == "low" else -1.0, 0.0, 0.0])
-    bob = solid("bob", BOB, tuple((np.array([0.0, 0.0, 1.0]) + 0.17 * down).tolist()), mass_kg=10.0)
-    frame = solid("frame", Box(size_m=(0.1, 0.1, 0.1)), (0.0, 0.0, 3.0), motion=Motion.FIXED)
+    bob = solid(
+        "bob",
+        BOB,
+        tuple((np.array([0.0, 0.0, 1.0]) + 0.17 * down).tolist()),
+        mass_kg=10.0,
+    )
+    frame = solid(
+        "frame", Box(size_m=(0.1, 0.1, 0.1)), (0.0, 0.0, 3.0), motion=Motion.FIXED
+    )
     attachments = (
         Attachment(deformable="rope", region=fixed, to="frame"),
         Attachment(deformable="rope", region=free, to="bob"),
     )
-    scene = Scene(bodies=(bob, frame), deformables=(rope,), attachments=attachments[::order], duration_s=2.0)
+    scene = Scene(
+        bodies=(bob, frame),
+        deformables=(rope,),
+        attachments=attachments[::order],
+        duration_s=2.0,
+    )
     simulation = ENGINE.build(scene)
     simulation.reset(0)
     picked = [0, 13, -1]
     start = simulation.nodes("rope")
-    assert start == pytest.approx(rope.pose.to_world(np.linspace([-0.15, 0, 0], [0.15, 0, 0], 25)), abs=1e-9)
+    assert start == pytest.approx(
+        rope.pose.to_world(np.linspace([-0.15, 0, 0], [0.15, 0, 0], 25)), abs=1e-9
+    )
     read = simulation.track("rope", start[picked])
     place = []
     for _ in range(270):
@@ -239,12 +324,18 @@ def test_bob_on_a_light_rope_is_a_pendulum(held: str, order: int) -> None:
     simulation.close()
     assert nodes.shape == (25, 3)
     assert simulation_points == pytest.approx(nodes[picked], abs=1e-9)
-    assert np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum() == pytest.approx(0.3, rel=1e-9)
+    assert np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum() == pytest.approx(
+        0.3, rel=1e-9
+    )
     pivot = -0.15 * down[0]
-    assert abs(place[0] - pivot) == pytest.approx(0.32 * np.sin(np.radians(5.0)), rel=0.01)
+    assert abs(place[0] - pivot) == pytest.approx(
+        0.32 * np.sin(np.radians(5.0)), rel=0.01
+    )
     crossings = np.flatnonzero(np.diff(np.sign(np.array(place) - pivot)) != 0)
     assert len(crossings) >= 2
-    assert np.diff(crossings).mean() / 180 == pytest.approx(np.pi * np.sqrt(0.32 / G), rel=0.01)
+    assert np.diff(crossings).mean() / 180 == pytest.approx(
+        np.pi * np.sqrt(0.32 / G), rel=0.01
+    )
 
 
 def test_laws_of_foam() -> None:
@@ -262,13 +353,22 @@ def foam_between_plates() -> Scene:
     )
     plates = tuple(
         solid(name, Box(size_m=(0.06, 0.06, 0.01)), (0.0, 0.0, height), motion=motion)
-        for name, height, motion in (("low", 0.9, Motion.FIXED), ("high", 1.1, Motion.KINEMATIC))
+        for name, height, motion in (
+            ("low", 0.9, Motion.FIXED),
+            ("high", 1.1, Motion.KINEMATIC),
+        )
     )
     attachments = tuple(
-        Attachment(deformable="foam", region=Region(axis="z", side=plate.name, depth_m=0.012), to=plate.name)
+        Attachment(
+            deformable="foam",
+            region=Region(axis="z", side=plate.name, depth_m=0.012),
+            to=plate.name,
+        )
         for plate in plates
     )
-    return Scene(bodies=plates, deformables=(foam,), attachments=attachments, duration_s=1.0)
+    return Scene(
+        bodies=plates, deformables=(foam,), attachments=attachments, duration_s=1.0
+    )
 
 
 def test_attached_layers_of_foam_follow_their_plates_and_runs_repeat() -> None:
@@ -279,7 +379,9 @@ def test_attached_layers_of_foam_follow_their_plates_and_runs_repeat() -> None:
         simulation.reset(0)
         for step in range(18):
             place = Pose(position_m=(0.0, 0.0, 1.1 + 0.1 * step / 180))
-            simulation.drive("high", place, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]), np.zeros(6))
+            simulation.drive(
+                "high", place, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]), np.zeros(6)
+            )
             simulation.advance(1 / 180)
         return simulation.nodes("foam")
 
@@ -290,14 +392,20 @@ def test_attached_layers_of_foam_follow_their_plates_and_runs_repeat() -> None:
     simulation.close()
     height = start[:, 2]
     # 11 cells of 16 mm between the attached layers.
-    assert sorted({round(z, 9) for z in height if z < 0.93}) == pytest.approx([0.9, 0.912, 0.928], abs=1e-9)
+    assert sorted({round(z, 9) for z in height if z < 0.93}) == pytest.approx(
+        [0.9, 0.912, 0.928], abs=1e-9
+    )
     assert end[height < 0.9121] == pytest.approx(start[height < 0.9121], abs=1e-9)
-    assert (end - start)[height > 1.0879] == pytest.approx(np.broadcast_to([0, 0, 0.01], (32, 3)), abs=1e-6)
+    assert (end - start)[height > 1.0879] == pytest.approx(
+        np.broadcast_to([0, 0, 0.01], (32, 3)), abs=1e-6
+    )
     assert np.array_equal(end, again)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamShearing-hard", "FoamCompressing-hard"])
+@pytest.mark.parametrize(
+    "name", ["FoamTwisting-soft", "FoamShearing-hard", "FoamCompressing-hard"]
+)
 def test_foam_of_the_benchmark_stays_bounded(name: str) -> None:
     assert run_episode(RunRequest(name, backend="pybullet")).outcome == "finished"
 
@@ -309,50 +417,88 @@ def test_free_rope_falls() -> None:
     simulation.advance(0.2)
     fallen = simulation.nodes("rope") - start
     simulation.close()
-    assert fallen == pytest.approx(np.broadcast_to([0.0, 0.0, -0.5 * G * 0.2**2], start.shape), abs=2e-4)
+    assert fallen == pytest.approx(
+        np.broadcast_to([0.0, 0.0, -0.5 * G * 0.2**2], start.shape), abs=2e-4
+    )
 
 
 def test_segments_have_a_limit() -> None:
     scene = Scene(bodies=(), deformables=(ROPE,), duration_s=1.0)
-    with pytest.raises(ParameterError, match="'cell_m' is 5 mm, which gives 'rope' about 61 nodes, more than 28"):
+    with pytest.raises(
+        ParameterError,
+        match="'cell_m' is 5 mm, which gives 'rope' about 61 nodes, more than 28",
+    ):
         ENGINE.build(scene, {"cell_m": 0.005})
-    simulation = ENGINE.build(replace(scene, deformables=(replace(ROPE, length_m=1.0),)))
+    simulation = ENGINE.build(
+        replace(scene, deformables=(replace(ROPE, length_m=1.0),))
+    )
     assert simulation.nodes("rope").shape == (28, 3)
     simulation.close()
 
 
 def test_rope_in_a_loop_or_on_a_driven_body_is_declined() -> None:
     bodies = tuple(
-        solid(name, BOB, (place, 0.0, 1.0), motion=Motion.FIXED) for name, place in (("a", -1.0), ("b", 1.0))
+        solid(name, BOB, (place, 0.0, 1.0), motion=Motion.FIXED)
+        for name, place in (("a", -1.0), ("b", 1.0))
     )
-    ends = tuple(Attachment(deformable="rope", region=region, to=name) for name, region in (("a", LOW), ("b", HIGH)))
+    ends = tuple(
+        Attachment(deformable="rope", region=region, to=name)
+        for name, region in (("a", LOW), ("b", HIGH))
+    )
     scene = Scene(bodies=bodies, deformables=(ROPE,), attachments=ends, duration_s=1.0)
     assert "held at both ends" in ENGINE.supports(scene).missing[0]
-    driven = replace(scene, bodies=(replace(bodies[0], motion=Motion.KINEMATIC), bodies[1]))
+    driven = replace(
+        scene, bodies=(replace(bodies[0], motion=Motion.KINEMATIC), bodies[1])
+    )
     assert "which is driven" in ENGINE.supports(driven).missing[0]
 
 
 def test_string_without_a_direction_or_with_a_start_velocity_is_declined() -> None:
     ball = solid("bob", Sphere(radius_m=0.02), (0.0, 0.0, 1.0))
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=0.3)
-    assert "no direction" in ENGINE.supports(Scene(bodies=(ball,), joints=(string,), duration_s=1.0)).missing[0]
-    moving = replace(ball, pose=Pose(position_m=(0.0, 0.0, 0.8)), linear_velocity_m_per_s=(1.0, 0.0, 0.0))
-    assert "start velocity" in ENGINE.supports(Scene(bodies=(moving,), joints=(string,), duration_s=1.0)).missing[0]
+    assert (
+        "no direction"
+        in ENGINE.supports(
+            Scene(bodies=(ball,), joints=(string,), duration_s=1.0)
+        ).missing[0]
+    )
+    moving = replace(
+        ball,
+        pose=Pose(position_m=(0.0, 0.0, 0.8)),
+        linear_velocity_m_per_s=(1.0, 0.0, 0.0),
+    )
+    assert (
+        "start velocity"
+        in ENGINE.supports(
+            Scene(bodies=(moving,), joints=(string,), duration_s=1.0)
+        ).missing[0]
+    )
 
 
 def test_pieces_of_a_solid_carry_a_ball_between_them() -> None:
-    corners = [(x, y, z) for x in (0.0, 0.05) for y in (-0.05, 0.05) for z in (-0.02, 0.0)]
+    corners = [
+        (x, y, z) for x in (0.0, 0.05) for y in (-0.05, 0.05) for z in (-0.02, 0.0)
+    ]
     left = tuple((x - 0.06, y, z) for x, y, z in corners)
     right = tuple((x + 0.01, y, z) for x, y, z in corners)
-    rails = solid("rails", ConvexUnion(pieces_m=(left, right)), (0.0, 0.0, 0.5), motion=Motion.FIXED)
+    rails = solid(
+        "rails",
+        ConvexUnion(pieces_m=(left, right)),
+        (0.0, 0.0, 0.5),
+        motion=Motion.FIXED,
+    )
     # A ball of radius 30 mm sinks by 30 - sqrt(30^2 - 10^2) mm into a gap of 20 mm.
     height = float(np.sqrt(0.03**2 - 0.01**2))
     ball = solid("ball", Sphere(radius_m=0.03), (0.0, 0.0, 0.5 + height))
     contact = Contact(first=("ball",), second=("rails",), friction=0.5, restitution=0.0)
-    simulation = ENGINE.build(Scene(bodies=(ball, rails), contacts=(contact,), duration_s=1.0))
+    simulation = ENGINE.build(
+        Scene(bodies=(ball, rails), contacts=(contact,), duration_s=1.0)
+    )
     simulation.reset(0)
     simulation.advance(0.5)
-    assert simulation.body_states(["ball"])[0, :3] == pytest.approx([0.0, 0.0, 0.5 + height], abs=1e-4)
+    assert simulation.body_states(["ball"])[0, :3] == pytest.approx(
+        [0.0, 0.0, 0.5 + height], abs=1e-4
+    )
     simulation.close()
 
 
@@ -361,16 +507,25 @@ def test_out_of_box_is_the_engine_as_it_starts(monkeypatch: pytest.MonkeyPatch) 
     they are.
     """
     scene = load_experiment("NonsmoothContact-1-wood").scene
-    kept = {"fixedTimeStep", "numSubSteps", "deterministicOverlappingPairs", "enableFileCaching"}
+    kept = {
+        "fixedTimeStep",
+        "numSubSteps",
+        "deterministicOverlappingPairs",
+        "enableFileCaching",
+    }
     call = BulletWorld.call
 
-    def without_parameters(self: BulletWorld, function: str, *arguments: object, **named: object) -> object:
+    def without_parameters(
+        self: BulletWorld, function: str, *arguments: object, **named: object
+    ) -> object:
         if function == "setPhysicsEngineParameter":
             named = {name: value for name, value in named.items() if name in kept}
         return call(self, function, *arguments, **named)
 
     def rollout(**changes: object) -> np.ndarray:
-        simulation = SimulationPyBullet(scene, settings_for(scene, {"preset": "out_of_box", **changes}))
+        simulation = SimulationPyBullet(
+            scene, settings_for(scene, {"preset": "out_of_box", **changes})
+        )
         positions = simulation.sample_positions(["pyramid"], 60, 1 / 180)
         simulation.close()
         return positions
@@ -379,7 +534,10 @@ def test_out_of_box_is_the_engine_as_it_starts(monkeypatch: pytest.MonkeyPatch) 
     given = [rollout(**one) for one in changes]
     differs = rollout(reduced_coordinates=False, warm_starting=0.85)
     monkeypatch.setattr(BulletWorld, "call", without_parameters)
-    assert all(np.array_equal(rollout(**one), positions) for one, positions in zip(changes, given, strict=True))
+    assert all(
+        np.array_equal(rollout(**one), positions)
+        for one, positions in zip(changes, given, strict=True)
+    )
     assert not np.array_equal(differs, given[1])
 
 
@@ -393,7 +551,9 @@ def test_engine_prints_nothing() -> None:
         "simulation.close()\n"
         "print('end', flush=True)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert (done.stdout, done.stderr) == ("end\n", "")
 
 
@@ -424,25 +584,39 @@ def test_wall_stands_and_its_ball_stays_on_the_string() -> None:
         scene,
         bodies=tuple(body for body in scene.bodies if body.name != "ball"),
         joints=(),
-        contacts=tuple(contact for contact in scene.contacts if "ball" not in contact.first),
+        contacts=tuple(
+            contact for contact in scene.contacts if "ball" not in contact.first
+        ),
     )
     names = [body.name for body in calm.dynamic_bodies]
     simulation = ENGINE.build(calm)
     simulation.reset(0)
     start = simulation.body_states(names)[:, :3]
     simulation.advance(0.5)
-    assert np.linalg.norm(simulation.body_states(names)[:, :3] - start, axis=1).max() < 1e-4
+    assert (
+        np.linalg.norm(simulation.body_states(names)[:, :3] - start, axis=1).max()
+        < 1e-4
+    )
     simulation.close()
 
 
 def test_a_body_beyond_the_plane_ends_the_episode() -> None:
     ground = solid("ground", Plane(), (0.0, 0.0, 0.0), motion=Motion.FIXED, mass_kg=0.0)
-    ball = replace(solid("ball", Sphere(radius_m=0.03), (7.5, 0.0, 0.03)), linear_velocity_m_per_s=(3.0, 0.0, 0.0))
-    contact = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.0)
-    simulation = ENGINE.build(Scene(bodies=(ground, ball), contacts=(contact,), duration_s=1.0))
+    ball = replace(
+        solid("ball", Sphere(radius_m=0.03), (7.5, 0.0, 0.03)),
+        linear_velocity_m_per_s=(3.0, 0.0, 0.0),
+    )
+    contact = Contact(
+        first=("ball",), second=("ground",), friction=0.5, restitution=0.0
+    )
+    simulation = ENGINE.build(
+        Scene(bodies=(ground, ball), contacts=(contact,), duration_s=1.0)
+    )
     assert simulation.fault() is None
     simulation.advance(0.5)
-    assert simulation.fault() == "ball is beyond the 8 m that this backend's planes reach"
+    assert (
+        simulation.fault() == "ball is beyond the 8 m that this backend's planes reach"
+    )
     simulation.close()
 
 
@@ -453,9 +627,13 @@ def test_springs_of_contacts_carry_and_throw_back_a_cube() -> None:
     springs = {"contact_stiffness_n_per_m": stiffness, "split_impulse": "none"}
 
     def heights_m(start_m: float, damping: float, seconds: float) -> np.ndarray:
-        experiment = load_experiment("CubeToss-acrylic", {"cube.position_m": (0.0, 0.0, start_m), **upright})
+        experiment = load_experiment(
+            "CubeToss-acrylic", {"cube.position_m": (0.0, 0.0, start_m), **upright}
+        )
         settings = {**springs, "contact_damping_n_s_per_m": damping}
-        simulation = SimulationPyBullet(experiment.scene, settings_for(experiment.scene, settings))
+        simulation = SimulationPyBullet(
+            experiment.scene, settings_for(experiment.scene, settings)
+        )
         simulation.reset(0)
         found = []
         for _ in range(round(900 * seconds)):
@@ -465,7 +643,9 @@ def test_springs_of_contacts_carry_and_throw_back_a_cube() -> None:
         return np.array(found)
 
     at_rest_m = half_m - heights_m(half_m, 30.0, 0.3)[-1]
-    assert at_rest_m == pytest.approx(mass_kg * GRAVITY_M_PER_S2 / (4.0 * stiffness), rel=0.01)
+    assert at_rest_m == pytest.approx(
+        mass_kg * GRAVITY_M_PER_S2 / (4.0 * stiffness), rel=0.01
+    )
     deepest_m = half_m - heights_m(half_m + 0.05, 1e-6, 0.15).min()
     speed = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.05)
     # Bullet integrates the spring implicitly, which damps it by the ratio w h / 2. Gravity adds the depth at rest.
@@ -479,17 +659,25 @@ def test_springs_of_contacts_need_damping_and_no_split_impulse() -> None:
     with pytest.raises(ParameterError, match="must be given together"):
         settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "split_impulse": "none"})
     with pytest.raises(ParameterError, match="split_impulse must be 'none'"):
-        settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "contact_damping_n_s_per_m": 1.0})
+        settings_for(
+            scene, {"contact_stiffness_n_per_m": 1e4, "contact_damping_n_s_per_m": 1.0}
+        )
 
 
-def test_checks_see_a_driven_body_that_bullet_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checks_see_a_driven_body_that_bullet_does_not_move(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The state of a driven body is Bullet's: one that gets no velocity falls, whatever its driver prescribes."""
     from gauge_envs.backends.pybullet import simulation
 
     for name in ("resetBasePositionAndOrientation", "resetBaseVelocity"):
         monkeypatch.setattr(simulation.pybullet, name, lambda *args, **named: None)
     results = list(run_checks("pybullet", only=["driven-*"]))
-    assert [one.check for one in results if one.is_bad] == ["driven-velocity", "driven-path", "driven-flick"]
+    assert [one.check for one in results if one.is_bad] == [
+        "driven-velocity",
+        "driven-path",
+        "driven-flick",
+    ]
     assert results[0].measured == 0.0
 
 
@@ -497,7 +685,10 @@ def test_checks_see_a_driven_body_that_bullet_does_not_move(monkeypatch: pytest.
 def test_foam_slides_by_the_law_one_margin_above_the_board(friction: float) -> None:
     half, middle = np.radians(15.0), 0.05 + 0.02 + SOFT_MARGIN_M
     turn = (float(np.cos(half)), 0.0, float(np.sin(half)), 0.0)
-    up, down = np.array([np.sin(2 * half), 0.0, np.cos(2 * half)]), np.array([np.cos(2 * half), 0.0, -np.sin(2 * half)])
+    up, down = (
+        np.array([np.sin(2 * half), 0.0, np.cos(2 * half)]),
+        np.array([np.cos(2 * half), 0.0, -np.sin(2 * half)]),
+    )
     board = RigidBody(
         name="board",
         shape=Box(size_m=(2.0, 0.5, 0.1)),
@@ -513,7 +704,9 @@ def test_foam_slides_by_the_law_one_margin_above_the_board(friction: float) -> N
         young_modulus_pa=1e4,
         poisson_ratio=0.3,
     )
-    contacts = (Contact(first=("foam",), second=("board",), friction=friction, restitution=0.0),)
+    contacts = (
+        Contact(first=("foam",), second=("board",), friction=friction, restitution=0.0),
+    )
     simulation = backend("pybullet").build(
         Scene(bodies=(board,), deformables=(foam,), contacts=contacts, duration_s=1.0)
     )
@@ -522,5 +715,7 @@ def test_foam_slides_by_the_law_one_margin_above_the_board(friction: float) -> N
         simulation.advance(1 / 180)
         places.append(simulation.nodes("foam").mean(axis=0))
     fit = np.polyfit(np.arange(40) / 180, np.array(places)[20:] @ down, 2)
-    assert 2.0 * fit[0] == pytest.approx(GRAVITY_M_PER_S2 * (0.5 - friction * np.sqrt(0.75)), rel=1e-3)
+    assert 2.0 * fit[0] == pytest.approx(
+        GRAVITY_M_PER_S2 * (0.5 - friction * np.sqrt(0.75)), rel=1e-3
+    )
     assert places[-1] @ up == pytest.approx(middle, abs=1e-4)

@@ -25,7 +25,10 @@ def swing(start_deg, frame_count, *, damping_per_s=0.0, length_m=LENGTH_M, start
     """Angle of a pendulum let go at rest, integrated to 1e-12, at 30 Hz, rad."""
     times_s = start_s + np.arange(frame_count) / 30
     solution = solve_ivp(
-        lambda _, state: [state[1], -GRAVITY / length_m * math.sin(state[0]) - 2 * damping_per_s * state[1]],
+        lambda _, state: [
+            state[1],
+            -GRAVITY / length_m * math.sin(state[0]) - 2 * damping_per_s * state[1],
+        ],
         (0.0, times_s[-1]),
         [math.radians(start_deg), 0.0],
         method="DOP853",
@@ -54,7 +57,14 @@ def test_energy_loss_of_an_exact_pendulum_is_zero(undamped_rad):
 
 @pytest.mark.parametrize("first", [1, 5, 11, 18])
 def test_energy_loss_is_zero_from_any_phase_of_an_exact_pendulum(undamped_rad, first):
-    assert abs(energy_loss(height_mm(undamped_rad[first : first + 900]), rest_height_mm=0.0)) < 2e-6
+    assert (
+        abs(
+            energy_loss(
+                height_mm(undamped_rad[first : first + 900]), rest_height_mm=0.0
+            )
+        )
+        < 2e-6
+    )
 
 
 def test_energy_loss_is_measured_from_the_height_at_rest(undamped_rad):
@@ -68,7 +78,10 @@ def test_energy_loss_of_a_damped_pendulum_is_that_of_its_peaks():
     angle_rad = swing(-60.0, 300, damping_per_s=0.05)
     dense_s = np.arange(0, 10 - 1 / 30, 1e-3)
     dense = solve_ivp(
-        lambda _, state: [state[1], -GRAVITY / LENGTH_M * math.sin(state[0]) - 0.1 * state[1]],
+        lambda _, state: [
+            state[1],
+            -GRAVITY / LENGTH_M * math.sin(state[0]) - 0.1 * state[1],
+        ],
         (0.0, dense_s[-1]),
         [math.radians(-60.0), 0.0],
         rtol=1e-10,
@@ -76,10 +89,18 @@ def test_energy_loss_of_a_damped_pendulum_is_that_of_its_peaks():
         t_eval=dense_s,
     )
     dense_height = height_mm(dense.y[0])
-    peaks = np.flatnonzero((dense_height[1:-1] > dense_height[:-2]) & (dense_height[1:-1] > dense_height[2:])) + 1
+    peaks = (
+        np.flatnonzero(
+            (dense_height[1:-1] > dense_height[:-2])
+            & (dense_height[1:-1] > dense_height[2:])
+        )
+        + 1
+    )
     last = dense_height[peaks[dense_s[peaks] < 300 / 30 - 3 / 30][-1]]
     expected = 1 - last / dense_height[0]
-    assert energy_loss(height_mm(angle_rad), rest_height_mm=0.0) == pytest.approx(expected, abs=1e-5)
+    assert energy_loss(height_mm(angle_rad), rest_height_mm=0.0) == pytest.approx(
+        expected, abs=1e-5
+    )
     assert expected > 0.5
 
 
@@ -114,15 +135,23 @@ def test_period_of_a_sine_is_found_between_the_bins():
 def test_period_of_a_large_swing_is_that_of_the_elliptic_integral(undamped_rad):
     from scipy.special import ellipk
 
-    exact_s = 4 * math.sqrt(LENGTH_M / GRAVITY) * ellipk(math.sin(math.radians(88.2) / 2) ** 2)
+    exact_s = (
+        4
+        * math.sqrt(LENGTH_M / GRAVITY)
+        * ellipk(math.sin(math.radians(88.2) / 2) ** 2)
+    )
     horizontal = LENGTH_M * np.sin(undamped_rad)
     assert oscillation_period(horizontal[:300]) == pytest.approx(exact_s, rel=1e-3)
-    assert oscillation_period(height_mm(undamped_rad)[:300]) == pytest.approx(exact_s / 2, rel=1e-3)
+    assert oscillation_period(height_mm(undamped_rad)[:300]) == pytest.approx(
+        exact_s / 2, rel=1e-3
+    )
 
 
 def test_period_scales_with_the_frame_rate_and_takes_one_coordinate():
     signal = np.sin(np.arange(200) * 0.3)
-    assert oscillation_period(signal, frame_rate_hz=60.0) == pytest.approx(oscillation_period(signal) / 2)
+    assert oscillation_period(signal, frame_rate_hz=60.0) == pytest.approx(
+        oscillation_period(signal) / 2
+    )
     assert math.isnan(oscillation_period(np.full(50, 3.0)))
     with pytest.raises(ShapeError, match="one coordinate"):
         oscillation_period(np.column_stack((signal, signal)))
@@ -131,9 +160,15 @@ def test_period_scales_with_the_frame_rate_and_takes_one_coordinate():
 def test_the_plain_spectrum_has_the_period_of_a_bin():
     """1.14 s lies between 10 / 9 and 10 / 8 s; 300 frames last 10 s."""
     times_s = np.arange(300) / 30
-    assert spectral_peak_period(25.0 + np.sin(2 * np.pi * times_s / 1.14)) == pytest.approx(10 / 9)
-    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22)) == pytest.approx(10 / 8)
-    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22), frame_rate_hz=60.0) == pytest.approx(10 / 16)
+    assert spectral_peak_period(
+        25.0 + np.sin(2 * np.pi * times_s / 1.14)
+    ) == pytest.approx(10 / 9)
+    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22)) == pytest.approx(
+        10 / 8
+    )
+    assert spectral_peak_period(
+        np.sin(2 * np.pi * times_s / 1.22), frame_rate_hz=60.0
+    ) == pytest.approx(10 / 16)
     assert math.isnan(spectral_peak_period(np.full(50, 3.0)))
 
 
@@ -149,8 +184,12 @@ def impulses(*rests, moving=8):
 
 def test_stationary_duration_is_the_longest_rest_between_impulses():
     """The hold of 40 frames at the start and the cut rest of 30 at the end do not count."""
-    assert longest_stationary_duration(impulses(40, 9, 12, 7, 30)) == pytest.approx(12 / 30)
-    assert longest_stationary_duration(impulses(40, 9, 12, 7, 30), frame_rate_hz=60.0) == pytest.approx(12 / 60)
+    assert longest_stationary_duration(impulses(40, 9, 12, 7, 30)) == pytest.approx(
+        12 / 30
+    )
+    assert longest_stationary_duration(
+        impulses(40, 9, 12, 7, 30), frame_rate_hz=60.0
+    ) == pytest.approx(12 / 60)
 
 
 def test_a_ball_that_only_swings_never_rests():
@@ -163,14 +202,20 @@ def test_slow_drift_ends_a_rest_at_the_height_range():
     drift = np.arange(20) * 4 / 30
     heights = np.concatenate(([60.0, 30.0], drift, [-30.0, -60.0]))
     assert longest_stationary_duration(heights) == pytest.approx(4 / 30)
-    assert longest_stationary_duration(heights, height_range_mm=10.0) == pytest.approx(20 / 30)
+    assert longest_stationary_duration(heights, height_range_mm=10.0) == pytest.approx(
+        20 / 30
+    )
     assert longest_stationary_duration(heights, height_range_mm=0.1) == 0.0
 
 
 def test_fast_jitter_within_the_height_range_is_no_rest():
-    heights = np.concatenate(([60.0, 30.0], 0.2 * (-1.0) ** np.arange(20), [30.0, 60.0]))
+    heights = np.concatenate(
+        ([60.0, 30.0], 0.2 * (-1.0) ** np.arange(20), [30.0, 60.0])
+    )
     assert longest_stationary_duration(heights) == 0.0
-    assert longest_stationary_duration(heights, speed_limit_mm_s=20.0) == pytest.approx(20 / 30)
+    assert longest_stationary_duration(heights, speed_limit_mm_s=20.0) == pytest.approx(
+        20 / 30
+    )
 
 
 def test_a_drift_at_constant_height_is_a_rest_of_the_height_alone():
@@ -178,12 +223,16 @@ def test_a_drift_at_constant_height_is_a_rest_of_the_height_alone():
     path = np.column_stack((np.arange(len(heights)) * 20.0 / 30, heights))
     assert longest_stationary_duration(heights) == pytest.approx(12 / 30)
     assert longest_stationary_duration(heights, path_mm=path) == 0.0
-    assert longest_stationary_duration(heights, path_mm=path, speed_limit_mm_s=21.0) == pytest.approx(12 / 30)
+    assert longest_stationary_duration(
+        heights, path_mm=path, speed_limit_mm_s=21.0
+    ) == pytest.approx(12 / 30)
 
 
 def test_central_differences_lose_the_frames_beside_an_impulse():
     """The speed at the first and last frame of a rest is half of that of the step beside it."""
-    assert longest_stationary_duration(impulses(40, 9, 12, 7, 30), central=True) == pytest.approx(10 / 30)
+    assert longest_stationary_duration(
+        impulses(40, 9, 12, 7, 30), central=True
+    ) == pytest.approx(10 / 30)
     turning = np.array([60.0, 30.0, 0.0, 0.0, 30.0, 60.0])
     assert longest_stationary_duration(turning) == pytest.approx(2 / 30)
     assert longest_stationary_duration(turning, central=True) == 0.0
@@ -192,7 +241,9 @@ def test_central_differences_lose_the_frames_beside_an_impulse():
 def test_rests_at_the_ends_are_dropped_and_returned():
     heights = impulses(40, 9, 12, 7, 30)
     assert dropped_rests(heights) == pytest.approx((40 / 30, 30 / 30))
-    assert dropped_rests(heights[42:], frame_rate_hz=60.0) == pytest.approx((0.0, 30 / 60))
+    assert dropped_rests(heights[42:], frame_rate_hz=60.0) == pytest.approx(
+        (0.0, 30 / 60)
+    )
     assert dropped_rests(np.zeros(20)) == pytest.approx((20 / 30, 20 / 30))
 
 
@@ -244,28 +295,42 @@ def test_momentum_transfer_finds_the_apex_between_frames(top_deg, phase_s):
     landed = (times_s > 0) & (angle_rad < 0)
     angle_rad[np.argmax(landed) :] = 0.0
     heights = 55.0 + height_mm(angle_rad, length_m)
-    ratio = momentum_transfer_efficiency(heights, drop_height_mm=top_mm / 0.81, rest_height_mm=55.0)
+    ratio = momentum_transfer_efficiency(
+        heights, drop_height_mm=top_mm / 0.81, rest_height_mm=55.0
+    )
     assert ratio == pytest.approx(0.9, abs=2e-5)
 
 
 def test_momentum_transfer_takes_the_first_swing_only():
     hop = np.sin(np.pi * np.arange(13) / 12)
-    heights = np.concatenate((np.zeros(10), 20 * hop, np.zeros(5), 80 * hop, np.zeros(5)))
+    heights = np.concatenate(
+        (np.zeros(10), 20 * hop, np.zeros(5), 80 * hop, np.zeros(5))
+    )
     heights[4] = 0.3  # noise at rest, below the rise that begins a swing
-    ratio = momentum_transfer_efficiency(heights, drop_height_mm=80.0, rest_height_mm=0.0)
+    ratio = momentum_transfer_efficiency(
+        heights, drop_height_mm=80.0, rest_height_mm=0.0
+    )
     assert ratio == pytest.approx(0.5, rel=1e-6)
 
 
 def test_momentum_transfer_of_a_ball_that_never_swings_is_nan():
     rng = np.random.default_rng(0)
     noise = rng.normal(scale=0.1, size=50)
-    assert math.isnan(momentum_transfer_efficiency(noise, drop_height_mm=100.0, rest_height_mm=0.0))
-    assert math.isnan(momentum_transfer_efficiency(np.arange(50.0), drop_height_mm=100.0, rest_height_mm=0.0))
+    assert math.isnan(
+        momentum_transfer_efficiency(noise, drop_height_mm=100.0, rest_height_mm=0.0)
+    )
+    assert math.isnan(
+        momentum_transfer_efficiency(
+            np.arange(50.0), drop_height_mm=100.0, rest_height_mm=0.0
+        )
+    )
     with pytest.raises(ShapeError, match="drop_height_mm is 0"):
         momentum_transfer_efficiency(noise, drop_height_mm=0.0, rest_height_mm=0.0)
 
 
-@pytest.mark.parametrize("heights", [np.zeros((5, 3)), np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(1)])
+@pytest.mark.parametrize(
+    "heights", [np.zeros((5, 3)), np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(1)]
+)
 def test_events_refuse_what_is_not_a_row_of_heights(heights):
     with pytest.raises(ShapeError):
         longest_stationary_duration(heights)
@@ -281,7 +346,9 @@ def test_events_refuse_what_is_not_a_row_of_heights(heights):
         energy_loss(heights, rest_height_mm=0.0)
 
 
-@pytest.mark.parametrize("path", [np.zeros((4, 3)), np.zeros(5), np.full((5, 1), np.nan)])
+@pytest.mark.parametrize(
+    "path", [np.zeros((4, 3)), np.zeros(5), np.full((5, 1), np.nan)]
+)
 def test_a_path_has_a_row_for_each_height(path):
     with pytest.raises(ShapeError, match="path_mm"):
         longest_stationary_duration(np.zeros(5), path_mm=path)

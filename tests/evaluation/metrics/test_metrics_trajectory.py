@@ -27,7 +27,10 @@ VALUES = st.floats(-100, 100, allow_nan=False, width=32)
 def trajectory_pairs(draw, *, same_length=True):
     first_count, coordinate_count = draw(st.integers(1, 9)), draw(st.integers(1, 4))
     second_count = first_count if same_length else draw(st.integers(1, 9))
-    return tuple(draw(arrays(float, (n, coordinate_count), elements=VALUES)) for n in (first_count, second_count))
+    return tuple(
+        draw(arrays(float, (n, coordinate_count), elements=VALUES))
+        for n in (first_count, second_count)
+    )
 
 
 def plain_dtw(first, second):
@@ -38,12 +41,23 @@ def plain_dtw(first, second):
     cost[0][0] = 0.0
     for i, a in enumerate(first):
         for j, b in enumerate(second):
-            local[i][j] = math.sqrt(sum((p - q) ** 2 for p, q in zip(a, b, strict=True) if not math.isnan(p - q)))
-            cost[i + 1][j + 1] = local[i][j] + min(cost[i][j], cost[i][j + 1], cost[i + 1][j])
+            local[i][j] = math.sqrt(
+                sum(
+                    (p - q) ** 2
+                    for p, q in zip(a, b, strict=True)
+                    if not math.isnan(p - q)
+                )
+            )
+            cost[i + 1][j + 1] = local[i][j] + min(
+                cost[i][j], cost[i][j + 1], cost[i + 1][j]
+            )
     i, j = len(first), len(second)
     path = [(i - 1, j - 1)]
     while (i, j) != (1, 1):
-        i, j = min([(i - 1, j - 1), (i - 1, j), (i, j - 1)], key=lambda cell: cost[cell[0]][cell[1]])
+        i, j = min(
+            [(i - 1, j - 1), (i - 1, j), (i, j - 1)],
+            key=lambda cell: cost[cell[0]][cell[1]],
+        )
         path.append((i - 1, j - 1))
     return cost[-1][-1], path[::-1]
 
@@ -92,8 +106,16 @@ def test_rmse_is_invariant_to_a_rigid_motion_of_both(points, seed):
         (np.zeros((3, 2)), np.zeros((3, 1)), "simulated has"),
         (np.zeros(3), np.zeros((3, 1)), r"simulated has shape \(3,\)"),
         (np.zeros((3, 0)), np.zeros((3, 0)), r"shape \(3, 0\)"),
-        (np.array([[0.0], [np.inf]]), np.zeros((2, 1)), "simulated is inf at frame 1, coordinate 0"),
-        (np.zeros((2, 1)), np.array([[0.0], [np.inf]]), "real_mean is inf at frame 1, coordinate 0"),
+        (
+            np.array([[0.0], [np.inf]]),
+            np.zeros((2, 1)),
+            "simulated is inf at frame 1, coordinate 0",
+        ),
+        (
+            np.zeros((2, 1)),
+            np.array([[0.0], [np.inf]]),
+            "real_mean is inf at frame 1, coordinate 0",
+        ),
         (np.zeros((2, 1)), np.full((2, 1), np.nan), "no measured entry"),
     ],
 )
@@ -113,7 +135,18 @@ def test_dtw_cost_agrees_with_the_textbook_recursion(pair):
     assert_is_warping_path(path, *map(len, pair))
 
 
-@pytest.mark.parametrize("shape", [(60, 60, 7), (41, 60, 3), (60, 41, 3), (40, 41, 1), (1, 9, 2), (9, 1, 2), (1, 1, 1)])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (60, 60, 7),
+        (41, 60, 3),
+        (60, 41, 3),
+        (40, 41, 1),
+        (1, 9, 2),
+        (9, 1, 2),
+        (1, 1, 1),
+    ],
+)
 def test_dtw_path_agrees_with_the_textbook_recursion(shape):
     first_count, second_count, coordinate_count = shape
     rng = np.random.default_rng(3)
@@ -123,7 +156,9 @@ def test_dtw_path_agrees_with_the_textbook_recursion(shape):
     plain_cost, plain_path = plain_dtw(first, second)
     assert path.tolist() == [list(cell) for cell in plain_path]
     assert cost == pytest.approx(plain_cost, rel=1e-12)
-    assert trajectory_dtw(first, second) == pytest.approx(plain_cost / len(plain_path), rel=1e-12)
+    assert trajectory_dtw(first, second) == pytest.approx(
+        plain_cost / len(plain_path), rel=1e-12
+    )
 
 
 def test_dtw_agrees_where_distances_nearly_cancel():
@@ -131,27 +166,39 @@ def test_dtw_agrees_where_distances_nearly_cancel():
     rng = np.random.default_rng(4)
     wide = rng.normal(size=(80, 3)).cumsum(axis=0) * 1e3
     first, second = (
-        np.concatenate((wide, wide[-1] + 1e-6 * rng.normal(size=(20, 3)).cumsum(axis=0))) for _ in range(2)
+        np.concatenate(
+            (wide, wide[-1] + 1e-6 * rng.normal(size=(20, 3)).cumsum(axis=0))
+        )
+        for _ in range(2)
     )
-    assert dtw_path(first, second)[0] == pytest.approx(plain_dtw(first, second)[0], rel=1e-9)
+    assert dtw_path(first, second)[0] == pytest.approx(
+        plain_dtw(first, second)[0], rel=1e-9
+    )
 
 
 def test_dtw_agrees_when_both_rest():
     rng = np.random.default_rng(5)
     first, second = 5.0 + 1e-9 * rng.normal(size=(2, 30, 2))
-    assert dtw_path(first, second)[0] == pytest.approx(plain_dtw(first, second)[0], rel=1e-9)
+    assert dtw_path(first, second)[0] == pytest.approx(
+        plain_dtw(first, second)[0], rel=1e-9
+    )
 
 
 @given(pair=trajectory_pairs(same_length=False))
 def test_dtw_cost_is_symmetric(pair):
     first, second = pair
-    assert dtw_path(first, second)[0] == pytest.approx(dtw_path(second, first)[0], rel=1e-9, abs=1e-9)
+    assert dtw_path(first, second)[0] == pytest.approx(
+        dtw_path(second, first)[0], rel=1e-9, abs=1e-9
+    )
 
 
 @given(pair=trajectory_pairs())
 def test_dtw_cost_is_at_most_that_of_no_warping(pair):
     first, second = pair
-    assert dtw_path(first, second)[0] <= np.linalg.norm(first - second, axis=1).sum() * (1 + 1e-9) + 1e-9
+    assert (
+        dtw_path(first, second)[0]
+        <= np.linalg.norm(first - second, axis=1).sum() * (1 + 1e-9) + 1e-9
+    )
 
 
 @given(pair=trajectory_pairs())
@@ -169,7 +216,10 @@ def test_dtw_ignores_a_pause_that_rmse_punishes():
 @pytest.mark.parametrize("seed", range(6))
 def test_dtw_ties_prefer_the_diagonal(seed):
     """A first frame on the real mean makes waiting there free: without the rule the path could grow, the mean fall."""
-    simulated, real = np.random.default_rng(seed).uniform(1.0, 2.0, size=(40, 1)), np.zeros((40, 1))
+    simulated, real = (
+        np.random.default_rng(seed).uniform(1.0, 2.0, size=(40, 1)),
+        np.zeros((40, 1)),
+    )
     simulated[0] = 0.0
     assert dtw_path(simulated, real)[1].tolist() == [[k, k] for k in range(40)]
     assert trajectory_dtw(simulated, real) == pytest.approx(simulated.sum() / 40)
@@ -213,8 +263,12 @@ def fall_mm(time_s):
 
 
 @pytest.mark.parametrize("offset_s", [0.0, 0.1234, -0.0567, 0.3])
-@pytest.mark.parametrize(("sample_rate_hz", "accuracy_s"), [(180.0, 2e-4), (30.0, 4e-3)])
-def test_release_offset_finds_the_shift_of_a_late_release(offset_s, sample_rate_hz, accuracy_s):
+@pytest.mark.parametrize(
+    ("sample_rate_hz", "accuracy_s"), [(180.0, 2e-4), (30.0, 4e-3)]
+)
+def test_release_offset_finds_the_shift_of_a_late_release(
+    offset_s, sample_rate_hz, accuracy_s
+):
     times_s = np.arange(int(4 / 3 * sample_rate_hz) + 1) / sample_rate_hz
     real = fall_mm(np.arange(31) / 30 - offset_s)
     found_s, aligned = release_offset(times_s, fall_mm(times_s), real)
@@ -235,7 +289,9 @@ def test_release_offset_never_assumes_motion_after_the_end(later_s):
 def test_release_offset_is_exact_for_a_uniform_motion():
     times_s = np.arange(181) / 180
     found_s, aligned = release_offset(
-        times_s, 100 * times_s[:, None], 100 * np.clip(np.arange(31) / 30 - 0.05137, 0, 1)[:, None]
+        times_s,
+        100 * times_s[:, None],
+        100 * np.clip(np.arange(31) / 30 - 0.05137, 0, 1)[:, None],
     )
     assert found_s == pytest.approx(0.05137, abs=1e-6)
     assert aligned < 1e-4
@@ -246,13 +302,20 @@ def test_release_offset_stays_within_its_limit_and_ignores_missing_entries():
     real = fall_mm(np.arange(31) / 30 - 0.2)
     real[::3, 1] = np.nan
     real[4] = np.nan
-    assert release_offset(times_s, fall_mm(times_s), real)[0] == pytest.approx(0.2, abs=2e-4)
-    assert release_offset(times_s, fall_mm(times_s), real, max_offset_s=0.05)[0] == pytest.approx(0.05, abs=1e-6)
+    assert release_offset(times_s, fall_mm(times_s), real)[0] == pytest.approx(
+        0.2, abs=2e-4
+    )
+    assert release_offset(times_s, fall_mm(times_s), real, max_offset_s=0.05)[
+        0
+    ] == pytest.approx(0.05, abs=1e-6)
 
 
 def test_release_offset_of_an_object_at_rest_is_zero():
     times_s = np.arange(61) / 30
-    assert release_offset(times_s, np.full((61, 2), 0.1), np.zeros((40, 2))) == (0.0, pytest.approx(0.1 * math.sqrt(2)))
+    assert release_offset(times_s, np.full((61, 2), 0.1), np.zeros((40, 2))) == (
+        0.0,
+        pytest.approx(0.1 * math.sqrt(2)),
+    )
 
 
 @pytest.mark.parametrize("times_s", [[0.0, 0.0, 1.0], [0.0, 1.0], [0.0, 2.0, 1.0]])
@@ -278,7 +341,10 @@ def test_z_statistics_count_measured_entries_only():
 
 
 def test_z_scores_take_one_sigma_for_all_frames_and_refuse_others():
-    assert z_scores(np.ones((4, 2)), np.zeros((4, 2)), [0.5, 2.0])[3].tolist() == [2.0, 0.5]
+    assert z_scores(np.ones((4, 2)), np.zeros((4, 2)), [0.5, 2.0])[3].tolist() == [
+        2.0,
+        0.5,
+    ]
     with pytest.raises(ShapeError, match=r"\(3,\), which does not fit \(4, 2\)"):
         z_scores(np.ones((4, 2)), np.zeros((4, 2)), np.ones(3))
     with pytest.raises(ShapeError, match="never negative"):
@@ -287,4 +353,6 @@ def test_z_scores_take_one_sigma_for_all_frames_and_refuse_others():
 
 def test_signed_error_keeps_direction_and_skips_missing_frames():
     real = np.array([[0.0, 0.0, np.nan], [np.nan, 0.0, np.nan]])
-    np.testing.assert_array_equal(signed_error([[1.0, -2.0, 5.0], [9.0, 4.0, 5.0]], real), [1.0, 1.0, np.nan])
+    np.testing.assert_array_equal(
+        signed_error([[1.0, -2.0, 5.0], [9.0, 4.0, 5.0]], real), [1.0, 1.0, np.nan]
+    )

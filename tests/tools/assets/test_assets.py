@@ -45,7 +45,12 @@ from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
-from gauge_envs.tools.assets.export import experiment_stage, mjcf_text, usd_layer_text, write_mjcf
+from gauge_envs.tools.assets.export import (
+    experiment_stage,
+    mjcf_text,
+    usd_layer_text,
+    write_mjcf,
+)
 from gauge_envs.tools.usd.isaac_fabric import surface_constants
 from gauge_envs.tools.usd.writer import export_stage
 
@@ -56,18 +61,28 @@ DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")
 # --- the folder ------------------------------------------------------------------------------------------------------
 
 
-SAMPLE = ("SlopeSlider-2-wood", "Turntable-3-metal", "Pendulum-metal", "TextileBending-rayon", "FoamTwisting-soft")
+SAMPLE = (
+    "SlopeSlider-2-wood",
+    "Turntable-3-metal",
+    "Pendulum-metal",
+    "TextileBending-rayon",
+    "FoamTwisting-soft",
+)
 """A contact, a driver, a tether, cloth and a soft body."""
 
 
-def test_a_sample_of_the_checked_in_assets_is_current(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sample_of_the_checked_in_assets_is_current(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     solid_shapes()
     monkeypatch.setattr(assets, "variants", lambda: SAMPLE)
     shutil.copytree(assets_folder() / "obj", tmp_path / "obj")
     for folder, suffix in (("mjcf", "xml"), ("usd", "usda")):
         (tmp_path / folder).mkdir()
         for name in SAMPLE:
-            shutil.copy(assets_folder() / folder / f"{name}.{suffix}", tmp_path / folder)
+            shutil.copy(
+                assets_folder() / folder / f"{name}.{suffix}", tmp_path / folder
+            )
     assert assets.stale_asset(tmp_path) is None
 
 
@@ -78,7 +93,10 @@ def test_checked_in_assets_are_current() -> None:
 
 def test_checked_in_assets_are_complete_and_small() -> None:
     rows = assets.asset_rows(assets_folder())
-    counts = {folder: sum(row["file"].startswith(f"{folder}/") for row in rows) for folder in ("usd", "mjcf", "obj")}
+    counts = {
+        folder: sum(row["file"].startswith(f"{folder}/") for row in rows)
+        for folder in ("usd", "mjcf", "obj")
+    }
     assert counts == {"usd": 75, "mjcf": 75, "obj": len(solid_shapes())}
     assert max(row["bytes"] for row in rows) < 2e6
     assert sum(row["bytes"] for row in rows) < 13.2e6
@@ -107,7 +125,9 @@ def test_a_fresh_folder_is_current(folder: Path) -> None:
         ("usd/c.usda", "left over"),
     ],
 )
-def test_what_differs_is_stale_until_it_is_built_again(folder: Path, name: str, text: str) -> None:
+def test_what_differs_is_stale_until_it_is_built_again(
+    folder: Path, name: str, text: str
+) -> None:
     (folder / name).write_text(text)
     assert assets.stale_asset(folder) == folder / name
     assets.build_assets(folder)
@@ -131,8 +151,17 @@ def test_building_where_nothing_can_be_written_is_an_error(folder: Path) -> None
 
 def test_command_builds_and_checks(folder: Path) -> None:
     out = folder / "again"
-    assert CliRunner().invoke(app, ["data", "scenes", "--out", str(out)]).stdout.startswith("2 files")
-    assert CliRunner().invoke(app, ["data", "scenes", "--check", "--out", str(out)]).exit_code == 0
+    assert (
+        CliRunner()
+        .invoke(app, ["data", "scenes", "--out", str(out)])
+        .stdout.startswith("2 files")
+    )
+    assert (
+        CliRunner()
+        .invoke(app, ["data", "scenes", "--check", "--out", str(out)])
+        .exit_code
+        == 0
+    )
     (out / "usd/b.usda").write_text("edited")
     stale = CliRunner().invoke(app, ["data", "scenes", "--check", "--out", str(out)])
     assert stale.exit_code == 1
@@ -141,7 +170,12 @@ def test_command_builds_and_checks(folder: Path) -> None:
 
 
 def test_command_lists_what_each_file_shows() -> None:
-    rows = [json.loads(line) for line in CliRunner().invoke(app, ["list", "scenes", "--json"]).stdout.splitlines()]
+    rows = [
+        json.loads(line)
+        for line in CliRunner()
+        .invoke(app, ["list", "scenes", "--json"])
+        .stdout.splitlines()
+    ]
     shown = {row["file"]: row["of"] for row in rows}
     assert shown["usd/Funnel-satin.usda"] == "GAUGE/Funnel-satin"
     assert "WallBreaking/brick" in shown["obj/box-20x40x15mm.obj"]
@@ -160,7 +194,11 @@ def pair(request: pytest.FixtureRequest) -> tuple[Usd.Stage, object]:
 
 
 def by_name(stage: Usd.Stage) -> dict[str, Usd.Prim]:
-    return {prim.GetAttribute("gauge:name").Get(): prim for prim in stage.Traverse() if prim.HasAttribute("gauge:name")}
+    return {
+        prim.GetAttribute("gauge:name").Get(): prim
+        for prim in stage.Traverse()
+        if prim.HasAttribute("gauge:name")
+    }
 
 
 def value(prim: Usd.Prim, name: str) -> object:
@@ -168,7 +206,9 @@ def value(prim: Usd.Prim, name: str) -> object:
 
 
 def colliders(prim: Usd.Prim) -> list[Usd.Prim]:
-    return [child for child in prim.GetChildren() if child.HasAPI(UsdPhysics.CollisionAPI)]
+    return [
+        child for child in prim.GetChildren() if child.HasAPI(UsdPhysics.CollisionAPI)
+    ]
 
 
 def read_shape(prim: Usd.Prim) -> Shape:
@@ -176,7 +216,9 @@ def read_shape(prim: Usd.Prim) -> Shape:
     kind = geometry[0].GetTypeName()
     if kind == "Mesh":
         pieces = (value(piece, "gauge:points_m") for piece in geometry)
-        return ConvexUnion(pieces_m=tuple(tuple(tuple(point) for point in piece) for piece in pieces))
+        return ConvexUnion(
+            pieces_m=tuple(tuple(tuple(point) for point in piece) for piece in pieces)
+        )
     (only,) = geometry
     if kind == "Cube":
         assert value(only, "size") == 1.0
@@ -200,12 +242,18 @@ def test_layer_says_units_times_and_source(pair: tuple) -> None:
     assert UsdPhysics.GetStageKilogramsPerUnit(stage) == 1.0
     assert UsdGeom.GetStageUpAxis(stage) == "Z"
     assert stage.GetTimeCodesPerSecond() == FRAME_RATE_HZ
-    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, experiment.frame_count - 1)
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (
+        0,
+        experiment.frame_count - 1,
+    )
     assert stage.GetDefaultPrim().GetPath() == "/World"
     data = stage.GetRootLayer().customLayerData["gauge"]
     assert data["variant"] == experiment.variant.name
     assert data["parameters"] == "calibrated"
-    assert data["task_sha256"] == hashlib.sha256(task_path(experiment.variant.family).read_bytes()).hexdigest()
+    assert (
+        data["task_sha256"]
+        == hashlib.sha256(task_path(experiment.variant.family).read_bytes()).hexdigest()
+    )
     assert "MIT" in data["source"]
     physics = stage.GetPrimAtPath("/World/PhysicsScene")
     assert value(physics, "gauge:gravity_m_per_s2") == experiment.scene.gravity_m_per_s2
@@ -216,7 +264,9 @@ def test_layer_says_units_times_and_source(pair: tuple) -> None:
 def test_rigid_bodies_are_the_scenes(pair: tuple) -> None:
     stage, experiment = pair
     prims = by_name(stage)
-    assert list(prims) == [body.name for body in (*experiment.scene.bodies, *experiment.scene.deformables)]
+    assert list(prims) == [
+        body.name for body in (*experiment.scene.bodies, *experiment.scene.deformables)
+    ]
     for body in experiment.scene.bodies:
         prim = prims[body.name]
         assert tuple(value(prim, "xformOp:translate")) == body.pose.position_m
@@ -225,7 +275,9 @@ def test_rigid_bodies_are_the_scenes(pair: tuple) -> None:
         assert value(prim, "gauge:motion") == body.motion.value
         assert prim.HasAPI(UsdPhysics.RigidBodyAPI) is (body.motion is not Motion.FIXED)
         if body.motion is not Motion.FIXED:
-            assert value(prim, "physics:kinematicEnabled") is (body.motion is Motion.KINEMATIC)
+            assert value(prim, "physics:kinematicEnabled") is (
+                body.motion is Motion.KINEMATIC
+            )
             assert value(prim, "physics:mass") == np.float32(body.mass_kg)
         if not isinstance(body.shape, Plane):
             assert value(prim, "gauge:mass_kg") == body.mass_kg
@@ -247,9 +299,14 @@ def test_pieces_are_closed_and_turned_outward(pair: tuple) -> None:
 
 def polygons(prim: Usd.Prim) -> trimesh.Trimesh:
     corners = iter(value(prim, "faceVertexIndices"))
-    faces = [[next(corners) for _ in range(count)] for count in value(prim, "faceVertexCounts")]
+    faces = [
+        [next(corners) for _ in range(count)]
+        for count in value(prim, "faceVertexCounts")
+    ]
     triangles = [(face[0], *edge) for face in faces for edge in pairwise(face[1:])]
-    return trimesh.Trimesh(np.asarray(value(prim, "points"), dtype=np.float64), triangles, process=False)
+    return trimesh.Trimesh(
+        np.asarray(value(prim, "points"), dtype=np.float64), triangles, process=False
+    )
 
 
 def test_driven_bodies_move_as_their_drivers(pair: tuple) -> None:
@@ -258,17 +315,28 @@ def test_driven_bodies_move_as_their_drivers(pair: tuple) -> None:
     driven = {driver.body: driver for driver in experiment.scene.drivers}
     for body in experiment.scene.bodies:
         prim = prims[body.name]
-        moves = any(op.MightBeTimeVarying() for op in UsdGeom.Xformable(prim).GetOrderedXformOps())
+        moves = any(
+            op.MightBeTimeVarying()
+            for op in UsdGeom.Xformable(prim).GetOrderedXformOps()
+        )
         assert moves is (body.name in driven)
         if not moves:
             continue
         assert value(prim, "gauge:driver_provenance") == driven[body.name].provenance
         for frame in range(experiment.frame_count):
             pose = driven[body.name].pose(body.pose, frame / FRAME_RATE_HZ)
-            assert tuple(prim.GetAttribute("xformOp:translate").Get(frame)) == pose.position_m
-            turned = np.array(quaternion(prim.GetAttribute("xformOp:orient").Get(frame)))
+            assert (
+                tuple(prim.GetAttribute("xformOp:translate").Get(frame))
+                == pose.position_m
+            )
+            turned = np.array(
+                quaternion(prim.GetAttribute("xformOp:orient").Get(frame))
+            )
             assert abs(turned @ pose.quaternion) == pytest.approx(1.0, abs=1e-12)
-        orients = [quaternion(prim.GetAttribute("xformOp:orient").Get(k)) for k in range(experiment.frame_count)]
+        orients = [
+            quaternion(prim.GetAttribute("xformOp:orient").Get(k))
+            for k in range(experiment.frame_count)
+        ]
         assert all(np.dot(a, b) > 0.0 for a, b in pairwise(orients))
 
 
@@ -290,7 +358,10 @@ def test_contacts_are_the_scenes(pair: tuple) -> None:
 def test_bodies_have_the_material_of_their_first_contact(pair: tuple) -> None:
     stage, experiment = pair
     for name, prim in by_name(stage).items():
-        own = next((c for c in experiment.scene.contacts if name in (*c.first, *c.second)), None)
+        own = next(
+            (c for c in experiment.scene.contacts if name in (*c.first, *c.second)),
+            None,
+        )
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         if own is None:
             assert not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI)
@@ -306,12 +377,16 @@ def test_bodies_have_the_material_of_their_first_contact(pair: tuple) -> None:
 def test_only_pairs_of_a_contact_collide(pair: tuple) -> None:
     stage, experiment = pair
     scene, prims = experiment.scene, by_name(stage)
-    allowed = {frozenset((a, b)) for c in scene.contacts for a in c.first for b in c.second}
+    allowed = {
+        frozenset((a, b)) for c in scene.contacts for a in c.first for b in c.second
+    }
     movers = {body.name for body in (*scene.dynamic_bodies, *scene.deformables)}
     filtered = {
         frozenset((prim.GetPath(), target))
         for prim in prims.values()
-        for target in UsdPhysics.FilteredPairsAPI(prim).GetFilteredPairsRel().GetTargets()
+        for target in UsdPhysics.FilteredPairsAPI(prim)
+        .GetFilteredPairsRel()
+        .GetTargets()
     }
 
     def enabled(prim: Usd.Prim) -> bool:
@@ -335,9 +410,13 @@ def test_joints_hold_bodies_where_the_scene_does(pair: tuple) -> None:
     for prim, joint in zip(joints, experiment.scene.joints, strict=True):
         body = experiment.scene.body(joint.body)
         assert not prim.GetRelationship("physics:body0").GetTargets()
-        assert prim.GetRelationship("physics:body1").GetTargets() == [by_name(stage)[joint.body].GetPath()]
+        assert prim.GetRelationship("physics:body1").GetTargets() == [
+            by_name(stage)[joint.body].GetPath()
+        ]
         assert tuple(value(prim, "gauge:anchor_m")) == joint.anchor_m
-        np.testing.assert_allclose(value(prim, "physics:localPos0"), joint.anchor_m, atol=1e-7)
+        np.testing.assert_allclose(
+            value(prim, "physics:localPos0"), joint.anchor_m, atol=1e-7
+        )
         local = np.asarray(value(prim, "physics:localPos1"), dtype=np.float64)
         if isinstance(joint, Tether):
             assert prim.GetTypeName() == "PhysicsDistanceJoint"
@@ -350,12 +429,19 @@ def test_joints_hold_bodies_where_the_scene_does(pair: tuple) -> None:
         assert tuple(value(prim, "gauge:axis")) == joint.axis
         np.testing.assert_allclose(body.pose.to_world(local), joint.anchor_m, atol=1e-7)
         world, turned = (
-            Rotation.from_quat(quaternion(value(prim, f"physics:localRot{side}")), scalar_first=True) for side in (0, 1)
+            Rotation.from_quat(
+                quaternion(value(prim, f"physics:localRot{side}")), scalar_first=True
+            )
+            for side in (0, 1)
         )
-        axis = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}[value(prim, "physics:axis")]
+        axis = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}[
+            value(prim, "physics:axis")
+        ]
         np.testing.assert_allclose(world.apply(axis), joint.axis, atol=1e-6)
         # The two frames coincide at the start, so that the joint's angle starts at zero.
-        np.testing.assert_allclose((body.pose.rotation * turned * world.inv()).magnitude(), 0.0, atol=1e-6)
+        np.testing.assert_allclose(
+            (body.pose.rotation * turned * world.inv()).magnitude(), 0.0, atol=1e-6
+        )
 
 
 def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
@@ -365,7 +451,11 @@ def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
         prim = prims[body.name]
         assert tuple(value(prim, "xformOp:translate")) == body.pose.position_m
         assert quaternion(value(prim, "xformOp:orient")) == body.pose.quaternion
-        numbers = {f.name: getattr(body, f.name) for f in fields(body) if isinstance(getattr(body, f.name), float)}
+        numbers = {
+            f.name: getattr(body, f.name)
+            for f in fields(body)
+            if isinstance(getattr(body, f.name), float)
+        }
         assert "mass_kg" in numbers
         assert {name: value(prim, f"gauge:{name}") for name in numbers} == numbers
         assert value(prim, "omniphysics:mass") == np.float32(body.mass_kg)
@@ -374,8 +464,12 @@ def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
             assert tuple(value(prim, "gauge:size_m")) == body.size_m
             mesh = polygons(prim)
             assert mesh.area == pytest.approx(np.prod(body.size_m), rel=1e-5)
-            np.testing.assert_allclose(mesh.face_normals, np.tile([0.0, 0.0, 1.0], (len(mesh.faces), 1)))
-            np.testing.assert_array_equal(value(prim, "omniphysics:restTriVtxIndices"), mesh.faces)
+            np.testing.assert_allclose(
+                mesh.face_normals, np.tile([0.0, 0.0, 1.0], (len(mesh.faces), 1))
+            )
+            np.testing.assert_array_equal(
+                value(prim, "omniphysics:restTriVtxIndices"), mesh.faces
+            )
         elif isinstance(body, SoftBody):
             assert tuple(value(prim, "gauge:size_m")) == body.shape.size_m
             assert not UsdGeom.TetMesh.FindInvertedElements(UsdGeom.TetMesh(prim))
@@ -383,11 +477,17 @@ def test_deformable_bodies_are_the_scenes(pair: tuple) -> None:
             volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
             assert volumes.min() > 0.0
             assert volumes.sum() == pytest.approx(body.shape.volume_m3, rel=1e-5)
-            surface = trimesh.Trimesh(points, np.asarray(value(prim, "surfaceFaceVertexIndices")), process=False)
+            surface = trimesh.Trimesh(
+                points,
+                np.asarray(value(prim, "surfaceFaceVertexIndices")),
+                process=False,
+            )
             assert surface.is_watertight
             assert surface.volume == pytest.approx(body.shape.volume_m3, rel=1e-5)
         else:
-            assert np.linalg.norm(points[-1] - points[0]) == pytest.approx(body.length_m, rel=1e-6)
+            assert np.linalg.norm(points[-1] - points[0]) == pytest.approx(
+                body.length_m, rel=1e-6
+            )
             assert value(prim, "widths")[0] == np.float32(2.0 * body.radius_m)
 
 
@@ -397,16 +497,27 @@ def test_fabrics_carry_the_constants_for_isaac(pair: tuple) -> None:
         if not isinstance(body, Cloth):
             continue
         mapped = surface_constants(Fabric.of(body))
-        material = UsdShade.MaterialBindingAPI(by_name(stage)[body.name]).ComputeBoundMaterial("physics")[0].GetPrim()
+        material = (
+            UsdShade.MaterialBindingAPI(by_name(stage)[body.name])
+            .ComputeBoundMaterial("physics")[0]
+            .GetPrim()
+        )
         for name, attribute in (
             ("youngs_modulus", "youngsModulus"),
             ("poissons_ratio", "poissonsRatio"),
             ("surfaceBendStiffness", "surfaceBendStiffness"),
         ):
             assert value(material, f"gauge:isaac:{name}") == mapped.constants[name]
-            assert value(material, f"omniphysics:{attribute}") == np.float32(mapped.constants[name])
-        assert list(value(material, "gauge:isaac:notes")) == [*mapped.fallbacks, *mapped.lost]
-        assert value(material, "omniphysics:surfaceThickness") == np.float32(body.thickness_m)
+            assert value(material, f"omniphysics:{attribute}") == np.float32(
+                mapped.constants[name]
+            )
+        assert list(value(material, "gauge:isaac:notes")) == [
+            *mapped.fallbacks,
+            *mapped.lost,
+        ]
+        assert value(material, "omniphysics:surfaceThickness") == np.float32(
+            body.thickness_m
+        )
 
 
 def test_attachments_are_the_scenes(pair: tuple) -> None:
@@ -422,15 +533,23 @@ def test_attachments_are_the_scenes(pair: tuple) -> None:
             depth_m=value(prim, "gauge:region_depth_m"),
         )
         assert region == attachment.region
-        source, target = (prims[name] for name in (attachment.deformable, attachment.to))
-        assert prim.GetRelationship("omniphysics:src0").GetTargets() == [source.GetPath()]
-        assert prim.GetRelationship("omniphysics:src1").GetTargets() == [target.GetPath()]
+        source, target = (
+            prims[name] for name in (attachment.deformable, attachment.to)
+        )
+        assert prim.GetRelationship("omniphysics:src0").GetTargets() == [
+            source.GetPath()
+        ]
+        assert prim.GetRelationship("omniphysics:src1").GetTargets() == [
+            target.GetPath()
+        ]
         glued = np.asarray(value(prim, "omniphysics:vtxIndicesSrc0"))
         assert glued.size
         cache = UsdGeom.XformCache()
         points = np.asarray(value(source, "points"), dtype=np.float64)[glued]
         if prim.HasAttribute("omniphysics:localPositionsSrc1"):
-            partners = np.asarray(value(prim, "omniphysics:localPositionsSrc1"), dtype=np.float64)
+            partners = np.asarray(
+                value(prim, "omniphysics:localPositionsSrc1"), dtype=np.float64
+            )
         else:
             indices = np.asarray(value(prim, "omniphysics:vtxIndicesSrc1"))
             partners = np.asarray(value(target, "points"), dtype=np.float64)[indices]
@@ -451,7 +570,9 @@ def test_markers_are_the_scenes(pair: tuple) -> None:
     if markers is None:
         return
     assert tuple(map(tuple, value(prim, "gauge:positions_m"))) == markers.positions_m
-    np.testing.assert_array_equal(value(prim, "points"), np.asarray(markers.positions_m, dtype=np.float32))
+    np.testing.assert_array_equal(
+        value(prim, "points"), np.asarray(markers.positions_m, dtype=np.float32)
+    )
     assert list(value(prim, "ids")) == list(range(len(markers.positions_m)))
     for name in ("faces", "lines"):
         assert tuple(map(tuple, value(prim, f"gauge:{name}"))) == getattr(markers, name)
@@ -470,7 +591,10 @@ def faults(stage: Usd.Stage) -> list[str]:
     validation = pytest.importorskip("pxr.UsdValidation")
     validators = validation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 20
-    return [error.GetErrorAsString() for error in validation.ValidationContext(validators).Validate(stage)]
+    return [
+        error.GetErrorAsString()
+        for error in validation.ValidationContext(validators).Validate(stage)
+    ]
 
 
 def test_layers_comply(pair: tuple) -> None:
@@ -480,7 +604,9 @@ def test_layers_comply(pair: tuple) -> None:
 
 def test_validators_would_find_a_fault() -> None:
     stage = Usd.Stage.CreateInMemory()
-    UsdPhysics.RevoluteJoint.Define(stage, "/joint").CreateBody1Rel().SetTargets(["/nothing"])
+    UsdPhysics.RevoluteJoint.Define(stage, "/joint").CreateBody1Rel().SetTargets(
+        ["/nothing"]
+    )
     found = " ".join(faults(stage))
     assert "defaultPrim" in found
     assert "JointInvalidPrimRel" in found
@@ -489,15 +615,25 @@ def test_validators_would_find_a_fault() -> None:
 def test_usd_physics_reads_bodies_shapes_and_joints(pair: tuple) -> None:
     stage, experiment = pair
     # Renamed in usd-core 26.
-    load = getattr(UsdPhysics, "UsdPhysicsLoadStageFromPrimRange", None) or UsdPhysics.LoadUsdPhysicsFromRange
+    load = (
+        getattr(UsdPhysics, "UsdPhysicsLoadStageFromPrimRange", None)
+        or UsdPhysics.LoadUsdPhysicsFromRange
+    )
     read = load(stage, ["/World"])
     kinds = UsdPhysics.ObjectType
     assert all(one.isValid for _, group in read.values() for one in group)
     paths, bodies = read.get(kinds.RigidBody, ([], []))
-    moving = [body for body in experiment.scene.bodies if body.motion is not Motion.FIXED]
-    assert {str(path) for path in paths} == {str(by_name(stage)[body.name].GetPath()) for body in moving}
+    moving = [
+        body for body in experiment.scene.bodies if body.motion is not Motion.FIXED
+    ]
+    assert {str(path) for path in paths} == {
+        str(by_name(stage)[body.name].GetPath()) for body in moving
+    }
     assert sum(one.kinematicBody for one in bodies) == len(experiment.scene.drivers)
-    joints = sum(len(read.get(kind, ([], []))[0]) for kind in (kinds.RevoluteJoint, kinds.DistanceJoint))
+    joints = sum(
+        len(read.get(kind, ([], []))[0])
+        for kind in (kinds.RevoluteJoint, kinds.DistanceJoint)
+    )
     assert joints == len(experiment.scene.joints)
     boxes = sum(isinstance(body.shape, Box) for body in experiment.scene.bodies)
     assert len(read.get(kinds.CubeShape, ([], []))[0]) == boxes
@@ -527,14 +663,22 @@ def test_bodies_may_be_named_as_a_group_or_alike() -> None:
     new = {"cube": "Contacts", "board": "a-1", "ground": "a_1"}
     scene = replace(
         experiment.scene,
-        bodies=tuple(replace(body, name=new[body.name]) for body in experiment.scene.bodies),
+        bodies=tuple(
+            replace(body, name=new[body.name]) for body in experiment.scene.bodies
+        ),
         contacts=tuple(
-            replace(c, first=tuple(map(new.get, c.first)), second=tuple(map(new.get, c.second)))
+            replace(
+                c,
+                first=tuple(map(new.get, c.first)),
+                second=tuple(map(new.get, c.second)),
+            )
             for c in experiment.scene.contacts
         ),
     )
     stage = Usd.Stage.CreateInMemory()
-    stage.GetRootLayer().ImportFromString(usd_layer_text(replace(experiment, scene=scene)))
+    stage.GetRootLayer().ImportFromString(
+        usd_layer_text(replace(experiment, scene=scene))
+    )
     assert list(by_name(stage)) == list(new.values())
 
 
@@ -552,11 +696,21 @@ def test_a_layer_needs_a_suffix_and_a_place(tmp_path: Path) -> None:
 DEFORMABLE = tuple(name for name in ALL if name not in RIGID)
 FIRST = {name.partition("-")[0]: name for name in reversed(DEFORMABLE)}
 ONE_OF_EACH_DEFORMABLE_FAMILY = [
-    pytest.param(name, marks=() if name in FIRST.values() else pytest.mark.slow) for name in DEFORMABLE
+    pytest.param(name, marks=() if name in FIRST.values() else pytest.mark.slow)
+    for name in DEFORMABLE
 ]
 """All deformable variants, those slow that are not the first of their family."""
 
-NAMES = ("name", "text", "numeric", "nnames", "nnumeric", "nbuffer", "paths", "signature")
+NAMES = (
+    "name",
+    "text",
+    "numeric",
+    "nnames",
+    "nnumeric",
+    "nbuffer",
+    "paths",
+    "signature",
+)
 """What differs by design: the model's name and the custom numbers."""
 
 
@@ -573,7 +727,9 @@ def loaded(text: str) -> mujoco.MjModel:
     """The model of a file, with what its comment tells to do after loading."""
     model = mujoco.MjModel.from_xml_string(text)
     comment = text[: text.index("-->")]
-    recipe = "\n".join(line.strip() for line in comment.splitlines() if line.startswith(" " * 8))
+    recipe = "\n".join(
+        line.strip() for line in comment.splitlines() if line.startswith(" " * 8)
+    )
     exec(recipe, {"model": model})
     return model
 
@@ -590,23 +746,39 @@ def test_compiled_mjcf_equals_the_model_that_runs(name: str) -> None:
     for key, expected in runs.items():
         # To the bit where the file was built; elsewhere the start may differ in the last digit of a sine, and sums
         # of a stiffness in theirs.
-        size = np.max(np.abs(expected), initial=0.0) if name in DEFORMABLE and np.size(expected) else 0.0
+        size = (
+            np.max(np.abs(expected), initial=0.0)
+            if name in DEFORMABLE and np.size(expected)
+            else 0.0
+        )
         atol = max(1e-15, 1e-13 * float(size))
-        np.testing.assert_allclose(file[key], expected, rtol=1e-12, atol=atol, err_msg=key)
+        np.testing.assert_allclose(
+            file[key], expected, rtol=1e-12, atol=atol, err_msg=key
+        )
 
 
-def replayed(experiment: Experiment, text: str, frames: int) -> tuple[mujoco.MjData, mujoco.MjData]:
+def replayed(
+    experiment: Experiment, text: str, frames: int
+) -> tuple[mujoco.MjData, mujoco.MjData]:
     """State after some frames: of a file in plain MuJoCo, and of the backend."""
     model = loaded(text)
     data = mujoco.MjData(model)
     simulation = BackendMuJoCo().build(experiment.scene)
     simulation.reset(0)
-    paths = [DriverPath(driver, experiment.scene, experiment.frame_count) for driver in experiment.scene.drivers]
-    motions = {path.body: model.numeric(f"driver/{path.body}").data.reshape(-1, 19) for path in paths}
+    paths = [
+        DriverPath(driver, experiment.scene, experiment.frame_count)
+        for driver in experiment.scene.drivers
+    ]
+    motions = {
+        path.body: model.numeric(f"driver/{path.body}").data.reshape(-1, 19)
+        for path in paths
+    }
     steps = round(1 / 180 / model.opt.timestep)
     for sample in range(6 * min(experiment.frame_count - 1, frames)):
         for path in paths:
-            simulation.drive(path.body, *path.interval(sample, np.zeros(path.motion_count)))
+            simulation.drive(
+                path.body, *path.interval(sample, np.zeros(path.motion_count))
+            )
             rows, joint = motions[path.body], model.joint(path.body)
             row = rows[min(sample, len(rows) - 1)]
             data.qpos[joint.qposadr[0] :][:7] = row[:7]
@@ -615,14 +787,27 @@ def replayed(experiment: Experiment, text: str, frames: int) -> tuple[mujoco.MjD
             if f"grip/{path.body}" in text:
                 readme = (assets_folder() / "README.md").read_text(encoding="utf-8")
                 begin = readme.index("    base, turn, turned =")
-                lines = textwrap.dedent(readme[begin : readme.index("\n\n", begin)]).replace("base-2", path.body)
-                exec(lines, {"np": np, "mujoco": mujoco, "model": model, "data": data, "row": row})
+                lines = textwrap.dedent(
+                    readme[begin : readme.index("\n\n", begin)]
+                ).replace("base-2", path.body)
+                exec(
+                    lines,
+                    {
+                        "np": np,
+                        "mujoco": mujoco,
+                        "model": model,
+                        "data": data,
+                        "row": row,
+                    },
+                )
         simulation.advance(1 / 180)
         mujoco.mj_step(model, data, nstep=steps)
     return data, simulation.data
 
 
-@pytest.mark.parametrize("name", ["BouncingBall-rubber", "NewtonsCradle-metal", "SlopeContact-wood", *DRIVEN])
+@pytest.mark.parametrize(
+    "name", ["BouncingBall-rubber", "NewtonsCradle-metal", "SlopeContact-wood", *DRIVEN]
+)
 def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
     experiment = load_experiment(name)
     file, backend = replayed(experiment, mjcf_text(experiment), 30)
@@ -636,7 +821,18 @@ def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
         # A foam that is twisted stands for those that are pulled and pressed, and for the beam.
         # Cloth that folds under and around bodies takes longest.
         pytest.param(name, marks=pytest.mark.slow)
-        if name.startswith(("Tablecloth", "Funnel", "FoamS", "FoamC", "Cantilever", "Rotating", "TextileF", "TextileS"))
+        if name.startswith(
+            (
+                "Tablecloth",
+                "Funnel",
+                "FoamS",
+                "FoamC",
+                "Cantilever",
+                "Rotating",
+                "TextileF",
+                "TextileS",
+            )
+        )
         or name not in FIRST.values()
         else name
         for name in DEFORMABLE
@@ -653,10 +849,15 @@ def test_mjcf_replays_deformable_bodies_without_this_project(name: str) -> None:
 @pytest.mark.parametrize("name", ["TextileFlinging-rayon", "CantileverBeam-soft"])
 def test_mjcf_says_what_to_write_into_compiled_tables(name: str) -> None:
     text = checked_in_text(name)
-    plain, runs = mujoco.MjModel.from_xml_string(text), BackendMuJoCo().build(load_experiment(name).scene).model
+    plain, runs = (
+        mujoco.MjModel.from_xml_string(text),
+        BackendMuJoCo().build(load_experiment(name).scene).model,
+    )
     size = np.abs(runs.flex_stiffness).max()
     assert np.abs(plain.flex_stiffness - runs.flex_stiffness).max() > 0.1 * size
-    assert np.abs(loaded(text).flex_stiffness - runs.flex_stiffness).max() < 1e-12 * size
+    assert (
+        np.abs(loaded(text).flex_stiffness - runs.flex_stiffness).max() < 1e-12 * size
+    )
 
 
 @pytest.mark.parametrize("name", [*DRIVEN, "TextileStretching-rayon"])
@@ -667,9 +868,13 @@ def test_mjcf_holds_the_whole_motion_and_says_how_to_replay_it(name: str) -> Non
     rows = loaded(text).numeric(f"driver/{driver.body}").data.reshape(-1, 19)
     intervals = 6 * (experiment.frame_count - 1)
     for frame in range(experiment.frame_count - 1):
-        pose = driver.pose(experiment.scene.body(driver.body).pose, frame / FRAME_RATE_HZ)
+        pose = driver.pose(
+            experiment.scene.body(driver.body).pose, frame / FRAME_RATE_HZ
+        )
         row = rows[min(6 * frame, len(rows) - 1)]
-        np.testing.assert_allclose(row[:7], [*pose.position_m, *pose.quaternion], atol=1e-12)
+        np.testing.assert_allclose(
+            row[:7], [*pose.position_m, *pose.quaternion], atol=1e-12
+        )
     assert f"numeric 'driver/{driver.body}' holds {len(rows)} rows" in text
     assert f"until {intervals} are written" in text
     assert len(rows) <= intervals
@@ -698,7 +903,9 @@ def test_equal_rows_may_differ_between_machines(folder: Path) -> None:
 
 def test_mjcf_where_nothing_can_be_written_is_an_error(tmp_path: Path) -> None:
     write_mjcf(load_experiment("Pendulum-metal"), tmp_path / "a.xml")
-    assert (tmp_path / "a.xml").read_text() == mjcf_text(load_experiment("Pendulum-metal"))
+    assert (tmp_path / "a.xml").read_text() == mjcf_text(
+        load_experiment("Pendulum-metal")
+    )
     with pytest.raises(ResultFileError, match="cannot be written"):
         write_mjcf(load_experiment("Pendulum-metal"), tmp_path / "a.xml" / "b.xml")
 
@@ -711,10 +918,16 @@ def test_obj_is_closed_and_has_the_solids_volume(name: str) -> None:
     shape = solid_shapes()[name].shape
     file = assets_folder() / "obj" / f"{name}.obj"
     pieces = trimesh.load(file, process=False, group_material=False, split_groups=True)
-    meshes = list(pieces.geometry.values()) if isinstance(pieces, trimesh.Scene) else [pieces]
+    meshes = (
+        list(pieces.geometry.values())
+        if isinstance(pieces, trimesh.Scene)
+        else [pieces]
+    )
     assert len(meshes) == (len(shape.pieces_m) if isinstance(shape, ConvexUnion) else 1)
     assert all(mesh.is_watertight and mesh.is_convex for mesh in meshes)
-    assert sum(mesh.volume for mesh in meshes) == pytest.approx(shape.volume_m3, rel=1e-9)
+    assert sum(mesh.volume for mesh in meshes) == pytest.approx(
+        shape.volume_m3, rel=1e-9
+    )
     corners = np.concatenate([mesh.vertices for mesh in meshes])
     for side in ("min", "max"):
         expected = getattr(shape.corners_m, side)(axis=0)
@@ -724,7 +937,10 @@ def test_obj_is_closed_and_has_the_solids_volume(name: str) -> None:
 def test_every_solid_of_every_scene_has_an_obj() -> None:
     written = {solid.shape for solid in solid_shapes().values()}
     assert written >= {
-        body.shape for v in variants() for body in load_experiment(v).scene.bodies if not isinstance(body.shape, Plane)
+        body.shape
+        for v in variants()
+        for body in load_experiment(v).scene.bodies
+        if not isinstance(body.shape, Plane)
     }
 
 

@@ -46,15 +46,27 @@ from gauge_envs.tools.assets.isaac_sim import (
 )
 from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
-SCHEMAS = tomllib.loads((Path(__file__).parent / "omni_physics_schemas.toml").read_text(encoding="utf-8"))
+SCHEMAS = tomllib.loads(
+    (Path(__file__).parent / "omni_physics_schemas.toml").read_text(encoding="utf-8")
+)
 CYLINDERS = "/physics/collisionApproximateCylinders"
 PREFIXES = ("omniphysics:", "physx")
 
-SUPPORTED = tuple(v.name for v in variants() if v.family not in ("RopeWinding", "StickStack"))
-QUICK = ("SlopeSlider-3-wood", "TableclothPulling-wood", "CantileverBeam-soft", "FoamTwisting-hard")
+SUPPORTED = tuple(
+    v.name for v in variants() if v.family not in ("RopeWinding", "StickStack")
+)
+QUICK = (
+    "SlopeSlider-3-wood",
+    "TableclothPulling-wood",
+    "CantileverBeam-soft",
+    "FoamTwisting-hard",
+)
 """One of each kind of scene; the others are slow."""
 
-EACH = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in SUPPORTED]
+EACH = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+    for name in SUPPORTED
+]
 
 
 def path_of(body: str) -> str:
@@ -63,7 +75,9 @@ def path_of(body: str) -> str:
 
 def runner_module() -> ModuleType:
     """The example, which is a script outside the package."""
-    spec = importlib.util.spec_from_file_location("run_layer", ROOT / "examples" / "isaac_sim" / "run_layer.py")
+    spec = importlib.util.spec_from_file_location(
+        "run_layer", ROOT / "examples" / "isaac_sim" / "run_layer.py"
+    )
     module = importlib.util.module_from_spec(spec)
     sys.modules["run_layer"] = module
     spec.loader.exec_module(module)
@@ -103,7 +117,11 @@ def schema_faults(stage: Usd.Stage) -> list[str]:
         applied = [str(name) for name in prim.GetPrimTypeInfo().GetAppliedAPISchemas()]
         kind = str(prim.GetTypeName())
         names = applied + ([kind] if kind.startswith("OmniPhysics") else [])
-        unknown = [name for name in names if name.startswith(("OmniPhysics", "Physx")) and name not in SCHEMAS]
+        unknown = [
+            name
+            for name in names
+            if name.startswith(("OmniPhysics", "Physx")) and name not in SCHEMAS
+        ]
         faults += [f"{prim.GetPath()}: no schema {name}" for name in unknown]
         schemas = [SCHEMAS[name] for name in with_builtins(names)]
         faults += [
@@ -111,23 +129,41 @@ def schema_faults(stage: Usd.Stage) -> list[str]:
             for schema in schemas
             if schema.get("prim_type", kind) != kind
         ]
-        types = {name: value for schema in schemas for name, value in schema.get("attributes", {}).items()}
+        types = {
+            name: value
+            for schema in schemas
+            for name, value in schema.get("attributes", {}).items()
+        }
         uniform = {name for schema in schemas for name in schema.get("uniform", [])}
-        tokens = {name: allowed for schema in schemas for name, allowed in schema.get("tokens", {}).items()}
-        relationships = {name for schema in schemas for name in schema.get("relationships", [])}
+        tokens = {
+            name: allowed
+            for schema in schemas
+            for name, allowed in schema.get("tokens", {}).items()
+        }
+        relationships = {
+            name for schema in schemas for name in schema.get("relationships", [])
+        }
         for one in prim.GetAuthoredProperties():
             name = one.GetName()
             if not name.startswith(PREFIXES):
                 continue
             place = one.GetPath()
             if isinstance(one, Usd.Relationship):
-                faults += [] if name in relationships else [f"{place}: no applied schema has it"]
+                faults += (
+                    []
+                    if name in relationships
+                    else [f"{place}: no applied schema has it"]
+                )
             elif name not in types:
                 faults.append(f"{place}: no applied schema has it")
             else:
                 if str(one.GetTypeName()) != types[name]:
-                    faults.append(f"{place}: {one.GetTypeName()} instead of {types[name]}")
-                if (one.GetVariability() == Sdf.VariabilityUniform) != (name in uniform):
+                    faults.append(
+                        f"{place}: {one.GetTypeName()} instead of {types[name]}"
+                    )
+                if (one.GetVariability() == Sdf.VariabilityUniform) != (
+                    name in uniform
+                ):
                     faults.append(f"{place}: the variability differs")
                 if one.IsCustom():
                     faults.append(f"{place}: is custom")
@@ -141,7 +177,9 @@ def test_layers_follow_the_published_schemas(name: str) -> None:
     assert schema_faults(layer_of(name)) == []
 
 
-@pytest.mark.parametrize("path", sorted((assets_folder() / "usd").glob("*.usda")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((assets_folder() / "usd").glob("*.usda")), ids=lambda path: path.stem
+)
 def test_bundled_layers_follow_the_published_schemas(path: Path) -> None:
     assert schema_faults(Usd.Stage.Open(str(path))) == []
 
@@ -149,16 +187,44 @@ def test_bundled_layers_follow_the_published_schemas(path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "found"),
     [
-        (lambda prim: prim.CreateAttribute("omniphysics:weight", Sdf.ValueTypeNames.Float, False), "no applied schema"),
-        (lambda prim: prim.CreateAttribute("omniphysics:startsAsleep", Sdf.ValueTypeNames.Bool, False), "variability"),
-        (lambda prim: prim.CreateAttribute("physxDeformableBody:sleepThreshold", Sdf.ValueTypeNames.Double), "instead"),
-        (lambda prim: prim.CreateAttribute("physxScene:bounceThreshold", Sdf.ValueTypeNames.Float), "no applied"),
+        (
+            lambda prim: prim.CreateAttribute(
+                "omniphysics:weight", Sdf.ValueTypeNames.Float, False
+            ),
+            "no applied schema",
+        ),
+        (
+            lambda prim: prim.CreateAttribute(
+                "omniphysics:startsAsleep", Sdf.ValueTypeNames.Bool, False
+            ),
+            "variability",
+        ),
+        (
+            lambda prim: prim.CreateAttribute(
+                "physxDeformableBody:sleepThreshold", Sdf.ValueTypeNames.Double
+            ),
+            "instead",
+        ),
+        (
+            lambda prim: prim.CreateAttribute(
+                "physxScene:bounceThreshold", Sdf.ValueTypeNames.Float
+            ),
+            "no applied",
+        ),
         (lambda prim: prim.AddAppliedSchema("PhysxSurfaceDeformableAPI"), "no schema"),
-        (lambda prim: prim.AddAppliedSchema("OmniPhysicsVolumeDeformableSimAPI"), "a Mesh has a schema of TetMesh"),
-        (lambda prim: prim.RemoveAppliedSchema("OmniPhysicsDeformableBodyAPI"), "no applied schema"),
+        (
+            lambda prim: prim.AddAppliedSchema("OmniPhysicsVolumeDeformableSimAPI"),
+            "a Mesh has a schema of TetMesh",
+        ),
+        (
+            lambda prim: prim.RemoveAppliedSchema("OmniPhysicsDeformableBodyAPI"),
+            "no applied schema",
+        ),
     ],
 )
-def test_faults_of_a_layer_are_found(fault: Callable[[Usd.Prim], object], found: str) -> None:
+def test_faults_of_a_layer_are_found(
+    fault: Callable[[Usd.Prim], object], found: str
+) -> None:
     stage = layer_of("TableclothPulling-wood")
     assert schema_faults(stage) == []
     fault(stage.GetPrimAtPath("/World/textile"))
@@ -167,7 +233,9 @@ def test_faults_of_a_layer_are_found(fault: Callable[[Usd.Prim], object], found:
 
 def test_a_broadphase_that_does_not_exist_is_found() -> None:
     stage = layer_of("TableclothPulling-wood")
-    stage.GetPrimAtPath("/World/PhysicsScene").GetAttribute("physxScene:broadphaseType").Set("CPU")
+    stage.GetPrimAtPath("/World/PhysicsScene").GetAttribute(
+        "physxScene:broadphaseType"
+    ).Set("CPU")
     assert "not allowed" in " ".join(schema_faults(stage))
 
 
@@ -176,7 +244,10 @@ def test_usd_validators_find_nothing(name: str) -> None:
     validation = pytest.importorskip("pxr.UsdValidation")
     validators = validation.ValidationRegistry().GetOrLoadAllValidators()
     stage = layer_of(name)
-    assert [error.GetErrorAsString() for error in validation.ValidationContext(validators).Validate(stage)] == []
+    assert [
+        error.GetErrorAsString()
+        for error in validation.ValidationContext(validators).Validate(stage)
+    ] == []
 
 
 # --- content of the layer --------------------------------------------------------------------------------------------
@@ -192,7 +263,12 @@ def test_layers_read_back_as_the_scene(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "rate"), [("SlopeSlider-2-wood", 180), ("TextileFlinging-oxford", 180), ("FoamBending-soft", 900)]
+    ("name", "rate"),
+    [
+        ("SlopeSlider-2-wood", 180),
+        ("TextileFlinging-oxford", 180),
+        ("FoamBending-soft", 900),
+    ],
 )
 def test_the_rate_is_the_papers(name: str, rate: int) -> None:
     experiment = load_experiment(name)
@@ -203,7 +279,10 @@ def test_the_rate_is_the_papers(name: str, rate: int) -> None:
     on_gpu = scene.GetAttribute("physxScene:enableGPUDynamics").Get()
     assert on_gpu is (True if experiment.scene.deformables else None)
     plan = RUN_LAYER.read_plan(stage)
-    assert (plan.steps_per_second, plan.step_count) == (rate, (plan.frame_count - 1) * rate // 30)
+    assert (plan.steps_per_second, plan.step_count) == (
+        rate,
+        (plan.frame_count - 1) * rate // 30,
+    )
     assert plan.coordinates == experiment.coordinates
     assert plan.frame_count == experiment.frame_count + episode.LATER_FRAMES
 
@@ -214,7 +293,9 @@ def test_later_frames_are_those_of_episodes() -> None:
 
 def material_of(stage: Usd.Stage, name: str) -> Usd.Prim:
     prim = stage.GetPrimAtPath(f"/World/{name}")
-    return UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0].GetPrim()
+    return (
+        UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0].GetPrim()
+    )
 
 
 @pytest.mark.parametrize("name", ["TextileBending-satin", "TableclothPulling-wood"])
@@ -223,30 +304,51 @@ def test_cloth_has_the_mapped_constants(name: str) -> None:
     (cloth,) = experiment.scene.deformables
     assert isinstance(cloth, Cloth)
     stage = layer_of(experiment.name)
-    material, prim = material_of(stage, "textile"), stage.GetPrimAtPath("/World/textile")
+    material, prim = (
+        material_of(stage, "textile"),
+        stage.GetPrimAtPath("/World/textile"),
+    )
     thickness, hinge = cloth.thickness_m, cloth.bend_stiffness_n_m_per_rad
     stated = {
         "youngsModulus": cloth.stretch_stiffness_n_per_m / thickness,
-        "poissonsRatio": surface_constants(Fabric.of(cloth)).constants["poissons_ratio"],
+        "poissonsRatio": surface_constants(Fabric.of(cloth)).constants[
+            "poissons_ratio"
+        ],
         "surfaceBendStiffness": hinge / (4.0 * thickness**3),
         "surfaceThickness": thickness,
     }
     for attribute, expected in stated.items():
-        assert material.GetAttribute(f"omniphysics:{attribute}").Get() == pytest.approx(expected, rel=1e-6)
-    assert prim.GetAttribute("physxCollision:restOffset").Get() == pytest.approx(0.5 * thickness, rel=1e-6)
-    touches_itself = any({"textile"} <= set(c.first) & set(c.second) for c in experiment.scene.contacts)
+        assert material.GetAttribute(f"omniphysics:{attribute}").Get() == pytest.approx(
+            expected, rel=1e-6
+        )
+    assert prim.GetAttribute("physxCollision:restOffset").Get() == pytest.approx(
+        0.5 * thickness, rel=1e-6
+    )
+    touches_itself = any(
+        {"textile"} <= set(c.first) & set(c.second) for c in experiment.scene.contacts
+    )
     assert touches_itself is (name == "TextileBending-satin")
-    assert prim.GetAttribute("physxDeformableBody:selfCollision").Get() is touches_itself
+    assert (
+        prim.GetAttribute("physxDeformableBody:selfCollision").Get() is touches_itself
+    )
 
 
 @pytest.mark.parametrize(
     "name",
-    [*EACH, pytest.param("WallBreaking-wood", id="WallBreaking"), pytest.param("Turntable-1-metal", id="Turntable")],
+    [
+        *EACH,
+        pytest.param("WallBreaking-wood", id="WallBreaking"),
+        pytest.param("Turntable-1-metal", id="Turntable"),
+    ],
 )
 def test_the_average_of_two_materials_is_the_constant_of_the_pair(name: str) -> None:
     scene = load_experiment(name).scene
     stage = layer_of(name)
-    pairs = [(contact, pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)]
+    pairs = [
+        (contact, pair)
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+    ]
     for contact, pair in pairs:
         own = [material_of(stage, Tf.MakeValidIdentifier(body)) for body in pair]
         for attribute, expected in (
@@ -254,28 +356,44 @@ def test_the_average_of_two_materials_is_the_constant_of_the_pair(name: str) -> 
             ("physics:dynamicFriction", contact.friction),
             ("physics:restitution", contact.restitution),
         ):
-            found = 0.5 * sum(material.GetAttribute(attribute).Get() for material in own)
+            found = 0.5 * sum(
+                material.GetAttribute(attribute).Get() for material in own
+            )
             assert found == pytest.approx(expected, abs=1e-7), (pair, attribute)
         for material in own:
             if material.HasAttribute("omniphysics:dynamicFriction"):
                 friction = material.GetAttribute("physics:dynamicFriction").Get()
-                assert material.GetAttribute("omniphysics:dynamicFriction").Get() == friction
+                assert (
+                    material.GetAttribute("omniphysics:dynamicFriction").Get()
+                    == friction
+                )
 
 
 @pytest.mark.parametrize("material", ["isaac_0", "body_textile"])
-def test_an_edit_of_a_derived_constant_is_an_error(material: str, tmp_path: Path) -> None:
+def test_an_edit_of_a_derived_constant_is_an_error(
+    material: str, tmp_path: Path
+) -> None:
     stage = layer_of("TableclothPulling-wood")
-    stage.GetPrimAtPath(f"/World/Materials/{material}").GetAttribute("physics:dynamicFriction").Set(0.7)
+    stage.GetPrimAtPath(f"/World/Materials/{material}").GetAttribute(
+        "physics:dynamicFriction"
+    ).Set(0.7)
     stage.GetRootLayer().Export(str(tmp_path / "edited.usda"))
-    with pytest.raises(AssetError, match=r"was edited, but it follows from the constants in /World/Contacts"):
+    with pytest.raises(
+        AssetError,
+        match=r"was edited, but it follows from the constants in /World/Contacts",
+    ):
         load_experiment_from_asset("TableclothPulling-wood", tmp_path / "edited.usda")
 
 
 def test_an_edit_of_a_pair_counts(tmp_path: Path) -> None:
     stage = layer_of("TableclothPulling-wood")
-    stage.GetPrimAtPath("/World/Contacts/contact_2").GetAttribute("gauge:friction").Set(0.2)
+    stage.GetPrimAtPath("/World/Contacts/contact_2").GetAttribute("gauge:friction").Set(
+        0.2
+    )
     stage.GetRootLayer().Export(str(tmp_path / "edited.usda"))
-    read = load_experiment_from_asset("TableclothPulling-wood", tmp_path / "edited.usda")
+    read = load_experiment_from_asset(
+        "TableclothPulling-wood", tmp_path / "edited.usda"
+    )
     assert read.asset.changes == ("contact textile/table: friction 0.1 -> 0.2",)
 
 
@@ -285,42 +403,61 @@ def test_foam_has_its_measured_constants_and_a_collider_that_meets_nothing() -> 
     assert isinstance(foam, SoftBody)
     stage = layer_of(experiment.name)
     material, prim = material_of(stage, "foam"), stage.GetPrimAtPath("/World/foam")
-    assert material.GetAttribute("omniphysics:youngsModulus").Get() == pytest.approx(foam.young_modulus_pa)
-    assert material.GetAttribute("omniphysics:poissonsRatio").Get() == pytest.approx(foam.poisson_ratio)
+    assert material.GetAttribute("omniphysics:youngsModulus").Get() == pytest.approx(
+        foam.young_modulus_pa
+    )
+    assert material.GetAttribute("omniphysics:poissonsRatio").Get() == pytest.approx(
+        foam.poisson_ratio
+    )
     assert prim.GetAttribute("physxCollision:restOffset").Get() == 0.0
     assert prim.GetAttribute("physics:collisionEnabled").Get()
-    filtered = {path.name for path in prim.GetRelationship("physics:filteredPairs").GetTargets()}
+    filtered = {
+        path.name for path in prim.GetRelationship("physics:filteredPairs").GetTargets()
+    }
     assert filtered == {"base_1", "base_2", "ground"}
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-3-metal", "TextileBending-satin", "FoamTwisting-hard"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-3-metal", "TextileBending-satin", "FoamTwisting-hard"]
+)
 def test_driven_bodies_have_a_pose_at_every_step(name: str) -> None:
     experiment = load_experiment(name)
     scene, rate = experiment.scene, steps_per_second(experiment.scene)
     plan = RUN_LAYER.read_plan(layer_of(experiment.name))
-    assert [driver.path for driver in plan.drivers] == [path_of(driver.body) for driver in scene.drivers]
+    assert [driver.path for driver in plan.drivers] == [
+        path_of(driver.body) for driver in scene.drivers
+    ]
     steps = plan.step_count
     for read, driver in zip(plan.drivers, scene.drivers, strict=True):
         assert len(read.positions_m) == steps + 1
         start = scene.body(driver.body).pose
         for step in range(steps + 1):
             pose = driver.pose(start, step / rate)
-            np.testing.assert_allclose(read.positions_m[step], pose.position_m, atol=1e-12)
-            assert abs(read.quaternions[step] @ pose.quaternion) == pytest.approx(1.0, abs=1e-12)
+            np.testing.assert_allclose(
+                read.positions_m[step], pose.position_m, atol=1e-12
+            )
+            assert abs(read.quaternions[step] @ pose.quaternion) == pytest.approx(
+                1.0, abs=1e-12
+            )
 
 
 def test_hinges_with_friction_are_refused() -> None:
     scene = load_experiment("Pendulum-metal").scene
     rubbing = replace(scene.joints[0], dynamics=JointDynamics(dry_friction_n_m=0.01))
     assert unsupported_reason(scene) is None
-    assert "joints have friction" in unsupported_reason(replace(scene, joints=(rubbing,)))
+    assert "joints have friction" in unsupported_reason(
+        replace(scene, joints=(rubbing,))
+    )
 
 
 @pytest.mark.parametrize("name", ["RopeWinding-rubber", "StickStack-soft"])
 def test_ropes_and_rods_are_refused(name: str, tmp_path: Path) -> None:
     experiment = load_experiment(name)
     assert "curves" in unsupported_reason(experiment.scene)
-    with pytest.raises(ParameterError, match=r"GAUGE/\w+-\w+: body '(rope|rod)' is a (rope|rod), and PhysX"):
+    with pytest.raises(
+        ParameterError,
+        match=r"GAUGE/\w+-\w+: body '(rope|rod)' is a (rope|rod), and PhysX",
+    ):
         write_isaac_sim_layer(experiment, tmp_path / "layer.usda")
     assert list(tmp_path.iterdir()) == []
 
@@ -328,23 +465,33 @@ def test_ropes_and_rods_are_refused(name: str, tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ResultFileError, match="file: cannot be created"):
-        write_isaac_sim_layer(load_experiment("BouncingBall-rubber"), tmp_path / "file" / "layer.usda")
+        write_isaac_sim_layer(
+            load_experiment("BouncingBall-rubber"), tmp_path / "file" / "layer.usda"
+        )
 
 
 # --- command ---------------------------------------------------------------------------------------------------------
 
 
 def test_command_writes_what_it_can_and_names_the_rest(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["data", "isaac-sim", "R*-r*", "--out", str(tmp_path)])
+    result = CliRunner().invoke(
+        app, ["data", "isaac-sim", "R*-r*", "--out", str(tmp_path)]
+    )
     assert result.exit_code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["RotatingBall-rayon.usda"]
     assert result.stdout.strip().endswith("RotatingBall-rayon.usda")
-    assert "GAUGE/RopeWinding-rubber is left out: body 'rope' is a rope" in result.stderr
+    assert (
+        "GAUGE/RopeWinding-rubber is left out: body 'rope' is a rope" in result.stderr
+    )
 
 
 @pytest.mark.parametrize("pattern", ["StickStack-soft", "StickStack-*"])
-def test_command_fails_where_nothing_can_be_written(pattern: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["data", "isaac-sim", pattern, "--out", str(tmp_path)])
+def test_command_fails_where_nothing_can_be_written(
+    pattern: str, tmp_path: Path
+) -> None:
+    result = CliRunner().invoke(
+        app, ["data", "isaac-sim", pattern, "--out", str(tmp_path)]
+    )
     assert result.exit_code != 0
     assert isinstance(result.exception, ParameterError) or "rod" in result.output
     assert list(tmp_path.iterdir()) == []
@@ -354,8 +501,12 @@ def test_command_fails_where_nothing_can_be_written(pattern: str, tmp_path: Path
 
 
 @pytest.fixture
-def play(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[StubIsaacSim, int, Path]]:
-    def run(name: str, motion: Callable[[Usd.Stage, float], None], *options: str) -> tuple[StubIsaacSim, int, Path]:
+def play(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., tuple[StubIsaacSim, int, Path]]:
+    def run(
+        name: str, motion: Callable[[Usd.Stage, float], None], *options: str
+    ) -> tuple[StubIsaacSim, int, Path]:
         layer = tmp_path / f"{name}.usda"
         layer.write_text(layer_text(name), encoding="utf-8")
         stub = StubIsaacSim(motion)
@@ -374,7 +525,13 @@ def at_rest(stage: Usd.Stage, time_s: float) -> None:
 def bend(points_m: np.ndarray, time_s: float) -> np.ndarray:
     """Deform points smoothly, in every direction and with curvature."""
     x, y, z = points_m.T
-    return np.column_stack([x + 0.1 * time_s * y, y - 0.2 * time_s * z * x, z + time_s * (x**2 - 0.5 * y**2)])
+    return np.column_stack(
+        [
+            x + 0.1 * time_s * y,
+            y - 0.2 * time_s * z * x,
+            z + time_s * (x**2 - 0.5 * y**2),
+        ]
+    )
 
 
 def deformed(name: str) -> Callable[[Usd.Stage, float], None]:
@@ -394,22 +551,30 @@ def deformed(name: str) -> Callable[[Usd.Stage, float], None]:
 
 def columns(path: Path) -> tuple[list[str], np.ndarray]:
     header, *rows = path.read_text(encoding="utf-8").splitlines()
-    return header.split(","), np.array([row.split(",") for row in rows], dtype=np.float64)
+    return header.split(","), np.array(
+        [row.split(",") for row in rows], dtype=np.float64
+    )
 
 
 @pytest.mark.parametrize("record_hz", [30, 180])
-def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz: int, play: Callable[..., Any]) -> None:
+def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(
+    record_hz: int, play: Callable[..., Any]
+) -> None:
     name = "SlopeSlider-2-wood"
     experiment = load_experiment(name)
     expected = run_episode(RunRequest(name))
     samples = experiment.frame_count - 1 + episode.LATER_FRAMES
     simulation = BackendMuJoCo().build(experiment.scene)
-    positions = simulation.sample_positions(experiment.recorded, 6 * samples, 1.0 / 180.0)
+    positions = simulation.sample_positions(
+        experiment.recorded, 6 * samples, 1.0 / 180.0
+    )
 
     def motion(stage: Usd.Stage, time_s: float) -> None:
         (cube,) = experiment.recorded
         here = positions[round(180.0 * time_s) - 1, 0].tolist()
-        stage.GetPrimAtPath(f"/World/{cube}").GetAttribute("xformOp:translate").Set(Gf.Vec3d(*here))
+        stage.GetPrimAtPath(f"/World/{cube}").GetAttribute("xformOp:translate").Set(
+            Gf.Vec3d(*here)
+        )
 
     stub, code, out = play(name, motion, "--record-hz", str(record_hz))
     assert code == 0
@@ -419,7 +584,9 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz: 
     assert result.score.rmse == pytest.approx(expected.score.rmse, abs=1e-6)
     if record_hz == 180:
         # The alignment shifts by parts of a frame, and interpolates between the samples.
-        assert result.score.rmse_aligned == pytest.approx(expected.score.rmse_aligned, abs=1e-6)
+        assert result.score.rmse_aligned == pytest.approx(
+            expected.score.rmse_aligned, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize(
@@ -431,7 +598,9 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz: 
         pytest.param("CantileverBeam-soft", marks=pytest.mark.slow),
     ],
 )
-def test_markers_become_the_generalized_trajectory_of_the_package(name: str, play: Callable[..., Any]) -> None:
+def test_markers_become_the_generalized_trajectory_of_the_package(
+    name: str, play: Callable[..., Any]
+) -> None:
     experiment = load_experiment(name)
     markers = experiment.scene.markers
     motion = deformed(name)
@@ -439,7 +608,10 @@ def test_markers_become_the_generalized_trajectory_of_the_package(name: str, pla
     assert code == 0
     header, table = columns(out)
     unit = experiment.score.observable.unit
-    assert header == ["time_s", *(f"{column} [{unit}]" for column in experiment.coordinates)]
+    assert header == [
+        "time_s",
+        *(f"{column} [{unit}]" for column in experiment.coordinates),
+    ]
     np.testing.assert_allclose(table[:, 0], np.arange(len(table)) / 30.0, atol=1e-6)
     # The same meshes, interpolated at the markers with the weights of the layer.
     stage = layer_of(experiment.name)
@@ -447,15 +619,21 @@ def test_markers_become_the_generalized_trajectory_of_the_package(name: str, pla
     nodes = np.array(prim.GetAttribute("gauge:isaac:nodes").Get())
     weights = np.array(prim.GetAttribute("gauge:isaac:weights").Get())
     bodies = {body.name: body for body in experiment.scene.deformables}
-    rest = {body: np.array(stage.GetPrimAtPath(path_of(body)).GetAttribute("points").Get()) for body in markers.bodies}
+    rest = {
+        body: np.array(stage.GetPrimAtPath(path_of(body)).GetAttribute("points").Get())
+        for body in markers.bodies
+    }
     tracked = np.stack(
         [
             np.einsum(
                 "mk,mkc->mc",
                 weights,
-                np.concatenate([bodies[b].pose.to_world(bend(r.astype(float), k / 30.0)) for b, r in rest.items()])[
-                    nodes
-                ],
+                np.concatenate(
+                    [
+                        bodies[b].pose.to_world(bend(r.astype(float), k / 30.0))
+                        for b, r in rest.items()
+                    ]
+                )[nodes],
             )
             for k in range(len(table))
         ]
@@ -469,22 +647,33 @@ def test_markers_become_the_generalized_trajectory_of_the_package(name: str, pla
     assert len(result.trajectory.times_s) >= experiment.frame_count
 
 
-@pytest.mark.parametrize("kind", ["face_area", "line_curvature", "curvature", "marker_position"])
+@pytest.mark.parametrize(
+    "kind", ["face_area", "line_curvature", "curvature", "marker_position"]
+)
 def test_observables_of_the_example_are_those_of_the_package(kind: str) -> None:
-    name = {"face_area": "FoamBending-soft", "line_curvature": "TextileBending-satin"}.get(
-        kind, "TextileFlinging-satin"
-    )
+    name = {
+        "face_area": "FoamBending-soft",
+        "line_curvature": "TextileBending-satin",
+    }.get(kind, "TextileFlinging-satin")
     experiment = load_experiment(name)
     markers = experiment.scene.markers
-    scatter = np.random.default_rng(5).normal(scale=0.02, size=(4, len(markers.positions_m), 3))
+    scatter = np.random.default_rng(5).normal(
+        scale=0.02, size=(4, len(markers.positions_m), 3)
+    )
     points = np.asarray(markers.positions_m) + scatter
     stage = layer_of(experiment.name)
     found = RUN_LAYER.generalized(stage, kind, points)
-    observable = next(one for one in type(experiment.score.observable) if one.value == kind)
-    np.testing.assert_allclose(found, observe_markers(points, markers, observable), rtol=1e-12, atol=1e-12)
+    observable = next(
+        one for one in type(experiment.score.observable) if one.value == kind
+    )
+    np.testing.assert_allclose(
+        found, observe_markers(points, markers, observable), rtol=1e-12, atol=1e-12
+    )
 
 
-@pytest.mark.parametrize("name", ["FoamBending-soft", "TextileFlinging-satin", "TextileStretching-rayon"])
+@pytest.mark.parametrize(
+    "name", ["FoamBending-soft", "TextileFlinging-satin", "TextileStretching-rayon"]
+)
 def test_markers_are_read_in_the_world_frame(name: str) -> None:
     """The bodies of these experiments are rotated."""
     experiment = load_experiment(name)
@@ -492,33 +681,55 @@ def test_markers_are_read_in_the_world_frame(name: str) -> None:
     assert body.pose.quaternion != (1.0, 0.0, 0.0, 0.0)
     stage = layer_of(name)
     read = RUN_LAYER.reader(stage, RUN_LAYER.read_plan(stage))
-    assert np.abs(read() - np.asarray(experiment.scene.markers.positions_m)).max() < MARKER_REACH_M
+    assert (
+        np.abs(read() - np.asarray(experiment.scene.markers.positions_m)).max()
+        < MARKER_REACH_M
+    )
 
 
-@pytest.mark.parametrize("name", ["Turntable-3-wood", pytest.param("FoamTwisting-hard", marks=pytest.mark.slow)])
-def test_driven_bodies_are_placed_before_every_step(name: str, play: Callable[..., Any]) -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["Turntable-3-wood", pytest.param("FoamTwisting-hard", marks=pytest.mark.slow)],
+)
+def test_driven_bodies_are_placed_before_every_step(
+    name: str, play: Callable[..., Any]
+) -> None:
     experiment = load_experiment(name)
     scene, rate = experiment.scene, steps_per_second(experiment.scene)
     stub, code, _ = play(name, at_rest)
     assert code == 0
     steps = (experiment.frame_count - 1 + episode.LATER_FRAMES) * rate // 30
-    np.testing.assert_allclose(stub.times_s, [(step / rate, 1.0 / rate) for step in range(steps)])
+    np.testing.assert_allclose(
+        stub.times_s, [(step / rate, 1.0 / rate) for step in range(steps)]
+    )
     (driver,) = scene.drivers
     placed = stub.placed[path_of(driver.body)]
     assert len(placed) == steps
-    path = DriverPath(driver, scene, experiment.frame_count + episode.LATER_FRAMES, interval_s=1.0 / rate)
+    path = DriverPath(
+        driver,
+        scene,
+        experiment.frame_count + episode.LATER_FRAMES,
+        interval_s=1.0 / rate,
+    )
     for step, matrix in enumerate(placed):
         pose = driver.pose(scene.body(driver.body).pose, (step + 1) / rate)
-        np.testing.assert_allclose(matrix.ExtractTranslation(), pose.position_m, atol=1e-9)
+        np.testing.assert_allclose(
+            matrix.ExtractTranslation(), pose.position_m, atol=1e-9
+        )
         turned = Rotation.from_matrix(np.array(matrix.ExtractRotationMatrix()).T)
-        assert (turned * Rotation.from_quat(pose.quaternion, scalar_first=True).inv()).magnitude() < 1e-7
+        assert (
+            turned * Rotation.from_quat(pose.quaternion, scalar_first=True).inv()
+        ).magnitude() < 1e-7
         if step + 1 < steps:
             start, *_ = path.interval(step + 1, np.zeros(path.motion_count))
-            np.testing.assert_allclose(matrix.ExtractTranslation(), start.position_m, atol=1e-9)
+            np.testing.assert_allclose(
+                matrix.ExtractTranslation(), start.position_m, atol=1e-9
+            )
 
 
 @pytest.mark.parametrize(
-    ("name", "deformable"), [("BouncingBall-rubber", {}), ("FoamStretching-soft", {CYLINDERS: True})]
+    ("name", "deformable"),
+    [("BouncingBall-rubber", {}), ("FoamStretching-soft", {CYLINDERS: True})],
 )
 def test_results_are_written_to_the_stage_by_its_settings(
     name: str, deformable: dict[str, bool], play: Callable[..., Any]
@@ -570,7 +781,9 @@ def test_a_layer_of_another_command_is_refused(
     assert stub.times_s == []
 
 
-@pytest.mark.parametrize(("content", "reason"), [(None, "no such file"), ("not USD", "cannot open the file")])
+@pytest.mark.parametrize(
+    ("content", "reason"), [(None, "no such file"), ("not USD", "cannot open the file")]
+)
 def test_a_file_that_is_no_layer_is_refused(
     content: str | None,
     reason: str,

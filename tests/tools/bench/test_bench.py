@@ -12,7 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
-from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, drop_scene, fall_s
+from gauge_envs.tools.bench.drop import (
+    RADIUS_M,
+    balls_above_ground,
+    bounce_of,
+    drop_scene,
+    fall_s,
+)
 from gauge_envs.tools.bench.grasp import (
     HELD,
     OBJECT,
@@ -31,7 +37,13 @@ from gauge_envs.tools.bench.slope import (
     friction_of_slide,
     moved_m,
 )
-from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m, turning_scene
+from gauge_envs.tools.bench.turning import (
+    INERTIA_SHARES,
+    ROLL,
+    SPIN,
+    turning_arm_m,
+    turning_scene,
+)
 
 Array = NDArray[np.float64]
 
@@ -41,7 +53,9 @@ def rollout_of(scene: Scene, times_s: Array, **moved: Array) -> Rollout:
     states = {}
     for body in scene.bodies:
         rows = np.zeros((len(times_s), 13))
-        rows[:, :3] = np.array(body.pose.position_m) + moved.get(body.name, np.zeros((len(times_s), 3)))
+        rows[:, :3] = np.array(body.pose.position_m) + moved.get(
+            body.name, np.zeros((len(times_s), 3))
+        )
         rows[:, 3:7] = body.pose.quaternion
         states[body.name] = rows
     return Rollout(scene=scene, times_s=times_s, states=states)
@@ -52,7 +66,9 @@ def rollout_of(scene: Scene, times_s: Array, **moved: Array) -> Rollout:
 
 def leaning(slope_deg: float, turn_deg: float = 0.0) -> Pose:
     turned = Rotation.from_euler("zy", [turn_deg, slope_deg], degrees=True)
-    return Pose.from_rotation((0.2, 0.1, 1.0), Rotation.from_euler("z", 50.0, degrees=True) * turned)
+    return Pose.from_rotation(
+        (0.2, 0.1, 1.0), Rotation.from_euler("z", 50.0, degrees=True) * turned
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 30.0])
@@ -64,7 +80,9 @@ def test_a_slope_has_its_angle_and_falls_downhill(turn_deg: float) -> None:
         np.array([math.cos(math.radians(25.0)), 0.0, -math.sin(math.radians(25.0))])
         @ Rotation.from_euler("z", 50.0, degrees=True).as_matrix().T
     )
-    assert np.array([downhill, across, normal]) @ slope.axes.T == pytest.approx(np.eye(3))
+    assert np.array([downhill, across, normal]) @ slope.axes.T == pytest.approx(
+        np.eye(3)
+    )
 
 
 def test_a_level_support_has_the_axes_of_its_frame() -> None:
@@ -78,25 +96,39 @@ def sliding(acceleration: float, lift: float, creep: float = 0.0) -> Rollout:
     """Return a ball on a plane that leans by 25 degrees, which accelerates along and off it, and creeps."""
     plane = replace(ground(), name="plane", pose=leaning(25.0, 30.0))
     (ball,) = balls_above_ground({"ball": 0.0}, spacing_m=0.0)
-    scene = Scene(bodies=(ball, plane), contacts=(contact("ball", "plane", friction=0.3),), duration_s=0.5)
+    scene = Scene(
+        bodies=(ball, plane),
+        contacts=(contact("ball", "plane", friction=0.3),),
+        duration_s=0.5,
+    )
     times_s = np.linspace(0.0, 0.5, 91)
     along = 0.5 * acceleration * times_s**2 + creep * times_s
     off = 0.5 * lift * times_s**2
     downhill, _, normal = Slope.of(plane.pose).axes
-    return rollout_of(scene, times_s, ball=np.outer(along, downhill) + np.outer(off, normal))
+    return rollout_of(
+        scene, times_s, ball=np.outer(along, downhill) + np.outer(off, normal)
+    )
 
 
 def test_a_slide_has_its_acceleration_and_friction() -> None:
     slope, friction, lift = math.radians(25.0), 0.3, 0.1
     down = G * math.sin(slope) - friction * (G * math.cos(slope) + lift)
     rollout = sliding(down, lift)
-    assert acceleration_downhill_m_per_s2(rollout, "ball", "plane") == pytest.approx(down)
-    assert friction_of_slide(rollout, "ball", "plane", start_s=0.1) == pytest.approx(friction)
-    assert moved_m(rollout, "ball", "plane")[-1] == pytest.approx([0.125 * down, 0.0, 0.125 * lift], abs=1e-12)
+    assert acceleration_downhill_m_per_s2(rollout, "ball", "plane") == pytest.approx(
+        down
+    )
+    assert friction_of_slide(rollout, "ball", "plane", start_s=0.1) == pytest.approx(
+        friction
+    )
+    assert moved_m(rollout, "ball", "plane")[-1] == pytest.approx(
+        [0.125 * down, 0.0, 0.125 * lift], abs=1e-12
+    )
 
 
 def test_creep_is_along_the_slope() -> None:
-    assert creep_m_per_s(sliding(0.0, 0.0, 1e-3), "ball", "plane", start_s=0.2) == pytest.approx(1e-3)
+    assert creep_m_per_s(
+        sliding(0.0, 0.0, 1e-3), "ball", "plane", start_s=0.2
+    ) == pytest.approx(1e-3)
 
 
 # --- drops -----------------------------------------------------------------------------------------------------------
@@ -104,14 +136,18 @@ def test_creep_is_along_the_slope() -> None:
 
 def test_each_ball_has_its_bounce() -> None:
     drops_m = {"low": 0.1, "high": 0.4}
-    scene = drop_scene(balls_above_ground(drops_m, spacing_m=0.3), (), seconds=0.5, gravity=G)
+    scene = drop_scene(
+        balls_above_ground(drops_m, spacing_m=0.3), (), seconds=0.5, gravity=G
+    )
     times_s = np.linspace(0.0, 0.45, 82)
     paths = {}
     for name, drop_m in drops_m.items():
         falls_s = fall_s(drop_m, G)
         after_s = times_s - falls_s
         rising = 0.6 * G * falls_s * after_s - 0.5 * G * after_s**2
-        heights = np.where(after_s < 0.0, drop_m - 0.5 * G * times_s**2, np.maximum(rising, 0.0))
+        heights = np.where(
+            after_s < 0.0, drop_m - 0.5 * G * times_s**2, np.maximum(rising, 0.0)
+        )
         paths[name] = np.outer(heights - drop_m, [0.0, 0.0, 1.0])
     rollout = rollout_of(scene, times_s, **paths)
     for name in drops_m:
@@ -125,11 +161,15 @@ def test_each_ball_has_its_bounce() -> None:
 
 
 @pytest.mark.parametrize("axis", [SPIN, ROLL])
-def test_the_arm_of_a_turn_is_the_torque_over_the_normal_force(axis: tuple[float, float, float]) -> None:
+def test_the_arm_of_a_turn_is_the_torque_over_the_normal_force(
+    axis: tuple[float, float, float],
+) -> None:
     arm_m = 2e-4
     rate = arm_m * G / (INERTIA_SHARES[axis] * RADIUS_M**2)
     times_s = np.linspace(0.0, 0.4, 73)
-    rollout = rollout_of(turning_scene(0.4, 0.0, (0.0, 0.0, 20.0), torsion_m=arm_m), times_s)
+    rollout = rollout_of(
+        turning_scene(0.4, 0.0, (0.0, 0.0, 20.0), torsion_m=arm_m), times_s
+    )
     rollout.states["ball"][:, 10:] = np.outer(20.0 - rate * times_s, axis)
     assert turning_arm_m(rollout, axis, start_s=0.1) == pytest.approx(arm_m)
 

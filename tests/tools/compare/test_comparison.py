@@ -23,14 +23,22 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.result_file import recorded_experiment, result_file_name, write_result
+from gauge_envs.runs.result_file import (
+    recorded_experiment,
+    result_file_name,
+    write_result,
+)
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.distance import MOTION_SHARE
 from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
 from gauge_envs.tools.compare.grades import compare_grade
 from gauge_envs.tools.compare.overview_figure import draw_overview, save_comparison
-from gauge_envs.tools.compare.words import check_metrics, comparison_document, comparison_rows
+from gauge_envs.tools.compare.words import (
+    check_metrics,
+    comparison_document,
+    comparison_rows,
+)
 
 SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-2-wood",
@@ -41,7 +49,11 @@ SLIDER, PLASTIC, FOAM, CRADLE = (
 GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
 
-HOLD, DRIVEN, SOLVED = "SlopeSlider-1-wood", "SlopeSlider-3-metal", "SlopeSlider-3-plastic"
+HOLD, DRIVEN, SOLVED = (
+    "SlopeSlider-1-wood",
+    "SlopeSlider-3-metal",
+    "SlopeSlider-3-plastic",
+)
 """Experiments of the grades law, recording and model."""
 
 
@@ -53,7 +65,9 @@ def recorded(motion, *, seconds=1.0):
         unit="mm",
         coordinates=["cube.x", "cube.y", "cube.z"],
         times_s=times.tolist(),
-        samples=[[v if np.isfinite(v) else None for v in row] for row in samples.tolist()],
+        samples=[
+            [v if np.isfinite(v) else None for v in row] for row in samples.tolist()
+        ],
     )
 
 
@@ -65,10 +79,24 @@ def along(speed_mm_per_s):
     return lambda times: [speed_mm_per_s * times, 0.0 * times, 0.0 * times]
 
 
-def made(name=SLIDER, *, backend="mujoco", rmse=None, motion=still, seconds=1.0, engine="1.0", **changes):
+def made(
+    name=SLIDER,
+    *,
+    backend="mujoco",
+    rmse=None,
+    motion=still,
+    seconds=1.0,
+    engine="1.0",
+    **changes,
+):
     """A result as an engine would leave it; rmse is the normalized one."""
     family = name.split("-")[0]
-    score = Score(grade=GRADES[name], unit="mm", rmse_normalized=rmse, rmse=None if rmse is None else 18.0 * rmse)
+    score = Score(
+        grade=GRADES[name],
+        unit="mm",
+        rmse_normalized=rmse,
+        rmse=None if rmse is None else 18.0 * rmse,
+    )
     values = {
         "id": f"GAUGE/{name}",
         "outcome": Outcome.FINISHED,
@@ -111,7 +139,12 @@ def declined(name=SLIDER, *, backend="newton"):
 def printed(results, *metrics):
     console = Console(width=300)
     with console.capture() as capture:
-        console.print(Terminal(comparison_document(compare(results), metrics or tuple(SCORE_METRICS)), wide=True))
+        console.print(
+            Terminal(
+                comparison_document(compare(results), metrics or tuple(SCORE_METRICS)),
+                wide=True,
+            )
+        )
     return capture.get()
 
 
@@ -119,25 +152,35 @@ def cells(results, metric="rmse"):
     """Texts of the row of a metric, a column a configuration."""
     comparison = compare(results)
     markdown = as_markdown(comparison_document(comparison, [metric]))
-    row = next(line for line in markdown.splitlines() if line.startswith("| SlopeSlider"))
+    row = next(
+        line for line in markdown.splitlines() if line.startswith("| SlopeSlider")
+    )
     return [cell.strip() for cell in row.strip("|").split("|")][4:-3]
 
 
 # --- configurations and repeats ---
 
 
-@pytest.mark.parametrize(("values", "mean", "std"), [([3.0], 3.0, None), ([1.0, 2.0, 3.0], 2.0, 1.0)])
+@pytest.mark.parametrize(
+    ("values", "mean", "std"), [([3.0], 3.0, None), ([1.0, 2.0, 3.0], 2.0, 1.0)]
+)
 def test_spread_is_mean_and_sample_deviation(values, mean, std):
     assert ScoreSpread.of(values) == ScoreSpread(mean=mean, std=std, count=len(values))
     assert ScoreSpread.of([]) is None
 
 
 def test_results_that_differ_in_their_seed_alone_are_one_cell():
-    comparison = compare([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])])
+    comparison = compare(
+        [made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]
+    )
     ((cell,),) = [one.cells for one in comparison.experiments]
     assert [result.seed for result in cell.results] == [0, 1, 2]
-    assert cell.spread("rmse", normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
-    assert cells([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]) == ["2.00 +- 1.00 (3)"]
+    assert cell.spread("rmse", normalized=True) == ScoreSpread(
+        mean=2.0, std=1.0, count=3
+    )
+    assert cells(
+        [made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]
+    ) == ["2.00 +- 1.00 (3)"]
 
 
 @pytest.mark.parametrize(
@@ -170,16 +213,25 @@ def test_a_jittered_start_is_another_configuration_than_the_nominal_one():
 
 def test_the_label_of_a_single_configuration_is_full_and_others_leave_out_what_all_share():
     fine = {"settings_given": {"timestep_s": 0.5}}
-    assert configuration_labels(compare([made(**fine)]).configurations) == ["mujoco, calibrated, timestep_s=0.5"]
+    assert configuration_labels(compare([made(**fine)]).configurations) == [
+        "mujoco, calibrated, timestep_s=0.5"
+    ]
     both = compare([made(**fine), made(backend="newton", **fine)])
     assert configuration_labels(both.configurations) == ["mujoco", "newton"]
-    assert "All configurations: calibrated, timestep_s=0.5." in printed([made(**fine), made(backend="newton", **fine)])
+    assert "All configurations: calibrated, timestep_s=0.5." in printed(
+        [made(**fine), made(backend="newton", **fine)]
+    )
 
 
 def test_labels_that_round_to_the_same_are_stated_in_full():
-    steps = [made(settings_given={"timestep_s": step}) for step in (0.125, 0.125 + 2**-20)]
+    steps = [
+        made(settings_given={"timestep_s": step}) for step in (0.125, 0.125 + 2**-20)
+    ]
     labels = configuration_labels(compare(steps).configurations)
-    assert sorted(labels) == ["mujoco, timestep_s=0.125", "mujoco, timestep_s=0.12500095367431641"]
+    assert sorted(labels) == [
+        "mujoco, timestep_s=0.125",
+        "mujoco, timestep_s=0.12500095367431641",
+    ]
 
 
 def test_of_two_results_of_one_seed_the_latest_counts():
@@ -192,7 +244,9 @@ def test_of_two_results_of_one_seed_the_latest_counts():
 
 def test_results_that_do_not_belong_together_are_reported():
     stale = made(task_sha256="0" * 64)
-    older = made(PLASTIC, versions={"mujoco": "1.0", **versions(), "gauge-envs": "0.0.1"})
+    older = made(
+        PLASTIC, versions={"mujoco": "1.0", **versions(), "gauge-envs": "0.0.1"}
+    )
     notes = " ".join(compare([stale, older]).notes)
     assert "another task file than the installed one: SlopeSlider-2-wood" in notes
     assert "different versions of gauge-envs: 0.0.1, " in notes
@@ -204,9 +258,15 @@ def test_an_older_revision_is_compared_only_with_its_own():
     new = made(rmse=1.0, revision=2, parameters="effective")
     both = compare([*old, new])
     assert [one.parameters for one in both.configurations] == ["effective"]
-    assert "SlopeSlider-2-wood: results of an older revision are left out; compare them apart" in both.notes
+    assert (
+        "SlopeSlider-2-wood: results of an older revision are left out; compare them apart"
+        in both.notes
+    )
     assert cells(old) == ["5.00", "6.00"]
-    with pytest.raises(ResultFileError, match="has revision 2, and the installed package revision 1: use gauge-envs"):
+    with pytest.raises(
+        ResultFileError,
+        match="has revision 2, and the installed package revision 1: use gauge-envs",
+    ):
         recorded_experiment(new)
 
 
@@ -216,12 +276,19 @@ def test_an_older_revision_is_compared_only_with_its_own():
 def test_cells_say_why_there_is_no_score():
     results = [made(rmse=0.5), diverged(), made(backend="other")]
     assert cells(results) == ["0.50", "diverged", "no score"]
-    assert cells([made(rmse=0.5), made(PLASTIC, backend="newton", rmse=1.0)]) == ["0.50", "-"]
+    assert cells([made(rmse=0.5), made(PLASTIC, backend="newton", rmse=1.0)]) == [
+        "0.50",
+        "-",
+    ]
     assert cells([made(rmse=0.5), declined()]) == ["0.50", "declined"]
 
 
 def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_summary():
-    results = [made(backend="newton", rmse=1.0), made(backend="newton", rmse=3.0, seed=1), diverged(seed=2)]
+    results = [
+        made(backend="newton", rmse=1.0),
+        made(backend="newton", rmse=3.0, seed=1),
+        diverged(seed=2),
+    ]
     assert cells(results) == ["2.00 +- 1.41 (2), 1 diverged"]
     comparison = compare(results)
     (summary,) = comparison.summaries()
@@ -230,7 +297,9 @@ def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_su
 
 
 def test_a_raw_score_without_baseline_is_stated_in_its_unit():
-    assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == ["12.50 mm"]
+    assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == [
+        "12.50 mm"
+    ]
 
 
 def test_a_declined_result_without_versions_joins_the_configuration_that_ran():
@@ -241,33 +310,65 @@ def test_a_declined_result_without_versions_joins_the_configuration_that_ran():
 
 
 def test_event_metrics_and_energy_loss_stand_beside_the_published_ones():
-    score = Score(grade="none", unit="mm", lsd_s=0.19, lsd_normalized=0.5, mte=0.2, mte_normalized=0.215)
-    rows = {row["metric"]: row for row in comparison_rows(compare([made(CRADLE, score=score)]))}
+    score = Score(
+        grade="none",
+        unit="mm",
+        lsd_s=0.19,
+        lsd_normalized=0.5,
+        mte=0.2,
+        mte_normalized=0.215,
+    )
+    rows = {
+        row["metric"]: row
+        for row in comparison_rows(compare([made(CRADLE, score=score)]))
+    }
     assert rows.keys() == {"lsd", "mte"}
     assert rows["lsd"]["real"]["mean"] == 0.38
     assert rows["lsd"]["configurations"][0]["raw"]["mean"] == 0.19
-    assert rows["mte"]["published"] == {"isaacsim": 0.2, "genesis": None, "newton": 0.26}
+    assert rows["mte"]["published"] == {
+        "isaacsim": 0.2,
+        "genesis": None,
+        "newton": 0.26,
+    }
 
 
 def test_wall_time_is_over_simulated_time():
-    results = [made(wall_s=3.0, seconds=1.0), made(wall_s=5.0, seconds=1.0, seed=1), made(PLASTIC, wall_s=None)]
+    results = [
+        made(wall_s=3.0, seconds=1.0),
+        made(wall_s=5.0, seconds=1.0, seed=1),
+        made(PLASTIC, wall_s=None),
+    ]
     comparison = compare(results)
-    assert [one.cells[0].wall_s_per_sim_s for one in comparison.experiments] == [4.0, None]
+    assert [one.cells[0].wall_s_per_sim_s for one in comparison.experiments] == [
+        4.0,
+        None,
+    ]
     assert comparison.summaries()[0].wall_s_per_sim_s == 4.0
 
 
 def test_rankings_can_leave_out_what_this_package_corrects(tmp_path):
     # Rapier has no corrections, and out_of_box leaves MuJoCo as it is delivered; MuJoCo's default preset is corrected.
-    for result in (made(), made(backend="rapier"), made(settings_given={"preset": "out_of_box"})):
+    for result in (
+        made(),
+        made(backend="rapier"),
+        made(settings_given={"preset": "out_of_box"}),
+    ):
         write_result(result, tmp_path / result_file_name(result))
     every, left = (
         CliRunner().invoke(app, ["compare", str(tmp_path), "--format", "json", *words])
         for words in ([], ["corrected=false"])
     )
     labels = [
-        [one["label"] for one in json.loads(run.stdout.splitlines()[0])["configurations"]] for run in (every, left)
+        [
+            one["label"]
+            for one in json.loads(run.stdout.splitlines()[0])["configurations"]
+        ]
+        for run in (every, left)
     ]
-    assert labels == [["mujoco", "mujoco, preset=out_of_box", "rapier"], ["mujoco, preset=out_of_box", "rapier"]]
+    assert labels == [
+        ["mujoco", "mujoco, preset=out_of_box", "rapier"],
+        ["mujoco, preset=out_of_box", "rapier"],
+    ]
     assert "left out: 1 result with corrections by this package" in left.stderr
     assert "left out" not in every.stderr
 
@@ -281,7 +382,15 @@ def test_nothing_in_common():
 
 def test_one_configuration_is_shown_beside_what_was_published():
     text = printed([made(rmse=0.41)])
-    for word in ("0.41", "Isaac Sim", "1.23", "18 +- 15.89 mm", "One configuration", "mujoco: mujoco 1.0", "Table 5"):
+    for word in (
+        "0.41",
+        "Isaac Sim",
+        "1.23",
+        "18 +- 15.89 mm",
+        "One configuration",
+        "mujoco: mujoco 1.0",
+        "Table 5",
+    ):
         assert word in text
 
 
@@ -297,7 +406,10 @@ def test_nothing_to_compare():
 @pytest.fixture(scope="module")
 def real():
     """Results of MuJoCo of every grade, by variant."""
-    return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, HOLD, DRIVEN, SOLVED)}
+    return {
+        name: run_episode(RunRequest(name))
+        for name in (SLIDER, PLASTIC, HOLD, DRIVEN, SOLVED)
+    }
 
 
 def altered(result, scale, **changes):
@@ -306,19 +418,31 @@ def altered(result, scale, **changes):
     start = np.array(trajectory.samples[0])
 
     def scaled(rows):
-        return (start + scale * (np.array(rows).reshape(len(rows), -1) - start)).tolist() if rows else []
+        return (
+            (start + scale * (np.array(rows).reshape(len(rows), -1) - start)).tolist()
+            if rows
+            else []
+        )
 
-    moved = replace(trajectory, samples=scaled(trajectory.samples), later_samples=scaled(trajectory.later_samples))
+    moved = replace(
+        trajectory,
+        samples=scaled(trajectory.samples),
+        later_samples=scaled(trajectory.later_samples),
+    )
     experiment = recorded_experiment(result)
     times_s, values = moved.arrays(later=True)
     band = reference_band(experiment, use_withheld=result.score.withheld is not None)
-    score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=result.backend)
+    score = score_trajectory(
+        experiment, band, times_s=times_s, values=values, backend=result.backend
+    )
     return replace(result, trajectory=moved, score=score, **changes)
 
 
 def as_newton(result, **changes):
     """The same result under another engine's name."""
-    return replace(result, backend="newton", versions={"newton": "1.0", **versions()}, **changes)
+    return replace(
+        result, backend="newton", versions={"newton": "1.0", **versions()}, **changes
+    )
 
 
 def under_two_names(real, *names):
@@ -330,23 +454,40 @@ def grade(comparison, name):
 
 
 def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
-    trials, others = under_two_names(real, SLIDER, PLASTIC), under_two_names(real, HOLD, DRIVEN, SOLVED)
+    trials, others = (
+        under_two_names(real, SLIDER, PLASTIC),
+        under_two_names(real, HOLD, DRIVEN, SOLVED),
+    )
     alone, together = compare(trials), compare([*others, *trials])
-    assert [one.name for one in together.grades] == ["trials", "recording", "law", "model"]
+    assert [one.name for one in together.grades] == [
+        "trials",
+        "recording",
+        "law",
+        "model",
+    ]
     assert grade(alone, "trials") == grade(together, "trials")
     ours = grade(together, "trials").scores[0]
     aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
     assert ours.mean.value == pytest.approx(np.mean(aligned))
     assert ours.mean_rank.value == 1.5
-    assert grade(together, "law").scores[0].mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
+    assert grade(together, "law").scores[0].mean.value == pytest.approx(
+        real[HOLD].score.rmse_normalized
+    )
     assert grade(together, "model").ids == (f"GAUGE/{SOLVED}",)
-    assert grade(together, "model").scores[0].mean.value == pytest.approx(real[SOLVED].score.rmse_normalized)
+    assert grade(together, "model").scores[0].mean.value == pytest.approx(
+        real[SOLVED].score.rmse_normalized
+    )
 
 
 def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
     comparison = compare(list(real.values()))
-    rows = {(row["id"], row["metric"]): row["published"] for row in comparison_rows(comparison)}
-    assert rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
+    rows = {
+        (row["id"], row["metric"]): row["published"]
+        for row in comparison_rows(comparison)
+    }
+    assert (
+        rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
+    )
     assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
     assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN, SOLVED)} == {None}
 
@@ -354,7 +495,9 @@ def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
 def test_published_constants_are_not_ranked_against_other_ones(real):
     changed = replace(real[SLIDER], parameters="effective")
     other = as_newton(altered(changed, 1.5))
-    published, effective, across = compare([real[SLIDER], as_newton(real[SLIDER]), changed, other]).grades
+    published, effective, across = compare(
+        [real[SLIDER], as_newton(real[SLIDER]), changed, other]
+    ).grades
     assert [one.name for one in (published, effective, across)] == [
         "trials",
         "trials, effective",
@@ -373,13 +516,24 @@ def test_a_withheld_band_is_a_group_of_its_own(real):
     names = {one.name: one.ids for one in comparison.grades}
     # The withheld band has no trials, so an aligned score has nothing to be divided by.
     assert names == {"recording": (f"GAUGE/{DRIVEN}",)}
-    (grade,) = compare_grade("recording", withheld=True, experiments=[compare([real[DRIVEN]]).experiments[0].graded()])
+    (grade,) = compare_grade(
+        "recording",
+        withheld=True,
+        experiments=[compare([real[DRIVEN]]).experiments[0].graded()],
+    )
     assert grade.name == "recording, withheld"
 
 
-def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_own(real):
+def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_own(
+    real,
+):
     third = altered(real[SLIDER], 1.1, settings_given={"timestep_s": 0.001})
-    both = [real[SLIDER], real[PLASTIC], as_newton(real[SLIDER]), as_newton(real[PLASTIC])]
+    both = [
+        real[SLIDER],
+        real[PLASTIC],
+        as_newton(real[SLIDER]),
+        as_newton(real[PLASTIC]),
+    ]
     one = grade(compare([*both, third]), "trials")
     assert one.ids == (f"GAUGE/{SLIDER}",)
     counts = {(pair.first, pair.second): len(pair.ids) for pair in one.pairs}
@@ -394,19 +548,27 @@ def test_identical_trajectories_are_never_distinguishable(real):
         assert (pair.p, pair.distinguishable) == (1.0, False)
         assert pair.probability_of_improvement == pytest.approx(0.5, abs=0.03)
         assert not any(single.distinguishable for single in pair.experiments)
-        assert [(single.difference, single.difference_95) for single in pair.experiments] == [(0.0, (0.0, 0.0))] * len(
-            pair.ids
-        )
+        assert [
+            (single.difference, single.difference_95) for single in pair.experiments
+        ] == [(0.0, (0.0, 0.0))] * len(pair.ids)
         assert {score.rank for score in one.scores} == {1}
 
 
 def test_rounding_is_not_distinguishable(real):
-    results = [one for name in (HOLD, DRIVEN) for one in (real[name], as_newton(altered(real[name], 1.0 + 1e-7)))]
+    results = [
+        one
+        for name in (HOLD, DRIVEN)
+        for one in (real[name], as_newton(altered(real[name], 1.0 + 1e-7)))
+    ]
     pairs = [pair for one in compare(results).grades for pair in one.pairs]
     assert [len(pair.ids) for pair in pairs] == [1, 1]
-    assert all(single.difference != 0.0 for pair in pairs for single in pair.experiments)
+    assert all(
+        single.difference != 0.0 for pair in pairs for single in pair.experiments
+    )
     assert not any(pair.distinguishable for pair in pairs)
-    assert not any(single.distinguishable for pair in pairs for single in pair.experiments)
+    assert not any(
+        single.distinguishable for pair in pairs for single in pair.experiments
+    )
 
 
 def test_a_large_difference_is_distinguishable_and_ranks(real):
@@ -432,10 +594,14 @@ def test_a_pair_turned_round_has_the_opposite_difference(real):
     other_motion = altered(real[SLIDER], 1.02)
     results = [real[SLIDER], as_newton(other_motion)]
     swapped = [other_motion, as_newton(real[SLIDER])]
-    (one,), (other,) = (grade(compare(some), "trials").pairs for some in (results, swapped))
+    (one,), (other,) = (
+        grade(compare(some), "trials").pairs for some in (results, swapped)
+    )
     (one,), (other,) = one.experiments, other.experiments
     assert other.difference == pytest.approx(-one.difference)
-    assert other.difference_95 == pytest.approx([-one.difference_95[1], -one.difference_95[0]])
+    assert other.difference_95 == pytest.approx(
+        [-one.difference_95[1], -one.difference_95[0]]
+    )
     assert other.p == pytest.approx(one.p)
 
 
@@ -454,33 +620,54 @@ def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
     assert score.mean.interval_95 == one.cells[0].interval_95(one.primary)
     # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
     (alone, *_) = grade(compare(ours[1:2]), "trials").scores
-    widths = [one.mean.interval_95[1] - one.mean.interval_95[0] for one in (score, alone)]
+    widths = [
+        one.mean.interval_95[1] - one.mean.interval_95[0] for one in (score, alone)
+    ]
     assert widths[0] > widths[1]
 
 
-def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(real):
+def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(
+    real,
+):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC))
-    drawn = [[cell.draws.draws[0] for cell in one.cells] for one in comparison.experiments]
+    drawn = [
+        [cell.draws.draws[0] for cell in one.cells] for one in comparison.experiments
+    ]
     assert np.corrcoef(*drawn[0])[0, 1] > 0.99
     assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
 
 
 def test_a_score_of_another_reference_is_not_compared_in_pairs(real):
-    stale = replace(real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3))
+    stale = replace(
+        real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3)
+    )
     comparison = compare([stale, as_newton(real[SLIDER])])
     assert grade(comparison, "trials").pairs == ()
-    assert any("its score was made against another reference" in note for note in comparison.notes)
+    assert any(
+        "its score was made against another reference" in note
+        for note in comparison.notes
+    )
 
 
 def test_a_trajectory_that_does_not_fit_the_experiment_is_not_compared_in_pairs():
     comparison = compare([made(rmse=0.5, seconds=0.1)])
     assert comparison.grades == ()
-    assert any("cannot be scored again" in note and "no sample at frame" in note for note in comparison.notes)
+    assert any(
+        "cannot be scored again" in note and "no sample at frame" in note
+        for note in comparison.notes
+    )
 
 
 def test_results_of_two_references_are_not_averaged(real):
-    imported = as_newton(real[SLIDER], dataset={"drivers": "bundled", "reference": "imported"})
-    comparison = compare([real[SLIDER], replace(imported, score=replace(imported.score, grade="recording"))])
+    imported = as_newton(
+        real[SLIDER], dataset={"drivers": "bundled", "reference": "imported"}
+    )
+    comparison = compare(
+        [
+            real[SLIDER],
+            replace(imported, score=replace(imported.score, grade="recording")),
+        ]
+    )
     assert comparison.grades == ()
     assert any("references of grade" in note for note in comparison.notes)
 
@@ -491,44 +678,94 @@ def test_cells_have_intervals_and_the_percentile_above_the_primary_score(real):
     low, high = (score_text(end) for end in score.rmse_aligned_normalized_95)
     assert f"{score_text(score.rmse_aligned_normalized)} [{low}, {high}]" in text
     lines = text.splitlines()
-    place = next(index for index, line in enumerate(lines) if line.strip().startswith("RMSE aligned"))
-    assert lines[place - 1].split()[:5] == ["trials", "closer", "-", f"{score.percentile_aligned:.0f}", "%"]
+    place = next(
+        index
+        for index, line in enumerate(lines)
+        if line.strip().startswith("RMSE aligned")
+    )
+    assert lines[place - 1].split()[:5] == [
+        "trials",
+        "closer",
+        "-",
+        f"{score.percentile_aligned:.0f}",
+        "%",
+    ]
     assert lines[place + 1].split()[0] == "RMSE"
 
 
-@pytest.mark.parametrize("metric", [name for name, one in SCORE_METRICS.items() if one.is_normalized])
+@pytest.mark.parametrize(
+    "metric", [name for name, one in SCORE_METRICS.items() if one.is_normalized]
+)
 def test_each_normalized_metric_has_an_interval(metric):
     values = {f"{metric}_normalized": 0.5, f"{metric}_normalized_95": (0.25, 1.5)}
-    score = Score(grade="none", unit="mm", **values | {SCORE_METRICS[metric].score_field: 9.0})
+    score = Score(
+        grade="none", unit="mm", **values | {SCORE_METRICS[metric].score_field: 9.0}
+    )
     assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
 
 
 def test_json_has_pairs_and_grades(real):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
-    record = by_kind(json.loads(json.dumps(as_rows(comparison_document(comparison)), allow_nan=False)))
+    record = by_kind(
+        json.loads(
+            json.dumps(as_rows(comparison_document(comparison)), allow_nan=False)
+        )
+    )
     assert set(record) == {"experiment", "grade", "pair"}
     trials, law = record["pair"]
-    assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
+    assert (trials["first"], trials["second"], trials["grade"]) == (
+        "mujoco",
+        "newton",
+        "trials",
+    )
     assert trials["ids"] == [f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}"]
-    assert (trials["closer_in"], trials["p_holm"], trials["distinguishable"]) == ([0, 0], 1.0, False)
-    assert all(one["difference_95"][0] <= 0.0 <= one["difference_95"][1] for one in trials["experiments"])
+    assert (trials["closer_in"], trials["p_holm"], trials["distinguishable"]) == (
+        [0, 0],
+        1.0,
+        False,
+    )
+    assert all(
+        one["difference_95"][0] <= 0.0 <= one["difference_95"][1]
+        for one in trials["experiments"]
+    )
     assert law["ids"] == [f"GAUGE/{HOLD}"]
     assert {one["id"]: set(one) for one in trials["experiments"]} == {
-        name: {"id", "difference", "difference_95", "probability_of_improvement", "p", "p_holm", "distinguishable"}
+        name: {
+            "id",
+            "difference",
+            "difference_95",
+            "probability_of_improvement",
+            "p",
+            "p_holm",
+            "distinguishable",
+        }
         for name in trials["ids"]
     }
-    assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [("trials", False), ("law", False)]
+    assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [
+        ("trials", False),
+        ("law", False),
+    ]
     first = record["grade"][0]["configurations"][0]
-    assert (first["label"], first["rank"], first["mean_rank_95"]) == ("mujoco", 1, [1.0, 2.0])
+    assert (first["label"], first["rank"], first["mean_rank_95"]) == (
+        "mujoco",
+        1,
+        [1.0, 2.0],
+    )
     assert first["mean_rank"] == 1.5
     assert {name: one["interval_95"] for name, one in first["ranks"].items()} == {
         name: [1, 2] for name in trials["ids"]
     }
-    assert record["grade"][0]["distinguishable"] == {name: [0, 1] for name in trials["ids"]}
+    assert record["grade"][0]["distinguishable"] == {
+        name: [0, 1] for name in trials["ids"]
+    }
     assert {one["constants"] for one in record["grade"]} == {"calibrated"}
     row = next(one for one in record["experiment"] if one["metric"] == "rmse_aligned")
-    assert row["configurations"][0]["normalized_95"] == list(real[SLIDER].score.rmse_aligned_normalized_95)
-    assert row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
+    assert row["configurations"][0]["normalized_95"] == list(
+        real[SLIDER].score.rmse_aligned_normalized_95
+    )
+    assert (
+        row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
+    )
 
 
 # --- distances ---
@@ -541,7 +778,9 @@ def distance(*results):
 
 
 def test_a_constant_distance():
-    far = distance(made(FOAM), made(FOAM, backend="newton", motion=lambda _: [3.0, 4.0, 0.0]))
+    far = distance(
+        made(FOAM), made(FOAM, backend="newton", motion=lambda _: [3.0, 4.0, 0.0])
+    )
     assert far.rms.mean == pytest.approx(5.0)
     assert (far.motion_rms, far.frames, far.apart_at_s) == (0.0, 31, None)
     assert far.threshold == published_baselines(FOAM)["rmse"].mean
@@ -560,13 +799,21 @@ def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_sho
 
 def test_without_a_published_scatter_the_threshold_is_a_share_of_the_motion():
     # x = v t and 1.1 v t: apart by 5 % of the mean square of both motions once 0.1 v t is.
-    far = distance(made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0)))
+    far = distance(
+        made(CRADLE, motion=along(100.0)),
+        made(CRADLE, backend="newton", motion=along(110.0)),
+    )
     positions = np.concatenate([np.arange(31) / 30 * speed for speed in (100.0, 110.0)])
     threshold = MOTION_SHARE * np.sqrt(np.mean(positions**2))
     assert not far.threshold_is_scatter
     assert far.threshold == pytest.approx(threshold)
     assert far.apart_at_s == pytest.approx(np.ceil(threshold / 10.0 * 30) / 30)
-    text = printed([made(CRADLE, motion=along(100.0)), made(CRADLE, backend="newton", motion=along(110.0))])
+    text = printed(
+        [
+            made(CRADLE, motion=along(100.0)),
+            made(CRADLE, backend="newton", motion=along(110.0)),
+        ]
+    )
     assert "Where engines disagree" in text
     assert "* not published: 5% of the motion" in text
 
@@ -576,7 +823,10 @@ def test_only_common_finite_frames_count():
         return [np.where(times > 0.3, np.inf, 10.0), 0.0 * times, 0.0 * times]
 
     lost = diverged(FOAM)
-    far = distance(made(FOAM, seconds=2.0), replace(lost, trajectory=recorded(explodes, seconds=0.5)))
+    far = distance(
+        made(FOAM, seconds=2.0),
+        replace(lost, trajectory=recorded(explodes, seconds=0.5)),
+    )
     assert (far.rms.mean, far.frames, far.diverged) == (10.0, 10, True)
 
 
@@ -584,7 +834,12 @@ def test_no_distance_where_one_did_not_run_or_recorded_something_else():
     assert compare([made(FOAM), declined(FOAM)]).experiments[0].distances == ()
     other = made(FOAM, backend="newton")
     renamed = replace(other.trajectory, coordinates=["ball.x", "ball.y", "ball.z"])
-    assert compare([made(FOAM), replace(other, trajectory=renamed)]).experiments[0].distances == ()
+    assert (
+        compare([made(FOAM), replace(other, trajectory=renamed)])
+        .experiments[0]
+        .distances
+        == ()
+    )
 
 
 def test_repeats_are_compared_seed_by_seed():
@@ -592,7 +847,10 @@ def test_repeats_are_compared_seed_by_seed():
         return lambda _: [x, 0.0, 0.0]
 
     ours = [made(FOAM, seed=seed, motion=start(100.0 * seed)) for seed in (1, 2, 3)]
-    theirs = [made(FOAM, backend="newton", seed=seed, motion=start(100.0 * seed + seed)) for seed in (1, 2, 3)]
+    theirs = [
+        made(FOAM, backend="newton", seed=seed, motion=start(100.0 * seed + seed))
+        for seed in (1, 2, 3)
+    ]
     far = distance(*ours, *theirs)
     assert (far.rms.mean, far.rms.std, far.rms.count) == (2.0, 1.0, 3)
     apart = distance(ours[0], ours[1], theirs[2])
@@ -603,7 +861,13 @@ def test_repeats_are_compared_seed_by_seed():
 
 
 def test_json_has_one_object_an_experiment_and_metric():
-    results = [made(rmse=1.0), made(rmse=2.0, seed=1), diverged(), made(FOAM), made(FOAM, backend="newton")]
+    results = [
+        made(rmse=1.0),
+        made(rmse=2.0, seed=1),
+        diverged(),
+        made(FOAM),
+        made(FOAM, backend="newton"),
+    ]
     rows = json.loads(json.dumps(comparison_rows(compare(results)), allow_nan=False))
     keys = [(row["id"], row["metric"]) for row in rows]
     assert sorted(keys, key=str) == [
@@ -611,9 +875,17 @@ def test_json_has_one_object_an_experiment_and_metric():
         (f"GAUGE/{SLIDER}", "rmse"),
         (f"GAUGE/{FOAM}", None),
     ]
-    first = next(row for row in rows if row["id"] == f"GAUGE/{SLIDER}" and row["metric"] == "rmse")
+    first = next(
+        row
+        for row in rows
+        if row["id"] == f"GAUGE/{SLIDER}" and row["metric"] == "rmse"
+    )
     mujoco, newton = first["configurations"]
-    assert (mujoco["label"], mujoco["seeds"], mujoco["outcomes"]) == ("mujoco", [0, 1], ["finished", "finished"])
+    assert (mujoco["label"], mujoco["seeds"], mujoco["outcomes"]) == (
+        "mujoco",
+        [0, 1],
+        ["finished", "finished"],
+    )
     assert mujoco["normalized"]["values"] == [1.0, 2.0]
     assert mujoco["versions"]["mujoco"] == "1.0"
     assert (newton["normalized"], newton["reasons"]) == (None, ["a body is 1e6 m away"])
@@ -623,10 +895,17 @@ def test_json_has_one_object_an_experiment_and_metric():
 
 
 def test_markdown_tables_are_whole():
-    results = [made(rmse=1.0, settings_given={"a_b": 1}), diverged(), made(FOAM), made(FOAM, backend="newton")]
+    results = [
+        made(rmse=1.0, settings_given={"a_b": 1}),
+        diverged(),
+        made(FOAM),
+        made(FOAM, backend="newton"),
+    ]
     lines = as_markdown(comparison_document(compare(results))).splitlines()
     tables = [line for line in lines if line.startswith("|")]
-    blocks = "\n".join(line if line.startswith("|") else "" for line in lines).split("\n\n")
+    blocks = "\n".join(line if line.startswith("|") else "" for line in lines).split(
+        "\n\n"
+    )
     counts = [{row.count("|") for row in block.split("\n") if row} for block in blocks]
     assert len(tables) > 6
     assert all(len(count) <= 1 for count in counts)
@@ -644,10 +923,17 @@ def test_metrics_are_checked_and_kept_in_order():
 
 
 def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
-    repeats = [made(backend="newton", rmse=1.0, seed=seed, motion=along(10.0 * seed)) for seed in range(3)]
+    repeats = [
+        made(backend="newton", rmse=1.0, seed=seed, motion=along(10.0 * seed))
+        for seed in range(3)
+    ]
     among = [made(PLASTIC, rmse=1.0), *repeats]
     figure = draw_experiment(repeats, among=among)
-    curves = [line for line in figure.axes[0].get_lines() if to_hex(line.get_color()) in OURS and len(line.get_xdata())]
+    curves = [
+        line
+        for line in figure.axes[0].get_lines()
+        if to_hex(line.get_color()) in OURS and len(line.get_xdata())
+    ]
     assert len(curves) == 3
     assert {to_hex(line.get_color()) for line in curves} == {OURS[1]}
     texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
@@ -657,11 +943,16 @@ def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
 def test_engines_without_a_reference_get_a_panel_of_their_distance():
     # A cube of another friction is not the one that was solved.
     other = {"parameters": {"cube.friction": 0.2}}
-    figure = draw_experiment([made(FOAM, **other), made(FOAM, backend="newton", motion=along(60.0), **other)])
+    figure = draw_experiment(
+        [made(FOAM, **other), made(FOAM, backend="newton", motion=along(60.0), **other)]
+    )
     panel = next(axis for axis in figure.axes if "distance" in axis.get_ylabel())
     heights = max(panel.get_lines(), key=lambda line: len(line.get_ydata())).get_ydata()
     assert heights == pytest.approx(60.0 * np.arange(31) / 30)
-    assert not any("distance" in axis.get_ylabel() for axis in draw_experiment([made(FOAM, **other)]).axes)
+    assert not any(
+        "distance" in axis.get_ylabel()
+        for axis in draw_experiment([made(FOAM, **other)]).axes
+    )
 
 
 def test_rounding_errors_do_not_fill_a_panel():
@@ -681,27 +972,44 @@ def test_a_score_without_a_scatter_is_drawn_with_its_unit():
 def test_a_legend_is_no_wider_than_its_panel():
     figure = new_figure(12.0, 5.0)
     panel, _ = figure.subplots(1, 2, width_ratios=(1.8, 1.0))
-    aligned = [f"mujoco, effective{number}, +0.058 s to align the release" for number in range(3)]
-    for label in ["real, mean (22 trials)", "real, 1 sigma", "extrapolated, not measured", *aligned]:
+    aligned = [
+        f"mujoco, effective{number}, +0.058 s to align the release"
+        for number in range(3)
+    ]
+    for label in [
+        "real, mean (22 trials)",
+        "real, 1 sigma",
+        "extrapolated, not measured",
+        *aligned,
+    ]:
         panel.plot([], [], label=label)
     legend_above(panel)
     figure.draw_without_rendering()
-    assert panel.get_legend().get_window_extent().width <= panel.get_window_extent().width
+    assert (
+        panel.get_legend().get_window_extent().width <= panel.get_window_extent().width
+    )
     assert panel.get_position().width > 0.5
 
 
 def places_of(axis):
     """Places of the dots of a panel."""
-    return {float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())}
+    return {
+        float(line.get_xdata()[0]) for line in axis.get_lines() if len(line.get_xdata())
+    }
 
 
 def test_overview_has_every_score_where_it_belongs():
-    comparison = compare([made(rmse=0.41), diverged(), made(PLASTIC, backend="newton", rmse=2.0)])
+    comparison = compare(
+        [made(rmse=0.41), diverged(), made(PLASTIC, backend="newton", rmse=2.0)]
+    )
     figure = draw_overview(comparison, metric="rmse")
     (axis,) = figure.axes
     assert {0.41, 2.0, 1.23, 0.53, 1.71, 0.48, 0.82, 0.51, 1.0} <= places_of(axis)
     assert axis.get_xscale() == "log"
-    assert [tick.get_text() for tick in axis.get_yticklabels()] == [f"{SLIDER}  (trials)", f"{PLASTIC}  (trials)"]
+    assert [tick.get_text() for tick in axis.get_yticklabels()] == [
+        f"{SLIDER}  (trials)",
+        f"{PLASTIC}  (trials)",
+    ]
     assert draw_overview(compare([made(rmse=0.41)]), metric="el") is None
 
 
@@ -709,14 +1017,28 @@ def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(
     figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
     primary, raw = figure.axes
     score = real[SLIDER].score
-    assert {score.rmse_aligned_normalized, real[HOLD].score.rmse_normalized} <= places_of(primary)
+    assert {
+        score.rmse_aligned_normalized,
+        real[HOLD].score.rmse_normalized,
+    } <= places_of(primary)
     assert score.rmse_normalized in places_of(raw)
-    published = {name: set(published_baselines(name)["rmse"].engines.values()) for name in (SLIDER, HOLD)}
+    published = {
+        name: set(published_baselines(name)["rmse"].engines.values())
+        for name in (SLIDER, HOLD)
+    }
     assert published[SLIDER] <= places_of(raw)
     assert not published[SLIDER] & places_of(primary)
     assert not published[HOLD] & places_of(raw)
-    bars = [tuple(path.vertices[:, 0]) for bar in primary.collections for path in bar.get_paths()]
-    assert any(bar == pytest.approx(score.rmse_aligned_normalized_95) for bar in bars if len(bar) == 2)
+    bars = [
+        tuple(path.vertices[:, 0])
+        for bar in primary.collections
+        for path in bar.get_paths()
+    ]
+    assert any(
+        bar == pytest.approx(score.rmse_aligned_normalized_95)
+        for bar in bars
+        if len(bar) == 2
+    )
 
 
 def test_pictures_of_a_comparison(tmp_path):
@@ -734,7 +1056,9 @@ def gauge(tmp_path, monkeypatch):
     """Runs the command in an empty folder: gauge("compare", "--json") -> result with exit_code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "results").mkdir()
-    return lambda *arguments: CliRunner(env={"COLUMNS": "240"}).invoke(app, list(map(str, arguments)))
+    return lambda *arguments: CliRunner(env={"COLUMNS": "240"}).invoke(
+        app, list(map(str, arguments))
+    )
 
 
 def by_kind(records):
@@ -752,30 +1076,58 @@ def write(folder, *results):
 
 @pytest.mark.slow
 def test_two_settings_of_a_real_engine(gauge, tmp_path):
-    fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
-    write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-3-wood")), replace(fine, backend="newton", seed=4))
+    fine, coarse = (
+        run_episode(RunRequest(SLIDER, settings=given))
+        for given in (None, {"timestep_s": 1 / 900})
+    )
+    write(
+        tmp_path,
+        fine,
+        coarse,
+        run_episode(RunRequest("Turntable-3-wood")),
+        replace(fine, backend="newton", seed=4),
+    )
     assert gauge("plot", "--kind", "compare").exit_code == 0
     result = gauge("compare")
     assert result.exit_code == 0
     assert "Pairs in each experiment" not in result.stdout
     assert "Pairs in each experiment" in gauge("compare", "--format", "wide").stdout
-    for text in ("timestep_s", "0.41", "Isaac Sim", "Ranking", "Pairs within each grade", "wall s/sim s"):
+    for text in (
+        "timestep_s",
+        "0.41",
+        "Isaac Sim",
+        "Ranking",
+        "Pairs within each grade",
+        "wall s/sim s",
+    ):
         assert text in result.stdout
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
         f"{SLIDER}.png",
         "Turntable-3-wood.png",
         "overview.png",
     ]
-    record = by_kind(map(json.loads, gauge("compare", "--json", "metric=rmse").stdout.splitlines()))
-    rows = record["experiment"]
-    assert {"first", "second", "grade", "constants", "ids", "closer_in", "p_holm", "experiments"} <= set(
-        record["pair"][0]
+    record = by_kind(
+        map(json.loads, gauge("compare", "--json", "metric=rmse").stdout.splitlines())
     )
+    rows = record["experiment"]
+    assert {
+        "first",
+        "second",
+        "grade",
+        "constants",
+        "ids",
+        "closer_in",
+        "p_holm",
+        "experiments",
+    } <= set(record["pair"][0])
     assert [row["metric"] for row in rows] == ["rmse", "rmse"]
     values = [one["normalized"] for one in rows[0]["configurations"]]
     assert values[0]["mean"] == fine.score.rmse_normalized
     assert values[1]["mean"] == coarse.score.rmse_normalized
-    far = {(one["first"], one["second"]): one["rms"]["mean"] for one in rows[0]["distances"]}
+    far = {
+        (one["first"], one["second"]): one["rms"]["mean"]
+        for one in rows[0]["distances"]
+    }
     assert far["mujoco", "newton"] == 0.0
     assert far["mujoco", "mujoco, timestep_s=0.001111"] > 0.0
 
@@ -795,7 +1147,12 @@ def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
 
 def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
-    first, *_ = map(json.loads, gauge("compare", "results", "results", "--json", "metric=rmse").stdout.splitlines())
+    first, *_ = map(
+        json.loads,
+        gauge(
+            "compare", "results", "results", "--json", "metric=rmse"
+        ).stdout.splitlines(),
+    )
     assert first["configurations"][0]["normalized"]["count"] == 1
     assert not any("the latest of each counts" in note for note in first["notes"])
 

@@ -30,11 +30,15 @@ def test_each_setting_has_a_row_with_its_errors_and_cost() -> None:
     assert steps_s == pytest.approx(list(STEPS_S))
     assert numerical[-1] == 0.0 and rows[-1]["is_converged"]
     # A first-order error: the distance to the finest step is in proportion to h - h_finest.
-    assert [one / numerical[3] for one in numerical[:-1]] == pytest.approx([15.0, 7.0, 3.0, 1.0], rel=1e-6)
+    assert [one / numerical[3] for one in numerical[:-1]] == pytest.approx(
+        [15.0, 7.0, 3.0, 1.0], rel=1e-6
+    )
     assert rows[0]["resolution"] == pytest.approx(numerical[3])
     assert {row["to_reality"] for row in rows} == {0.5}
     # The recorded motion has 0.6 s.
-    assert [row["cost"] for row in rows] == pytest.approx([5e-4 / step_s / 0.6 for step_s in STEPS_S])
+    assert [row["cost"] for row in rows] == pytest.approx(
+        [5e-4 / step_s / 0.6 for step_s in STEPS_S]
+    )
 
 
 def test_the_sufficient_step_is_the_largest_below_the_real_scatter() -> None:
@@ -59,7 +63,9 @@ def test_costs_are_relative_to_mujoco_with_its_defaults() -> None:
 
 def test_results_that_did_not_run_or_are_jittered_are_named() -> None:
     notes: list[str] = []
-    cost_curves([*sweep(), *sweep(jitter={"position_m": 1e-3}), made(wall_s=None)], notes)
+    cost_curves(
+        [*sweep(), *sweep(jitter={"position_m": 1e-3}), made(wall_s=None)], notes
+    )
     assert sum("jittered" in note for note in notes) == len(STEPS_S)
     assert sum("has no time" in note for note in notes) == 1
     with pytest.raises(ShapeError, match="no result"):
@@ -71,9 +77,18 @@ def test_the_command_writes_a_picture_a_table_and_all_numbers(tmp_path: Path) ->
     (tmp_path / "in").mkdir()
     for result in [*sweep(), *sweep(wrong_step, backend="rapier")]:
         write_result(result, tmp_path / "in" / result_file_name(result))
-    arguments: list[Any] = ["plot", tmp_path / "in", "--kind", "cost", "--out", tmp_path / "out"]
+    arguments: list[Any] = [
+        "plot",
+        tmp_path / "in",
+        "--kind",
+        "cost",
+        "--out",
+        tmp_path / "out",
+    ]
     done = CliRunner().invoke(app, list(map(str, arguments)))
     assert done.exit_code == 0, done.output
     assert (tmp_path / "out" / "pareto.png").stat().st_size > 10_000
-    assert len(json.loads((tmp_path / "out" / "pareto.json").read_text())) == 2 * len(STEPS_S)
+    assert len(json.loads((tmp_path / "out" / "pareto.json").read_text())) == 2 * len(
+        STEPS_S
+    )
     assert (tmp_path / "out" / "pareto.md").read_text().count("SlopeSlider-2-wood") == 2

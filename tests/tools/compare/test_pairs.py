@@ -27,37 +27,54 @@ TRIAL_COUNT = 20
 
 def slides(errors: Sequence[float], **motion: float) -> World:
     """Slides whose release hides some of an excess friction, and engines with a friction error each."""
-    return World(motion=Slide(**{"release_s": 0.03, **motion}), engine_errors=tuple(errors))
+    return World(
+        motion=Slide(**{"release_s": 0.03, **motion}), engine_errors=tuple(errors)
+    )
 
 
 def true_scores(world: World, *, aligned: bool) -> list[float]:
     kind = "aligned" if aligned else "raw"
-    return [world.truth.ratio(kind, engine) for engine in range(len(world.engine_errors))]
+    return [
+        world.truth.ratio(kind, engine) for engine in range(len(world.engine_errors))
+    ]
 
 
-def observed(world: World, *, aligned: bool, random: np.random.Generator, name: str = "slide") -> GradedExperiment:
+def observed(
+    world: World, *, aligned: bool, random: np.random.Generator, name: str = "slide"
+) -> GradedExperiment:
     """One experimenter's scores of engines against the mean of 20 trials."""
     trials = world.trials(random, 1, TRIAL_COUNT)
     band = band_of(trials[0])
     of_band = band_errors(band, None)
     order = np.random.default_rng([*name.encode()]).permutation(len(of_band.factors))
-    baseline = float(np.sqrt(np.mean(np.square(trials - trials.mean(axis=1)), axis=-1)).mean())
+    baseline = float(
+        np.sqrt(np.mean(np.square(trials - trials.mean(axis=1)), axis=-1)).mean()
+    )
     distances = leave_one_out(trials)[1][0] if aligned else np.zeros(0)
     draws, intervals = [], []
     for engine in range(len(world.engine_errors)):
-        deviation, own = world.engine(engine, np.zeros(()))[:, None] - band.mean, of_band
+        deviation, own = (
+            world.engine(engine, np.zeros(()))[:, None] - band.mean,
+            of_band,
+        )
         if aligned:
             shifted, velocities, shifts_s = align(world, engine, band.mean.T)
             deviation = shifted.T
-            own = aligned_errors(world, engine, of_band, velocities, shifts_s, 0).with_baseline(distances)
+            own = aligned_errors(
+                world, engine, of_band, velocities, shifts_s, 0
+            ).with_baseline(distances)
             baseline = float(distances.mean())
         score = np.array([np.linalg.norm(own.flat(deviation))]) / baseline
         drawn = own.draws(deviation)[None, order] / baseline
         influences = own.influences(deviation)[None] / baseline
         draws.append(ScoreDraws((0,), score, score, drawn, influences))
         ends = own.interval(deviation)
-        intervals.append(None if ends is None else (ends[0] / baseline, ends[1] / baseline))
-    return GradedExperiment(id=name, draws=tuple(draws), intervals=tuple(intervals), trial_count=TRIAL_COUNT)
+        intervals.append(
+            None if ends is None else (ends[0] / baseline, ends[1] / baseline)
+        )
+    return GradedExperiment(
+        id=name, draws=tuple(draws), intervals=tuple(intervals), trial_count=TRIAL_COUNT
+    )
 
 
 def paired(experiments: Sequence[GradedExperiment]) -> PairComparison:
@@ -65,7 +82,10 @@ def paired(experiments: Sequence[GradedExperiment]) -> PairComparison:
     return pair
 
 
-@pytest.mark.parametrize(("error", "aligned"), [pytest.param(0.0, True, marks=pytest.mark.slow), (0.01, False)])
+@pytest.mark.parametrize(
+    ("error", "aligned"),
+    [pytest.param(0.0, True, marks=pytest.mark.slow), (0.01, False)],
+)
 def test_the_interval_of_a_mean_over_one_experiment_is_that_of_the_score_and_holds_it(
     error: float, aligned: bool
 ) -> None:
@@ -77,8 +97,14 @@ def test_the_interval_of_a_mean_over_one_experiment_is_that_of_the_score_and_hol
         one = observed(world, aligned=aligned, random=random)
         (grade,) = compare_grade("trials", withheld=False, experiments=[one])
         (score,) = grade.scores
-        assert score.mean is not None and one.intervals[0] in (None, score.mean.interval_95)
-        held += one.intervals[0] is None or score.mean.interval_95[0] <= truth <= score.mean.interval_95[1]
+        assert score.mean is not None and one.intervals[0] in (
+            None,
+            score.mean.interval_95,
+        )
+        held += (
+            one.intervals[0] is None
+            or score.mean.interval_95[0] <= truth <= score.mean.interval_95[1]
+        )
     # Of 150 realities, a true 95 % gives at least 0.91 in 98 of 100 runs.
     assert held >= 0.91 * 150
 
@@ -88,18 +114,29 @@ def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean() -> None:
     for count, shared, own in [(4, 0.1, 0.1), (3, 0.02, 0.2), (8, 0.2, 0.05)]:
         held = 0
         for _ in range(1000):
-            scores = 2.0 + shared * random.standard_normal() + own * random.standard_normal(count)
-            low, high = repeats_interval([*scores], [(one - 1.96 * shared, one + 1.96 * shared) for one in scores])
+            scores = (
+                2.0
+                + shared * random.standard_normal()
+                + own * random.standard_normal(count)
+            )
+            low, high = repeats_interval(
+                [*scores],
+                [(one - 1.96 * shared, one + 1.96 * shared) for one in scores],
+            )
             held += low <= 2.0 <= high
         # A true 95 % of 1000 is 0.93 to 0.97 in 99 of 100 runs; the sum of a t and a normal in quadrature is wider.
         assert 0.93 <= held / 1000 <= 0.985
     assert repeats_interval([1.0], [(0.5, 2.5)]) == pytest.approx((0.5, 2.5))
-    assert repeats_interval([1.0, 1.0], [(0.5, 2.5), (0.5, 2.5)]) == pytest.approx((0.5, 2.5))
+    assert repeats_interval([1.0, 1.0], [(0.5, 2.5), (0.5, 2.5)]) == pytest.approx(
+        (0.5, 2.5)
+    )
     assert repeats_interval([0.1, 0.3], [(0.0, 0.2), (0.2, 0.4)])[0] == 0.0
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
-def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_repeats(count: int) -> None:
+def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_repeats(
+    count: int,
+) -> None:
     """Scores that differ by their jittered starts alone; draws with replacement are right in 0.51, 0.75 and 0.87."""
     random = np.random.default_rng(5)
 
@@ -112,7 +149,9 @@ def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_r
     alike, held = 0, 0
     for _ in range(400):
         first, second = scores(), scores()
-        alike += not paired([GradedExperiment(id="slide", draws=(first, second))]).distinguishable
+        alike += not paired(
+            [GradedExperiment(id="slide", draws=(first, second))]
+        ).distinguishable
         low, high = np.quantile(first.mean()[1], (0.025, 0.975))
         held += low <= 1.0 <= high
     # Of 400, a true 95 % gives 0.92 or more in 99 of 100 runs.
@@ -132,7 +171,8 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one() -> None:
     random, held = np.random.default_rng(5), 0
     for _ in range(200):
         experiments = [
-            observed(world, aligned=True, random=random, name=f"slide {number}") for number, world in enumerate(worlds)
+            observed(world, aligned=True, random=random, name=f"slide {number}")
+            for number, world in enumerate(worlds)
         ]
         (grade,) = compare_grade("trials", withheld=False, experiments=experiments)
         mean = grade.scores[0].mean
@@ -141,14 +181,21 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one() -> None:
     assert held >= 0.91 * 200
 
 
-def test_identical_engines_are_never_distinguishable_and_a_large_difference_is() -> None:
+def test_identical_engines_are_never_distinguishable_and_a_large_difference_is() -> (
+    None
+):
     random = np.random.default_rng(11)
     for _ in range(50):
         same, apart = (
-            paired([observed(slides(errors), aligned=True, random=random)]) for errors in ((0.02, 0.02), (0.0, 0.2))
+            paired([observed(slides(errors), aligned=True, random=random)])
+            for errors in ((0.02, 0.02), (0.0, 0.2))
         )
         (alike,), (far,) = same.experiments, apart.experiments
-        assert (alike.difference, alike.difference_95, same.distinguishable) == (0.0, (0.0, 0.0), False)
+        assert (alike.difference, alike.difference_95, same.distinguishable) == (
+            0.0,
+            (0.0, 0.0),
+            False,
+        )
         assert (same.probability_of_improvement, same.p) == (0.5, 1.0)
         assert apart.distinguishable
         assert far.difference_95[1] < 0.0
@@ -165,9 +212,13 @@ def test_the_sign_of_a_difference_is_that_of_students_test() -> None:
         first, second = (world.engine(one, np.zeros(()))[:, None] for one in (0, 1))
         mean = drawn.mean(axis=0)[:, None]
         nearer = np.mean(errors.draws(first - mean) < errors.draws(second - mean))
-        single = np.square(first[:, 0] - drawn).sum(axis=1) - np.square(second[:, 0] - drawn).sum(axis=1)
+        single = np.square(first[:, 0] - drawn).sum(axis=1) - np.square(
+            second[:, 0] - drawn
+        ).sum(axis=1)
         # A one-sided test of single trials' differences has the same mean and Student's law.
-        expected = student.cdf(-single.mean() / (single.std(ddof=1) / np.sqrt(count)), count - 1)
+        expected = student.cdf(
+            -single.mean() / (single.std(ddof=1) / np.sqrt(count)), count - 1
+        )
         assert 0.01 < expected < 0.99
         assert nearer == pytest.approx(expected, abs=0.03)
 
@@ -177,7 +228,10 @@ def test_trials_that_drift_tell_no_engines_apart() -> None:
     world = slides([0.06, -0.06])
     drift = np.linspace(-1.0, 1.0, TRIAL_COUNT)
     verdicts = []
-    for order in (np.arange(TRIAL_COUNT), np.random.default_rng(4).permutation(TRIAL_COUNT)):
+    for order in (
+        np.arange(TRIAL_COUNT),
+        np.random.default_rng(4).permutation(TRIAL_COUNT),
+    ):
         constant, release_s = 0.257 + 0.008 * drift[order], 0.03 + 0.03 * drift[order]
         trials = world.motion.positions_mm(constant, release_s, np.zeros(TRIAL_COUNT))
         errors, mean = band_errors(band_of(trials), None), trials.mean(axis=0)[:, None]
@@ -185,9 +239,14 @@ def test_trials_that_drift_tell_no_engines_apart() -> None:
         for engine in (0, 1):
             deviation = world.engine(engine, np.zeros(()))[:, None] - mean
             refused.append(errors.interval(deviation) is None)
-            score, drawn = np.array([np.linalg.norm(errors.flat(deviation))]), errors.draws(deviation)[None]
+            score, drawn = (
+                np.array([np.linalg.norm(errors.flat(deviation))]),
+                errors.draws(deviation)[None],
+            )
             influences = errors.influences(deviation)[None]
             draws.append(ScoreDraws((0,), score, score, drawn, influences))
-        pair = paired([GradedExperiment(id="slide", draws=tuple(draws), trial_count=TRIAL_COUNT)])
+        pair = paired(
+            [GradedExperiment(id="slide", draws=tuple(draws), trial_count=TRIAL_COUNT)]
+        )
         verdicts.append((all(refused), pair.distinguishable))
     assert verdicts == [(True, False), (False, True)]

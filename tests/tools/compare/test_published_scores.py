@@ -15,20 +15,43 @@ def test_rows_have_a_published_score_and_a_reference() -> None:
     assert set(found["SlopeSlider-2-wood"]) == {"rmse", "dtw"}
     assert set(found["Pendulum-metal"]) == {"pd", "el"}
     # Genesis has no valid cradle, textiles have no band, and the law of NonsmoothContact ends before the impact.
-    assert not {"NewtonsCradle-metal", "TextileBending-satin", "NonsmoothContact-1-wood"} & set(found)
+    assert not {
+        "NewtonsCradle-metal",
+        "TextileBending-satin",
+        "NonsmoothContact-1-wood",
+    } & set(found)
 
 
 def test_rows_hold_the_score_of_the_run() -> None:
-    rows = {row.metric: row for row in compare("mujoco", "contact", "newton", "BouncingBall-*")}
-    score = run_episode(RunRequest("BouncingBall-rubber", settings={"preset": "contact"})).score
+    rows = {
+        row.metric: row
+        for row in compare("mujoco", "contact", "newton", "BouncingBall-*")
+    }
+    score = run_episode(
+        RunRequest("BouncingBall-rubber", settings={"preset": "contact"})
+    ).score
     assert rows["rmse"].reached == score.rmse_normalized
     assert rows["dtw"].reached == score.dtw_normalized
-    assert rows["rmse"].published == published_baselines("BouncingBall-rubber")["rmse"].engines["newton"]
+    assert (
+        rows["rmse"].published
+        == published_baselines("BouncingBall-rubber")["rmse"].engines["newton"]
+    )
     assert {row.grade for row in rows.values()} == {"trials"}
 
 
-@pytest.mark.parametrize(("reached", "repeated"), [(2.05, True), (1.95, True), (2.07, False), (None, False)])
-def test_a_score_within_3_percent_is_repeated(reached: float | None, repeated: bool) -> None:
-    row = Repeated(variant="A-wood", metric="rmse", grade="trials", driver=None, published=2.0, reached=reached)
+@pytest.mark.parametrize(
+    ("reached", "repeated"), [(2.05, True), (1.95, True), (2.07, False), (None, False)]
+)
+def test_a_score_within_3_percent_is_repeated(
+    reached: float | None, repeated: bool
+) -> None:
+    row = Repeated(
+        variant="A-wood",
+        metric="rmse",
+        grade="trials",
+        driver=None,
+        published=2.0,
+        reached=reached,
+    )
     assert row.is_repeated is repeated
     assert row.cells()[-1] == ("yes" if repeated else "no")

@@ -45,11 +45,16 @@ def simulated_by(simulation: type[Passed]) -> Changed:
     [
         ("along the axes of the world", lambda right: Rotation.identity()),
         ("from the world to the body", lambda right: right.inv()),
-        ("x, y, z, w was read as w, x, y, z", lambda right: Rotation.from_quat(right.as_quat(), scalar_first=True)),
+        (
+            "x, y, z, w was read as w, x, y, z",
+            lambda right: Rotation.from_quat(right.as_quat(), scalar_first=True),
+        ),
         ("", lambda right: right * Rotation.from_rotvec([0.0, 0.0, 0.3])),
     ],
 )
-def test_the_wrong_frame_of_an_inertia_is_named(words: str, wrong: Callable[[Rotation], Rotation]) -> None:
+def test_the_wrong_frame_of_an_inertia_is_named(
+    words: str, wrong: Callable[[Rotation], Rotation]
+) -> None:
     own = np.diag([1.5e-4, 3.6e-4, 4.5e-4])
     frame = wrong(Rotation.from_euler("xyz", EULER_DEG, degrees=True)).as_matrix()
     found = _frame_hint(frame @ own @ frame.T, own)
@@ -60,7 +65,10 @@ def test_deformable_laws_read_the_same_at_any_damping() -> None:
     """MuJoCo's integrator damps in proportion to its step, here by a factor of ten."""
     laws = ["cloth-stretch", "cloth-shear", "cloth-bending", "rod-bending"]
     damped, swinging = (
-        {one.check: one.measured for one in run_checks("mujoco", settings={"timestep_s": step}, only=laws)}
+        {
+            one.check: one.measured
+            for one in run_checks("mujoco", settings={"timestep_s": step}, only=laws)
+        }
         for step in (1 / 180, 1 / 1800)
     )
     assert damped == pytest.approx(swinging, rel=0.01)
@@ -76,11 +84,19 @@ class Declines(Changed):
 
 class KnowsBallsOnly(Changed):
     def supports(self, scene: Scene) -> Support:
-        return Support(tuple(f"{one.name!r} is a box" for one in scene.bodies if isinstance(one.shape, Box)))
+        return Support(
+            tuple(
+                f"{one.name!r} is a box"
+                for one in scene.bodies
+                if isinstance(one.shape, Box)
+            )
+        )
 
 
 class CannotBuild(Changed):
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         if scene.deformables:
             raise KeyError("mesh")
         return super().build(scene, settings)
@@ -103,16 +119,26 @@ def test_an_error_of_the_engine_has_its_place() -> None:
 
 
 def test_what_is_declined_is_no_failure_and_has_its_reasons() -> None:
-    findings = {one.check: one for one in run_checks(Declines(), only=["cloth-stretch", "free-fall"])}
+    findings = {
+        one.check: one
+        for one in run_checks(Declines(), only=["cloth-stretch", "free-fall"])
+    }
     assert findings["free-fall"].status is Status.PASS
     declined = findings["cloth-stretch"]
-    assert (declined.status, declined.missing, declined.is_bad) == (Status.DECLINED, ("it knows no cloth",), False)
+    assert (declined.status, declined.missing, declined.is_bad) == (
+        Status.DECLINED,
+        ("it knows no cloth",),
+        False,
+    )
     assert declined.measured is None
 
 
 def test_repeatability_is_checked_on_an_engine_that_knows_little() -> None:
     findings = list(
-        run_checks(KnowsBallsOnly(), only=["reset-*", "determinism", "restore", "contact-*", "rebound-0.5"])
+        run_checks(
+            KnowsBallsOnly(),
+            only=["reset-*", "determinism", "restore", "contact-*", "rebound-0.5"],
+        )
     )
     assert {one.status for one in findings} == {Status.PASS}
     (reset,) = run_checks(KnowsBallsOnly(FAULTS["no-reset"]), only=["reset-start"])
@@ -128,21 +154,31 @@ class Panics(Passed):
         raise PanicException("assertion failed: radius.is_sign_positive()")
 
 
-def test_a_panic_of_the_engine_is_a_finding_and_ctrl_c_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_panic_of_the_engine_is_a_finding_and_ctrl_c_ends_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     findings = list(run_checks(simulated_by(Panics), only=["free-fall", "slide"]))
     assert [one.status for one in findings] == [Status.ERROR] * 2
     assert "PanicException: assertion failed: radius" in findings[0].diagnosis
-    monkeypatch.setattr(Panics, "advance", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        Panics, "advance", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt):
         list(run_checks(simulated_by(Panics), only=["free-fall"]))
 
 
 def test_an_exception_is_a_finding_and_the_others_go_on() -> None:
-    findings = {one.check: one for one in run_checks(CannotBuild(), only=["cloth-s*", "free-fall"])}
+    findings = {
+        one.check: one
+        for one in run_checks(CannotBuild(), only=["cloth-s*", "free-fall"])
+    }
     assert findings["free-fall"].status is Status.PASS
     for name in ("cloth-start", "cloth-stretch", "cloth-shear"):
         assert findings[name].status is Status.ERROR
-        assert "supports() was true, but build() raised KeyError: 'mesh'" in findings[name].diagnosis
+        assert (
+            "supports() was true, but build() raised KeyError: 'mesh'"
+            in findings[name].diagnosis
+        )
 
 
 def test_what_is_not_finite_says_when() -> None:
@@ -161,7 +197,9 @@ def test_findings_are_json() -> None:
 
 
 def test_settings_reach_the_backend() -> None:
-    (finding,) = run_checks("mujoco", settings={"timestep_s": 1 / 900}, only=["free-fall"])
+    (finding,) = run_checks(
+        "mujoco", settings={"timestep_s": 1 / 900}, only=["free-fall"]
+    )
     assert finding.settings["timestep_s"] == 1 / 900
 
 
@@ -179,7 +217,15 @@ def test_unknown_names_are_refused_before_anything_runs() -> None:
 
 def test_every_check_says_what_it_is() -> None:
     for check in checks():
-        for text in (check.title, check.scene, check.measures, check.law, check.source, check.unit, check.diagnosis):
+        for text in (
+            check.title,
+            check.scene,
+            check.measures,
+            check.law,
+            check.source,
+            check.unit,
+            check.diagnosis,
+        ):
             assert text
         assert check.tolerance.rationale
         assert check.id == check.id.lower().replace(" ", "-").replace("_", "-")
@@ -203,9 +249,12 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     known = registry.backend
     monkeypatch.setattr(registry, "is_bundled", lambda name: True)
     monkeypatch.setattr(
-        "gauge_envs.tools.conformance.run.find_backend", lambda name: broken if name == "mutant" else known(name)
+        "gauge_envs.tools.conformance.run.find_backend",
+        lambda name: broken if name == "mutant" else known(name),
     )
-    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, ["backend", "check", *arguments])
+    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
+        app, ["backend", "check", *arguments]
+    )
 
 
 ONLY = ("--only", "slide", "--only", "cloth-stretch")
@@ -214,17 +263,26 @@ ONLY = ("--only", "slide", "--only", "cloth-stretch")
 def test_a_check_among_the_backends_is_named(gauge: Callable[..., Any]) -> None:
     result = gauge("mujoco", "--only", "free-fall", "slide")
     assert result.exit_code == 2
-    assert "'slide' is a check and no backend: repeat the option, as --only slide" in result.output
+    assert (
+        "'slide' is a check and no backend: repeat the option, as --only slide"
+        in result.output
+    )
 
 
 def test_command_compares_backends(gauge: Callable[..., Any]) -> None:
     result = gauge("mujoco", "mutant", *ONLY)
     assert result.exit_code == 1
-    rows = [line for line in result.stdout.splitlines() if line.startswith(("slide", "cloth-stretch"))]
+    rows = [
+        line
+        for line in result.stdout.splitlines()
+        if line.startswith(("slide", "cloth-stretch"))
+    ]
     assert "pass" in rows[0]
     assert "FAIL" in rows[0]
     assert "declined" in rows[1]
-    assert "as if the friction were 0.24 instead of 0.3" in " ".join(result.stdout.split())
+    assert "as if the friction were 0.24 instead of 0.3" in " ".join(
+        result.stdout.split()
+    )
     assert "it knows no cloth (cloth-stretch)" in result.stdout
     assert "mujoco: mujoco" in result.stdout
     assert "timestep_s" in result.stdout
@@ -250,11 +308,15 @@ def test_command_writes_markdown(gauge: Callable[..., Any]) -> None:
     result = gauge("mujoco", "--format", "markdown", "--only", "free-fall")
     assert result.exit_code == 0
     assert result.stdout.splitlines()[0] == "| check | law | expected | mujoco |"
-    assert result.stdout.splitlines()[2].startswith("| free fall (free-fall) | a = g | 9.807 +- 0.0098 m/s^2 |")
+    assert result.stdout.splitlines()[2].startswith(
+        "| free fall (free-fall) | a = g | 9.807 +- 0.0098 m/s^2 |"
+    )
 
 
 @pytest.mark.parametrize("arguments", [("nope",), ("mujoco", "--only", "nope")])
-def test_command_refuses_unknown_names(gauge: Callable[..., Any], arguments: tuple[str, ...]) -> None:
+def test_command_refuses_unknown_names(
+    gauge: Callable[..., Any], arguments: tuple[str, ...]
+) -> None:
     result = gauge(*arguments)
     assert result.exit_code == 2
     assert "unknown" in result.stderr
@@ -265,7 +327,12 @@ def test_checks_are_listed_with_their_scenes() -> None:
     assert result.exit_code == 0
     assert "rest-lying-cylinder" in result.stdout
     assert "fixed plane, box, sphere, cylinder" in " ".join(result.stdout.split())
-    rows = [json.loads(line) for line in CliRunner().invoke(app, ["list", "checks", "--json"]).stdout.splitlines()]
+    rows = [
+        json.loads(line)
+        for line in CliRunner()
+        .invoke(app, ["list", "checks", "--json"])
+        .stdout.splitlines()
+    ]
     assert [row["id"] for row in rows] == [check.id for check in checks()]
     assert all(row["scene"] and row["measures"] and row["law"] for row in rows)
 
@@ -286,19 +353,25 @@ def test_command_reports_progress_without_a_terminal(
 
 
 def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:
-    results = list(run_checks(Changed(FAULTS["nan-mass"]), only=["finite", "free-fall*", "slide*"]))
+    results = list(
+        run_checks(Changed(FAULTS["nan-mass"]), only=["finite", "free-fall*", "slide*"])
+    )
     text = as_markdown(findings_document(results))
     assert "see the check" not in text
     assert "more are not finite, see finite: free-fall" in text
 
 
-def test_a_backend_that_cannot_build_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_backend_that_cannot_build_has_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def broken(*_: Any) -> Any:
         raise TypeError("no mass")
 
     engine = Changed(FAULTS["nan-mass"])
     monkeypatch.setattr(engine, "build", broken)
-    text = as_markdown(findings_document(list(run_checks(engine, only=["time", "free-fall"]))))
+    text = as_markdown(
+        findings_document(list(run_checks(engine, only=["time", "free-fall"])))
+    )
     assert text.count("no mass") == 1
     assert ", time, free-fall: " in text
 
@@ -312,16 +385,22 @@ def test_bars_in_laws_do_not_break_the_markdown_table() -> None:
 class OfPendulum(Changed):
     """MuJoCo with settings that fit scenes with a hinge only."""
 
-    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
         if settings and not any(isinstance(joint, Hinge) for joint in scene.joints):
             raise UnsupportedSceneError("the preset is for scenes with a hinge")
         return super().build(scene, None)
 
 
 def test_scenes_of_the_benchmark_that_the_settings_do_not_fit_are_left_out() -> None:
-    (result,) = run_checks(OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-rigid"])
+    (result,) = run_checks(
+        OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-rigid"]
+    )
     assert result.status is Status.PASS
-    (declined,) = run_checks(OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-soft"])
+    (declined,) = run_checks(
+        OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-soft"]
+    )
     assert declined.status is Status.DECLINED
     assert declined.missing == ("the preset is for scenes with a hinge",)
 
@@ -333,25 +412,40 @@ def test_pendulum_period_is_the_integral_over_a_quarter_swing() -> None:
     amplitude, length, gyration = np.radians(100.0), 0.3, 0.05
     # Energy gives the angular speed; sin(theta / 2) = sin(amplitude / 2) sin(phi) removes the singularity at the end.
     k = np.sin(0.5 * amplitude)
-    quarter, _ = quad(lambda phi: 1.0 / np.sqrt(1.0 - (k * np.sin(phi)) ** 2), 0.0, 0.5 * np.pi)
+    quarter, _ = quad(
+        lambda phi: 1.0 / np.sqrt(1.0 - (k * np.sin(phi)) ** 2), 0.0, 0.5 * np.pi
+    )
     expected = 4.0 * quarter * np.sqrt((length**2 + gyration**2) / (9.8 * length))
-    measured = pendulum_period_s(length_m=length, gyration_m=gyration, amplitude_rad=amplitude, gravity_m_per_s2=9.8)
+    measured = pendulum_period_s(
+        length_m=length,
+        gyration_m=gyration,
+        amplitude_rad=amplitude,
+        gravity_m_per_s2=9.8,
+    )
     assert measured == pytest.approx(expected, rel=1e-9)
 
 
 def test_torque_free_symmetric_top_precesses_steadily() -> None:
     """Closed form: it turns with L / I1 about L, and with (1 - I3 / I1) times its own axial spin about its axis."""
     moments, spin = np.array([2.0, 2.0, 3.0]), np.array([0.7, 0.0, 1.1])
-    turned = torque_free_orientation(start=Rotation.identity(), spin_rad_per_s=spin, moments=moments, seconds=2.0)
+    turned = torque_free_orientation(
+        start=Rotation.identity(), spin_rad_per_s=spin, moments=moments, seconds=2.0
+    )
     momentum = moments * spin
     about_momentum = Rotation.from_rotvec(2.0 * momentum / moments[0])
-    about_axis = Rotation.from_rotvec([0.0, 0.0, 2.0 * (1.0 - moments[2] / moments[0]) * spin[2]])
+    about_axis = Rotation.from_rotvec(
+        [0.0, 0.0, 2.0 * (1.0 - moments[2] / moments[0]) * spin[2]]
+    )
     assert (turned * (about_momentum * about_axis).inv()).magnitude() < 1e-8
 
 
 @pytest.mark.parametrize("damping_per_s", [0.0, 1.0, 5.0, 60.0])
 @pytest.mark.parametrize("periods", [4.0, 4.3, 6.5])
-def test_the_centre_of_an_oscillation_does_not_depend_on_its_damping(damping_per_s: float, periods: float) -> None:
+def test_the_centre_of_an_oscillation_does_not_depend_on_its_damping(
+    damping_per_s: float, periods: float
+) -> None:
     times = np.linspace(0.2, 0.8, 109)
-    swing = np.exp(-damping_per_s * times) * np.cos(2.0 * np.pi * periods / 0.6 * times + 0.4)
+    swing = np.exp(-damping_per_s * times) * np.cos(
+        2.0 * np.pi * periods / 0.6 * times + 0.4
+    )
     assert hann_mean(1.0 - swing) == pytest.approx(1.0, abs=0.01)

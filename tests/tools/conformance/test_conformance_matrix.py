@@ -13,7 +13,12 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.tools.conformance import Status, checks
-from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn, matrix_columns, run_column
+from gauge_envs.tools.conformance.matrix import (
+    CANONICAL,
+    MatrixColumn,
+    matrix_columns,
+    run_column,
+)
 
 
 def test_canonical_checks_exist_and_are_named_once() -> None:
@@ -32,7 +37,9 @@ def test_a_configuration_is_chosen_by_its_name() -> None:
     columns = matrix_columns(["mujoco:PGS", "mujoco:out_*", "mujoco:PGS"])
     assert [column.name for column in columns] == ["PGS", "out_of_box"]
     assert "out_of_box" in [column.name for column in matrix_columns(["*:*"])]
-    with pytest.raises(UnknownNameError, match=r"configuration 'out_of_bocks'; did you mean out_of_box"):
+    with pytest.raises(
+        UnknownNameError, match=r"configuration 'out_of_bocks'; did you mean out_of_box"
+    ):
         matrix_columns(["mujoco:out_of_bocks"])
 
 
@@ -42,7 +49,9 @@ def test_an_unknown_engine_is_an_error() -> None:
 
 
 def test_the_command_of_a_cell_measures_the_same() -> None:
-    column = next(one for one in matrix_columns(["mujoco:*"]) if one.name == "out_of_box")
+    column = next(
+        one for one in matrix_columns(["mujoco:*"]) if one.name == "out_of_box"
+    )
     (finding,) = run_column(column, ["free-fall"], None)
     words = shlex.split(column.command("free-fall"))
     result = CliRunner().invoke(app, [*words[1:], "--json"])
@@ -59,18 +68,24 @@ def test_a_refused_scene_costs_one_cell() -> None:
 
 
 def test_settings_that_no_scene_takes_are_the_reason_of_a_column() -> None:
-    column = MatrixColumn(backend="mujoco", name="wrong", settings={"no_such_setting": 1})
+    column = MatrixColumn(
+        backend="mujoco", name="wrong", settings={"no_such_setting": 1}
+    )
     assert list(run_column(column, ["free-fall"], None)) == []
     assert "no_such_setting" in column.reason
 
 
 @pytest.mark.slow
-def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None], tmp_path: Path) -> None:
+def test_an_engine_that_dies_costs_its_own_cells(
+    installed: Callable[..., None], tmp_path: Path
+) -> None:
     installed("contact-crash", "at-import")
     page = tmp_path / "page.html"
     only = [word for name in ("free-fall", "slide-plane") for word in ("--only", name)]
     names = ["contact-crash", "at-import", "mujoco"]
-    result = CliRunner().invoke(app, ["backend", "check", *names, "--out", str(page), "--json", *only])
+    result = CliRunner().invoke(
+        app, ["backend", "check", *names, "--out", str(page), "--json", *only]
+    )
     rows = [json.loads(line) for line in result.stdout.splitlines()]
     assert [(row["backend"], row["check"], row["status"]) for row in rows] == [
         ("contact-crash", "free-fall", Status.PASS),
@@ -85,6 +100,8 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
     assert "SystemExit: 3" in text
 
 
-@pytest.mark.parametrize("options", [["x.json"], ["mujoco:PGS", "--out", "page.txt"], ["mujoco:nope"], []])
+@pytest.mark.parametrize(
+    "options", [["x.json"], ["mujoco:PGS", "--out", "page.txt"], ["mujoco:nope"], []]
+)
 def test_a_request_without_engine_or_output_is_refused(options: list[str]) -> None:
     assert CliRunner().invoke(app, ["backend", "check", *options]).exit_code == 2

@@ -6,7 +6,13 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 
-from gauge_envs.tools.conformance import Check, CheckResult, Measurement, Status, Tolerance
+from gauge_envs.tools.conformance import (
+    Check,
+    CheckResult,
+    Measurement,
+    Status,
+    Tolerance,
+)
 from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.words import conformance_page
 
@@ -26,7 +32,13 @@ CHECK = Check(
     measure=lambda lab: Measurement(measured=0.0, expected=0.0),
 )
 PASSED = CheckResult(
-    of=CHECK, backend=EVIL, status=Status.PASS, expected=2.0, measured=2.01, width=0.02, versions={EVIL: EVIL}
+    of=CHECK,
+    backend=EVIL,
+    status=Status.PASS,
+    expected=2.0,
+    measured=2.01,
+    width=0.02,
+    versions={EVIL: EVIL},
 )
 
 
@@ -55,21 +67,37 @@ def parsed(*columns: MatrixColumn) -> Tags:
 
 def column(finding: CheckResult | None, **changes: object) -> MatrixColumn:
     findings = {} if finding is None else {finding.check: finding}
-    return MatrixColumn(backend=EVIL, name=EVIL, settings={EVIL: EVIL}, findings=findings, **changes)
+    return MatrixColumn(
+        backend=EVIL, name=EVIL, settings={EVIL: EVIL}, findings=findings, **changes
+    )
 
 
 def test_hostile_names_stay_text() -> None:
     failed = replace(PASSED, status=Status.FAIL, diagnosis=EVIL)
     declined = replace(PASSED, status=Status.DECLINED, measured=None, missing=(EVIL,))
-    page = parsed(column(PASSED), column(failed), column(declined), column(None, reason=EVIL), column(None))
+    page = parsed(
+        column(PASSED),
+        column(failed),
+        column(declined),
+        column(None, reason=EVIL),
+        column(None),
+    )
     assert "script" not in page.tags
-    assert not [name for name, _ in page.attributes if name in ("src", "onclick", "onerror")]
-    assert all(value is not None and value.startswith("#") for name, value in page.attributes if name == "href")
+    assert not [
+        name for name, _ in page.attributes if name in ("src", "onclick", "onerror")
+    ]
+    assert all(
+        value is not None and value.startswith("#")
+        for name, value in page.attributes
+        if name == "href"
+    )
     assert EVIL in "".join(page.texts)
 
 
 def test_cells_state_outcome_value_and_relative_error() -> None:
-    page = parsed(column(PASSED), column(replace(PASSED, status=Status.FAIL, measured=3.0)))
+    page = parsed(
+        column(PASSED), column(replace(PASSED, status=Status.FAIL, measured=3.0))
+    )
     text = " ".join(page.texts)
     assert "2 +- 0.02 m/s^2" in text
     assert "+0.5 %" in text
@@ -78,17 +106,37 @@ def test_cells_state_outcome_value_and_relative_error() -> None:
 
 
 def test_an_error_about_zero_is_in_tolerances() -> None:
-    assert "2.5 tol." in parsed(column(replace(PASSED, status=Status.FAIL, expected=0.0, measured=0.05))).texts
-    assert "not finite" in parsed(column(replace(PASSED, status=Status.FAIL, measured=float("nan")))).texts
+    assert (
+        "2.5 tol."
+        in parsed(
+            column(replace(PASSED, status=Status.FAIL, expected=0.0, measured=0.05))
+        ).texts
+    )
+    assert (
+        "not finite"
+        in parsed(
+            column(replace(PASSED, status=Status.FAIL, measured=float("nan")))
+        ).texts
+    )
 
 
 def test_a_column_that_did_not_run_is_listed_with_its_reason() -> None:
-    page = parsed(MatrixColumn(backend="mine", name="default", settings={}, reason="its licence ended"))
+    page = parsed(
+        MatrixColumn(
+            backend="mine", name="default", settings={}, reason="its licence ended"
+        )
+    )
     assert "mine: its licence ended" in page.texts
 
 
 def test_a_refused_scene_is_shown_beside_the_others() -> None:
-    found = MatrixColumn(backend="mine", name="PGS", settings={}, findings={"other": PASSED}, refused={"slide": "no"})
+    found = MatrixColumn(
+        backend="mine",
+        name="PGS",
+        settings={},
+        findings={"other": PASSED},
+        refused={"slide": "no"},
+    )
     page = parsed(found)
     assert ("title", "no") in page.attributes
     assert "refused" in " ".join(page.texts)

@@ -22,16 +22,25 @@ ONLY = ("free-fall", "slide-plane", "driven-flick")
 def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
     """Rows and outcome of the command."""
     chosen = [part for one in ONLY for part in ("--only", one)]
-    result = CliRunner().invoke(app, ["backend", "check", name, "--json", *chosen, *options])
+    result = CliRunner().invoke(
+        app, ["backend", "check", name, "--json", *chosen, *options]
+    )
     return [json.loads(line) for line in result.stdout.splitlines()], result
 
 
 @pytest.mark.parametrize(
     ("name", "cause"),
     [
-        ("contact-crash", "the engine's process died with signal 11 (segmentation fault)"),
+        (
+            "contact-crash",
+            "the engine's process died with signal 11 (segmentation fault)",
+        ),
         ("contact-exit", "SystemExit: 5"),
-        pytest.param("contact-hard-exit", "the engine ended its process with exit code 6", marks=pytest.mark.slow),
+        pytest.param(
+            "contact-hard-exit",
+            "the engine ended its process with exit code 6",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             "contact-hang",
             "the engine did not finish within the time limit of 10 s and was stopped",
@@ -39,10 +48,14 @@ def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
         ),
     ],
 )
-def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], name: str, cause: str) -> None:
+def test_an_engine_that_dies_costs_one_check(
+    installed: Callable[..., None], name: str, cause: str
+) -> None:
     installed(name)
     rows, result = checked(name, "--limits", "10s")
-    assert [(row["check"], row["status"]) for row in rows] == list(zip(ONLY, ("pass", "error", "pass"), strict=True))
+    assert [(row["check"], row["status"]) for row in rows] == list(
+        zip(ONLY, ("pass", "error", "pass"), strict=True)
+    )
     assert str(rows[1]["diagnosis"]).startswith(cause)
     assert result.exit_code == 1
     assert "3 checks, 1 failed" in result.stderr
@@ -53,7 +66,10 @@ def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
     installed("contact-greedy")
     rows, _ = checked("contact-greedy", "--limits", "60s,0.8GB")
     assert [row["status"] for row in rows] == ["pass", "error", "pass"]
-    assert rows[1]["diagnosis"] == "the engine exceeded the memory limit of 0.8 GB and was stopped"
+    assert (
+        rows[1]["diagnosis"]
+        == "the engine exceeded the memory limit of 0.8 GB and was stopped"
+    )
 
 
 def test_checks_measure_the_same_bits_in_another_process() -> None:
@@ -62,22 +78,31 @@ def test_checks_measure_the_same_bits_in_another_process() -> None:
     assert here == there
 
 
-def test_an_engine_that_cannot_be_imported_is_an_error(installed: Callable[..., None]) -> None:
+def test_an_engine_that_cannot_be_imported_is_an_error(
+    installed: Callable[..., None],
+) -> None:
     installed("at-import")
     rows, result = checked("at-import")
     assert (rows, result.exit_code) == ([], 2)
     assert "SystemExit: 3" in result.stderr
 
 
-def test_refused_settings_end_the_run_from_another_process(installed: Callable[..., None]) -> None:
+def test_refused_settings_end_the_run_from_another_process(
+    installed: Callable[..., None],
+) -> None:
     installed("well")
-    with Worker() as worker, pytest.raises(RefusedSettingsError, match="MuJoCo setting 'nope'"):
+    with (
+        Worker() as worker,
+        pytest.raises(RefusedSettingsError, match="MuJoCo setting 'nope'"),
+    ):
         list(run_checks("well", settings={"nope": 1}, only=ONLY, worker=worker))
     with Worker() as worker, pytest.raises(GaugeError, match="unknown backend"):
         run_checks("nothing", only=ONLY, worker=worker)
 
 
-def test_settings_that_json_does_not_have_are_a_finding(installed: Callable[..., None]) -> None:
+def test_settings_that_json_does_not_have_are_a_finding(
+    installed: Callable[..., None],
+) -> None:
     installed("no-json")
     rows, _ = checked("no-json")
     assert {row["status"] for row in rows} == {Status.ERROR}

@@ -36,7 +36,9 @@ def column() -> MatrixColumn:
 
 
 @pytest.fixture
-def edited(column: MatrixColumn, tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], object]], Path]:
+def edited(
+    column: MatrixColumn, tmp_path: Path
+) -> Callable[[Callable[[dict[str, Any]], object]], Path]:
     """Function that writes the column with a change of its record."""
 
     def write(change: Callable[[dict[str, Any]], object]) -> Path:
@@ -51,7 +53,11 @@ def edited(column: MatrixColumn, tmp_path: Path) -> Callable[[Callable[[dict[str
 
 def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None:
     (found,) = read_columns(write_columns([column], tmp_path / "deep" / "column.json"))
-    assert (found.settings, found.refused, found.made) == (column.settings, column.refused, column.made)
+    assert (found.settings, found.refused, found.made) == (
+        column.settings,
+        column.refused,
+        column.made,
+    )
     assert found.versions == column.versions
     assert found.outdated == {}
     assert tally(found) == tally(column) == "2 of 2"
@@ -92,10 +98,14 @@ def test_a_result_of_another_check_is_marked_and_not_counted(
     assert read_columns(write_columns([found], file))[0].outdated == found.outdated
 
 
-def test_a_column_of_another_version_is_marked(edited: Callable[[Callable[[dict[str, Any]], object]], Path]) -> None:
+def test_a_column_of_another_version_is_marked(
+    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
+) -> None:
     (found,) = read_columns(edited(lambda record: record.update(gauge_envs="0.0.1")))
     assert not found.is_of_this_version
-    assert "⚠ " + found.made + ", gauge-envs 0.0.1" in as_markdown(matrix_document([found], checks(ONLY)))
+    assert "⚠ " + found.made + ", gauge-envs 0.0.1" in as_markdown(
+        matrix_document([found], checks(ONLY))
+    )
 
 
 def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> None:
@@ -110,29 +120,46 @@ def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> N
         ("no json", "is no JSON document"),
         ('{"columns": []}', "kind: "),
         ('{"kind": "other", "columns": []}', "its kind is 'other'"),
-        ('{"kind": "gauge-envs conformance matrix", "columns": [{}]}', r"columns\.0\.backend"),
+        (
+            '{"kind": "gauge-envs conformance matrix", "columns": [{}]}',
+            r"columns\.0\.backend",
+        ),
     ],
 )
-def test_another_file_is_refused_with_its_reason(tmp_path: Path, text: str, message: str) -> None:
+def test_another_file_is_refused_with_its_reason(
+    tmp_path: Path, text: str, message: str
+) -> None:
     file = tmp_path / "other.json"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ResultFileError, match=message):
         read_columns(file)
 
 
-def test_pages_are_made_of_files_without_a_run(column: MatrixColumn, tmp_path: Path) -> None:
+def test_pages_are_made_of_files_without_a_run(
+    column: MatrixColumn, tmp_path: Path
+) -> None:
     """A page of two files has the columns of both, and no check runs."""
     first = write_columns([column], tmp_path / "first.json")
-    other = MatrixColumn(backend="mine", name="default", settings={}, findings=dict(column.findings))
+    other = MatrixColumn(
+        backend="mine", name="default", settings={}, findings=dict(column.findings)
+    )
     other.fingerprints = dict(column.fingerprints)
-    second, page = write_columns([other], tmp_path / "second.json"), tmp_path / "page.html"
+    second, page = (
+        write_columns([other], tmp_path / "second.json"),
+        tmp_path / "page.html",
+    )
     both = tmp_path / "both.json"
     words = ["backend", "check", str(first), str(second)]
-    result = CliRunner().invoke(app, [*words, "--out", str(page), "--out", str(both), "--format", "markdown"])
+    result = CliRunner().invoke(
+        app, [*words, "--out", str(page), "--out", str(both), "--format", "markdown"]
+    )
     assert result.exit_code == 0, result.output
     assert "| mujoco | PGS | solver = PGS | 2 of 2 |" in result.stdout
     assert "mine" in page.read_text(encoding="utf-8")
-    assert [(one.title, tally(one)) for one in read_columns(both)] == [("mujoco PGS", "2 of 2"), ("mine", "2 of 2")]
+    assert [(one.title, tally(one)) for one in read_columns(both)] == [
+        ("mujoco PGS", "2 of 2"),
+        ("mine", "2 of 2"),
+    ]
     assert all(one.status is Status.PASS for one in other.findings.values())
 
 
@@ -153,9 +180,13 @@ def test_a_baseline_names_what_changed(
     edits: dict[str, Any],
     kind: str | None,
 ) -> None:
-    before = read_columns(edited(lambda record: record["findings"]["free-fall"].update(edits)))
+    before = read_columns(
+        edited(lambda record: record["findings"]["free-fall"].update(edits))
+    )
     found = changes([column], before)
-    assert [(one.now.check, one.kind) for one in found] == ([("free-fall", kind)] if kind else [])
+    assert [(one.now.check, one.kind) for one in found] == (
+        [("free-fall", kind)] if kind else []
+    )
     if kind == "mended":
         assert [one.kind for one in changes(before, [column])] == ["worse"]
 
@@ -165,7 +196,17 @@ def test_a_baseline_decides_the_exit_code(column: MatrixColumn, tmp_path: Path) 
     arguments = ["backend", "check", "mujoco:out_of_box", "--only", "rebound-0.5"]
     assert CliRunner().invoke(app, [*arguments, "--out", str(file)]).exit_code == 1
     assert CliRunner().invoke(app, [*arguments, "--baseline", str(file)]).exit_code == 0
-    file.write_text(file.read_text(encoding="utf-8").replace('"status": "fail"', '"status": "pass"'), encoding="utf-8")
+    file.write_text(
+        file.read_text(encoding="utf-8").replace(
+            '"status": "fail"', '"status": "pass"'
+        ),
+        encoding="utf-8",
+    )
     worse = CliRunner().invoke(app, [*arguments, "--baseline", str(file)])
     assert (worse.exit_code, "worse" in worse.stdout) == (1, True)
-    assert CliRunner().invoke(app, ["backend", "check", "mujoco", "--baseline", str(file)]).exit_code == 2
+    assert (
+        CliRunner()
+        .invoke(app, ["backend", "check", "mujoco", "--baseline", str(file)])
+        .exit_code
+        == 2
+    )

@@ -77,14 +77,21 @@ ALSO = (
     ("swing-cylinder", "cylinder-length", "ratio about each body axis"),
     ("tether-length", "no-joints", "missing"),
 )
-CASES = (*((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()), *ALSO)
+CASES = (
+    *((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()),
+    *ALSO,
+)
 SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft", "foam-tension")
 
 
 @pytest.mark.parametrize(
     ("check", "name", "says"),
     [
-        pytest.param(*case, marks=[pytest.mark.slow] if case[0] in SLOW else [], id=f"{case[0]}-{case[1]}")
+        pytest.param(
+            *case,
+            marks=[pytest.mark.slow] if case[0] in SLOW else [],
+            id=f"{case[0]}-{case[1]}",
+        )
         for case in CASES
     ],
 )
@@ -103,12 +110,21 @@ def test_every_check_can_fail() -> None:
 def test_mutants_without_a_fault_pass() -> None:
     """The wrapper itself changes nothing."""
     fault = FAULTS["slow-restitution"]
-    results = list(run_checks(Mutant(MUJOCO, fault), only=["free-fall*", "slide*", "reset-*", "restore"]))
+    results = list(
+        run_checks(
+            Mutant(MUJOCO, fault), only=["free-fall*", "slide*", "reset-*", "restore"]
+        )
+    )
     assert {one.status for one in results} == {Status.PASS}
 
 
 def test_not_finite_states_are_reported_once_and_first() -> None:
-    results = list(run_checks(Mutant(MUJOCO, FAULTS["nan-mass"]), only=["finite", "free-fall*", "reset-*", "slide*"]))
+    results = list(
+        run_checks(
+            Mutant(MUJOCO, FAULTS["nan-mass"]),
+            only=["finite", "free-fall*", "reset-*", "slide*"],
+        )
+    )
     own = [one.check for one in results if one.is_bad and not one.reported_by]
     assert own == ["finite"]
     assert {one.reported_by for one in results if one.is_bad} == {"", "finite"}

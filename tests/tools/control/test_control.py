@@ -28,7 +28,13 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import app
-from gauge_envs.errors import ActionError, BackendError, EpisodeError, ParameterError, UnknownNameError
+from gauge_envs.errors import (
+    ActionError,
+    BackendError,
+    EpisodeError,
+    ParameterError,
+    UnknownNameError,
+)
 from gauge_envs.files import data_folder
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
@@ -42,7 +48,11 @@ from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 from gauge_envs.tools.control.turntable import TurntableLimit
 
 NAMES = tuple(task.name for task in control_tasks())
-STEADY = tuple(name for name in NAMES if name.partition("-")[0] in ("Turntable", "SlopeSlider", "Pendulum"))
+STEADY = tuple(
+    name
+    for name in NAMES
+    if name.partition("-")[0] in ("Turntable", "SlopeSlider", "Pendulum")
+)
 FRICTION = tuple(name for name in STEADY if not name.startswith("Pendulum"))
 MATERIALS = ("wood", "plastic", "metal")
 GOOD = (Ending.HELD, Ending.REACHED)
@@ -90,21 +100,31 @@ def test_checkers_pass(name: str) -> None:
 
 
 def test_checker_of_stable_baselines_passes() -> None:
-    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra 'rl' is not installed")
+    checker = pytest.importorskip(
+        "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        checker.check_env(gymnasium.make("GAUGE/Turntable-Limit-wood", settings={"timestep_s": 1 / 1080}))
+        checker.check_env(
+            gymnasium.make(
+                "GAUGE/Turntable-Limit-wood", settings={"timestep_s": 1 / 1080}
+            )
+        )
 
 
 def test_a_spec_builds_the_same_run() -> None:
-    env = gymnasium.make("GAUGE/SlopeSlider-Limit-metal", parameters={"cube.friction": 0.2})
+    env = gymnasium.make(
+        "GAUGE/SlopeSlider-Limit-metal", parameters={"cube.friction": 0.2}
+    )
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.limit == env.unwrapped.limit
     assert again.unwrapped.limit.value == 0.2
 
 
 @pytest.mark.parametrize("name", ["Turntable-Limit-wood", "Pendulum-Limit-metal"])
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
+)
 def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
     env = make(name)
     env.reset(seed=0)
@@ -121,7 +141,10 @@ def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
 def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
     env = make("Turntable-Limit-wood")
     env.versions = {"mujoco": "3.0.0"}
-    with pytest.raises(BackendError, match=r"TurntableLimit: the pickle is from mujoco 3\.0\.0, installed is mujoco"):
+    with pytest.raises(
+        BackendError,
+        match=r"TurntableLimit: the pickle is from mujoco 3\.0\.0, installed is mujoco",
+    ):
         pickle.loads(pickle.dumps(env))
 
 
@@ -132,7 +155,11 @@ def test_misuse_is_an_error() -> None:
     with pytest.raises(ParameterError, match="no options"):
         env.reset(options={"jitter": True})
     env.reset()
-    for action, reason in ((np.zeros(2), "shape"), (np.array([1.1]), "-1 to 1"), (np.array([np.nan]), "-1 to 1")):
+    for action, reason in (
+        (np.zeros(2), "shape"),
+        (np.array([1.1]), "-1 to 1"),
+        (np.array([np.nan]), "-1 to 1"),
+    ):
         with pytest.raises(ActionError, match=reason):
             env.step(action)
     with pytest.raises(ActionError, match="numbers"):
@@ -165,43 +192,70 @@ def test_command_line_tells_them_apart() -> None:
     assert shown.exit_code == 0
     assert "omega^2 r = mu g" in shown.stdout
     assert "0.3788 +- 0.024" in shown.stdout
-    assert '"unit": "m/J"' in run(app, ["show", "GAUGE/Pendulum-Limit-metal", "--json"]).stdout
+    assert (
+        '"unit": "m/J"'
+        in run(app, ["show", "GAUGE/Pendulum-Limit-metal", "--json"]).stdout
+    )
 
 
 # --- limits and their uncertainty ---
 
 
 def test_ratio_and_z() -> None:
-    limit = Limit(quantity="q", unit="1", value=0.25, sigma=0.05, law="", sigma_source="")
+    limit = Limit(
+        quantity="q", unit="1", value=0.25, sigma=0.05, law="", sigma_source=""
+    )
     report = LimitReport(limit=limit, reached=0.3, ending=Ending.HELD, time_s=1.0)
     assert report.ratio == pytest.approx(1.2)
     assert report.z == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material: str) -> None:
+def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(
+    material: str,
+) -> None:
     path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
-    rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    rows = [
+        line
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if not line.startswith("#")
+    ]
     trials: dict[str, list[tuple[float, float]]] = {}
     for row in csv.DictReader(rows):
         if row["material"] == material:
-            trials.setdefault(row["trial"], []).append((int(row["frame"]) / 30.0, 1e-3 * float(row["downhill_mm"])))
+            trials.setdefault(row["trial"], []).append(
+                (int(row["frame"]) / 30.0, 1e-3 * float(row["downhill_mm"]))
+            )
     angle = math.radians(30.0)
-    accelerations = [2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()]
-    friction = math.tan(angle) - np.array(accelerations) / (GRAVITY_M_PER_S2 * math.cos(angle))
+    accelerations = [
+        2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()
+    ]
+    friction = math.tan(angle) - np.array(accelerations) / (
+        GRAVITY_M_PER_S2 * math.cos(angle)
+    )
     calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
     expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
-    assert input_uncertainties().friction.std(1.0, material) == pytest.approx(expected, rel=0.02)
+    assert input_uncertainties().friction.std(1.0, material) == pytest.approx(
+        expected, rel=0.02
+    )
 
 
 def test_slope_and_turntable_have_the_calibrated_friction() -> None:
     assert SlopeSliderLimit("metal").limit.value == 0.262758
     # The recording of SlopeSlider-3-metal has a kinetic friction of 0.251 +- 0.010.
-    assert abs(0.251 - SlopeSliderLimit("metal").limit.value) < SlopeSliderLimit("metal").limit.sigma
+    assert (
+        abs(0.251 - SlopeSliderLimit("metal").limit.value)
+        < SlopeSliderLimit("metal").limit.sigma
+    )
     turntable = TurntableLimit("plastic")
-    assert turntable.limit.sigma == pytest.approx(input_uncertainties().friction.std(0.322256, "plastic"))
+    assert turntable.limit.sigma == pytest.approx(
+        input_uncertainties().friction.std(0.322256, "plastic")
+    )
     # An override changes what holds in the scene, not how well the real coefficient is known.
-    assert TurntableLimit("plastic", parameters={"cube.friction": 0.2}).limit.sigma == turntable.limit.sigma
+    assert (
+        TurntableLimit("plastic", parameters={"cube.friction": 0.2}).limit.sigma
+        == turntable.limit.sigma
+    )
 
 
 # --- laws and engines ---
@@ -210,7 +264,12 @@ def test_slope_and_turntable_have_the_calibrated_friction() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=() if name.endswith(("wood", "Pendulum-Limit-metal")) else pytest.mark.slow)
+        pytest.param(
+            name,
+            marks=()
+            if name.endswith(("wood", "Pendulum-Limit-metal"))
+            else pytest.mark.slow,
+        )
         for name in STEADY
     ],
 )
@@ -226,7 +285,9 @@ def test_law_holds_at_98_percent_and_not_at_102(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEADY)
 def test_default_engine_pays_the_law(name: str) -> None:
-    assert engine_limit(make(name), bounds=(0.95, 1.05)) == pytest.approx(1.0, abs=0.006)
+    assert engine_limit(make(name), bounds=(0.95, 1.05)) == pytest.approx(
+        1.0, abs=0.006
+    )
 
 
 @pytest.mark.slow
@@ -244,7 +305,12 @@ def test_newton_agrees(name: str) -> None:
 
 def test_engine_limit_of_soft_contacts() -> None:
     """A cube that is carried round creeps with half the contacts' time constant, 0.02 s, times omega^2 r."""
-    settings = {"timestep_s": 1 / 540, "contact_solref": (0.02, 1.0), "integrator": "Euler", "impratio": 1.0}
+    settings = {
+        "timestep_s": 1 / 540,
+        "contact_solref": (0.02, 1.0),
+        "integrator": "Euler",
+        "impratio": 1.0,
+    }
     env = make("Turntable-Limit-wood", settings=settings)
     share = engine_limit(env, bounds=(0.2, 1.5), resolution=0.02)
     creeps = SLIP_SPEED_M_PER_S / (0.5 * 0.02) / (env.limit.value * GRAVITY_M_PER_S2)
@@ -302,15 +368,25 @@ def test_no_policy_earns_more_than_the_law(name: str, seed: int) -> None:
     env = make(name, settings=FAST)
     random = np.random.default_rng(seed)
     # From 0.97 of the limit on, at random up to 6 % past it, frame by frame.
-    report = play(env, lambda _: env.law_action(0.97 if env.time_s < 3.0 else random.uniform(0.92, 1.06)))
-    most = env.limit.value + SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)
+    report = play(
+        env,
+        lambda _: env.law_action(
+            0.97 if env.time_s < 3.0 else random.uniform(0.92, 1.06)
+        ),
+    )
+    most = env.limit.value + SLIP_SPEED_M_PER_S / (
+        math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S
+    )
     assert 0.0 < report.reached <= most
 
 
 def test_slipping_is_turning_on_the_spot_too() -> None:
     """A cube on the axis is carried by next to no force, but a plate as slippery turns away under it."""
     plate = load_experiment("Turntable-1-wood").scene.body("plate").pose.position_m
-    place = {"cube.position_m": (plate[0], plate[1], plate[2] + 0.035), "cube.friction": 0.001}
+    place = {
+        "cube.position_m": (plate[0], plate[1], plate[2] + 0.035),
+        "cube.friction": 0.001,
+    }
     env = make("Turntable-Limit-wood", settings=FAST, parameters=place)
     assert play(env, lambda _: np.ones(1)).ending is Ending.SLIPPED
     used = env.trajectory()[:, 2]
@@ -318,7 +394,9 @@ def test_slipping_is_turning_on_the_spot_too() -> None:
     # Of the plate's 6 rad/s^2 friction gives the cube 0.8 at most, where all its weight is on the corners.
     corner_m = 0.05 / math.sqrt(2.0)
     spun = 6.0 - 0.001 * GRAVITY_M_PER_S2 * corner_m / (0.05**2 / 6.0)
-    assert env.time_s == pytest.approx(SLIP_SPEED_M_PER_S / (spun * corner_m), abs=1.0 / 30.0)
+    assert env.time_s == pytest.approx(
+        SLIP_SPEED_M_PER_S / (spun * corner_m), abs=1.0 / 30.0
+    )
 
 
 def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known() -> None:
@@ -354,7 +432,9 @@ def test_pendulum_braking_is_not_paid_back() -> None:
         assert observation[1] < 0.0 or observation[3] == spent
 
 
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
+)
 def test_applied_torque_swings_the_pendulum(engine: str) -> None:
     if engine == "newton":
         pytest.importorskip("newton")
@@ -364,11 +444,17 @@ def test_applied_torque_swings_the_pendulum(engine: str) -> None:
     inertia = ball.mass_kg * (length**2 + 0.4 * ball.shape.radius_m**2)
     weight = ball.mass_kg * GRAVITY_M_PER_S2 * length
     swing = solve_ivp(
-        lambda _, y: [y[1], (torque - weight * math.sin(y[0])) / inertia], (0.0, 0.5), (0.0, 0.0), rtol=1e-9, atol=1e-12
+        lambda _, y: [y[1], (torque - weight * math.sin(y[0])) / inertia],
+        (0.0, 0.5),
+        (0.0, 0.0),
+        rtol=1e-9,
+        atol=1e-12,
     ).y[:, -1]
     simulation = backend(engine).build(scene)
     simulation.reset(seed=0)
-    simulation.apply_wrench("ball", np.array([0.0, 0.0, 0.0, *(torque * np.asarray(hinge.axis))]))
+    simulation.apply_wrench(
+        "ball", np.array([0.0, 0.0, 0.0, *(torque * np.asarray(hinge.axis))])
+    )
     kept = simulation.state()
     simulation.advance(0.5)
     state = simulation.body_states(["ball"])[0]
@@ -381,10 +467,14 @@ def test_applied_torque_swings_the_pendulum(engine: str) -> None:
     # A reset ends it.
     simulation.reset(seed=0)
     simulation.advance(0.5)
-    assert simulation.body_states(["ball"])[0, :3] == pytest.approx(ball.pose.position_m, abs=1e-7)
+    assert simulation.body_states(["ball"])[0, :3] == pytest.approx(
+        ball.pose.position_m, abs=1e-7
+    )
 
 
-@pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
+)
 def test_applied_force_accelerates_a_free_body(engine: str) -> None:
     if engine == "newton":
         pytest.importorskip("newton")
@@ -418,7 +508,9 @@ def test_unknown_control_task() -> None:
 
 def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
     guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
-    code = "\n".join(re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL))
+    code = "\n".join(
+        re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL)
+    )
     exec(compile(code, "control.md", "exec"), {})
     stated = re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
     assert len(stated) == 2
@@ -428,13 +520,18 @@ def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
 def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
     guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     stated = re.findall(r"(0\.\d+) \+- (0\.\d+)(?=[,| ])", guide.partition("```")[0])
-    limits = [make(name).limit for name in NAMES if "Carry" not in name and "Push" not in name]
+    limits = [
+        make(name).limit for name in NAMES if "Carry" not in name and "Push" not in name
+    ]
     assert [tuple(map(float, pair)) for pair in stated] == [
-        (pytest.approx(limit.value, abs=6e-4), pytest.approx(limit.sigma, abs=6e-4)) for limit in limits
+        (pytest.approx(limit.value, abs=6e-4), pytest.approx(limit.sigma, abs=6e-4))
+        for limit in limits
     ]
 
 
-@pytest.mark.parametrize(("task", "other"), [("Carry", "Turntable"), ("Push", "SlopeSlider")])
+@pytest.mark.parametrize(
+    ("task", "other"), [("Carry", "Turntable"), ("Push", "SlopeSlider")]
+)
 def test_the_guide_states_a_limit_of_two_tasks_once(task: str, other: str) -> None:
     for material in ("wood", "plastic", "metal"):
         same, limit = (make(f"{name}-Limit-{material}").limit for name in (task, other))
@@ -446,7 +543,14 @@ def test_example_runs(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     script = ROOT / "examples" / "rl_sanity.py"
     ran = subprocess.run(
-        [sys.executable, str(script), "--steps", "1200", "--out", str(tmp_path / "run.png")],
+        [
+            sys.executable,
+            str(script),
+            "--steps",
+            "1200",
+            "--out",
+            str(tmp_path / "run.png"),
+        ],
         capture_output=True,
         text=True,
         check=True,

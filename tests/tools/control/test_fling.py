@@ -32,8 +32,12 @@ def test_limits_of_the_rod_are_those_of_the_recorded_motion(env: FlingLimit) -> 
     times_s = np.linspace(0.0, 1.35, 20_001)
     places_m = np.array([motion.value(time) for time in times_s])
     rates = np.gradient(places_m, times_s)
-    assert env.limit.value == pytest.approx(np.abs(np.diff(rates)).sum() ** 2 / (2.0 * GRAVITY_M_PER_S2), rel=1e-3)
-    assert env._most_m_per_s2 == pytest.approx(np.abs(np.gradient(rates, times_s)).max(), rel=1e-3)
+    assert env.limit.value == pytest.approx(
+        np.abs(np.diff(rates)).sum() ** 2 / (2.0 * GRAVITY_M_PER_S2), rel=1e-3
+    )
+    assert env._most_m_per_s2 == pytest.approx(
+        np.abs(np.gradient(rates, times_s)).max(), rel=1e-3
+    )
     assert env._stroke_m == pytest.approx(0.5 * np.ptp(places_m))
     # The recording has 0.67 +- 0.05 m/s, half of the sum.
     assert abs(0.5 * env._speed_m_per_s - 0.67) < 0.05
@@ -61,10 +65,14 @@ def test_observed_places_are_those_of_the_nodes(env: FlingLimit) -> None:
     hem = np.isclose(rest_m[:, 2], rest_m[:, 2].min())
     assert observation[6:8] == pytest.approx(moved_m[hem].mean(axis=0)[1:], abs=2e-3)
     pose = env.moving_poses()["rod"]
-    assert observation[16] == pytest.approx(pose[1] - env.experiment.scene.body("rod").pose.position_m[1], abs=1e-5)
+    assert observation[16] == pytest.approx(
+        pose[1] - env.experiment.scene.body("rod").pose.position_m[1], abs=1e-5
+    )
 
 
-def energies(env: FlingLimit, policy: Callable[[float], float]) -> tuple[np.ndarray, np.ndarray]:
+def energies(
+    env: FlingLimit, policy: Callable[[float], float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return sqrt(2 E / M) of the nodes, seen from the rod, and the sum of all changes of the rod's speed [m/s].
 
     Both are at the middle between two samples, at the frames of an episode.
@@ -85,7 +93,9 @@ def energies(env: FlingLimit, policy: Callable[[float], float]) -> tuple[np.ndar
         over = terminated or truncated
         velocities = (seen[-1] - seen[-2]) / SAMPLE_INTERVAL_S
         height_m = areas @ (0.5 * (seen[-1] + seen[-2]) - rest_m)[:, 2]
-        kinetic.append(areas @ (velocities**2).sum(axis=1) + 2.0 * GRAVITY_M_PER_S2 * height_m)
+        kinetic.append(
+            areas @ (velocities**2).sum(axis=1) + 2.0 * GRAVITY_M_PER_S2 * height_m
+        )
         spent.append(env._speed_m_per_s - env._left_m_per_s)
     del env._places
     return np.sqrt(np.maximum(kinetic, 0.0)), np.array(spent)
@@ -105,7 +115,12 @@ def test_the_cloths_speed_grows_by_no_more_than_the_rods(env: FlingLimit) -> Non
     stretch, nearest = stretch_speed(env), 0.0
     for seed in range(4):
         ends_s = np.cumsum(np.random.default_rng(seed).uniform(0.05, 0.4, 40))
-        speeds, spent = energies(env, lambda time_s, ends_s=ends_s: (-1.0) ** int(np.searchsorted(ends_s, time_s)))
+        speeds, spent = energies(
+            env,
+            lambda time_s, ends_s=ends_s: (
+                (-1.0) ** int(np.searchsorted(ends_s, time_s))
+            ),
+        )
         assert spent[-1] > 0.5
         assert (speeds <= spent + stretch + 1e-3).all()
         nearest = max(nearest, float((speeds / spent).max()))
@@ -120,7 +135,9 @@ def test_the_laws_policy_reaches_more_than_half(env: FlingLimit) -> None:
     assert paid == pytest.approx(report.ratio, abs=1e-9)
     # More energy than at the start, which no fabric stores: another one swings as high.
     other = FlingLimit("oxford", settings=TRAINING)
-    assert play(other, lambda _: other.law_action(1.0)).ratio == pytest.approx(report.ratio, abs=0.01)
+    assert play(other, lambda _: other.law_action(1.0)).ratio == pytest.approx(
+        report.ratio, abs=0.01
+    )
 
 
 def test_speed_that_is_not_counted_is_seen(env: FlingLimit) -> None:
@@ -139,7 +156,9 @@ def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env: FlingLimit) ->
     over = False
     rates = []
     while not over:
-        observation, _, over, _, _ = env.step([1.0 if env.time_s < 0.3 else -1.0 if env.time_s < 0.9 else 0.3])
+        observation, _, over, _, _ = env.step(
+            [1.0 if env.time_s < 0.3 else -1.0 if env.time_s < 0.9 else 0.3]
+        )
         rates.append(observation[17])
     # 0.49 m/s forward and 0.91 m/s back are all of it.
     assert observation[18] == 0.0
@@ -152,5 +171,7 @@ def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env: FlingLimit) ->
 @pytest.mark.slow
 def test_chance_stays_below_what_a_training_must_reach(env: FlingLimit) -> None:
     random = np.random.default_rng(0)
-    ratios = [play_paid(env, lambda _: random.uniform(-1.0, 1.0, 1))[0] for _ in range(10)]
+    ratios = [
+        play_paid(env, lambda _: random.uniform(-1.0, 1.0, 1))[0] for _ in range(10)
+    ]
     assert max(ratios) < 0.6 * LEAST_RATIO

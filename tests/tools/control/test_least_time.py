@@ -11,7 +11,12 @@ from scipy.optimize import linprog
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.carry import CarryLimit
-from gauge_envs.tools.control.least_time import REST_M_PER_S, TOLERANCE_M, TOLERANCE_RAD, LeastTimeLimit
+from gauge_envs.tools.control.least_time import (
+    REST_M_PER_S,
+    TOLERANCE_M,
+    TOLERANCE_RAD,
+    LeastTimeLimit,
+)
 from gauge_envs.tools.control.limit import Ending, LimitReport, pair_friction
 from gauge_envs.tools.control.play import play
 from gauge_envs.tools.control.push import PushLimit
@@ -24,7 +29,9 @@ SLIDING = {"timestep_s": 1 / 3600}
 SETTINGS = {CarryLimit: FAST, PushLimit: SLIDING}
 
 
-def by_law(env: LeastTimeLimit, fraction: float = 1.0, *, seed: int = 0) -> tuple[LimitReport, float]:
+def by_law(
+    env: LeastTimeLimit, fraction: float = 1.0, *, seed: int = 0
+) -> tuple[LimitReport, float]:
     """Return the report of the law's policy, and the sum of its rewards."""
     env.reset(seed=seed)
     paid, over = 0.0, False
@@ -38,7 +45,9 @@ def by_law(env: LeastTimeLimit, fraction: float = 1.0, *, seed: int = 0) -> tupl
 # --- the law ---
 
 
-def least_time_s(task: type[LeastTimeLimit], distance_m: float, most: float, speed: float = 0.0) -> float:
+def least_time_s(
+    task: type[LeastTimeLimit], distance_m: float, most: float, speed: float = 0.0
+) -> float:
     """The least time from rest over a distance, with friction's mu g and the speed left at the end."""
     if task is PushLimit:  # Friction brakes all the way.
         return (math.sqrt(speed**2 + 2.0 * most * distance_m) - speed) / most
@@ -47,7 +56,9 @@ def least_time_s(task: type[LeastTimeLimit], distance_m: float, most: float, spe
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 @pytest.mark.parametrize("speed", [0.0, 0.02, 0.3])
-def test_least_time_and_least_friction_are_inverse(task: type[LeastTimeLimit], speed: float) -> None:
+def test_least_time_and_least_friction_are_inverse(
+    task: type[LeastTimeLimit], speed: float
+) -> None:
     time_s = least_time_s(task, 0.5, 3.2, speed)
     assert task.least_deceleration_m_per_s2(0.5, time_s, speed) == pytest.approx(3.2)
     assert task.least_deceleration_m_per_s2(0.5, 1.1 * time_s, speed) < 3.2
@@ -60,7 +71,12 @@ def test_linear_programs_find_no_shorter_carry(speed: float) -> None:
     time_s = least_time_s(CarryLimit, 0.5, most, speed)
     piece = time_s / count
     left = time_s - (np.arange(count) + 0.5) * piece
-    found = linprog(-left * piece, A_eq=np.full((1, count), piece), b_eq=[speed], bounds=(-most, most))
+    found = linprog(
+        -left * piece,
+        A_eq=np.full((1, count), piece),
+        b_eq=[speed],
+        bounds=(-most, most),
+    )
     assert -found.fun == pytest.approx(0.5, rel=1e-4)
 
 
@@ -77,8 +93,12 @@ def test_a_frame_on_the_way_to_rest_leaves_the_braking_distance() -> None:
     assert acceleration_to_rest(-0.2, 0.1, 3.0) == -acceleration_to_rest(0.2, -0.1, 3.0)
 
 
-@pytest.mark.parametrize(("distance", "speed"), [(0.5, 0.0), (0.2, 1.0), (0.1, 1.0), (0.3, -0.5)])
-def test_time_to_go_is_that_of_the_fastest_motion(distance: float, speed: float) -> None:
+@pytest.mark.parametrize(
+    ("distance", "speed"), [(0.5, 0.0), (0.2, 1.0), (0.1, 1.0), (0.3, -0.5)]
+)
+def test_time_to_go_is_that_of_the_fastest_motion(
+    distance: float, speed: float
+) -> None:
     """By integration of the motion with the switching curve v |v| = 2 a x, which is time-optimal."""
     most, step = 3.2, 1e-5
     place, rate, time_s = distance, speed, 0.0
@@ -89,7 +109,9 @@ def test_time_to_go_is_that_of_the_fastest_motion(distance: float, speed: float)
             place - (rate + 0.5 * acceleration * step) * step,
             time_s + step,
         )
-    assert CarryLimit.time_to_go_s(distance, speed, most) == pytest.approx(time_s, abs=2e-3)
+    assert CarryLimit.time_to_go_s(distance, speed, most) == pytest.approx(
+        time_s, abs=2e-3
+    )
 
 
 # --- carry ---
@@ -125,7 +147,9 @@ def test_the_goal_is_drawn_by_the_seed() -> None:
 
 def test_carry_with_more_friction_than_the_law_knows_is_seen() -> None:
     """A planted fault: the simulated friction is 1.2 times that of the limit."""
-    env = CarryLimit("wood", settings=FAST, parameters={"cube.friction": 1.2 * 0.378789})
+    env = CarryLimit(
+        "wood", settings=FAST, parameters={"cube.friction": 1.2 * 0.378789}
+    )
     env.limit = CarryLimit("wood").limit
     report, paid = by_law(env, 1.17)
     assert report.ratio > 1.08
@@ -149,7 +173,9 @@ def test_push_at_the_law(material: str) -> None:
         report, paid = by_law(env, seed=seed)
         assert report.ending is Ending.REACHED
         # A pusher of 20 m/s^2 in contact needs sqrt(1 + mu g / A) times the least time.
-        most = 1.0 / (1.0 + env.limit.value * GRAVITY_M_PER_S2 / env.ACCELERATION_M_PER_S2)
+        most = 1.0 / (
+            1.0 + env.limit.value * GRAVITY_M_PER_S2 / env.ACCELERATION_M_PER_S2
+        )
         assert most - 0.06 < report.ratio < most + 0.02
         assert 0.7 < paid <= 1.0
 
@@ -167,7 +193,9 @@ def test_a_cube_coasts_as_far_as_friction_lets_it() -> None:
     speed = observed[4, 2] - braking / 360.0
     assert speed > 0.5
     assert observed[-1, 2] == pytest.approx(0.0, abs=1e-3)
-    assert observed[4, 0] - observed[-1, 0] == pytest.approx(speed**2 / (2.0 * braking), rel=0.02)
+    assert observed[4, 0] - observed[-1, 0] == pytest.approx(
+        speed**2 / (2.0 * braking), rel=0.02
+    )
 
 
 def test_a_pusher_that_passes_the_cube_ends_the_episode() -> None:
@@ -182,7 +210,9 @@ def test_a_pusher_that_passes_the_cube_ends_the_episode() -> None:
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 @pytest.mark.parametrize("share", [0.6, 0.8, 1.0])
-def test_the_time_to_go_cancels_over_an_arrival(task: type[LeastTimeLimit], share: float) -> None:
+def test_the_time_to_go_cancels_over_an_arrival(
+    task: type[LeastTimeLimit], share: float
+) -> None:
     """Its decreases pay 1/3 whatever the way, and the rest is two thirds of the ratio."""
     report, paid = by_law(task("wood", settings=SETTINGS[task]), share, seed=3)
     assert report.ending is Ending.REACHED
@@ -190,9 +220,15 @@ def test_the_time_to_go_cancels_over_an_arrival(task: type[LeastTimeLimit], shar
 
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
-def test_without_an_arrival_the_place_at_the_end_is_paid(task: type[LeastTimeLimit]) -> None:
+def test_without_an_arrival_the_place_at_the_end_is_paid(
+    task: type[LeastTimeLimit],
+) -> None:
     env = task("wood", settings=FAST)
-    for action, ending in (((0.0, 0.0), Ending.MISSED), ((0.1, 0.0), None), ((1.0, 1.0), Ending.LOST)):
+    for action, ending in (
+        ((0.0, 0.0), Ending.MISSED),
+        ((0.1, 0.0), None),
+        ((1.0, 1.0), Ending.LOST),
+    ):
         env.reset(seed=0)
         paid, over = 0.0, False
         while not over:
@@ -205,7 +241,10 @@ def test_without_an_arrival_the_place_at_the_end_is_paid(task: type[LeastTimeLim
         across = math.sqrt(max(float(velocity @ velocity) - ahead**2, 0.0))
         most = env.limit.value * GRAVITY_M_PER_S2
         to_go_s = task.time_to_go_s(left_m, ahead, most) + across / most
-        assert paid == pytest.approx((1.0 - to_go_s / task.time_to_go_s(env.DISTANCE_M, 0.0, most)) / 3.0, abs=1e-9)
+        assert paid == pytest.approx(
+            (1.0 - to_go_s / task.time_to_go_s(env.DISTANCE_M, 0.0, most)) / 3.0,
+            abs=1e-9,
+        )
         assert paid < 1.0 / 3.0
 
 

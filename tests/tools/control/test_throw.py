@@ -10,7 +10,12 @@ import pytest
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.play import play
-from gauge_envs.tools.control.throw import SPEED_M_PER_S, STROKE_M, ThrowLimit, highest_m
+from gauge_envs.tools.control.throw import (
+    SPEED_M_PER_S,
+    STROKE_M,
+    ThrowLimit,
+    highest_m,
+)
 
 
 def test_height_after_one_impact_on_a_plate_without_stroke_or_speed() -> None:
@@ -25,10 +30,14 @@ def test_height_is_the_best_of_all_places(restitution: float) -> None:
     places = np.linspace(-STROKE_M, STROKE_M, 101)
     heights = np.array([0.26])
     for _ in range(2):
-        comes = np.sqrt(2.0 * GRAVITY_M_PER_S2 * np.clip(heights[:, None] - places, 0.0, None))
+        comes = np.sqrt(
+            2.0 * GRAVITY_M_PER_S2 * np.clip(heights[:, None] - places, 0.0, None)
+        )
         leaves = restitution * comes + (1.0 + restitution) * SPEED_M_PER_S
         heights = (places + leaves**2 / (2.0 * GRAVITY_M_PER_S2)).ravel()
-    assert highest_m(0.26, restitution, GRAVITY_M_PER_S2, impacts=2) == pytest.approx(heights.max(), rel=1e-4)
+    assert highest_m(0.26, restitution, GRAVITY_M_PER_S2, impacts=2) == pytest.approx(
+        heights.max(), rel=1e-4
+    )
 
 
 def test_uncertainty_is_that_of_restitution_and_start() -> None:
@@ -52,7 +61,9 @@ def test_the_laws_policy_throws_nearly_as_high() -> None:
     assert report.ending is Ending.REACHED
     # It meets the ball 2 cm below the top of the stroke, and starts its stroke at a frame.
     assert 0.95 < report.ratio < 1.0
-    assert paid == pytest.approx((report.reached - 0.257726) / (report.limit.value - 0.257726), abs=1e-4)
+    assert paid == pytest.approx(
+        (report.reached - 0.257726) / (report.limit.value - 0.257726), abs=1e-4
+    )
 
 
 def test_a_higher_restitution_than_the_law_knows_is_seen() -> None:
@@ -69,7 +80,10 @@ def test_no_motion_beats_the_law() -> None:
     for _ in range(6):
         noise = random.uniform(0.0, 0.15)
         report = play(
-            env, lambda _, noise=noise: np.clip(env.law_action(1.0) + random.normal(0.0, noise, 2), -1.0, 1.0)
+            env,
+            lambda _, noise=noise: np.clip(
+                env.law_action(1.0) + random.normal(0.0, noise, 2), -1.0, 1.0
+            ),
         )
         reached += report.ending is Ending.REACHED
         assert report.ratio < 1.0
@@ -95,13 +109,18 @@ def edge_gain(offset: float, comes: float, restitution: float) -> float:
     plate = np.array([SPEED_M_PER_S, SPEED_M_PER_S])
     closing = (plate - np.array([0.0, -comes])) @ normal
     leaves = -comes + (1.0 + restitution) * closing * normal[1]
-    return float((leaves / (restitution * comes + (1.0 + restitution) * SPEED_M_PER_S)) ** 2)
+    return float(
+        (leaves / (restitution * comes + (1.0 + restitution) * SPEED_M_PER_S)) ** 2
+    )
 
 
 def test_an_ideal_edge_throws_higher_than_the_law() -> None:
     """Why an impact at an edge ends the episode: the plate's speed along x throws too."""
     assert edge_gain(0.0, 2.0, 0.576733) == pytest.approx(1.0)
-    assert max(edge_gain(offset, 2.0, 0.576733) for offset in np.linspace(0.0, 0.4, 41)) > 1.09
+    assert (
+        max(edge_gain(offset, 2.0, 0.576733) for offset in np.linspace(0.0, 0.4, 41))
+        > 1.09
+    )
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.096, 0.103])

@@ -22,8 +22,22 @@ LEAST_RATIO = 0.85
 def test_a_short_training_learns_to_throw(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     script = ROOT / "examples" / "train_control.py"
-    arguments = ["--task", "Throw-Limit-rubber", "--seed", "0", "--steps", "40000", "--out", str(tmp_path)]
-    ran = subprocess.run([sys.executable, str(script), *arguments], capture_output=True, text=True, check=True)
+    arguments = [
+        "--task",
+        "Throw-Limit-rubber",
+        "--seed",
+        "0",
+        "--steps",
+        "40000",
+        "--out",
+        str(tmp_path),
+    ]
+    ran = subprocess.run(
+        [sys.executable, str(script), *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     with (tmp_path / "Throw-Limit-rubber-0.csv").open(newline="") as file:
         first, *_, last = csv.DictReader(file)
     assert float(first["ratio"]) < 0.4
@@ -36,6 +50,9 @@ def test_a_short_training_learns_to_throw(tmp_path: Path) -> None:
 def test_chance_stays_below_what_the_training_must_reach() -> None:
     env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1080})
     random = np.random.default_rng(0)
-    ratios = [play_paid(env, lambda _: random.uniform(-1.0, 1.0, 2))[1].ratio for _ in range(100)]
+    ratios = [
+        play_paid(env, lambda _: random.uniform(-1.0, 1.0, 2))[1].ratio
+        for _ in range(100)
+    ]
     assert max(ratios) < LEAST_RATIO
     assert np.mean(ratios) < 0.2

@@ -12,24 +12,42 @@ import gauge_envs  # noqa: F401  # registers the ids
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.tools.control.vector import ControlVectorEnv
 
-CONSTANTS: list[dict[str, Any]] = [{"cube.friction": 0.30}, {"cube.friction": 0.42, "cube.mass_kg": 0.15}, {}]
+CONSTANTS: list[dict[str, Any]] = [
+    {"cube.friction": 0.30},
+    {"cube.friction": 0.42, "cube.mass_kg": 0.15},
+    {},
+]
 FAST = {"timestep_s": 1 / 1080}
-EXTRAS = {"rapier": "rapier3d", "newton": "newton", "pybullet": "pybullet", "physx": "sapien", "drake": "pydrake"}
+EXTRAS = {
+    "rapier": "rapier3d",
+    "newton": "newton",
+    "pybullet": "pybullet",
+    "physx": "sapien",
+    "drake": "pydrake",
+}
 
 
-def singles(task: str, constants: list[dict[str, Any]], **options: Any) -> gymnasium.vector.SyncVectorEnv:
+def singles(
+    task: str, constants: list[dict[str, Any]], **options: Any
+) -> gymnasium.vector.SyncVectorEnv:
     """Return separate environments, as Gymnasium steps them."""
     return gymnasium.vector.SyncVectorEnv(
         [
-            lambda one=one: gymnasium.make(f"GAUGE/{task}", parameters=one or "calibrated", **options)
+            lambda one=one: gymnasium.make(
+                f"GAUGE/{task}", parameters=one or "calibrated", **options
+            )
             for one in constants
         ]
     )
 
 
-def check(task: str, constants: list[dict[str, Any]], *, steps: int, **options: Any) -> int:
+def check(
+    task: str, constants: list[dict[str, Any]], *, steps: int, **options: Any
+) -> int:
     """Compare all that many worlds return with separate environments; return the number of episodes that ended."""
-    worlds = gymnasium.make_vec(f"GAUGE/{task}", num_envs=len(constants), world_parameters=constants, **options)
+    worlds = gymnasium.make_vec(
+        f"GAUGE/{task}", num_envs=len(constants), world_parameters=constants, **options
+    )
     others = singles(task, constants, **options)
     random = np.random.default_rng(0)
     found, expected = worlds.reset(seed=3), others.reset(seed=3)
@@ -44,10 +62,15 @@ def check(task: str, constants: list[dict[str, Any]], *, steps: int, **options: 
         ended += int("limit" in expected[-1]) and int(expected[-1]["_limit"].sum())
         share = [0.9, 1.3, 0.9][: len(constants)]
         actions = np.stack(
-            [one.unwrapped.law_action(fraction) for one, fraction in zip(others.envs, share, strict=True)]
+            [
+                one.unwrapped.law_action(fraction)
+                for one, fraction in zip(others.envs, share, strict=True)
+            ]
         )
         if number % 3 == 0:
-            actions = np.clip(actions + 0.1 * random.standard_normal(actions.shape), -1, 1).astype(np.float32)
+            actions = np.clip(
+                actions + 0.1 * random.standard_normal(actions.shape), -1, 1
+            ).astype(np.float32)
         found, expected = worlds.step(actions), others.step(actions)
     worlds.close()
     others.close()
@@ -59,7 +82,10 @@ def test_each_world_is_the_single_environment_bit_for_bit(engine: str) -> None:
     """With restarts: worlds end in different frames, and draw their next goals on their own."""
     if engine != "mujoco":
         pytest.importorskip(EXTRAS[engine])
-    assert check("Carry-Limit-wood", CONSTANTS, steps=60, backend=engine, settings=FAST) >= 4
+    assert (
+        check("Carry-Limit-wood", CONSTANTS, steps=60, backend=engine, settings=FAST)
+        >= 4
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,7 +99,12 @@ def test_each_world_is_the_single_environment_bit_for_bit(engine: str) -> None:
     ],
 )
 def test_all_tasks_run_as_worlds(task: str, constants: list[dict[str, Any]]) -> None:
-    check(task, constants, steps=30, settings={"preset": "training"} if task.startswith("Fling") else FAST)
+    check(
+        task,
+        constants,
+        steps=30,
+        settings={"preset": "training"} if task.startswith("Fling") else FAST,
+    )
 
 
 @pytest.mark.slow
@@ -101,7 +132,12 @@ def test_spaces_and_order_are_those_of_gymnasium() -> None:
 
 def test_worlds_with_other_constants_differ() -> None:
     """A batch in which all worlds have the constants of the first would pass a test of one world."""
-    envs = gymnasium.make_vec("GAUGE/Carry-Limit-wood", num_envs=2, world_parameters=CONSTANTS[:2], settings=FAST)
+    envs = gymnasium.make_vec(
+        "GAUGE/Carry-Limit-wood",
+        num_envs=2,
+        world_parameters=CONSTANTS[:2],
+        settings=FAST,
+    )
     envs.reset(seed=[0, 0])
     for _ in range(4):
         observations, *_ = envs.step(np.ones((2, 2)))
@@ -109,7 +145,9 @@ def test_worlds_with_other_constants_differ() -> None:
 
 
 def test_wrong_calls_are_named() -> None:
-    with pytest.raises(ParameterError, match="world_parameters has 1 entries for 2 worlds"):
+    with pytest.raises(
+        ParameterError, match="world_parameters has 1 entries for 2 worlds"
+    ):
         gymnasium.make_vec("GAUGE/Carry-Limit-wood", num_envs=2, world_parameters=[{}])
     with pytest.raises(ParameterError, match="num_envs is 0"):
         ControlVectorEnv("Carry-Limit-wood", 0)

@@ -8,4 +8,6 @@ from gauge_envs.cli.app import app
 
 @pytest.fixture
 def gauge():
-    return lambda *arguments: CliRunner(env={"COLUMNS": "200"}).invoke(app, list(map(str, arguments)))
+    return lambda *arguments: CliRunner(env={"COLUMNS": "200"}).invoke(
+        app, list(map(str, arguments))
+    )

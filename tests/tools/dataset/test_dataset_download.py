@@ -14,7 +14,12 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import DatasetError, MissingExtraError
 from gauge_envs.references.user_data import user_data_folder
-from gauge_envs.tools.dataset.download import DATASET, PINNED_REVISION, download_dataset, resolved_revision
+from gauge_envs.tools.dataset.download import (
+    DATASET,
+    PINNED_REVISION,
+    download_dataset,
+    resolved_revision,
+)
 from gauge_envs.tools.dataset.layout import find_trials
 
 COMMIT = PINNED_REVISION + 33 * "1"
@@ -59,7 +64,9 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> FakeHub:
 
 
 def run(*arguments: object):
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, ["data", "download", *map(str, arguments)])
+    return CliRunner(env={"COLUMNS": "200"}).invoke(
+        app, ["data", "download", *map(str, arguments)]
+    )
 
 
 def test_the_pinned_revision_is_fetched_and_noted(hub: FakeHub) -> None:
@@ -81,11 +88,20 @@ def test_the_pinned_revision_is_fetched_and_noted(hub: FakeHub) -> None:
     assert find_trials(folder / "data").revision == COMMIT
 
 
-def test_patterns_revision_and_folder_are_passed_on(hub: FakeHub, tmp_path: Path) -> None:
+def test_patterns_revision_and_folder_are_passed_on(
+    hub: FakeHub, tmp_path: Path
+) -> None:
     pattern = f"{trial_folder(NAME)}/*"
-    assert run(pattern, "metadata/*", f"revision={OTHER}", "--out", tmp_path).exit_code == 0
+    assert (
+        run(pattern, "metadata/*", f"revision={OTHER}", "--out", tmp_path).exit_code
+        == 0
+    )
     (call,) = hub.calls
-    assert (call["allow_patterns"], call["revision"], call["local_dir"]) == ([pattern, "metadata/*"], OTHER, tmp_path)
+    assert (call["allow_patterns"], call["revision"], call["local_dir"]) == (
+        [pattern, "metadata/*"],
+        OTHER,
+        tmp_path,
+    )
 
 
 def test_revisions_are_resolved_to_full_hashes(hub: FakeHub) -> None:
@@ -107,7 +123,10 @@ def test_a_broken_download_says_how_to_go_on(hub: FakeHub, tmp_path: Path) -> No
     hub.error = ConnectionError("the host is gone")
     result = run("--out", tmp_path)
     assert result.exit_code == 2
-    assert "ConnectionError: the host is gone; the same command continues the download" in result.stderr
+    assert (
+        "ConnectionError: the host is gone; the same command continues the download"
+        in result.stderr
+    )
     hub.error = None
     assert run("--out", tmp_path).exit_code == 0
 

@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataset_writer import AMOUNTS, synthetic_trials, trial_folder, write_synthetic, write_trial
+from dataset_writer import (
+    AMOUNTS,
+    synthetic_trials,
+    trial_folder,
+    write_synthetic,
+    write_trial,
+)
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.evaluation.reference import load_band
@@ -28,7 +34,9 @@ Content = dict[str, Any]
 
 
 def imported(root: Path, stated: Stated | None = None) -> dict[str, ImportedTrials]:
-    return {one.variant.name: one for one in import_trials(find_trials(root), stated=stated)}
+    return {
+        one.variant.name: one for one in import_trials(find_trials(root), stated=stated)
+    }
 
 
 def columns(content: Content) -> dict[str, list[float]]:
@@ -44,10 +52,15 @@ def columns(content: Content) -> dict[str, list[float]]:
     return found
 
 
-def csv_text(table: dict[str, list[Any]], comments: str = "", separator: str = ",") -> bytes:
+def csv_text(
+    table: dict[str, list[Any]], comments: str = "", separator: str = ","
+) -> bytes:
     rows = [
         separator.join(table),
-        *(separator.join("" if v is None else f"{v}" for v in row) for row in zip(*table.values(), strict=False)),
+        *(
+            separator.join("" if v is None else f"{v}" for v in row)
+            for row in zip(*table.values(), strict=False)
+        ),
     ]
     return (comments + "\n".join(rows) + "\n").encode()
 
@@ -70,8 +83,12 @@ def renamed_csv(content: Content) -> bytes:
         if key.startswith("q"):
             table[f"{asset.upper()}_quat_{key[1].upper()}"] = values
         elif key in "xyz":
-            table[f"{asset.title()}_pos_{key.upper()} [m]"] = [value / 1e3 for value in values]
-    table["time_s"] = [round(frame / 30, 3) for frame in range(len(table["Confidence"]))]
+            table[f"{asset.title()}_pos_{key.upper()} [m]"] = [
+                value / 1e3 for value in values
+            ]
+    table["time_s"] = [
+        round(frame / 30, 3) for frame in range(len(table["Confidence"]))
+    ]
     return csv_text(table, separator=";")
 
 
@@ -81,10 +98,15 @@ def arrays(content: Content) -> bytes:
     for name, asset in content.items():
         if isinstance(asset, dict) and "x" in asset:
             found[name] = np.column_stack([asset[key] for key in "xyz"])
-            found[f"{name}_quat_wxyz"] = np.column_stack([asset[f"q{key}"] for key in "wxyz"])
+            found[f"{name}_quat_wxyz"] = np.column_stack(
+                [asset[f"q{key}"] for key in "wxyz"]
+            )
         elif isinstance(asset, dict):
             ids = sorted(asset, key=int)
-            found[name] = np.stack([np.column_stack([asset[one][key] for key in "xyz"]) for one in ids], axis=1)
+            found[name] = np.stack(
+                [np.column_stack([asset[one][key] for key in "xyz"]) for one in ids],
+                axis=1,
+            )
     return npz(**found, frame=np.arange(len(next(iter(found.values())))))
 
 
@@ -93,11 +115,21 @@ def nested_json(content: Content) -> bytes:
     bodies: dict[str, Any] = {}
     for name, asset in content.items():
         if isinstance(asset, dict) and "x" in asset:
-            rows = [list(row) for row in zip(*(asset[key] for key in "xyz"), strict=True)]
-            bodies[name] = {"Position": rows, **{key.upper(): asset[key] for key in ("qx", "qy", "qz", "qw")}}
+            rows = [
+                list(row) for row in zip(*(asset[key] for key in "xyz"), strict=True)
+            ]
+            bodies[name] = {
+                "Position": rows,
+                **{key.upper(): asset[key] for key in ("qx", "qy", "qz", "qw")},
+            }
         elif isinstance(asset, dict):
-            bodies[name] = {one: {key.upper(): values for key, values in entry.items()} for one, entry in asset.items()}
-    return json.dumps({"fps": 30, "Units": "Millimeters", "trial": {"bodies": bodies}}).encode()
+            bodies[name] = {
+                one: {key.upper(): values for key, values in entry.items()}
+                for one, entry in asset.items()
+            }
+    return json.dumps(
+        {"fps": 30, "Units": "Millimeters", "trial": {"bodies": bodies}}
+    ).encode()
 
 
 LAYOUTS: dict[str, tuple[str, Callable[[Content], bytes], Stated | None]] = {
@@ -110,7 +142,9 @@ LAYOUTS: dict[str, tuple[str, Callable[[Content], bytes], Stated | None]] = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_same_trials_give_the_same_band_and_driver(layout: str, tmp_path: Path) -> None:
+def test_the_same_trials_give_the_same_band_and_driver(
+    layout: str, tmp_path: Path
+) -> None:
     path, form, stated = LAYOUTS[layout]
     write_synthetic(tmp_path / "published", SLIDER)
     usual = imported(tmp_path / "published")[SLIDER]
@@ -124,7 +158,9 @@ def test_the_same_trials_give_the_same_band_and_driver(layout: str, tmp_path: Pa
     again = load_band(SLIDER, DataSource.IMPORTED)
     np.testing.assert_allclose(again.mean, band.mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(again.sigma, band.sigma, rtol=0, atol=1e-9)
-    assert one.record.drivers[0].residual_mm == pytest.approx(usual.record.drivers[0].residual_mm, abs=1e-9)
+    assert one.record.drivers[0].residual_mm == pytest.approx(
+        usual.record.drivers[0].residual_mm, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("form", [plain_csv, arrays, nested_json])
@@ -133,7 +169,10 @@ def test_markers_are_read_in_every_form(form: Callable[[Content], bytes]) -> Non
     suffix = {plain_csv: ".csv", arrays: ".npz", nested_json: ".json"}[form]
     (usual,), (found,) = (
         trial.markers.values()
-        for trial in (parse_trial(json.dumps(content).encode()), parse_trial(form(content), suffix, MILLIMETRES))
+        for trial in (
+            parse_trial(json.dumps(content).encode()),
+            parse_trial(form(content), suffix, MILLIMETRES),
+        )
     )
     assert len(found) == len(usual)
     ids = sorted(usual, key=int)
@@ -141,7 +180,9 @@ def test_markers_are_read_in_every_form(form: Callable[[Content], bytes]) -> Non
         np.testing.assert_array_equal(found[mine], usual[theirs])
 
 
-def test_what_lies_beside_the_trials_is_named_and_is_no_fault(tmp_path: Path, gauge) -> None:
+def test_what_lies_beside_the_trials_is_named_and_is_no_fault(
+    tmp_path: Path, gauge
+) -> None:
     """As published this month: videos of world models and full trajectories beside the trials."""
     write_synthetic(tmp_path, SLIDER)
     contents = synthetic_trials(SLIDER).contents
@@ -152,7 +193,9 @@ def test_what_lies_beside_the_trials_is_named_and_is_no_fault(tmp_path: Path, ga
     for place, name in (("video/wood", "trial-1.mp4"), ("table", "trial-1.parquet")):
         (slider / place).mkdir(parents=True)
         (slider / place / name).write_bytes(b"0")
-    models = tmp_path / "world-model-videos" / "wan22" / "slope slider" / "wood" / "task-3"
+    models = (
+        tmp_path / "world-model-videos" / "wan22" / "slope slider" / "wood" / "task-3"
+    )
     models.mkdir(parents=True)
     (models / "trial-1.csv").write_bytes(plain_csv(contents[0]))
     (tmp_path / "metadata" / "rigid").mkdir(parents=True)
@@ -162,10 +205,18 @@ def test_what_lies_beside_the_trials_is_named_and_is_no_fault(tmp_path: Path, ga
         for finding in find_trials(tmp_path).findings
     }
     assert "'full trajectories' is neither" in notes["full trajectories/wood/task-3"]
-    assert "1 files .csv of SlopeSlider-3-wood are not read; its trials in data/" in notes["csv/wood/task-3"]
-    assert "1 files .mp4 are not read; pictures hold no positions" in notes["video/wood"]
+    assert (
+        "1 files .csv of SlopeSlider-3-wood are not read; its trials in data/"
+        in notes["csv/wood/task-3"]
+    )
+    assert (
+        "1 files .mp4 are not read; pictures hold no positions" in notes["video/wood"]
+    )
     assert "makes a CSV file of it" in notes["table"]
-    assert "'world-model-videos' is neither" in notes["world-model-videos/wan22/slope slider/wood/task-3"]
+    assert (
+        "'world-model-videos' is neither"
+        in notes["world-model-videos/wan22/slope slider/wood/task-3"]
+    )
     assert "metadata/rigid" in notes
     assert len(notes) == 6
     result = gauge("data", "import", tmp_path)
@@ -179,9 +230,15 @@ def test_a_folder_that_the_user_names_is_read(tmp_path: Path) -> None:
         file = folder / "wood" / "task-3" / f"{number}.csv"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(plain_csv(content))
-    with pytest.raises(DatasetError, match=r"(?s)no trial.*'full trajectories' is neither"):
+    with pytest.raises(
+        DatasetError, match=r"(?s)no trial.*'full trajectories' is neither"
+    ):
         find_trials(tmp_path)
-    assert imported(folder)[SLIDER].used == imported(folder / "wood" / "task-3")[SLIDER].used == len(AMOUNTS)
+    assert (
+        imported(folder)[SLIDER].used
+        == imported(folder / "wood" / "task-3")[SLIDER].used
+        == len(AMOUNTS)
+    )
 
 
 def test_a_part_of_the_dataset_is_read(tmp_path: Path) -> None:
@@ -189,15 +246,23 @@ def test_a_part_of_the_dataset_is_read(tmp_path: Path) -> None:
     contents = synthetic_trials(SLIDER).contents
     del contents[0]["board"]
     gaps = columns(contents[1])
-    gaps["cube.x"] = [None if frame == 4 else value for frame, value in enumerate(gaps["cube.x"])]
+    gaps["cube.x"] = [
+        None if frame == 4 else value for frame, value in enumerate(gaps["cube.x"])
+    ]
     folder = tmp_path / "rigid" / "slope slider" / "json" / "wood" / "task-3"
     folder.mkdir(parents=True)
     for number, content in enumerate(contents):
-        form = csv_text(gaps, "# fps: 30\n# unit: mm\n") if number == 1 else plain_csv(content)
+        form = (
+            csv_text(gaps, "# fps: 30\n# unit: mm\n")
+            if number == 1
+            else plain_csv(content)
+        )
         (folder / f"{number}.csv").write_bytes(form)
     one = imported(tmp_path)[SLIDER]
     assert (one.used, one.record.drivers[0].trial_count) == (4, 3)
-    assert [(finding.key, finding.left_out) for finding in one.findings] == [("board", False)]
+    assert [(finding.key, finding.left_out) for finding in one.findings] == [
+        ("board", False)
+    ]
 
 
 STATES = "unit=mm says that of files without one"
@@ -245,16 +310,23 @@ def test_a_hostile_dataset_costs_nothing_but_its_files(tmp_path: Path) -> None:
     (folder / "linked.csv").symlink_to(outside)
     (folder / "up").symlink_to(root)
     (folder / "never.csv").write_bytes(
-        csv_text({name: [None] * 40 for name in columns(contents[0])}, "# fps: 30\n# unit: mm\n")
+        csv_text(
+            {name: [None] * 40 for name in columns(contents[0])},
+            "# fps: 30\n# unit: mm\n",
+        )
     )
     one = imported(root)[SLIDER]
     assert one.used == len(AMOUNTS)
-    assert {finding.file.rpartition("/")[2]: finding.problem for finding in one.findings} == {
+    assert {
+        finding.file.rpartition("/")[2]: finding.problem for finding in one.findings
+    } == {
         "linked.csv": "it links to a file outside of the dataset",
         "never.csv": "it was never captured",
     }
     header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)})
+    np.lib.format.write_array_header_1_0(
+        header, {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)}
+    )
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w") as archive:
         archive.writestr("cube.npy", header.getvalue())
@@ -264,15 +336,24 @@ def test_a_hostile_dataset_costs_nothing_but_its_files(tmp_path: Path) -> None:
 
 def test_the_command_takes_unit_and_rate(tmp_path: Path, gauge) -> None:
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
-        write_trial(tmp_path, SLIDER, number, {key: content[key] for key in ("cube", "board")})
-    assert "unit=mm says that" in (refused := gauge("data", "import", tmp_path, "rate=30")).stderr.replace("\n", " ")
+        write_trial(
+            tmp_path, SLIDER, number, {key: content[key] for key in ("cube", "board")}
+        )
+    assert "unit=mm says that" in (
+        refused := gauge("data", "import", tmp_path, "rate=30")
+    ).stderr.replace("\n", " ")
     assert refused.exit_code == 1
     assert gauge("data", "import", tmp_path, "rate=30", "unit=mm").exit_code == 0
 
 
 def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not() -> None:
     lists = {"x": [1.0], "y": [2.0], "z": [3.0]}
-    content = {"FPS": 30, "unit": "mm", "cube": {"positions": []}, "foam": {"1": lists | {"note": "left"}}}
+    content = {
+        "FPS": 30,
+        "unit": "mm",
+        "cube": {"positions": []},
+        "foam": {"1": lists | {"note": "left"}},
+    }
     trial = parse_trial(json.dumps(content).encode())
     assert list(trial.faults) == ["cube"]
     np.testing.assert_array_equal(trial.markers["foam"]["1"], [[1.0, 2.0, 3.0]])

@@ -49,7 +49,11 @@ def importing(root: Path, rounds: int) -> subprocess.Popen[str]:
 
 def stored_files() -> list[str]:
     """Names of the files of the store, without its lock."""
-    return sorted(file.name for file in (user_data_folder() / "trials").iterdir() if file.name != ".lock")
+    return sorted(
+        file.name
+        for file in (user_data_folder() / "trials").iterdir()
+        if file.name != ".lock"
+    )
 
 
 @pytest.mark.slow
@@ -71,11 +75,15 @@ def test_of_two_imports_at_once_one_counts(tmp_path: Path) -> None:
     assert len(stored_files()) == 2
 
 
-def test_an_import_waits_for_the_one_that_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_import_waits_for_the_one_that_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The second import starts between the two files of the first, where it would remove the first one's numbers."""
     for number, amounts in enumerate(([0.0, 1.0], [4.0, 5.0])):
         write_synthetic(tmp_path / str(number), NAME, amounts)
-    second = threading.Thread(target=lambda: list(import_trials(find_trials(tmp_path / "1"))))
+    second = threading.Thread(
+        target=lambda: list(import_trials(find_trials(tmp_path / "1")))
+    )
     write_whole = imported.write_whole
 
     def interrupted(file: Path, content: bytes) -> None:
@@ -91,7 +99,9 @@ def test_an_import_waits_for_the_one_that_writes(tmp_path: Path, monkeypatch: py
     assert len(stored_files()) == 2
 
 
-def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(tmp_path: Path) -> None:
+def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(
+    tmp_path: Path,
+) -> None:
     """`studies/robustness/killed_imports.py` kills a hundred imports; here a few show that the next one cleans up."""
     for name in NAMES:
         write_synthetic(tmp_path, name)
@@ -132,7 +142,9 @@ def test_links_of_a_download_cache_are_read(tmp_path: Path) -> None:
     assert (one.used, one.left_out) == (4, 0)
 
 
-def test_a_folder_that_cannot_be_read_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_read_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write_synthetic(tmp_path, NAME)
     closed = tmp_path / trial_folder("SlopeSlider-1-metal")
     closed.mkdir(parents=True)
@@ -147,7 +159,9 @@ def test_a_folder_that_cannot_be_read_is_reported(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(os, "scandir", refused)
     (finding,) = find_trials(tmp_path).findings
     assert finding.file == closed.relative_to(tmp_path).as_posix()
-    assert finding.problem == "it cannot be read: Permission denied" and finding.left_out
+    assert (
+        finding.problem == "it cannot be read: Permission denied" and finding.left_out
+    )
 
 
 @pytest.mark.parametrize("make", ["fifo", "sparse"])
@@ -166,7 +180,9 @@ def test_a_special_file_is_left_out(make: str, tmp_path: Path) -> None:
 
 def test_many_keys_take_little_time() -> None:
     """At most 30 times as long as Python's parser, where a search over all earlier keys would take thousands."""
-    content = ('{"FPS": 30, ' + ",".join(f'"k{n}": 1' for n in range(200_000)) + ', "k7": 1}').encode()
+    content = (
+        '{"FPS": 30, ' + ",".join(f'"k{n}": 1' for n in range(200_000)) + ', "k7": 1}'
+    ).encode()
     start = time.process_time()
     json.loads(content)
     parsed = time.process_time()
@@ -186,10 +202,14 @@ def test_a_trial_of_doubled_frames_is_noted(first: int, tmp_path: Path) -> None:
     write_trial(tmp_path, NAME, 9, content)
     (one,) = import_trials(find_trials(tmp_path))
     assert (one.used, one.left_out) == (5, 0)
-    assert [(finding.problem, finding.left_out) for finding in one.findings] == [("every frame occurs twice", False)]
+    assert [(finding.problem, finding.left_out) for finding in one.findings] == [
+        ("every frame occurs twice", False)
+    ]
 
 
 def test_the_home_of_nobody_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("GAUGE_DATA_DIR", "~nosuchuser/x")
-    with pytest.raises(DatasetError, match="GAUGE_DATA_DIR=~nosuchuser/x: the home folder is unknown"):
+    with pytest.raises(
+        DatasetError, match="GAUGE_DATA_DIR=~nosuchuser/x: the home folder is unknown"
+    ):
         user_data_folder()

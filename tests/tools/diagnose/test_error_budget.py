@@ -47,7 +47,9 @@ SLIDE, BALL, SWING, DRIVEN, HELD = (
 GRAVITY_MM_S2 = 9806.65
 GRAVITY_M_PER_S2 = np.array([0.0, 0.0, -9.80665])
 FLOOR_MM = 43.297  # Height of the ball's centre where it touches the ground of BouncingBall-rubber.
-QUICK = settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+QUICK = settings(
+    max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 
 
 def band(mean, *, grade=BandGrade.TRIALS, measured=None, sigma=1.0, **changes):
@@ -83,19 +85,33 @@ def part(diagnosis: Diagnosis, stage: BudgetStage) -> StagePart:
 
 
 def change(part, quantity, coordinate=None):
-    return next(c for c in part.changes if c.quantity == quantity and coordinate in (c.coordinate, None))
+    return next(
+        c
+        for c in part.changes
+        if c.quantity == quantity and coordinate in (c.coordinate, None)
+    )
 
 
 def assert_consistent(diagnosis):
     """Parts and rest are the whole, in squares, in falls of the RMSE, and along each coordinate."""
     whole, rest, parts = diagnosis.mean_square, diagnosis.rest, diagnosis.parts
     tiny = 1e-12 * whole
-    assert math.isclose(sum(p.explained for p in parts) + rest.mean_square, whole, rel_tol=1e-12)
-    assert math.isclose(sum(p.rmse_before - p.rmse_after for p in parts) + rest.rmse, diagnosis.rmse, rel_tol=1e-9)
+    assert math.isclose(
+        sum(p.explained for p in parts) + rest.mean_square, whole, rel_tol=1e-12
+    )
+    assert math.isclose(
+        sum(p.rmse_before - p.rmse_after for p in parts) + rest.rmse,
+        diagnosis.rmse,
+        rel_tol=1e-9,
+    )
     if whole:
         assert math.isclose(sum(p.share for p in parts) + rest.share, 1.0, rel_tol=1e-9)
-    by_coordinate = np.sum([p.by_coordinate for p in parts], axis=0) + rest.by_coordinate
-    np.testing.assert_allclose(by_coordinate, diagnosis.by_coordinate, rtol=1e-9, atol=tiny)
+    by_coordinate = (
+        np.sum([p.by_coordinate for p in parts], axis=0) + rest.by_coordinate
+    )
+    np.testing.assert_allclose(
+        by_coordinate, diagnosis.by_coordinate, rtol=1e-9, atol=tiny
+    )
     assert math.isclose(sum(diagnosis.by_coordinate), whole, rel_tol=1e-12)
     assert parts[0].alone_share == parts[0].share
     assert math.isclose(parts[-1].last_share, parts[-1].share, abs_tol=1e-12)
@@ -103,7 +119,12 @@ def assert_consistent(diagnosis):
         assert part.explained >= 0.0
         assert part.last_share >= 0.0
         assert 0.0 <= part.alone_share <= 1.0
-        assert math.isclose(sum(part.by_coordinate), part.explained, rel_tol=1e-9, abs_tol=1e-12 * max(whole, 1.0))
+        assert math.isclose(
+            sum(part.by_coordinate),
+            part.explained,
+            rel_tol=1e-9,
+            abs_tol=1e-12 * max(whole, 1.0),
+        )
 
 
 # --- planted errors --------------------------------------------------------------------------------------------------
@@ -111,7 +132,9 @@ def assert_consistent(diagnosis):
 
 def slide(acceleration_mm_s2, *, start_mm=0.0, late_s=0.0):
     def motion_at(times):
-        displacement_mm = start_mm + 0.5 * acceleration_mm_s2 * np.maximum(times - late_s, 0.0) ** 2
+        displacement_mm = (
+            start_mm + 0.5 * acceleration_mm_s2 * np.maximum(times - late_s, 0.0) ** 2
+        )
         return displacement_mm[:, None] * [0.8, 0.0, -0.6] + [97.0, 407.0, 359.0]
 
     return motion_at
@@ -125,26 +148,40 @@ def slide(acceleration_mm_s2, *, start_mm=0.0, late_s=0.0):
     start_mm=st.floats(-5.0, 5.0),
 )
 @example(late_s=0.03, offset_mm=4.0, ratio=1.05, start_mm=0.0)
-def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, ratio, start_mm):
+def test_a_slide_gives_back_release_offset_and_acceleration(
+    late_s, offset_mm, ratio, start_mm
+):
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
     # The simulation runs longer, so that nothing is held at its end where reality is let go earlier.
     times, values = samples(count + 6, slide(2600.0, start_mm=start_mm))
-    real = slide(2600.0 * ratio, start_mm=start_mm + offset_mm, late_s=late_s)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
+    real = slide(2600.0 * ratio, start_mm=start_mm + offset_mm, late_s=late_s)(
+        frames_s(count)
+    )
+    diagnosis = diagnose_trajectory(
+        experiment, band(real), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.UNIFORM_ACCELERATION
     found = part(diagnosis, BudgetStage.RATE)
     if late_s >= 0.0:
         assert diagnosis.rest.rmse < 0.02
         assert change(found, "release_time").fitted == pytest.approx(late_s, abs=5e-4)
-        assert change(found, "offset", "x").fitted == pytest.approx(0.8 * offset_mm, abs=0.05)
-        assert change(found, "offset", "z").fitted == pytest.approx(-0.6 * offset_mm, abs=0.05)
-        assert change(found, "acceleration").fitted == pytest.approx(2.6 * ratio, rel=3e-3)
+        assert change(found, "offset", "x").fitted == pytest.approx(
+            0.8 * offset_mm, abs=0.05
+        )
+        assert change(found, "offset", "z").fitted == pytest.approx(
+            -0.6 * offset_mm, abs=0.05
+        )
+        assert change(found, "acceleration").fitted == pytest.approx(
+            2.6 * ratio, rel=3e-3
+        )
     assert change(found, "acceleration").simulated == pytest.approx(2.6, rel=1e-3)
 
 
-@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"])
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]
+)
 def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     experiment = load_experiment(name)
     real = reference_band(experiment)
@@ -153,9 +190,15 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     times, simulated = samples(count, motion_at)
     late_s, offset_mm, ratio = 0.03, 4.0, 1.05
     start = simulated[0]
-    late = start + offset_mm + ratio * (motion_at(np.maximum(frames_s(count) - late_s, 0.0)) - start)
+    late = (
+        start
+        + offset_mm
+        + ratio * (motion_at(np.maximum(frames_s(count) - late_s, 0.0)) - start)
+    )
     planted = replace(real, mean=late[:, None])
-    diagnosis = diagnose_trajectory(experiment, planted, times_s=times, values=simulated[:, None] * real.projection)
+    diagnosis = diagnose_trajectory(
+        experiment, planted, times_s=times, values=simulated[:, None] * real.projection
+    )
     assert_consistent(diagnosis)
     # Samples are joined linearly, which is 0.01 mm off between them.
     assert diagnosis.rest.rmse < 0.02
@@ -175,7 +218,9 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=FL
         since = np.maximum(times - late_s, 0.0)
         flight = since - fall_s
         falling = floor_mm + drop_mm - 0.5 * GRAVITY_MM_S2 * since**2
-        rising = floor_mm + restitution * speed * flight - 0.5 * GRAVITY_MM_S2 * flight**2
+        rising = (
+            floor_mm + restitution * speed * flight - 0.5 * GRAVITY_MM_S2 * flight**2
+        )
         height = np.where(flight < 0.0, falling, rising) + raised_mm
         return np.column_stack([0.0 * times, 0.0 * times, height])
 
@@ -184,7 +229,10 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=FL
 
 @QUICK
 @given(
-    real=st.floats(0.5, 0.95), simulated=st.floats(0.5, 0.95), late_s=st.floats(0.0, 0.1), raised_mm=st.floats(-9, 9)
+    real=st.floats(0.5, 0.95),
+    simulated=st.floats(0.5, 0.95),
+    late_s=st.floats(0.0, 0.1),
+    raised_mm=st.floats(-9, 9),
 )
 @example(real=0.737, simulated=0.577, late_s=0.06, raised_mm=-7.0)
 @example(real=0.5, simulated=0.5625, late_s=0.001953125, raised_mm=0.0)
@@ -193,7 +241,9 @@ def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
     count = experiment.frame_count
     times, values = samples(count, bounce(simulated))
     mean = bounce(real, late_s=late_s, raised_mm=raised_mm)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.REBOUND
     # Between the samples on either side of the impact, w apart, the height is taken as linear: this cuts the corner, a
@@ -218,7 +268,11 @@ def swing(period_s, *, amplitude_mm=150.0, late_s=0.0, centre):
 
 @pytest.mark.slow
 @QUICK
-@given(period=st.floats(0.8, 1.25), amplitude=st.floats(0.7, 1.4), late_s=st.floats(0.0, 0.1))
+@given(
+    period=st.floats(0.8, 1.25),
+    amplitude=st.floats(0.7, 1.4),
+    late_s=st.floats(0.0, 0.1),
+)
 @example(period=1.0 / 1.08, amplitude=1.0, late_s=0.0)
 @example(period=1.08, amplitude=1.0, late_s=0.0)
 def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
@@ -228,8 +282,12 @@ def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
     centre = 1e3 * (np.array(joint.anchor_m) - [0.0, 0.0, arm_m])
     count = 150
     times, values = samples(count, swing(1.2, centre=centre))
-    real = swing(1.2 * period, amplitude_mm=150.0 * amplitude, late_s=late_s, centre=centre)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
+    real = swing(
+        1.2 * period, amplitude_mm=150.0 * amplitude, late_s=late_s, centre=centre
+    )(frames_s(count))
+    diagnosis = diagnose_trajectory(
+        experiment, band(real), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.OSCILLATION
     found = part(diagnosis, BudgetStage.RATE)
@@ -243,11 +301,18 @@ def winding(times):
     """A motion along three axes that is neither uniform nor periodic and comes to rest at its end."""
     phase = np.clip(times / 1.5, 0.0, 1.0)
     eased = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
-    return np.column_stack([200.0 * eased, 60.0 * np.sin(3.0 * np.pi * eased), 300.0 - 80.0 * eased**2])
+    return np.column_stack(
+        [200.0 * eased, 60.0 * np.sin(3.0 * np.pi * eased), 300.0 - 80.0 * eased**2]
+    )
 
 
 @QUICK
-@given(speed=st.floats(0.9, 1.12), larger=st.floats(0.9, 1.1), late_s=st.floats(0.0, 0.1), offset_mm=st.floats(-5, 5))
+@given(
+    speed=st.floats(0.9, 1.12),
+    larger=st.floats(0.9, 1.1),
+    late_s=st.floats(0.0, 0.1),
+    offset_mm=st.floats(-5, 5),
+)
 def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, offset_mm):
     experiment = load_experiment(DRIVEN)
     count = experiment.frame_count
@@ -255,7 +320,9 @@ def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, off
     played = winding(speed * np.maximum(frames_s(count) - late_s, 0.0))
     start = winding(np.zeros(1))
     real = start + larger * (played - start) + [offset_mm, 0.0, -offset_mm]
-    diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(real), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.GENERAL
     assert diagnosis.rest.rmse < 0.1
@@ -278,9 +345,9 @@ def wild(draw):
     count = load_experiment(DRIVEN).frame_count
 
     def motion_at(times):
-        angles = generator.uniform(0.0, 12.0, (waves, 3)) * times[:, None, None] + generator.uniform(
-            0.0, 6.0, (waves, 3)
-        )
+        angles = generator.uniform(0.0, 12.0, (waves, 3)) * times[
+            :, None, None
+        ] + generator.uniform(0.0, 6.0, (waves, 3))
         return (generator.normal(0.0, 30.0, (waves, 3)) * np.sin(angles)).sum(axis=1)
 
     mean = motion_at(frames_s(count))
@@ -293,9 +360,13 @@ def wild(draw):
 def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
     mean, times, values = drawn
     experiment = load_experiment(DRIVEN)
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
-    assert diagnosis.rmse == pytest.approx(trajectory_rmse(values[::6], mean), rel=1e-12)
+    assert diagnosis.rmse == pytest.approx(
+        trajectory_rmse(values[::6], mean), rel=1e-12
+    )
 
 
 @pytest.mark.slow
@@ -306,7 +377,9 @@ def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
     experiment = load_experiment(DRIVEN)
     rests = []
     for order in itertools.permutations(DEFAULT_ORDER):
-        diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values, order=order)
+        diagnosis = diagnose_trajectory(
+            experiment, band(mean), times_s=times, values=values, order=order
+        )
         assert_consistent(diagnosis)
         assert tuple(part.stage for part in diagnosis.parts) == order
         rests.append((diagnosis.mean_square, diagnosis.rest.mean_square))
@@ -320,21 +393,34 @@ def test_the_search_finds_what_a_dense_grid_finds():
     count = experiment.frame_count
 
     def motion_at(times):
-        return np.column_stack([50.0 * np.sin(14.0 * times), 30.0 * np.cos(23.0 * times), 5.0 * times])
+        return np.column_stack(
+            [50.0 * np.sin(14.0 * times), 30.0 * np.cos(23.0 * times), 5.0 * times]
+        )
 
     times, values = samples(2 * count, motion_at)
     mean = motion_at(1.3 * np.maximum(frames_s(count) - 0.11, 0.0))
     diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values, order=("rate", "release", "offset")
+        experiment,
+        band(mean),
+        times_s=times,
+        values=values,
+        order=("rate", "release", "offset"),
     )
     start = values[0]
     least = math.inf
-    for shift, rate in itertools.product(np.linspace(-1 / 3, 1 / 3, 161), np.linspace(0.6, 1.6, 201)):
+    for shift, rate in itertools.product(
+        np.linspace(-1 / 3, 1 / 3, 161), np.linspace(0.6, 1.6, 201)
+    ):
         own = rate * np.clip(frames_s(count) - shift, 0.0, times[-1])
-        moved = np.column_stack([np.interp(own, times, column) for column in values.T]) - start
+        moved = (
+            np.column_stack([np.interp(own, times, column) for column in values.T])
+            - start
+        )
         scale = np.clip(np.sum(moved * (mean - start)) / np.sum(moved**2), 0.5, 2.0)
         least = min(least, np.mean(np.sum((mean - start - scale * moved) ** 2, axis=1)))
-    together = diagnosis.mean_square - sum(part.explained for part in diagnosis.parts[:2])
+    together = diagnosis.mean_square - sum(
+        part.explained for part in diagnosis.parts[:2]
+    )
     assert together <= least * (1.0 + 1e-9)
     assert change(diagnosis.parts[1], "speed").fitted == pytest.approx(1.3, abs=5e-3)
 
@@ -372,12 +458,16 @@ def test_release_is_the_alignment_of_the_score(ball):
     assert change(release, "release_time").fitted == ball.score.release_offset_s
 
 
-@pytest.mark.parametrize(("material", "real_m_s2"), [("wood", 2.719), ("plastic", 2.898), ("metal", 2.603)])
+@pytest.mark.parametrize(
+    ("material", "real_m_s2"), [("wood", 2.719), ("plastic", 2.898), ("metal", 2.603)]
+)
 def test_slides_accelerate_as_the_trials_do(material, real_m_s2):
     """Against the mean acceleration of the trials, fitted to each (scoring/facts/slope_slider_30deg_summary.toml)."""
     diagnosis = diagnose(run_episode(RunRequest(f"SlopeSlider-2-{material}")))
     assert diagnosis.rest.rmse < 0.6
-    assert change(part(diagnosis, BudgetStage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
+    assert change(
+        part(diagnosis, BudgetStage.RATE), "acceleration"
+    ).fitted == pytest.approx(real_m_s2, rel=0.01)
 
 
 def test_measured_frames_alone_are_another_whole(ball):
@@ -396,7 +486,9 @@ def test_published_engines_have_no_split(ball):
     lines = published_baselines(BALL)
     newton = diagnosis.published["newton"]
     assert newton.rmse == pytest.approx(22.71 * lines["rmse"].mean)
-    assert newton.dtw_over_rmse == pytest.approx(14.89 * lines["dtw"].mean / (22.71 * lines["rmse"].mean))
+    assert newton.dtw_over_rmse == pytest.approx(
+        14.89 * lines["dtw"].mean / (22.71 * lines["rmse"].mean)
+    )
     assert diagnosis.dtw_over_rmse == pytest.approx(ball.score.dtw / ball.score.rmse)
     assert "needs the trajectory" in diagnosis.published_note
 
@@ -408,25 +500,36 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
     experiment = load_experiment(HELD)
     count = experiment.frame_count
     place = np.tile([17.0, 397.0, 211.0], (count, 1))
-    times, values = samples(count, lambda times: np.tile([18.0, 397.0, 209.0], (len(times), 1)))
+    times, values = samples(
+        count, lambda times: np.tile([18.0, 397.0, 209.0], (len(times), 1))
+    )
     law = carried_band(variant=HELD, positions_mm=place)
     diagnosis = diagnose_trajectory(experiment, law, times_s=times, values=values)
     assert_consistent(diagnosis)
     assert "law" in part(diagnosis, BudgetStage.RELEASE).missing
     assert "does not move" in part(diagnosis, BudgetStage.RATE).missing
     assert part(diagnosis, BudgetStage.OFFSET).share == pytest.approx(1.0)
-    assert [c.fitted for c in part(diagnosis, BudgetStage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
+    assert [
+        c.fitted for c in part(diagnosis, BudgetStage.OFFSET).changes
+    ] == pytest.approx([-1.0, 0.0, 2.0])
     assert findings(diagnosis)[0].startswith("Release does not apply")
 
 
 def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1)))
+    times, values = samples(
+        count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1))
+    )
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     assert_consistent(diagnosis)
-    assert part(diagnosis, BudgetStage.RATE).missing == "the simulation does not move, so it has no rate"
+    assert (
+        part(diagnosis, BudgetStage.RATE).missing
+        == "the simulation does not move, so it has no rate"
+    )
     assert change(part(diagnosis, BudgetStage.RELEASE), "release_time").fitted == 0.0
     assert part(diagnosis, BudgetStage.RELEASE).share == 0.0
 
@@ -435,9 +538,13 @@ def test_no_error_is_no_budget():
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
     times, values = samples(count, slide(2600.0))
-    diagnosis = diagnose_trajectory(experiment, band(values[::6]), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(values[::6]), times_s=times, values=values
+    )
     assert (diagnosis.rmse, diagnosis.rest.share) == (0.0, 0.0)
-    assert findings(diagnosis) == ("The simulation is on the mean of the band: there is no error to explain.",)
+    assert findings(diagnosis) == (
+        "The simulation is on the mean of the band: there is no error to explain.",
+    )
 
 
 def test_limits_are_reported():
@@ -445,7 +552,9 @@ def test_limits_are_reported():
     count = experiment.frame_count
     times, values = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     rate = change(part(diagnosis, BudgetStage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
@@ -458,7 +567,9 @@ def test_a_part_that_another_can_replace_is_reported():
     count = experiment.frame_count
     times, values = samples(count + 10, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     assert part(diagnosis, BudgetStage.RELEASE).share > 0.5
     assert part(diagnosis, BudgetStage.RELEASE).last_share < 1e-3
     assert part(diagnosis, BudgetStage.RATE).alone_share > 0.999
@@ -473,7 +584,9 @@ def test_speed_and_displacement_that_cannot_be_separated_are_noted():
     count = experiment.frame_count
     times, values = samples(count, slide(100.0))
     mean = slide(140.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values
+    )
     assert diagnosis.rest.share < 1e-4
     assert any("its split between them is not" in note for note in diagnosis.notes)
 
@@ -488,17 +601,30 @@ def test_a_second_impact_ends_the_first_flight():
     height = bounce(0.3)(times)[:, 2:]
     later = times > until_s
     flight = times[later] - until_s
-    height[later, 0] = FLOOR_MM + 0.09 * GRAVITY_MM_S2 * fall_s * flight - 0.5 * GRAVITY_MM_S2 * flight**2
-    impact = find_impact(times, height, gravity_m_per_s2=GRAVITY_M_PER_S2[2:], contact_mm=np.array([FLOOR_MM]))
+    height[later, 0] = (
+        FLOOR_MM
+        + 0.09 * GRAVITY_MM_S2 * fall_s * flight
+        - 0.5 * GRAVITY_MM_S2 * flight**2
+    )
+    impact = find_impact(
+        times,
+        height,
+        gravity_m_per_s2=GRAVITY_M_PER_S2[2:],
+        contact_mm=np.array([FLOOR_MM]),
+    )
     assert impact is not None
     assert impact.restitution == pytest.approx(0.3, abs=1e-3)
     assert impact.time_s == pytest.approx(fall_s, abs=1e-5)
     assert impact.until_s == pytest.approx(until_s, abs=2.0 / 180.0)
 
 
-@pytest.mark.parametrize("motion_at", [slide(2600.0), lambda times: np.zeros((len(times), 3)), winding])
+@pytest.mark.parametrize(
+    "motion_at", [slide(2600.0), lambda times: np.zeros((len(times), 3)), winding]
+)
 def test_there_is_no_impact_where_nothing_rebounds(motion_at):
-    assert find_impact(*samples(30, motion_at), gravity_m_per_s2=GRAVITY_M_PER_S2) is None
+    assert (
+        find_impact(*samples(30, motion_at), gravity_m_per_s2=GRAVITY_M_PER_S2) is None
+    )
 
 
 # --- requests --------------------------------------------------------------------------------------------------------
@@ -507,7 +633,9 @@ def test_there_is_no_impact_where_nothing_rebounds(motion_at):
 @pytest.fixture
 def gauge(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
+    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
+        app, list(map(str, arguments))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -519,10 +647,19 @@ def test_what_is_missing_is_reported(ball, unscored):
     with pytest.raises(DiagnosisError, match="no reference band"):
         diagnose(unscored)
     with pytest.raises(DiagnosisError, match="diverged, so there is no score"):
-        diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
+        diagnose(
+            replace(
+                ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"
+            )
+        )
     with pytest.raises(DiagnosisError, match="withheld"):
         experiment = load_experiment("CantileverBeam-soft")
-        diagnose_trajectory(experiment, reference_band(experiment), times_s=np.zeros(1), values=np.zeros((1, 3)))
+        diagnose_trajectory(
+            experiment,
+            reference_band(experiment),
+            times_s=np.zeros(1),
+            values=np.zeros((1, 3)),
+        )
     other = replace(
         ball,
         trajectory=replace(
@@ -536,7 +673,10 @@ def test_what_is_missing_is_reported(ball, unscored):
         diagnose(other)
 
 
-@pytest.mark.parametrize("order", [[], ["release"], ["release", "offset", "offset"], ["release", "offset", "speed"]])
+@pytest.mark.parametrize(
+    "order",
+    [[], ["release"], ["release", "offset", "offset"], ["release", "offset", "speed"]],
+)
 def test_an_order_is_each_stage_once(order):
     with pytest.raises(ParameterError, match="each of release, offset, rate once"):
         stage_order(order)
@@ -555,7 +695,9 @@ def test_trajectories_that_do_not_fit_are_refused():
         {"values": values[:, :2]},
     ):
         with pytest.raises(ShapeError):
-            diagnose_trajectory(experiment, mean, **({"times_s": times, "values": values} | wrong))
+            diagnose_trajectory(
+                experiment, mean, **({"times_s": times, "values": values} | wrong)
+            )
     with pytest.raises(DiagnosisError, match="no measured frame"):
         diagnose_trajectory(
             experiment,
@@ -600,16 +742,30 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
     write_result(unscored, tmp_path / "cradle.json")
     alone = gauge("diagnose", "ball.json", "--json")
     assert alone.exit_code == 0
-    assert [json.loads(line)["id"] for line in alone.stdout.splitlines()] == ["GAUGE/BouncingBall-rubber"]
+    assert [json.loads(line)["id"] for line in alone.stdout.splitlines()] == [
+        "GAUGE/BouncingBall-rubber"
+    ]
     write_result(near := run_episode(RunRequest(SLIDE)), tmp_path / "slide.json")
     assert near.score.rmse_normalized < ball.score.rmse_normalized
     ordered = gauge("diagnose", "slide.json", "ball.json", "--json")
-    assert [json.loads(line)["id"] for line in ordered.stdout.splitlines()] == [ball.id, near.id], "worst first"
+    assert [json.loads(line)["id"] for line in ordered.stdout.splitlines()] == [
+        ball.id,
+        near.id,
+    ], "worst first"
     both = gauge("diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
     assert both.exit_code == 0
     assert "is let go" in both.stdout
-    assert "left out: GAUGE/Turntable-3-plastic: there is no reference band" in both.stderr
-    drawn = gauge("plot", "--kind", "diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
+    assert (
+        "left out: GAUGE/Turntable-3-plastic: there is no reference band" in both.stderr
+    )
+    drawn = gauge(
+        "plot",
+        "--kind",
+        "diagnose",
+        "ball.json",
+        "cradle.json",
+        "order=rate,release,offset",
+    )
     assert (drawn.exit_code, drawn.stdout) == (0, "plots/diagnosis.png\n")
     assert (tmp_path / "plots" / "diagnosis.png").exists()
     none = gauge("diagnose", "cradle.json")
@@ -624,7 +780,10 @@ def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
     times, values = samples(load_experiment(SLIDE).frame_count, slide(2600.0))
     rows = [
         "time_s,cube.x,cube.y,cube.z",
-        *(",".join(f"{v:.6f}" for v in (t, *g)) for t, g in zip(times, values, strict=True)),
+        *(
+            ",".join(f"{v:.6f}" for v in (t, *g))
+            for t, g in zip(times, values, strict=True)
+        ),
     ]
     (tmp_path / "mine.csv").write_text("\n".join(rows))
     result = gauge("diagnose", "mine.csv", "--id", SLIDE, "--json")

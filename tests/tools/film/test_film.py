@@ -16,7 +16,13 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.envs.pictures import Pictures
-from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, RenderError, ResultFileError
+from gauge_envs.errors import (
+    GaugeError,
+    MissingExtraError,
+    ParameterError,
+    RenderError,
+    ResultFileError,
+)
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.rendering import renderer
@@ -28,7 +34,13 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film.film import FilmOptions, film_times, results_of_one_experiment, save_film, save_strip
+from gauge_envs.tools.film.film import (
+    FilmOptions,
+    film_times,
+    results_of_one_experiment,
+    save_film,
+    save_strip,
+)
 from gauge_envs.tools.film.layout import _Scale
 from gauge_envs.tools.film.panel import SimulatedPanel, Take, score_line, take_of
 
@@ -43,7 +55,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of the ball on two engines, with different restitutions."""
     pytest.importorskip("rapier3d", reason="extra 'rapier' is not installed")
     path = tmp_path_factory.mktemp("results")
-    requests = [RunRequest(BALL), RunRequest(BALL, backend="rapier", parameters="effective")]
+    requests = [
+        RunRequest(BALL),
+        RunRequest(BALL, backend="rapier", parameters="effective"),
+    ]
     list(run_many(requests, out=path))
     return path
 
@@ -68,11 +83,15 @@ def picture_place() -> tuple[slice, slice]:
 
 def decoded(file: Path) -> tuple[list[np.ndarray], float]:
     """Frames of an MP4 and its rate."""
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    imageio_ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="extra 'video' is not installed"
+    )
     stream = imageio_ffmpeg.read_frames(str(file))
     facts = next(stream)
     width, height = facts["size"]
-    return [np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in stream], facts["fps"]
+    return [
+        np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in stream
+    ], facts["fps"]
 
 
 def shown(file: Path) -> tuple[list[np.ndarray], float]:
@@ -90,7 +109,9 @@ def shown(file: Path) -> tuple[list[np.ndarray], float]:
 
 
 @needs_opengl
-def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / "folder" / "ball.mp4"
     options = FilmOptions(**SIZE, fps=10, speed=0.5, hold_s=0.4)
@@ -107,7 +128,9 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
     distances = []
     for time_s in (0.2, 0.25, 0.3):
         expected = panel.picture(time_s).astype(int)
-        distances.append([np.abs(frame[rows, columns] - expected).mean() for frame in frames])
+        distances.append(
+            [np.abs(frame[rows, columns] - expected).mean() for frame in frames]
+        )
     panel.close()
     # The picture of each time is nearest to the frame that the clock gives it.
     assert np.argmin(distances, axis=1).tolist() == [4, 5, 6]
@@ -117,9 +140,13 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
-def test_other_formats_have_the_length_of_the_film(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
+def test_other_formats_have_the_length_of_the_film(
+    results: dict[Path, Result], tmp_path: Path, suffix: str
+) -> None:
     out = tmp_path / f"ball{suffix}"
-    save_film(results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5))
+    save_film(
+        results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5)
+    )
     frames, length_s = shown(out)
     # Equal frames may be joined; a tick of a GIF is 10 ms.
     assert len(frames) == 7
@@ -127,7 +154,9 @@ def test_other_formats_have_the_length_of_the_film(results: dict[Path, Result], 
 
 
 @needs_opengl
-def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_a_strip_shows_the_poses_of_g_at_its_times(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
     sheet = np.asarray(Image.open(tmp_path / "ball.png"))
     file, result = next(iter(results.items()))
@@ -139,12 +168,21 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], 
     own = Pictures("rgb_array", **SIZE)
     panel = SimulatedPanel(take, title="", detail="", **SIZE)
     for column, time_s in enumerate((0.0, 0.2, 0.4)):
-        drawn = sheet[rows, columns.start + column * step : columns.stop + column * step].astype(int)
+        drawn = sheet[
+            rows, columns.start + column * step : columns.stop + column * step
+        ].astype(int)
         sample = int(np.argmin(np.abs(times_s - time_s)))
         pose = np.array([*1e-3 * samples[sample], 1.0, 0.0, 0.0, 0.0])
         overlay = panel.overlay(time_s, {"ball": pose})
         poses = {"ball": pose}
-        expected = own.draw(take.experiment, {}, band=take.band, poses=poses, nodes_m={}, overlay=overlay)
+        expected = own.draw(
+            take.experiment,
+            {},
+            band=take.band,
+            poses=poses,
+            nodes_m={},
+            overlay=overlay,
+        )
         # A tag with the time covers a corner; rasterizers round a pixel now and then.
         assert np.abs(drawn - expected)[40:].max() <= 12
         assert overlay.markers_m[0] == pytest.approx(1e-3 * samples[sample], abs=1e-6)
@@ -154,7 +192,9 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results: dict[Path, Result], 
 
 @pytest.mark.slow
 @needs_opengl
-def test_the_same_results_give_the_same_pixels(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_the_same_results_give_the_same_pixels(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     sheets = []
     for name in ("one.png", "other.png"):
         save_strip(results, tmp_path / name, FilmOptions(**SIZE), count=2)
@@ -167,7 +207,9 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
     assert FilmOptions(fps=30.0).views_per_frame == 1
     assert FilmOptions(fps=30.0, speed=0.5).views_per_frame == 2
     assert FilmOptions(fps=30.0, speed=0.1).views_per_frame == 6
-    assert film_times(FilmOptions(fps=25.0, speed=0.2, from_s=0.1), 0.2) == pytest.approx(0.1 + 0.008 * np.arange(13))
+    assert film_times(
+        FilmOptions(fps=25.0, speed=0.2, from_s=0.1), 0.2
+    ) == pytest.approx(0.1 + 0.008 * np.arange(13))
 
 
 # --- ghost -----------------------------------------------------------------------------------------------------------
@@ -175,14 +217,29 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
 
 def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
     """Column and row of a point, by a pinhole camera of its own."""
-    view = experiment_view(take.experiment, aspect=width / height, reference=take.reference)
+    view = experiment_view(
+        take.experiment, aspect=width / height, reference=take.reference
+    )
     azimuth, elevation = np.radians([view.azimuth_deg, view.elevation_deg])
-    forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    forward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
     up = np.cross(right, forward)
     away = scene_point_m - (view.target_m - view.distance_m * forward)
-    scale = 0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / (away @ forward)
-    return np.array([0.5 * width + scale * (away @ right), 0.5 * height - scale * (away @ up)]) - 0.5
+    scale = (
+        0.5 * height / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / (away @ forward)
+    )
+    return (
+        np.array(
+            [0.5 * width + scale * (away @ right), 0.5 * height - scale * (away @ up)]
+        )
+        - 0.5
+    )
 
 
 def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
@@ -226,8 +283,12 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
     assert score.rmse_aligned_normalized_95 is not None
     low, high = score.rmse_aligned_normalized_95
     line = score_line(take.result, take.band)
-    assert line.startswith(f"RMSE aligned {score.rmse_aligned_normalized:.2f} [{low:.2f}, {high:.2f}]")
-    lost = replace(take.result, outcome=Outcome.DIVERGED, diverged_reason="left the room")
+    assert line.startswith(
+        f"RMSE aligned {score.rmse_aligned_normalized:.2f} [{low:.2f}, {high:.2f}]"
+    )
+    lost = replace(
+        take.result, outcome=Outcome.DIVERGED, diverged_reason="left the room"
+    )
     assert score_line(lost, take.band) == "diverged: left the room"
 
 
@@ -238,8 +299,13 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
 def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
     takes = [take_of(result, file) for file, result in results.items()]
     plain = [replace(one, reference=None) for one in takes]
-    panels = [SimulatedPanel(one, title="", detail="", width=320, height=240) for one in plain]
-    start, end = ([panel.picture(time_s).astype(int) for panel in panels] for time_s in (0.0, panels[0].last_s))
+    panels = [
+        SimulatedPanel(one, title="", detail="", width=320, height=240) for one in plain
+    ]
+    start, end = (
+        [panel.picture(time_s).astype(int) for panel in panels]
+        for time_s in (0.0, panels[0].last_s)
+    )
     for panel in panels:
         panel.close()
     assert np.abs(start[1] - start[0]).max() <= 12
@@ -249,8 +315,13 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
     places = [one.replay.poses[-1, 0, :3].astype(float) for one in takes]
     # The balls at the end are apart by more than a ball; their pictures span what has changed.
     radius_m = takes[0].experiment.scene.body("ball").shape.radius_m
-    view = experiment_view(takes[0].experiment, aspect=320 / 240, reference=takes[0].reference)
-    tops = [pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1] for place in places]
+    view = experiment_view(
+        takes[0].experiment, aspect=320 / 240, reference=takes[0].reference
+    )
+    tops = [
+        pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1]
+        for place in places
+    ]
     assert abs(tops[0] - tops[1]) > 10
     assert rows.min() == pytest.approx(min(tops), abs=2)
 
@@ -263,7 +334,11 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 
     def without_rapier(name: str) -> dict[str, str]:
         if name == "rapier":
-            raise MissingExtraError("backend 'rapier'", "rapier", ImportError("no rapier3d", name="rapier3d"))
+            raise MissingExtraError(
+                "backend 'rapier'",
+                "rapier",
+                ImportError("no rapier3d", name="rapier3d"),
+            )
         return versions_of(name)
 
     for file in folder.glob("*.npz"):
@@ -271,7 +346,9 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
     out = tmp_path / "ball.png"
     shape = ["width=160", "height=120", "strip=2"]
-    run = CliRunner().invoke(app, ["video", "film", str(folder), "--out", str(out), *shape])
+    run = CliRunner().invoke(
+        app, ["video", "film", str(folder), "--out", str(out), *shape]
+    )
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
     assert "gauge-envs[rapier]" in run.stderr
@@ -287,18 +364,30 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) -> None:
     other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
     mixed = {**results, Path("b.json"): other}
-    with pytest.raises(ResultFileError, match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--only"):
+    with pytest.raises(
+        ResultFileError,
+        match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--only",
+    ):
         results_of_one_experiment(mixed)
-    assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [Path("b.json")]
-    with pytest.raises(ResultFileError, match=r"no result is of Funnel-satin; the results are of: Bouncing"):
+    assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [
+        Path("b.json")
+    ]
+    with pytest.raises(
+        ResultFileError,
+        match=r"no result is of Funnel-satin; the results are of: Bouncing",
+    ):
         results_of_one_experiment(mixed, "Funnel-satin")
     with pytest.raises(ResultFileError, match="gauge run writes them"):
         results_of_one_experiment({})
 
 
 def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text(json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8")
-    run = CliRunner().invoke(app, ["video", "film", str(tmp_path), "--out", str(tmp_path / "a.gif")])
+    (tmp_path / "a.json").write_text(
+        json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8"
+    )
+    run = CliRunner().invoke(
+        app, ["video", "film", str(tmp_path), "--out", str(tmp_path / "a.gif")]
+    )
     assert run.exit_code == 2
     assert "not a result file" in run.stderr
     assert not (tmp_path / "a.gif").exists()
@@ -323,15 +412,31 @@ def test_impossible_options_are_named(changes: dict[str, float], message: str) -
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("a.avi", FilmOptions(), r"a\.avi: the suffix states the format: choose \.mp4, \.webp or \.gif"),
-        ("a.gif", FilmOptions(from_s=9.0), r"from_s is 9 s, and the longest episode ends at 0\.567 s"),
-        ("a.gif", FilmOptions(speed=0.001, fps=120.0), r"would have \d+ frames, at most 20000"),
+        (
+            "a.avi",
+            FilmOptions(),
+            r"a\.avi: the suffix states the format: choose \.mp4, \.webp or \.gif",
+        ),
+        (
+            "a.gif",
+            FilmOptions(from_s=9.0),
+            r"from_s is 9 s, and the longest episode ends at 0\.567 s",
+        ),
+        (
+            "a.gif",
+            FilmOptions(speed=0.001, fps=120.0),
+            r"would have \d+ frames, at most 20000",
+        ),
     ],
     ids=["format", "span", "frames"],
 )
 @needs_opengl
 def test_films_that_cannot_be_made(
-    results: dict[Path, Result], tmp_path: Path, name: str, options: FilmOptions, message: str
+    results: dict[Path, Result],
+    tmp_path: Path,
+    name: str,
+    options: FilmOptions,
+    message: str,
 ) -> None:
     with pytest.raises(ParameterError, match=message):
         save_film(results, tmp_path / name, replace(options, **SIZE))
@@ -342,7 +447,9 @@ def test_an_mp4_without_its_extra_names_it(
     results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"):
+    with pytest.raises(
+        MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"
+    ):
         save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
 
 
@@ -359,8 +466,12 @@ def test_without_opengl_there_is_an_error_and_no_film(
 
 
 @needs_opengl
-@pytest.mark.parametrize("suffix", [".mp4", pytest.param(".gif", marks=pytest.mark.slow)])
-def test_an_interrupted_film_leaves_the_earlier_one(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(
+    "suffix", [".mp4", pytest.param(".gif", marks=pytest.mark.slow)]
+)
+def test_an_interrupted_film_leaves_the_earlier_one(
+    results: dict[Path, Result], tmp_path: Path, suffix: str
+) -> None:
     if suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / f"ball{suffix}"
@@ -377,15 +488,25 @@ def test_an_interrupted_film_leaves_the_earlier_one(results: dict[Path, Result],
 
 
 @needs_opengl
-def test_a_folder_that_is_a_file_is_named(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_a_folder_that_is_a_file_is_named(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
         save_film(results, tmp_path / "file" / "a.gif", FilmOptions(**SIZE, fps=2))
 
 
-def test_too_many_panels_are_refused(results: dict[Path, Result], tmp_path: Path) -> None:
-    many = {Path(f"{index}.json"): result for index in range(7) for result in [next(iter(results.values()))]}
-    many |= {Path(f"more-{index}.json"): result for index, result in enumerate(many.values())}
+def test_too_many_panels_are_refused(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
+    many = {
+        Path(f"{index}.json"): result
+        for index in range(7)
+        for result in [next(iter(results.values()))]
+    }
+    many |= {
+        Path(f"more-{index}.json"): result for index, result in enumerate(many.values())
+    }
     with pytest.raises(ParameterError, match="14 panels: at most 12"):
         save_film(many, tmp_path / "a.gif", FilmOptions(**SIZE))
 
@@ -396,12 +517,16 @@ def test_too_many_panels_are_refused(results: dict[Path, Result], tmp_path: Path
 @pytest.fixture
 def clip(tmp_path: Path) -> Callable[..., Path]:
     """Writes a video of 30 frames, each brighter by 7 levels."""
-    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
+    imageio_ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="extra 'video' is not installed"
+    )
     pytest.importorskip("cv2", reason="extra 'video' is not installed")
 
     def write(fps: float) -> Path:
         file = tmp_path / "real.mp4"
-        stream = imageio_ffmpeg.write_frames(str(file), (64, 32), fps=fps, macro_block_size=2, quality=9)
+        stream = imageio_ffmpeg.write_frames(
+            str(file), (64, 32), fps=fps, macro_block_size=2, quality=9
+        )
         stream.send(None)
         for index in range(30):
             stream.send(np.full((32, 64, 3), 20 + 7 * index, dtype=np.uint8))
@@ -423,11 +548,17 @@ def clip(tmp_path: Path) -> Callable[..., Path]:
     ids=["first", "start", "later", "after the end", "slow motion"],
 )
 def test_a_recording_is_on_the_clock_of_the_simulation(
-    clip: Callable[..., Path], rate_hz: float | None, start_s: float, time_s: float, index: int
+    clip: Callable[..., Path],
+    rate_hz: float | None,
+    start_s: float,
+    time_s: float,
+    index: int,
 ) -> None:
     from gauge_envs.tools.film.panel import RecordedPanel
 
-    panel = RecordedPanel(clip(25.0), start_s=start_s, rate_hz=rate_hz, width=120, height=120)
+    panel = RecordedPanel(
+        clip(25.0), start_s=start_s, rate_hz=rate_hz, width=120, height=120
+    )
     panel.picture(0.0)
     picture = panel.picture(time_s)
     panel.close()
@@ -440,7 +571,9 @@ def test_a_recording_is_on_the_clock_of_the_simulation(
 def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) -> None:
     from gauge_envs.tools.film.panel import RecordedPanel
 
-    with pytest.raises(GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"):
+    with pytest.raises(
+        GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"
+    ):
         RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
 
 

@@ -22,12 +22,16 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path / "gallery.md"
 
 
-def test_what_is_missing_is_named(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_missing_is_named(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = copied.parent / "images" / "gallery"
     (folder / "Carry-Limit-wood.webp").unlink()
     (folder / "Push-Limit-wood.webp").write_bytes(b"")
     (folder / "stray.webp").touch()
-    text = copied.read_text(encoding="utf-8").replace("(images/gallery/Pendulum-Limit-metal.webp)", "(elsewhere.webp)")
+    text = copied.read_text(encoding="utf-8").replace(
+        "(images/gallery/Pendulum-Limit-metal.webp)", "(elsewhere.webp)"
+    )
     copied.write_text(text, encoding="utf-8")
     assert build_gallery.main(["--check", "--page", str(copied)]) == 1
     assert capsys.readouterr().err.splitlines() == [
@@ -38,7 +42,13 @@ def test_what_is_missing_is_named(copied: Path, capsys: pytest.CaptureFixture[st
     ]
 
 
-def test_a_film_that_is_too_large_is_named(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_that_is_too_large_is_named(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(build_gallery, "MOST_FILM_BYTES", 1000)
-    found = build_gallery.faults(copied.read_text(encoding="utf-8"), copied.parent / "images" / "gallery")
-    assert len([fault for fault in found if "larger than 1000 bytes" in fault]) == len(build_gallery.FILMS)
+    found = build_gallery.faults(
+        copied.read_text(encoding="utf-8"), copied.parent / "images" / "gallery"
+    )
+    assert len([fault for fault in found if "larger than 1000 bytes" in fault]) == len(
+        build_gallery.FILMS
+    )

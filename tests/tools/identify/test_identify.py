@@ -16,7 +16,16 @@ from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import (
+    BodyHinge,
+    Box,
+    Hinge,
+    JointDynamics,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
@@ -46,7 +55,15 @@ def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0)
         return [rate, -(MASS_KG * G * LENGTH_M * np.sin(angle) + friction) / inertia]
 
     times_s = np.arange(0.0, 3.0, 0.02)
-    angles = solve_ivp(slopes, (0.0, 3.0), [0.5, 0.0], t_eval=times_s, rtol=1e-9, atol=1e-10, method="LSODA").y[0]
+    angles = solve_ivp(
+        slopes,
+        (0.0, 3.0),
+        [0.5, 0.0],
+        t_eval=times_s,
+        rtol=1e-9,
+        atol=1e-10,
+        method="LSODA",
+    ).y[0]
     noise = NOISE_RAD * np.random.default_rng(1).standard_normal(times_s.size)
     return Log("swing", times_s, (angles + zero_rad + noise)[:, None])
 
@@ -59,12 +76,21 @@ def found_in(log: Log, *names: str, engine: str = "mujoco") -> Identified:
 @pytest.mark.slow
 @pytest.mark.parametrize(("dry", "viscous"), [(0.01, 0.005), (0.02, 0.0), (0.0, 0.01)])
 def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> None:
-    found = found_in(swing(dry=dry, viscous=viscous, armature=0.004, zero_rad=0.1), DRY, VISCOUS, ARMATURE)
+    found = found_in(
+        swing(dry=dry, viscous=viscous, armature=0.004, zero_rad=0.1),
+        DRY,
+        VISCOUS,
+        ARMATURE,
+    )
     truth = {DRY: dry, VISCOUS: viscous, ARMATURE: 0.004}
     scale = {DRY: 0.001, VISCOUS: 0.0005, ARMATURE: 0.0001}
     for one in found.settings:
         assert abs(one.value - truth[one.name]) < scale[one.name], one
-        assert one.low - 0.3 * scale[one.name] <= truth[one.name] <= one.high + 0.3 * scale[one.name], one
+        assert (
+            one.low - 0.3 * scale[one.name]
+            <= truth[one.name]
+            <= one.high + 0.3 * scale[one.name]
+        ), one
         assert bool(one.unknown) == (truth[one.name] == 0.0), one
     (error,) = found.error_rad["swing"]
     assert error == pytest.approx(NOISE_RAD, rel=0.2)
@@ -75,8 +101,12 @@ def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> N
 def test_friction_is_found_on_each_engine(engine: str) -> None:
     """One interval in twenty misses the truth, so each may be off by one and a half of its half width."""
     pytest.importorskip(MODULES.get(engine, engine))
-    truth = {DRY: 0.01, VISCOUS: 0.005} | ({} if engine == "pybullet" else {ARMATURE: 0.004})
-    log = swing(dry=0.01, viscous=0.005, armature=truth.get(ARMATURE, 0.0), zero_rad=0.1)
+    truth = {DRY: 0.01, VISCOUS: 0.005} | (
+        {} if engine == "pybullet" else {ARMATURE: 0.004}
+    )
+    log = swing(
+        dry=0.01, viscous=0.005, armature=truth.get(ARMATURE, 0.0), zero_rad=0.1
+    )
     for one in found_in(log, *truth, engine=engine).settings:
         middle, half = 0.5 * (one.low + one.high), 0.5 * (one.high - one.low)
         assert abs(truth[one.name] - middle) < 1.5 * half, one
@@ -85,7 +115,9 @@ def test_friction_is_found_on_each_engine(engine: str) -> None:
 
 @pytest.mark.slow
 def test_a_viscous_joint_does_not_fit_as_a_dry_one() -> None:
-    (error,) = found_in(swing(dry=0.0, viscous=0.02, armature=0.004), DRY, ARMATURE).error_rad["swing"]
+    (error,) = found_in(
+        swing(dry=0.0, viscous=0.02, armature=0.004), DRY, ARMATURE
+    ).error_rad["swing"]
     assert error > 5.0 * NOISE_RAD
 
 
@@ -100,7 +132,11 @@ def servo_log(*, kp: float, kv: float, delay_s: float) -> Log:
     for start_s, height in edges:
         t = np.maximum(times_s - start_s - delay_s, 0.0)
         decay = np.exp(-damping * frequency * t)
-        angle += height * (1.0 - decay * (np.cos(damped * t) + damping * frequency / damped * np.sin(damped * t)))
+        angle += height * (
+            1.0
+            - decay
+            * (np.cos(damped * t) + damping * frequency / damped * np.sin(damped * t))
+        )
         command += height * (times_s >= start_s)
     noise = NOISE_RAD * np.random.default_rng(2).standard_normal(times_s.size)
     return Log("servo", times_s, (angle + noise)[:, None], command[:, None])
@@ -111,7 +147,12 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
     log = servo_log(kp=0.8, kv=0.02, delay_s=0.05)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
     found = identify(
-        backend("mujoco"), scene, [log], names, settings=STEP, held_out=[servo_log(kp=0.8, kv=0.02, delay_s=0.05)]
+        backend("mujoco"),
+        scene,
+        [log],
+        names,
+        settings=STEP,
+        held_out=[servo_log(kp=0.8, kv=0.02, delay_s=0.05)],
     )
     kp, kv, delay_s = (one.value for one in found.settings)
     # The log states a step of the command as a ramp of 5 ms, whose middle is half of that early.
@@ -127,13 +168,19 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
 
 @pytest.mark.parametrize(
     "engine",
-    [pytest.param(name, marks=pytest.mark.slow) for name in ("rapier", "physx", "pybullet", "drake", "newton")],
+    [
+        pytest.param(name, marks=pytest.mark.slow)
+        for name in ("rapier", "physx", "pybullet", "drake", "newton")
+    ],
 )
 def test_a_servo_is_found_on_each_engine_but_for_its_step(engine: str) -> None:
     """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less."""
     pytest.importorskip(MODULES.get(engine, engine))
     kp, kv = 0.8, 0.02
-    log, scene = servo_log(kp=kp, kv=kv, delay_s=0.05), one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    log, scene = (
+        servo_log(kp=kp, kv=kv, delay_s=0.05),
+        one_joint(MASS_KG, 0.0, INERTIA_KG_M2),
+    )
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
     found = identify(backend(engine), scene, [log], names, settings=STEP)
     found_kp, found_kv, delay_s = (one.value for one in found.settings)
@@ -147,11 +194,16 @@ def test_noise_is_found_although_the_unknowns_take_up_some_of_it() -> None:
     """White and lasting noise of which six slow waves were taken away: its variance, and that of its mean."""
     random, count, share, planted = np.random.default_rng(3), 400, 0.9, []
     times = np.arange(count) / count
-    waves = np.stack([wave(np.pi * k * times) for k in (1, 2, 3) for wave in (np.cos, np.sin)], axis=1)
+    waves = np.stack(
+        [wave(np.pi * k * times) for k in (1, 2, 3) for wave in (np.cos, np.sin)],
+        axis=1,
+    )
     spanned = np.linalg.qr(waves)[0]
     for _ in range(12):
         shocks = random.standard_normal(count + 100) * np.sqrt(1.0 - share**2)
-        noise = lfilter([1.0], [1.0, -share], shocks)[100:] + random.standard_normal(count)
+        noise = lfilter([1.0], [1.0, -share], shocks)[100:] + random.standard_normal(
+            count
+        )
         left = noise - spanned @ (spanned.T @ noise)
         variance, neighbours, decay = _noise([np.column_stack([spanned, left])])
         planted.append((variance, variance + 2.0 * neighbours / (1.0 - decay)))
@@ -163,7 +215,13 @@ def test_noise_is_found_although_the_unknowns_take_up_some_of_it() -> None:
 def test_what_the_log_does_not_tell_apart_is_said() -> None:
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
-    found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
+    found = identify(
+        backend("mujoco"),
+        scene,
+        [servo_log(kp=0.8, kv=0.02, delay_s=0.0)],
+        names,
+        settings=STEP,
+    )
     assert [bool(one.unknown) for one in found.settings] == [False, True, True]
     assert "kv_n_m_s_per_rad" in found.settings[2].unknown
 
@@ -172,7 +230,13 @@ def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
     """Without weight, an armature that is fitted scales with all torques."""
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", ARMATURE)
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
-    found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
+    found = identify(
+        backend("mujoco"),
+        scene,
+        [servo_log(kp=0.8, kv=0.02, delay_s=0.0)],
+        names,
+        settings=STEP,
+    )
     assert all("only ratios of torques" in one.unknown for one in found.settings)
 
 
@@ -183,29 +247,49 @@ def test_an_engine_that_diverges_says_which_step_to_use() -> None:
     assert isinstance(hinge, Hinge)
     still = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
     stated = Servo(command=still, kp_n_m_per_rad=1.0, kv_n_m_s_per_rad=0.01)
-    scene, command = replace(scene, joints=(replace(hinge, motor=stated),)), 0.4 * np.sin(9.0 * times_s)[:, None]
+    scene, command = (
+        replace(scene, joints=(replace(hinge, motor=stated),)),
+        0.4 * np.sin(9.0 * times_s)[:, None],
+    )
     # A servo of first order, 0.02 s behind; the inertia is far too small to be seen.
     lag = np.arctan(9.0 * 0.02)
     start = 0.4 * np.cos(lag) * np.sin(lag) * np.exp(-times_s / 0.02)[:, None]
     measured = 0.4 * np.cos(lag) * np.sin(9.0 * times_s - lag)[:, None] + start
     log, engine = Log("stiff", times_s, measured, command), backend("mujoco")
     settings = {"timestep_s": 1 / 540, "preset": "contact_free"}
-    with pytest.raises(DivergedError, match=r"give timestep_s=0\.000925926 or less; it is 0\.00185185"):
+    with pytest.raises(
+        DivergedError, match=r"give timestep_s=0\.000925926 or less; it is 0\.00185185"
+    ):
         identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings)
-    (kv,) = identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings | {"timestep_s": 1 / 1080}).settings
+    (kv,) = identify(
+        engine,
+        scene,
+        [log],
+        ["kv_n_m_s_per_rad"],
+        settings=settings | {"timestep_s": 1 / 1080},
+    ).settings
     assert kv.value == pytest.approx(0.02, rel=0.02)
 
 
-def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(tmp_path: Path) -> None:
+def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(
+    tmp_path: Path,
+) -> None:
     log = tmp_path / "log.csv"
-    log.write_text("time_s,position_rad\n" + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(60)))
+    log.write_text(
+        "time_s,position_rad\n"
+        + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(60))
+    )
     to_usd(one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2), tmp_path / "arm.usda")
     words = ["recipe", "joint", str(log), f"fit={VISCOUS}"]
     answers = [
         CliRunner().invoke(app, [*words, *load]).stdout
         for load in (
             (f"scene={tmp_path / 'arm.usda'}",),
-            (f"mass_kg={MASS_KG}", f"length_m={LENGTH_M}", f"inertia_kg_m2={INERTIA_KG_M2}"),
+            (
+                f"mass_kg={MASS_KG}",
+                f"length_m={LENGTH_M}",
+                f"inertia_kg_m2={INERTIA_KG_M2}",
+            ),
         )
     ]
     assert VISCOUS in answers[0] and answers[0] == answers[1]
@@ -217,21 +301,39 @@ def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(tmp_path: Path)
 def test_a_chain_is_posed_by_the_angles_of_its_hinges() -> None:
     def link(name: str, height_m: float) -> RigidBody:
         pose = Pose(position_m=(0.0, 0.0, height_m))
-        return RigidBody(name=name, shape=Box(size_m=(0.02, 0.02, 0.2)), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+        return RigidBody(
+            name=name,
+            shape=Box(size_m=(0.02, 0.02, 0.2)),
+            motion=Motion.DYNAMIC,
+            pose=pose,
+            mass_kg=0.1,
+        )
 
     hinge = Hinge(body="upper", anchor_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
-    elbow = BodyHinge(first="lower", second="upper", anchor_m=(0.0, 0.0, -0.2), axis=(0.0, 1.0, 0.0))
+    elbow = BodyHinge(
+        first="lower", second="upper", anchor_m=(0.0, 0.0, -0.2), axis=(0.0, 1.0, 0.0)
+    )
     scene = Scene(
-        bodies=(link("lower", -0.3), link("upper", -0.1)), joints=(hinge,), body_hinges=(elbow,), duration_s=1.0
+        bodies=(link("lower", -0.3), link("upper", -0.1)),
+        joints=(hinge,),
+        body_hinges=(elbow,),
+        duration_s=1.0,
     )
     # A positive angle turns the second body, the upper one, relative to the first: the lower one turns back.
     first, second = 0.3, -0.5
     moved = posed(scene, [first, second], [1.0, 2.0])
     upper, lower = -first, -(first - second)
-    ends = np.array([np.sin(upper), 0.0, -np.cos(upper)]), np.array([np.sin(lower), 0.0, -np.cos(lower)])
+    ends = (
+        np.array([np.sin(upper), 0.0, -np.cos(upper)]),
+        np.array([np.sin(lower), 0.0, -np.cos(lower)]),
+    )
     assert moved.body("upper").pose.position_m == pytest.approx(0.1 * ends[0])
-    assert moved.body("lower").pose.position_m == pytest.approx(0.2 * ends[0] + 0.1 * ends[1])
-    assert moved.body("lower").angular_velocity_rad_per_s == pytest.approx((0.0, 1.0 - 2.0, 0.0))
+    assert moved.body("lower").pose.position_m == pytest.approx(
+        0.2 * ends[0] + 0.1 * ends[1]
+    )
+    assert moved.body("lower").angular_velocity_rad_per_s == pytest.approx(
+        (0.0, 1.0 - 2.0, 0.0)
+    )
 
 
 HEADER = "time_s,position_rad,command_rad\n"
@@ -240,15 +342,27 @@ HEADER = "time_s,position_rad,command_rad\n"
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("time_s,angle\n0,0\n", "position_rad: the column is missing; the file has time_s, angle"),
+        (
+            "time_s,angle\n0,0\n",
+            "position_rad: the column is missing; the file has time_s, angle",
+        ),
         ("", "time_s: the column is missing; the file has none"),
         (HEADER + "0,x,0\n", "row 1 is not a finite number"),
         (HEADER + "0,0\n1,0,0\n", "cannot be read"),
-        ("time_s,position_rad,cmd\n" + "".join(f"{n},0,0\n" for n in range(30)), "cmd: .* swings freely: rename"),
-        ("time_s,position_rad.a,position_rad.b,command_rad.a\n0,0,0,0\n", "command_rad.b: the column is missing"),
+        (
+            "time_s,position_rad,cmd\n" + "".join(f"{n},0,0\n" for n in range(30)),
+            "cmd: .* swings freely: rename",
+        ),
+        (
+            "time_s,position_rad.a,position_rad.b,command_rad.a\n0,0,0,0\n",
+            "command_rad.b: the column is missing",
+        ),
         (HEADER + "".join(f"{n},0,0\n" for n in range(5)), "5 samples: 20 or more"),
         (HEADER + "".join(f"{n % 15},0,0\n" for n in range(30)), "row 16 is not later"),
-        (HEADER + "".join(f"{n},{'nan' if n == 3 else 0},0\n" for n in range(30)), "row 4 is not a finite number"),
+        (
+            HEADER + "".join(f"{n},{'nan' if n == 3 else 0},0\n" for n in range(30)),
+            "row 4 is not a finite number",
+        ),
         ("time_s,position_rad,command_rad,torque_n_m\n" + "0,0,0,0\n", "not both"),
     ],
 )
@@ -261,13 +375,18 @@ def test_a_bad_log_is_explained(tmp_path: Path, text: str, reason: str) -> None:
 
 def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("time_s,position_rad.a,position_rad.b\n" + "".join(f"{n},1,2\n" for n in range(30)))
+    path.write_text(
+        "time_s,position_rad.a,position_rad.b\n"
+        + "".join(f"{n},1,2\n" for n in range(30))
+    )
     log = read_log(path)
     assert log.position_rad.shape == (30, 2)
     with pytest.raises(ParameterError, match="2 joints, and the scene 1 hinges"):
         identify(backend("mujoco"), one_joint(1.0, 0.1), [log], [DRY])
     scene = one_joint(1.0, 0.1)
-    play = replace(scene.hinges[0], dynamics=JointDynamics(armature_kg_m2=0.01, backlash_rad=0.01))
+    play = replace(
+        scene.hinges[0], dynamics=JointDynamics(armature_kg_m2=0.01, backlash_rad=0.01)
+    )
     with pytest.raises(ParameterError, match="backlash_rad, which is not identified"):
         identify(backend("mujoco"), replace(scene, joints=(play,)), [log], [DRY])
 
@@ -275,21 +394,36 @@ def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", ["spreadsheet", "order", "npz"])
 def test_a_log_in_another_form_is_the_same(tmp_path: Path, form: str) -> None:
     times_s = np.arange(30) / 50
-    angles, commands = (np.column_stack([turn(times_s), turn(2 * times_s)]) for turn in (np.sin, np.cos))
+    angles, commands = (
+        np.column_stack([turn(times_s), turn(2 * times_s)]) for turn in (np.sin, np.cos)
+    )
     path = tmp_path / f"log.{'npz' if form == 'npz' else 'csv'}"
     if form == "npz":
         np.savez(path, time_s=times_s, position_rad=angles, command_rad=commands)
     else:
-        kinds = ("position_rad.a", "position_rad.b", "command_rad.b", "command_rad.a", "state")
+        kinds = (
+            "position_rad.a",
+            "position_rad.b",
+            "command_rad.b",
+            "command_rad.a",
+            "state",
+        )
         header = ",".join(("time_s", *kinds))
         rows = [
             f"{t!r},{a!r},{b!r},{d!r},{c!r},on"
-            for t, (a, b), (c, d) in zip(times_s.tolist(), angles.tolist(), commands.tolist(), strict=True)
+            for t, (a, b), (c, d) in zip(
+                times_s.tolist(), angles.tolist(), commands.tolist(), strict=True
+            )
         ]
         text = "\n".join((header, *rows, ""))
         if form == "spreadsheet":
             text = text.replace(",", ";").replace("\n", "\r\n")
-            text = "\ufeff" + text.partition("\n")[0] + "\n" + text.partition("\n")[2].replace(".", ",")
+            text = (
+                "\ufeff"
+                + text.partition("\n")[0]
+                + "\n"
+                + text.partition("\n")[2].replace(".", ",")
+            )
         path.write_bytes(text.encode())
     log = read_log(path)
     assert log.command_rad is not None
@@ -307,28 +441,54 @@ def test_a_servo_without_its_commands_is_not_followed() -> None:
 def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed() -> None:
     errors = {"swing": 0.03, "still": 0.002, "lost": 0.04}
     motion = {"swing": 0.1, "still": 0.002, "lost": 0.1}
-    error_rad, motion_rad = ({name: np.array([one]) for name, one in some.items()} for some in (errors, motion))
-    found = Identified(engine="mujoco", settings=(), joints=(), error_rad=error_rad, motion_rad=motion_rad)
+    error_rad, motion_rad = (
+        {name: np.array([one]) for name, one in some.items()}
+        for some in (errors, motion)
+    )
+    found = Identified(
+        engine="mujoco",
+        settings=(),
+        joints=(),
+        error_rad=error_rad,
+        motion_rad=motion_rad,
+    )
     assert found.lost == ["lost"]
 
 
 def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("time_s,position_rad\n" + "".join(f"{20 * n},{30 * np.cos(0.1 * n)}\n" for n in range(200)))
-    result = CliRunner().invoke(app, ["recipe", "joint", str(path), "mass_kg=1", "length_m=0.2"])
+    path.write_text(
+        "time_s,position_rad\n"
+        + "".join(f"{20 * n},{30 * np.cos(0.1 * n)}\n" for n in range(200))
+    )
+    result = CliRunner().invoke(
+        app, ["recipe", "joint", str(path), "mass_kg=1", "length_m=0.2"]
+    )
     assert result.exit_code == 2, result.output
     said = " ".join(result.stderr.split())
-    assert "samples are 20 s apart, and at least 10 in 0.6 s are needed; time_s is in seconds" in said
+    assert (
+        "samples are 20 s apart, and at least 10 in 0.6 s are needed; time_s is in seconds"
+        in said
+    )
     assert "angles reach 30 rad, 4.8 turns: are they in degrees?" in said
 
 
 def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("time_s,position_rad\n" + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(200)))
+    path.write_text(
+        "time_s,position_rad\n"
+        + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(200))
+    )
     for words, reason in (
         ((), "mass_kg= of the load is missing"),
-        (("mass_kg=1", "length_m=0.2", "fit=kp_n_m_per_rad"), "kp_n_m_per_rad: no number of such a joint"),
-        (("mass_kg=1", "length_m=0.2", "fit=backlash_rad"), "backlash_rad: no number of such a joint"),
+        (
+            ("mass_kg=1", "length_m=0.2", "fit=kp_n_m_per_rad"),
+            "kp_n_m_per_rad: no number of such a joint",
+        ),
+        (
+            ("mass_kg=1", "length_m=0.2", "fit=backlash_rad"),
+            "backlash_rad: no number of such a joint",
+        ),
         (("mass_kg=1", "scene=Pendulum-metal"), "leave mass_kg out"),
     ):
         result = CliRunner().invoke(app, ["recipe", "joint", str(path), *words])

@@ -23,7 +23,11 @@ MASS_KG, LENGTH_M, G = 0.5, 0.2, 9.80665
 RADIUS_M = 0.05 * LENGTH_M
 INERTIA_KG_M2 = 0.4 * MASS_KG * RADIUS_M**2
 STEP_S, STEPS = 1 / 1800, 1440
-DRY, VISCOUS, ARMATURE = "dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2"
+DRY, VISCOUS, ARMATURE = (
+    "dry_friction_n_m",
+    "viscous_friction_n_m_s_per_rad",
+    "armature_kg_m2",
+)
 KP, KV = "kp_n_m_per_rad", "kv_n_m_s_per_rad"
 START_RAD, LIMIT_N_M = 0.5, 0.8
 Angles = NDArray[np.float64]
@@ -74,14 +78,26 @@ def pybullet_angles(lines: str, command: float, torque: Torque) -> Angles:
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
         linkJointAxis=[[0.0, 1.0, 0.0]],
     )
-    client.changeDynamics(body, 0, localInertiaDiagonal=[INERTIA_KG_M2] * 3, linearDamping=0.0, angularDamping=0.0)
+    client.changeDynamics(
+        body,
+        0,
+        localInertiaDiagonal=[INERTIA_KG_M2] * 3,
+        linearDamping=0.0,
+        angularDamping=0.0,
+    )
     client.resetJointState(body, 0, START_RAD)
     names = ("changeDynamics", "setJointMotorControl2")
-    exec(lines, {"body": body, "VELOCITY_CONTROL": pybullet.VELOCITY_CONTROL} | {n: getattr(client, n) for n in names})
+    exec(
+        lines,
+        {"body": body, "VELOCITY_CONTROL": pybullet.VELOCITY_CONTROL}
+        | {n: getattr(client, n) for n in names},
+    )
     angles = [START_RAD]
     for _ in range(STEPS):
         angle, rate = client.getJointState(body, 0)[:2]
-        client.setJointMotorControl2(body, 0, pybullet.TORQUE_CONTROL, force=torque(angle, rate))
+        client.setJointMotorControl2(
+            body, 0, pybullet.TORQUE_CONTROL, force=torque(angle, rate)
+        )
         client.stepSimulation()
         angles.append(client.getJointState(body, 0)[0])
     client.disconnect()
@@ -102,7 +118,9 @@ def physx_angles(lines: str, command: float, torque: Torque) -> Angles:
     link = builder.create_link_builder(root)
     turn = sapien.Pose(q=[np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
     link.set_joint_properties("revolute", [[-np.inf, np.inf]], turn, turn)
-    link.set_mass_and_inertia(MASS_KG, sapien.Pose([0.0, 0.0, -LENGTH_M]), [INERTIA_KG_M2] * 3)
+    link.set_mass_and_inertia(
+        MASS_KG, sapien.Pose([0.0, 0.0, -LENGTH_M]), [INERTIA_KG_M2] * 3
+    )
     arm = builder.build(fix_root_link=True)
     (joint,) = arm.active_joints
     for part in arm.links:
@@ -126,17 +144,33 @@ def rapier_angles(lines: str, command: float, torque: Torque) -> Angles:
     # A link starts where both frames agree, which is angle 0 of its motor.
     start = Rotation.from_euler("y", START_RAD)
     turn = Rotation.from_euler("z", 90, degrees=True)
-    place = rapier.Isometry3(tuple(start.apply([0.0, 0.0, -LENGTH_M])), tuple(start.as_quat()))
-    mass = rapier.MassProperties((0.0, 0.0, 0.0), MASS_KG, (INERTIA_KG_M2,) * 3, (0.0, 0.0, 0.0, 1.0))
-    bob = world.add_body(rapier.RigidBody.dynamic().position(place).additional_mass_properties(mass).can_sleep(False))
+    place = rapier.Isometry3(
+        tuple(start.apply([0.0, 0.0, -LENGTH_M])), tuple(start.as_quat())
+    )
+    mass = rapier.MassProperties(
+        (0.0, 0.0, 0.0), MASS_KG, (INERTIA_KG_M2,) * 3, (0.0, 0.0, 0.0, 1.0)
+    )
+    bob = world.add_body(
+        rapier.RigidBody.dynamic()
+        .position(place)
+        .additional_mass_properties(mass)
+        .can_sleep(False)
+    )
     anchor = world.add_body(rapier.RigidBody.fixed())
     builder = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-    builder = builder.local_frame1(rapier.Isometry3((0.0, 0.0, 0.0), tuple(turn.as_quat())))
+    builder = builder.local_frame1(
+        rapier.Isometry3((0.0, 0.0, 0.0), tuple(turn.as_quat()))
+    )
     top = rapier.Isometry3((0.0, 0.0, LENGTH_M), tuple((start.inv() * turn).as_quat()))
     world.multibody_joints.insert(anchor, bob, builder.local_frame2(top).build())
     link = world.multibody_joints.rigid_body_link(bob)
     chain = world.multibody_joints.get_multibody(link.multibody)
-    given = {"chain": chain, "link_0": link.id, "axis_0": rapier.JointAxis.ANG_X, "command": command - START_RAD}
+    given = {
+        "chain": chain,
+        "link_0": link.id,
+        "axis_0": rapier.JointAxis.ANG_X,
+        "command": command - START_RAD,
+    }
     exec(lines, given | {"MotorModel": rapier.MotorModel})
     angles = [START_RAD]
     for _ in range(STEPS):
@@ -162,7 +196,11 @@ def newton_angles(lines: str, command: float, torque: Torque) -> Angles:
     inertia = wp.mat33(np.eye(3) * INERTIA_KG_M2)
     bob = builder.add_link(mass=MASS_KG, inertia=inertia, xform=wp.transform())
     joint = builder.add_joint_revolute(
-        -1, bob, child_xform=wp.transform(wp.vec3(0.0, 0.0, LENGTH_M)), axis=(0.0, 1.0, 0.0), **made["joint_0"]
+        -1,
+        bob,
+        child_xform=wp.transform(wp.vec3(0.0, 0.0, LENGTH_M)),
+        axis=(0.0, 1.0, 0.0),
+        **made["joint_0"],
     )
     builder.add_articulation([joint])
     builder.joint_q[:] = [START_RAD]
@@ -195,20 +233,27 @@ def drake_angles(lines: str, command: float, torque: Torque) -> Angles:
         tree.RevoluteJoint(
             "hinge",
             plant.world_frame(),
-            plant.AddFrame(tree.FixedOffsetFrame("top", bob.body_frame(), RigidTransform([0.0, 0.0, LENGTH_M]))),
+            plant.AddFrame(
+                tree.FixedOffsetFrame(
+                    "top", bob.body_frame(), RigidTransform([0.0, 0.0, LENGTH_M])
+                )
+            ),
             [0.0, 1.0, 0.0],
         )
     )
-    exec(lines, {"plant": plant, "joint_0": joint, "PdControllerGains": tree.PdControllerGains})
+    exec(
+        lines,
+        {"plant": plant, "joint_0": joint, "PdControllerGains": tree.PdControllerGains},
+    )
     joint.set_default_angle(START_RAD)
     plant.Finalize()
     diagram = builder.Build()
     simulator = Simulator(diagram)
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
     plant.get_actuation_input_port().FixValue(context, np.zeros(plant.num_actuators()))
-    plant.get_desired_state_input_port(plant.GetModelInstanceByName("DefaultModelInstance")).FixValue(
-        context, np.zeros(2 * plant.num_actuators())
-    )
+    plant.get_desired_state_input_port(
+        plant.GetModelInstanceByName("DefaultModelInstance")
+    ).FixValue(context, np.zeros(2 * plant.num_actuators()))
     angles = [START_RAD]
     for step in range(STEPS):
         simulator.AdvanceTo((step + 1) * STEP_S)
@@ -227,33 +272,61 @@ BUILT = {
 MODULES = {"drake": "pydrake", "physx": "sapien", "rapier": "rapier3d"}
 
 
-@pytest.mark.parametrize("terms", [PASSIVE, SERVO, PASSIVE | SERVO], ids=["passive", "servo", "both"])
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in ("newton", "drake") else ()) for name in BUILT]
+    "terms", [PASSIVE, SERVO, PASSIVE | SERVO], ids=["passive", "servo", "both"]
 )
-def test_the_printed_lines_move_a_joint_as_the_backend_does(name: str, terms: dict[str, float]) -> None:
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=pytest.mark.slow if name in ("newton", "drake") else ()
+        )
+        for name in BUILT
+    ],
+)
+def test_the_printed_lines_move_a_joint_as_the_backend_does(
+    name: str, terms: dict[str, float]
+) -> None:
     pytest.importorskip(MODULES.get(name, name))
-    terms = {one: value for one, value in terms.items() if name != "pybullet" or one != ARMATURE}
+    terms = {
+        one: value
+        for one, value in terms.items()
+        if name != "pybullet" or one != ARMATURE
+    }
     times_s = np.arange(0, STEPS + 1, 10) * STEP_S
     command = np.zeros((times_s.size, 1)) if KP in terms else None
-    log, start = Log("", times_s, np.full((times_s.size, 1), START_RAD), command), np.array([START_RAD])
+    log, start = (
+        Log("", times_s, np.full((times_s.size, 1), START_RAD), command),
+        np.array([START_RAD]),
+    )
     engine, scene = backend(name), one_joint(MASS_KG, LENGTH_M)
     if KP in terms:
         motor = Servo(
-            command=ramp(0.0, start_s=0.0, duration_s=1.0, ramp_s=0.0), kp_n_m_per_rad=1.0, torque_limit_n_m=LIMIT_N_M
+            command=ramp(0.0, start_s=0.0, duration_s=1.0, ramp_s=0.0),
+            kp_n_m_per_rad=1.0,
+            torque_limit_n_m=LIMIT_N_M,
         )
         (hinge,) = scene.joints
         assert isinstance(hinge, Hinge)
         scene = replace(scene, joints=(replace(hinge, motor=motor),))
-    expected = simulated(engine, scene, log, [terms], (start, np.zeros(1)), {"timestep_s": STEP_S})[:, 0]
-    found = Identified(engine=name, settings=(), joints=numbers(with_terms(scene, [terms], log, start)), error_rad={})
+    expected = simulated(
+        engine, scene, log, [terms], (start, np.zeros(1)), {"timestep_s": STEP_S}
+    )[:, 0]
+    found = Identified(
+        engine=name,
+        settings=(),
+        joints=numbers(with_terms(scene, [terms], log, start)),
+        error_rad={},
+    )
     lines = snippet(found)
     left = {one: value for one, value in terms.items() if f": {one} =" in lines}
     assert not left or name in ("pybullet", "physx", "rapier"), left
 
     def torque(angle: float, rate: float) -> float:
         servo = -left.get(KP, 0.0) * angle - left.get(KV, 0.0) * rate
-        return float(np.clip(servo, -LIMIT_N_M, LIMIT_N_M)) - left.get(VISCOUS, 0.0) * rate
+        return (
+            float(np.clip(servo, -LIMIT_N_M, LIMIT_N_M)) - left.get(VISCOUS, 0.0) * rate
+        )
 
     angles = BUILT[name](lines, 0.0, torque)[::10]
     assert np.abs(angles - expected).max() < 0.002

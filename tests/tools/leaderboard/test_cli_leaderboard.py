@@ -20,7 +20,9 @@ from gauge_envs.runs.result_file import result_file_name, write_result
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood")
 
 
-def write_submission(root: Path, configuration: str, results: Sequence[Result], settings: str) -> None:
+def write_submission(
+    root: Path, configuration: str, results: Sequence[Result], settings: str
+) -> None:
     engine = results[0].backend
     version = results[0].versions["mujoco"]
     folder = root / str(engine) / version / configuration
@@ -43,8 +45,12 @@ def write_submission(root: Path, configuration: str, results: Sequence[Result], 
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A leaderboard of two configurations of MuJoCo."""
     root = tmp_path_factory.mktemp("board")
-    (root / "board.toml").write_text(f"experiments = {json.dumps(NAMES)}\n", encoding="utf-8")
-    write_submission(root, "default", [run_episode(RunRequest(name)) for name in NAMES], "{}")
+    (root / "board.toml").write_text(
+        f"experiments = {json.dumps(NAMES)}\n", encoding="utf-8"
+    )
+    write_submission(
+        root, "default", [run_episode(RunRequest(name)) for name in NAMES], "{}"
+    )
     coarse = {"timestep_s": 1 / 900}
     write_submission(
         root,
@@ -58,7 +64,9 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def gauge() -> Callable[..., Any]:
     def call(*arguments: object) -> Any:
-        return CliRunner().invoke(app, list(map(str, arguments)), env={"COLUMNS": "140"})
+        return CliRunner().invoke(
+            app, list(map(str, arguments)), env={"COLUMNS": "140"}
+        )
 
     return call
 
@@ -67,28 +75,51 @@ def records(text: str) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
 
 
-def test_check_passes_and_runs_a_sample_again(gauge: Callable[..., Any], board: Path) -> None:
+def test_check_passes_and_runs_a_sample_again(
+    gauge: Callable[..., Any], board: Path
+) -> None:
     done = gauge("leaderboard", "check", board, "--rerun", 1, "--json")
     assert done.exit_code == 0, done.output
     kinds = [one["record"] for one in records(done.stdout)]
     assert kinds == ["submission", "rerun"] * 2
-    assert {one["largest_difference"] for one in records(done.stdout) if one["record"] == "rerun"} == {0.0}
+    assert {
+        one["largest_difference"]
+        for one in records(done.stdout)
+        if one["record"] == "rerun"
+    } == {0.0}
 
 
-def test_table_has_intervals_and_no_mean_across_grades(gauge: Callable[..., Any], board: Path) -> None:
+def test_table_has_intervals_and_no_mean_across_grades(
+    gauge: Callable[..., Any], board: Path
+) -> None:
     done = gauge("leaderboard", "table", board, "--json")
     assert done.exit_code == 0, done.output
     found = records(done.stdout)
-    assert [one["configuration"] for one in found if one["record"] == "submission"] == ["coarse", "default"]
+    assert [one["configuration"] for one in found if one["record"] == "submission"] == [
+        "coarse",
+        "default",
+    ]
     grades = [one for one in found if one["record"] == "grade"]
     # The two experiments have references of two grades, and each mean is over one of them.
     assert {one["grade"]: one["ids"] for one in grades} == {
         "trials": ["GAUGE/SlopeSlider-2-wood"],
         "law": ["GAUGE/SlopeSlider-1-wood"],
     }
-    scored = [one for one in found if one["record"] == "experiment" and one["metric"] == "rmse"]
-    assert all(cell["normalized_95"] is not None for one in scored for cell in one["configurations"])
-    assert all(cell["wall_s_per_sim_s"] is None for one in scored for cell in one["configurations"])
+    scored = [
+        one
+        for one in found
+        if one["record"] == "experiment" and one["metric"] == "rmse"
+    ]
+    assert all(
+        cell["normalized_95"] is not None
+        for one in scored
+        for cell in one["configurations"]
+    )
+    assert all(
+        cell["wall_s_per_sim_s"] is None
+        for one in scored
+        for cell in one["configurations"]
+    )
 
 
 def test_markdown_is_written_and_submitters_change_no_table(
@@ -100,7 +131,12 @@ def test_markdown_is_written_and_submitters_change_no_table(
     assert "A [red]vendor[/] \\| \\<b>" in line
     assert "Cost" not in text
     content = json.loads((tmp_path / "leaderboard.json").read_text(encoding="utf-8"))
-    assert {one["record"] for one in content} == {"submission", "experiment", "grade", "pair"}
+    assert {one["record"] for one in content} == {
+        "submission",
+        "experiment",
+        "grade",
+        "pair",
+    }
 
 
 def test_a_partial_submission_is_listed_apart_and_changes_no_comparison(
@@ -109,15 +145,25 @@ def test_a_partial_submission_is_listed_apart_and_changes_no_comparison(
     copy = Path(shutil.copytree(board, tmp_path / "board"))
     whole = records(gauge("leaderboard", "table", copy, "--json").stdout)
     partial = {"timestep_s": 1 / 540}
-    write_submission(copy, "one", [run_episode(RunRequest(NAMES[1], settings=partial))], f"{{timestep_s = {1 / 540}}}")
+    write_submission(
+        copy,
+        "one",
+        [run_episode(RunRequest(NAMES[1], settings=partial))],
+        f"{{timestep_s = {1 / 540}}}",
+    )
     (statement,) = copy.glob("*/*/one/submission.toml")
     statement.write_text(
-        f'{statement.read_text(encoding="utf-8")}\n[left_out]\n"{NAMES[0]}" = "error"\n', encoding="utf-8"
+        f'{statement.read_text(encoding="utf-8")}\n[left_out]\n"{NAMES[0]}" = "error"\n',
+        encoding="utf-8",
     )
     done = gauge("leaderboard", "table", copy, "--json")
     found = records(done.stdout)
     assert done.exit_code == 0, done.output
-    assert [one["configuration"] for one in found if one["record"] == "submission"] == ["coarse", "default", "one"]
+    assert [one["configuration"] for one in found if one["record"] == "submission"] == [
+        "coarse",
+        "default",
+        "one",
+    ]
     assert [one for one in found if one["record"] != "submission"] == [
         one for one in whole if one["record"] != "submission"
     ]
@@ -143,17 +189,23 @@ def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(
     assert "the file states 0.5, its trajectory gives" in check.output
     table = gauge("leaderboard", "table", copy, "--json")
     assert table.exit_code == 1
-    submissions = [one for one in records(table.stdout) if one["record"] == "submission"]
+    submissions = [
+        one for one in records(table.stdout) if one["record"] == "submission"
+    ]
     assert [one["configuration"] for one in submissions] == ["default"]
 
 
-def test_a_missing_folder_gives_exit_code_2(gauge: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_missing_folder_gives_exit_code_2(
+    gauge: Callable[..., Any], tmp_path: Path
+) -> None:
     done = gauge("leaderboard", "check", tmp_path / "absent")
     assert done.exit_code == 2
     assert "cannot be listed" in done.output
 
 
-@pytest.mark.parametrize("options", [[], ["--json"], ["--format", "markdown"], ["--out", "site"]])
+@pytest.mark.parametrize(
+    "options", [[], ["--json"], ["--format", "markdown"], ["--out", "site"]]
+)
 def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
     options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -178,11 +230,19 @@ def test_a_leaderboard_asks_for_the_experiments_of_its_file(
     done = gauge("leaderboard", "check", copy, "--json")
     faults = [one["reason"] for one in records(done.stdout) if one["record"] == "fault"]
     assert done.exit_code == 1
-    assert "is 'GAUGE/SlopeSlider-2-wood', which is not one of the 3 experiments of the leaderboard" in faults
-    assert any("no result and no reason for SlopeSlider-1-plastic, SlopeSlider-1-metal" in one for one in faults)
+    assert (
+        "is 'GAUGE/SlopeSlider-2-wood', which is not one of the 3 experiments of the leaderboard"
+        in faults
+    )
+    assert any(
+        "no result and no reason for SlopeSlider-1-plastic, SlopeSlider-1-metal" in one
+        for one in faults
+    )
 
 
-@pytest.mark.parametrize("text", ['experiments = ["SlopSlider-*"]', "experiments = 3", "format = 1", "["])
+@pytest.mark.parametrize(
+    "text", ['experiments = ["SlopSlider-*"]', "experiments = 3", "format = 1", "["]
+)
 def test_a_file_that_states_no_experiments_is_refused(
     gauge: Callable[..., Any], board: Path, tmp_path: Path, text: str
 ) -> None:
@@ -190,4 +250,6 @@ def test_a_file_that_states_no_experiments_is_refused(
     (copy / "board.toml").write_text(text, encoding="utf-8")
     done = gauge("leaderboard", "check", copy)
     assert done.exit_code == 2
-    assert "expected `experiments`, a list of ids or patterns" in " ".join(done.output.split())
+    assert "expected `experiments`, a list of ids or patterns" in " ".join(
+        done.output.split()
+    )

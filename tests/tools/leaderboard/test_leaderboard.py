@@ -28,7 +28,11 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
 from gauge_envs.tools.leaderboard.reruns import rerun, rerun_sample
 from gauge_envs.tools.leaderboard.submission import installed_package
-from gauge_envs.tools.leaderboard.trajectory import copied_reference, rescored, start_values
+from gauge_envs.tools.leaderboard.trajectory import (
+    copied_reference,
+    rescored,
+    start_values,
+)
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "NonsmoothContact-1-wood")
 
@@ -45,8 +49,16 @@ def statement(results: list[Result], **changes: str) -> str:
         "submitter": "A vendor",
     } | changes
     present = {result.id for result in results}
-    lines = ["format = 1", *(f"{key} = {json.dumps(text)}" for key, text in values.items()), "[left_out]"]
-    lines += [f'"{variant.name}" = "not run"' for variant in variants() if variant.id not in present]
+    lines = [
+        "format = 1",
+        *(f"{key} = {json.dumps(text)}" for key, text in values.items()),
+        "[left_out]",
+    ]
+    lines += [
+        f'"{variant.name}" = "not run"'
+        for variant in variants()
+        if variant.id not in present
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -112,10 +124,14 @@ def only_fault(board: Path) -> str:
 def sampled(frames: np.ndarray) -> np.ndarray:
     """Interpolate between frames."""
     times = np.arange((len(frames) - 1) * SAMPLES_PER_FRAME + 1) / SAMPLES_PER_FRAME
-    return np.column_stack([np.interp(times, np.arange(len(frames)), column) for column in frames.T])
+    return np.column_stack(
+        [np.interp(times, np.arange(len(frames)), column) for column in frames.T]
+    )
 
 
-def replace_samples(board: Path, name: str, forge: Callable[[np.ndarray], np.ndarray]) -> None:
+def replace_samples(
+    board: Path, name: str, forge: Callable[[np.ndarray], np.ndarray]
+) -> None:
     """Replace the samples of a result, the later ones included, with the scores that these give."""
     file = result_file(board, name)
     result = load_result(file)
@@ -123,7 +139,9 @@ def replace_samples(board: Path, name: str, forge: Callable[[np.ndarray], np.nda
     experiment = load_experiment(result.id)
     samples = forge(result.trajectory.arrays(later=True)[1].copy())
     times_s = np.arange(len(samples)) / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
-    forged = replace(result, trajectory=RecordedTrajectory.of(experiment, times_s, samples))
+    forged = replace(
+        result, trajectory=RecordedTrajectory.of(experiment, times_s, samples)
+    )
     write_result(replace(forged, score=rescored(forged, experiment).score), file)
 
 
@@ -146,7 +164,9 @@ def test_a_single_submission_can_be_checked(honest: Path) -> None:
     assert check_leaderboard(submission(honest)).ok
 
 
-def test_the_table_has_the_scores_of_the_trajectories_and_no_wall_times(honest: Path) -> None:
+def test_the_table_has_the_scores_of_the_trajectories_and_no_wall_times(
+    honest: Path,
+) -> None:
     (one,) = check_leaderboard(honest).submissions
     for result in one.results:
         stated = load_result(result_file(honest, result.id.removeprefix("GAUGE/")))
@@ -157,50 +177,100 @@ def test_the_table_has_the_scores_of_the_trajectories_and_no_wall_times(honest: 
 
 def test_rerun_has_the_same_bits(honest: Path) -> None:
     (one,) = check_leaderboard(honest, rerun_count=2).submissions
-    assert [(again.status.value, again.largest_difference) for again in one.reruns] == [("equal", 0.0)] * 2
+    assert [(again.status.value, again.largest_difference) for again in one.reruns] == [
+        ("equal", 0.0)
+    ] * 2
 
 
 def test_the_start_follows_from_the_scene_alone(rollout: Callable[..., Any]) -> None:
     _, trajectory, _ = rollout("SlopeSlider-2-wood")
-    assert start_values(load_experiment("SlopeSlider-2-wood")) == pytest.approx(trajectory.samples[0], abs=1e-9)
+    assert start_values(load_experiment("SlopeSlider-2-wood")) == pytest.approx(
+        trajectory.samples[0], abs=1e-9
+    )
 
 
 # --- planted faults in a result --------------------------------------------------------------------------------------
 
 EDITS = [
-    (set_value("score.rmse", 1.25), "score.rmse: the file states 1.25, its trajectory gives 7.4"),
-    (set_value("score.percentile", 1.0), "score.percentile: the file states 1, its trajectory gives 30"),
-    (set_value("score.grade", "law"), "score.grade: the file states 'law', its trajectory gives 'trials'"),
-    (set_value("score.withheld", "low quality"), "score.withheld: the reference is withheld"),
-    (set_value("revision", 2), "revision: is 2, expected 1, that of the installed task file"),
+    (
+        set_value("score.rmse", 1.25),
+        "score.rmse: the file states 1.25, its trajectory gives 7.4",
+    ),
+    (
+        set_value("score.percentile", 1.0),
+        "score.percentile: the file states 1, its trajectory gives 30",
+    ),
+    (
+        set_value("score.grade", "law"),
+        "score.grade: the file states 'law', its trajectory gives 'trials'",
+    ),
+    (
+        set_value("score.withheld", "low quality"),
+        "score.withheld: the reference is withheld",
+    ),
+    (
+        set_value("revision", 2),
+        "revision: is 2, expected 1, that of the installed task file",
+    ),
     (set_value("versions.mujoco", "9.9.9"), "versions.mujoco: is '9.9.9', expected '"),
     (set_value("versions", {}), "versions.mujoco: is None, expected"),
     (set_value("backend", "newton"), "backend: is 'newton', expected 'mujoco'"),
-    (set_value("parameters", "effective"), "parameters: is 'effective', expected 'calibrated'"),
-    (set_value("settings_given", {"timestep_s": 1e-4}), "settings_given: is {'timestep_s': 0.0001}, expected {}"),
+    (
+        set_value("parameters", "effective"),
+        "parameters: is 'effective', expected 'calibrated'",
+    ),
+    (
+        set_value("settings_given", {"timestep_s": 1e-4}),
+        "settings_given: is {'timestep_s': 0.0001}, expected {}",
+    ),
     (set_value("seed", 3), "seed: is 3, expected 0"),
-    (set_value("jitter", {"position_m": 0.001}), "jitter: is {'position_m': 0.001}, expected {}"),
+    (
+        set_value("jitter", {"position_m": 0.001}),
+        "jitter: is {'position_m': 0.001}, expected {}",
+    ),
     (set_value("marker_proxy", "node"), "marker_proxy: is 'node', expected 'material'"),
     (set_value("dataset.reference", "imported"), "dataset: is {"),
     (set_value("outcome", "failed"), "outcome: is 'failed': leave the file out"),
-    (set_value("id", "GAUGE/CubeToss-1"), "not a result file: unknown experiment 'GAUGE/CubeToss-1'"),
+    (
+        set_value("id", "GAUGE/CubeToss-1"),
+        "not a result file: unknown experiment 'GAUGE/CubeToss-1'",
+    ),
     (set_value("frames", 12), "frames: is 12, expected 19"),
     (set_value("sim_s", 9.0), "sim_s: is 9, expected 0.6 for 19 frames"),
     (set_value("diverged", True), "diverged: is True with the outcome 'finished'"),
     (set_value("trajectory.unit", "m"), "trajectory.unit: is 'm', expected 'mm'"),
-    (set_value("trajectory.coordinates", ["x", "y", "z"]), "trajectory.coordinates: are x, y, z (3), expected cube.x"),
-    (lambda content: content["trajectory"]["samples"].__setitem__(50, [None] * 3), "sample 50 holds a value that is"),
-    (lambda content: content["trajectory"]["times_s"].__setitem__(50, 0.2751), "sample 50 is at 0.2751 s, expected"),
-    (lambda content: content["trajectory"]["samples"][0].__setitem__(0, 1.0), "cube.x starts at 1 mm, expected the"),
-    (lambda content: content["trajectory"]["samples"][60].__setitem__(0, 9e3), "cube moves at "),
     (
-        lambda content: content["trajectory"]["samples"].__setitem__(60, content["trajectory"]["samples"][62]),
+        set_value("trajectory.coordinates", ["x", "y", "z"]),
+        "trajectory.coordinates: are x, y, z (3), expected cube.x",
+    ),
+    (
+        lambda content: content["trajectory"]["samples"].__setitem__(50, [None] * 3),
+        "sample 50 holds a value that is",
+    ),
+    (
+        lambda content: content["trajectory"]["times_s"].__setitem__(50, 0.2751),
+        "sample 50 is at 0.2751 s, expected",
+    ),
+    (
+        lambda content: content["trajectory"]["samples"][0].__setitem__(0, 1.0),
+        "cube.x starts at 1 mm, expected the",
+    ),
+    (
+        lambda content: content["trajectory"]["samples"][60].__setitem__(0, 9e3),
+        "cube moves at ",
+    ),
+    (
+        lambda content: content["trajectory"]["samples"].__setitem__(
+            60, content["trajectory"]["samples"][62]
+        ),
         "score.rmse: the file states 7.4",
     ),
 ]
 
 
-@pytest.mark.parametrize(("change", "message"), EDITS, ids=[message[:40] for _, message in EDITS])
+@pytest.mark.parametrize(
+    ("change", "message"), EDITS, ids=[message[:40] for _, message in EDITS]
+)
 def test_an_edited_result_is_found(change: Edit, message: str, board: Path) -> None:
     file = result_file(board)
     edit(file, change)
@@ -209,33 +279,47 @@ def test_an_edited_result_is_found(change: Edit, message: str, board: Path) -> N
     assert message in texts(check)
     # The file of the fault is named, and its result is in no table.
     assert f"results/{file.name}" in texts(check)
-    assert "GAUGE/SlopeSlider-2-wood" not in {one.id for one in check.submissions[0].results}
+    assert "GAUGE/SlopeSlider-2-wood" not in {
+        one.id for one in check.submissions[0].results
+    }
 
 
 def test_a_file_that_is_no_json_is_found(board: Path) -> None:
     result_file(board).write_text("score = 1\n", encoding="utf-8")
-    assert "SlopeSlider-2-wood.mujoco.calibrated.json: not a result file: " in texts(check_leaderboard(board))
+    assert "SlopeSlider-2-wood.mujoco.calibrated.json: not a result file: " in texts(
+        check_leaderboard(board)
+    )
 
 
 def test_a_result_of_another_name_is_found(board: Path) -> None:
     file = result_file(board)
     file.rename(file.with_name("best.json"))
-    assert "best.json: is named otherwise than gauge run names it: SlopeSlider-2-wood.mujoco" in only_fault(board)
+    assert (
+        "best.json: is named otherwise than gauge run names it: SlopeSlider-2-wood.mujoco"
+        in only_fault(board)
+    )
 
 
 def test_two_results_of_one_experiment_are_found(board: Path) -> None:
     file = result_file(board)
-    shutil.copy(file, file.with_name("SlopeSlider-2-wood.mujoco.calibrated.seed-1.json"))
+    shutil.copy(
+        file, file.with_name("SlopeSlider-2-wood.mujoco.calibrated.seed-1.json")
+    )
     assert "id: is GAUGE/SlopeSlider-2-wood, which" in texts(check_leaderboard(board))
 
 
 def test_a_missing_experiment_is_found(board: Path) -> None:
     result_file(board).unlink()
-    assert "left_out: no result and no reason for SlopeSlider-2-wood" in only_fault(board)
+    assert "left_out: no result and no reason for SlopeSlider-2-wood" in only_fault(
+        board
+    )
 
 
 def test_other_versions_in_one_file_are_found(board: Path) -> None:
-    edit(result_file(board), lambda content: content["versions"].update({"mujoco-warp": "1.0"}))
+    edit(
+        result_file(board),
+        lambda content: content["versions"].update({"mujoco-warp": "1.0"}),
+    )
     assert "mujoco-warp 1.0" in texts(check_leaderboard(board))
 
 
@@ -246,7 +330,9 @@ def test_scores_of_another_version_of_gauge_envs_are_computed_anew(board: Path) 
     (one,) = check_leaderboard(board).submissions
     assert one.ok
     assert "made with gauge-envs 0.0.1" in one.notes[0]
-    (slider,) = (result for result in one.results if result.id == "GAUGE/SlopeSlider-2-wood")
+    (slider,) = (
+        result for result in one.results if result.id == "GAUGE/SlopeSlider-2-wood"
+    )
     assert slider.score.rmse == pytest.approx(7.45, abs=0.05)
 
 
@@ -263,7 +349,9 @@ def reference_frames(name: str) -> np.ndarray:
 
 
 def test_a_copy_of_the_real_mean_is_found(board: Path) -> None:
-    replace_trajectory(board, "SlopeSlider-2-wood", reference_frames("SlopeSlider-2-wood"))
+    replace_trajectory(
+        board, "SlopeSlider-2-wood", reference_frames("SlopeSlider-2-wood")
+    )
     assert "follows the real mean within" in only_fault(board)
 
 
@@ -274,7 +362,9 @@ def test_a_copy_of_a_real_trial_is_found() -> None:
     number = int(np.argmax(np.isfinite(band.trials).all(axis=(1, 2))))
     # The trial is known in the coordinates of the band alone.
     frames = band.trials[number] @ np.linalg.pinv(band.projection).T
-    assert f"follows real trial {number} within" in str(copied_reference(sampled(frames), experiment))
+    assert f"follows real trial {number} within" in str(
+        copied_reference(sampled(frames), experiment)
+    )
 
 
 def test_an_honest_trajectory_is_no_copy(honest: Path) -> None:
@@ -289,12 +379,18 @@ def test_an_honest_trajectory_is_no_copy(honest: Path) -> None:
     assert copied_reference(near + 0.001 * (frames - near), experiment) is not None
 
 
-def test_a_forged_trajectory_with_its_own_scores_is_found_by_a_rerun(board: Path) -> None:
+def test_a_forged_trajectory_with_its_own_scores_is_found_by_a_rerun(
+    board: Path,
+) -> None:
     file = result_file(board)
     result = load_result(file)
     assert result.trajectory is not None
     frames = result.trajectory.arrays()[1][::SAMPLES_PER_FRAME]
-    replace_trajectory(board, "SlopeSlider-2-wood", 0.7 * frames + 0.3 * reference_frames("SlopeSlider-2-wood"))
+    replace_trajectory(
+        board,
+        "SlopeSlider-2-wood",
+        0.7 * frames + 0.3 * reference_frames("SlopeSlider-2-wood"),
+    )
     assert check_leaderboard(board).ok
     check = check_leaderboard(board, rerun_count=3)
     assert "run again: different" in texts(check)
@@ -305,7 +401,9 @@ def between_frames(samples: np.ndarray) -> np.ndarray:
     """Honest frames, and the real mean between them, where an aligned score reads."""
     frames = np.arange(len(samples)) % SAMPLES_PER_FRAME == 0
     real = reference_frames("SlopeSlider-2-wood")
-    path = CubicSpline(np.arange(len(real)), real)(np.arange(len(samples)) / SAMPLES_PER_FRAME)
+    path = CubicSpline(np.arange(len(real)), real)(
+        np.arange(len(samples)) / SAMPLES_PER_FRAME
+    )
     return np.where(frames[:, None], samples, path)
 
 
@@ -327,14 +425,18 @@ def slower(samples: np.ndarray) -> np.ndarray:
 def smoothed(samples: np.ndarray) -> np.ndarray:
     """A tenth of the way toward the real mean."""
     real = reference_frames("SlopeSlider-2-wood")
-    path = CubicSpline(np.arange(len(real)), real)(np.arange(len(samples)) / SAMPLES_PER_FRAME)
+    path = CubicSpline(np.arange(len(real)), real)(
+        np.arange(len(samples)) / SAMPLES_PER_FRAME
+    )
     return 0.9 * samples + 0.1 * path
 
 
 def later(samples: np.ndarray) -> np.ndarray:
     """Another course after the last frame, which the alignment reads."""
     count = SAMPLES_PER_FRAME * 10
-    return np.concatenate([samples[:-count], samples[-count:] + np.linspace(0.0, 5.0, count)[:, None]])
+    return np.concatenate(
+        [samples[:-count], samples[-count:] + np.linspace(0.0, 5.0, count)[:, None]]
+    )
 
 
 def first_samples(samples: np.ndarray) -> np.ndarray:
@@ -356,14 +458,22 @@ def test_the_mean_between_honest_frames_is_a_copy_and_no_rerun(board: Path) -> N
     assert "follows the real mean within" in texts(check_leaderboard(board))
     experiment = load_experiment("SlopeSlider-2-wood")
     forged = load_result(result_file(board))
-    honest_frames = load_result(result_file(board)).trajectory.arrays()[1][::SAMPLES_PER_FRAME]
+    honest_frames = load_result(result_file(board)).trajectory.arrays()[1][
+        ::SAMPLES_PER_FRAME
+    ]
     assert copied_reference(sampled(honest_frames), experiment) is None
     compared, own = rerun(forged)
     assert (compared.status.value, own is None) == ("different", False)
 
 
-def test_the_table_has_the_numbers_of_the_episode_that_was_run_again(board: Path, honest: Path) -> None:
-    replace_samples(board, "SlopeSlider-2-wood", lambda samples: np.concatenate([samples[:1], samples[1:] + 1e-3]))
+def test_the_table_has_the_numbers_of_the_episode_that_was_run_again(
+    board: Path, honest: Path
+) -> None:
+    replace_samples(
+        board,
+        "SlopeSlider-2-wood",
+        lambda samples: np.concatenate([samples[:1], samples[1:] + 1e-3]),
+    )
     (stated,) = check_leaderboard(board).submissions
     (again,) = check_leaderboard(board, rerun_count=3).submissions
     (true,) = check_leaderboard(honest).submissions
@@ -376,12 +486,19 @@ def test_the_table_has_the_numbers_of_the_episode_that_was_run_again(board: Path
 def test_a_package_that_is_not_of_the_engine_is_found(board: Path) -> None:
     file = submission(board) / "submission.toml"
     result = load_result(result_file(board))
-    text = file.read_text(encoding="utf-8").replace('package = "mujoco"', 'package = "numpy"')
+    text = file.read_text(encoding="utf-8").replace(
+        'package = "mujoco"', 'package = "numpy"'
+    )
     file.write_text(
-        text.replace(f'version = "{result.versions["mujoco"]}"', f'version = "{result.versions["numpy"]}"'),
+        text.replace(
+            f'version = "{result.versions["mujoco"]}"',
+            f'version = "{result.versions["numpy"]}"',
+        ),
         encoding="utf-8",
     )
-    assert "is no package of the engine, whose packages are mujoco" in texts(check_leaderboard(board))
+    assert "is no package of the engine, whose packages are mujoco" in texts(
+        check_leaderboard(board)
+    )
 
 
 def test_what_an_engine_declines_is_no_part_and_what_it_builds_is(board: Path) -> None:
@@ -394,7 +511,10 @@ def test_what_an_engine_declines_is_no_part_and_what_it_builds_is(board: Path) -
         file.rename(file.with_name(file.name.replace(".mujoco.", ".rapier.")))
     file = folder / "submission.toml"
     file.write_text(
-        file.read_text(encoding="utf-8").replace('engine = "mujoco"', 'engine = "rapier"'), encoding="utf-8"
+        file.read_text(encoding="utf-8").replace(
+            'engine = "mujoco"', 'engine = "rapier"'
+        ),
+        encoding="utf-8",
     )
     (board / "mujoco").rename(board / "rapier")
     (other,) = check_leaderboard(board).submissions
@@ -406,7 +526,9 @@ def test_what_an_engine_declines_is_no_part_and_what_it_builds_is(board: Path) -
 def test_a_forged_setting_in_force_is_found_by_a_rerun(board: Path) -> None:
     edit(result_file(board), set_value("settings.timestep_s", 0.001))
     assert check_leaderboard(board).ok
-    assert "settings in force differ: timestep_s" in texts(check_leaderboard(board, rerun_count=3))
+    assert "settings in force differ: timestep_s" in texts(
+        check_leaderboard(board, rerun_count=3)
+    )
 
 
 def test_a_small_difference_of_a_rerun_is_stated_and_passes(board: Path) -> None:
@@ -416,35 +538,52 @@ def test_a_small_difference_of_a_rerun_is_stated_and_passes(board: Path) -> None
     experiment = load_experiment(result.id)
     times_s, samples = result.trajectory.arrays(later=True)
     samples[1:] += 1e-3
-    moved = replace(result, trajectory=RecordedTrajectory.of(experiment, times_s, samples))
+    moved = replace(
+        result, trajectory=RecordedTrajectory.of(experiment, times_s, samples)
+    )
     write_result(replace(moved, score=rescored(moved, experiment).score), file)
     check = check_leaderboard(board, rerun_count=3)
     assert check.ok, texts(check)
-    (again,) = (one for one in check.submissions[0].reruns if one.id == "GAUGE/SlopeSlider-2-wood")
+    (again,) = (
+        one
+        for one in check.submissions[0].reruns
+        if one.id == "GAUGE/SlopeSlider-2-wood"
+    )
     assert again.status.value == "close"
     assert "versions are equal, so the processor" in again.cause
 
 
-@pytest.mark.parametrize(("forge", "status"), [(lambda samples: samples, "close"), (slower, "different")])
+@pytest.mark.parametrize(
+    ("forge", "status"), [(lambda samples: samples, "close"), (slower, "different")]
+)
 def test_the_bound_of_an_engine_that_does_not_repeat_is_measured(
-    forge: Callable[[np.ndarray], np.ndarray], status: str, board: Path, monkeypatch: pytest.MonkeyPatch
+    forge: Callable[[np.ndarray], np.ndarray],
+    status: str,
+    board: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Runs end up to 4 mm apart, four times what is allowed to an engine that repeats its bits."""
     chance = np.random.default_rng(3)
 
     def drifting(samples: np.ndarray) -> np.ndarray:
-        return samples + np.linspace(0.0, chance.uniform(0.0, 4.0), len(samples))[:, None]
+        return (
+            samples + np.linspace(0.0, chance.uniform(0.0, 4.0), len(samples))[:, None]
+        )
 
     def jittery(requests: list[RunRequest], **_: Any) -> list[Result]:
         results = []
         for result in map(run_episode, requests):
             assert result.trajectory is not None
             times_s, samples = result.trajectory.arrays(later=True)
-            moved = RecordedTrajectory.of(load_experiment(result.id), times_s, drifting(samples))
+            moved = RecordedTrajectory.of(
+                load_experiment(result.id), times_s, drifting(samples)
+            )
             results.append(replace(result, trajectory=moved))
         return results
 
-    replace_samples(board, "SlopeSlider-2-wood", lambda samples: drifting(forge(samples)))
+    replace_samples(
+        board, "SlopeSlider-2-wood", lambda samples: drifting(forge(samples))
+    )
     result = load_result(result_file(board))
     assert rerun(result)[0].status.value == "different"
     monkeypatch.setattr("gauge_envs.tools.leaderboard.reruns.run_many", jittery)
@@ -456,13 +595,26 @@ def test_the_bound_of_an_engine_that_does_not_repeat_is_measured(
 @pytest.fixture
 def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The module of an installed package `toy`, which pins the package `toy-core`."""
-    for name, line in {"toy": "Requires-Dist: toy-core==1.0\nRequires-Dist: numpy>=1\n", "toy-core": ""}.items():
+    for name, line in {
+        "toy": "Requires-Dist: toy-core==1.0\nRequires-Dist: numpy>=1\n",
+        "toy-core": "",
+    }.items():
         folder = tmp_path / f"{name.replace('-', '_')}-1.0.dist-info"
         folder.mkdir()
-        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{line}")
+        (folder / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{line}"
+        )
         (tmp_path / f"{name}.py").write_text(f"NAME = '{name}'\n")
-        digest = urlsafe_b64encode(hashlib.sha256((tmp_path / f"{name}.py").read_bytes()).digest()).decode().rstrip("=")
-        (folder / "RECORD").write_text(f"{name}.py,sha256={digest},1\n{folder.name}/METADATA,sha256=x,1\n")
+        digest = (
+            urlsafe_b64encode(
+                hashlib.sha256((tmp_path / f"{name}.py").read_bytes()).digest()
+            )
+            .decode()
+            .rstrip("=")
+        )
+        (folder / "RECORD").write_text(
+            f"{name}.py,sha256={digest},1\n{folder.name}/METADATA,sha256=x,1\n"
+        )
     monkeypatch.syspath_prepend(tmp_path)
     installed_package.cache_clear()
     return tmp_path / "toy-core.py"
@@ -493,9 +645,16 @@ def test_the_check_says_whether_the_files_of_the_engine_are_those_of_its_release
     file = submission(board) / "submission.toml"
     text = file.read_text(encoding="utf-8")
 
-    def notes(stated: str, installed: tuple[str, tuple[str, ...]] = ("b" * 64, ())) -> str:
-        monkeypatch.setattr("gauge_envs.tools.leaderboard.check.installed_package", lambda _: installed)
-        file.write_text(text.replace("[left_out]", f'package_sha256 = "{stated}"\n[left_out]'), encoding="utf-8")
+    def notes(
+        stated: str, installed: tuple[str, tuple[str, ...]] = ("b" * 64, ())
+    ) -> str:
+        monkeypatch.setattr(
+            "gauge_envs.tools.leaderboard.check.installed_package", lambda _: installed
+        )
+        file.write_text(
+            text.replace("[left_out]", f'package_sha256 = "{stated}"\n[left_out]'),
+            encoding="utf-8",
+        )
         check = check_leaderboard(board)
         assert check.ok, texts(check)
         return "\n".join(check.submissions[0].notes)
@@ -503,20 +662,30 @@ def test_the_check_says_whether_the_files_of_the_engine_are_those_of_its_release
     assert notes("b" * 64) == ""
     assert f'are not stated; add package_sha256 = "{"b" * 64}"' in notes("")
     assert f"are not those installed here, {'b' * 64}" in notes("a" * 64)
-    assert "has no list of its files, as an editable installation" in notes("a" * 64, ("", ()))
-    assert "differs from its release in 1 file, as mujoco/x.so" in notes("b" * 64, ("b" * 64, ("mujoco/x.so",)))
+    assert "has no list of its files, as an editable installation" in notes(
+        "a" * 64, ("", ())
+    )
+    assert "differs from its release in 1 file, as mujoco/x.so" in notes(
+        "b" * 64, ("b" * 64, ("mujoco/x.so",))
+    )
 
 
 def test_an_engine_that_is_not_installed_cannot_be_run_again(board: Path) -> None:
     folder = submission(board)
-    text = (folder / "submission.toml").read_text(encoding="utf-8").replace('engine = "mujoco"', 'engine = "absent"')
+    text = (
+        (folder / "submission.toml")
+        .read_text(encoding="utf-8")
+        .replace('engine = "mujoco"', 'engine = "absent"')
+    )
     for file in sorted((folder / "results").iterdir()):
         edit(file, set_value("backend", "absent"))
         file.rename(file.with_name(file.name.replace(".mujoco.", ".absent.")))
     (folder / "submission.toml").write_text(text, encoding="utf-8")
     (board / "mujoco").rename(board / "absent")
     assert check_leaderboard(board).ok
-    assert "run again: not run: unknown backend 'absent'" in texts(check_leaderboard(board, rerun_count=1))
+    assert "run again: not run: unknown backend 'absent'" in texts(
+        check_leaderboard(board, rerun_count=1)
+    )
 
 
 def test_the_sample_follows_from_content_and_salt(honest: Path) -> None:
@@ -524,7 +693,10 @@ def test_the_sample_follows_from_content_and_salt(honest: Path) -> None:
     many = [replace(one.results[0], id=str(number)) for number in range(60)]
 
     def ids(content: str, salt: str = "") -> list[str]:
-        return [result.id for result in rerun_sample(many, 5, content_sha256=content, salt=salt)]
+        return [
+            result.id
+            for result in rerun_sample(many, 5, content_sha256=content, salt=salt)
+        ]
 
     assert ids("a") == ids("a")
     assert len(set(ids("a"))) == 5
@@ -535,14 +707,23 @@ def test_the_sample_follows_from_content_and_salt(honest: Path) -> None:
 
 def test_a_diverged_result_has_no_scores(board: Path) -> None:
     def diverge(content: dict[str, Any]) -> None:
-        content.update(outcome="diverged", diverged=True, diverged_reason="cube", frames=4, sim_s=0.1)
+        content.update(
+            outcome="diverged",
+            diverged=True,
+            diverged_reason="cube",
+            frames=4,
+            sim_s=0.1,
+        )
         content["trajectory"].update(later_times_s=[], later_samples=[])
         for key in ("times_s", "samples"):
             content["trajectory"][key] = content["trajectory"][key][:19]
 
     edit(result_file(board), diverge)
     assert "score.rmse: the file states 7.4" in texts(check_leaderboard(board))
-    edit(result_file(board), lambda content: content.update(score={"grade": "trials", "unit": "mm"}))
+    edit(
+        result_file(board),
+        lambda content: content.update(score={"grade": "trials", "unit": "mm"}),
+    )
     (one,) = check_leaderboard(board).submissions
     assert one.ok
     assert [result.outcome for result in one.results].count(Outcome.DIVERGED) == 1
@@ -575,7 +756,9 @@ def test_a_linked_results_folder_is_found(board: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["../../etc", "..", "a/b", ".hidden", "", "x" * 65])
 def test_names_that_lead_elsewhere_are_found(name: str, board: Path) -> None:
     file = submission(board) / "submission.toml"
-    text = file.read_text(encoding="utf-8").replace('engine = "mujoco"', f'engine = "{name}"')
+    text = file.read_text(encoding="utf-8").replace(
+        'engine = "mujoco"', f'engine = "{name}"'
+    )
     file.write_text(text, encoding="utf-8")
     assert "submission.toml: engine: " in only_fault(board)
 
@@ -590,7 +773,9 @@ def test_many_large_files_are_found_and_not_read(board: Path) -> None:
     for number in range(9):
         with (submission(board) / "results" / f"{number}.json").open("wb") as stream:
             stream.truncate(31 * 10**6)
-    assert "its results have 279 MB, the limit is 256 MB" in texts(check_leaderboard(board))
+    assert "its results have 279 MB, the limit is 256 MB" in texts(
+        check_leaderboard(board)
+    )
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no FIFOs")
@@ -615,16 +800,32 @@ STATEMENTS = [
     ('submitter = "A vendor"', "", "submitter: missing key"),
     ("format = 1", "format = 1\nscore = 3", "score: unknown key"),
     ("[left_out]", "[left_out", "not TOML"),
-    ("[left_out]", '[left_out]\n"Sphere*" = "error"', "left_out.'Sphere*': matches no experiment"),
-    ("[left_out]", '[left_out]\n"Slope*" = "error"', "left_out.'Slope*': also has a result: SlopeSlider-1-wood"),
-    ('configuration = "default"', 'configuration = "fast"', "configuration: is 'fast', but the folder is 'default'"),
+    (
+        "[left_out]",
+        '[left_out]\n"Sphere*" = "error"',
+        "left_out.'Sphere*': matches no experiment",
+    ),
+    (
+        "[left_out]",
+        '[left_out]\n"Slope*" = "error"',
+        "left_out.'Slope*': also has a result: SlopeSlider-1-wood",
+    ),
+    (
+        'configuration = "default"',
+        'configuration = "fast"',
+        "configuration: is 'fast', but the folder is 'default'",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "message"), STATEMENTS)
-def test_a_wrong_statement_is_found(old: str, new: str, message: str, board: Path) -> None:
+def test_a_wrong_statement_is_found(
+    old: str, new: str, message: str, board: Path
+) -> None:
     file = submission(board) / "submission.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    file.write_text(
+        file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8"
+    )
     assert message in texts(check_leaderboard(board))
 
 
@@ -632,7 +833,10 @@ def test_one_configuration_counts_once(board: Path) -> None:
     folder = submission(board)
     twin = Path(shutil.copytree(folder, folder.with_name("twin")))
     file = twin / "submission.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace('"default"', '"twin"'), encoding="utf-8")
+    file.write_text(
+        file.read_text(encoding="utf-8").replace('"default"', '"twin"'),
+        encoding="utf-8",
+    )
     assert "a configuration counts once" in only_fault(board)
 
 

@@ -7,14 +7,19 @@ import math
 import pytest
 from scipy.integrate import solve_ivp
 
-from gauge_envs.backends.shared.spring_damper import damping_ratio_of, spring_damper_restitution
+from gauge_envs.backends.shared.spring_damper import (
+    damping_ratio_of,
+    spring_damper_restitution,
+)
 from gauge_envs.tools.recipes.closed_forms import mujoco_impedance
 from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings
 from gauge_envs.tools.recipes.measure import probe_of
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.9, 1.0, 2.0])
-def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(ratio: float) -> None:
+def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(
+    ratio: float,
+) -> None:
     def force(time: float, state: list[float]) -> float:
         return state[0] + 2.0 * ratio * state[1]
 
@@ -27,12 +32,16 @@ def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(ratio: flo
         rtol=1e-10,
         atol=1e-13,
     )
-    assert -found.y_events[0][0][1] == pytest.approx(spring_damper_restitution(ratio), abs=1e-6)
+    assert -found.y_events[0][0][1] == pytest.approx(
+        spring_damper_restitution(ratio), abs=1e-6
+    )
 
 
 def test_the_damping_ratio_is_the_inverse_of_the_restitution() -> None:
     for restitution in (1.0, 0.9, 0.5, math.exp(-2.0), 0.01):
-        assert spring_damper_restitution(damping_ratio_of(restitution)) == pytest.approx(restitution, abs=1e-9)
+        assert spring_damper_restitution(
+            damping_ratio_of(restitution)
+        ) == pytest.approx(restitution, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -45,9 +54,13 @@ def test_the_damping_ratio_is_the_inverse_of_the_restitution() -> None:
         (0.03, (-30.0, -50.0)),
     ],
 )
-def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(step_s: float, solref: tuple[float, float]) -> None:
+def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(
+    step_s: float, solref: tuple[float, float]
+) -> None:
     """Also at coarse steps, where speeds at the impact lag by half a step of gravity."""
-    settings = MuJoCoSettings(timestep_s=step_s, solref=solref, cone="elliptic", friction=0.5)
+    settings = MuJoCoSettings(
+        timestep_s=step_s, solref=solref, cone="elliptic", friction=0.5
+    )
     form = settings.closed_form()
     found = probe_of(settings, 0.5).drop(settings.build(0.5))
     assert form.restitution == pytest.approx(found.mean, abs=5e-4)
@@ -75,6 +88,6 @@ def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> N
 
 def test_the_impedance_runs_from_d0_to_dwidth() -> None:
     solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
-    assert [mujoco_impedance(solimp, depth) for depth in (0.0, 5e-4, 1e-3, 1.0)] == pytest.approx(
-        [0.9, 0.925, 0.95, 0.95]
-    )
+    assert [
+        mujoco_impedance(solimp, depth) for depth in (0.0, 5e-4, 1e-3, 1.0)
+    ] == pytest.approx([0.9, 0.925, 0.95, 0.95])

@@ -21,20 +21,36 @@ G = 9.80665
 def test_strips_of_satin_reach_what_was_measured() -> None:
     found = fabric_recipe("satin", SATIN, "mujoco")
     assert found.misses == ()
-    assert found.reached["stretch_n_per_m"] == pytest.approx(SATIN.stretch_stiffness_n_per_m, rel=0.02)
-    assert found.reached["bend_n_m"] == pytest.approx(SATIN.bend_stiffness_n_m_per_rad, rel=0.2)
+    assert found.reached["stretch_n_per_m"] == pytest.approx(
+        SATIN.stretch_stiffness_n_per_m, rel=0.02
+    )
+    assert found.reached["bend_n_m"] == pytest.approx(
+        SATIN.bend_stiffness_n_m_per_rad, rel=0.2
+    )
     assert found.explanation == NOTHING_LOST
 
 
 def test_a_fabric_has_the_keys_of_a_contact() -> None:
     found = fabric_recipe("satin", SATIN, "isaac").json()
-    contact = {"engine", "asked", "settings", "snippet", "reached", "error", "misses", "detail", "wall_s"}
+    contact = {
+        "engine",
+        "asked",
+        "settings",
+        "snippet",
+        "reached",
+        "error",
+        "misses",
+        "detail",
+        "wall_s",
+    }
     assert set(found) == contact | {"explanation", "versions", "material"}
     assert set(found["reached"].values()) == {None}
     assert "nothing is simulated" in found["explanation"]
 
 
-def test_a_membrane_of_half_the_stiffness_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_membrane_of_half_the_stiffness_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A planted fault in the engine."""
     kept = mujoco_cloth._membrane
 
@@ -44,7 +60,9 @@ def test_a_membrane_of_half_the_stiffness_is_found(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(mujoco_cloth, "_membrane", halved)
     found = fabric_recipe("satin", SATIN, "mujoco")
     assert found.misses == ("stretch_n_per_m",)
-    assert found.reached["stretch_n_per_m"] == pytest.approx(0.5 * SATIN.stretch_stiffness_n_per_m, rel=0.02)
+    assert found.reached["stretch_n_per_m"] == pytest.approx(
+        0.5 * SATIN.stretch_stiffness_n_per_m, rel=0.02
+    )
     assert "0.5" in found.explanation
 
 
@@ -83,7 +101,9 @@ def test_a_snippet_with_a_wrong_unit_is_noticed() -> None:
     """A planted fault: the modulus is a tenth of the right one, as from a conversion between Pa and dyn/cm^2."""
     mapped = flex_constants(SATIN)
     young = mapped.constants["young"]
-    wrong = fabric_snippet(mapped).replace(f'young="{young:.6g}"', f'young="{0.1 * young:.6g}"')
+    wrong = fabric_snippet(mapped).replace(
+        f'young="{young:.6g}"', f'young="{0.1 * young:.6g}"'
+    )
     assert sag_over_expected(wrong) > 5.0
 
 

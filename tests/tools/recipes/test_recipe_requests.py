@@ -47,20 +47,39 @@ def values(*arguments: str) -> dict[str, Any]:
 
 
 def test_a_recipe_is_one_json_object() -> None:
-    found = values(*("--backend", "mujoco", "friction=0.4", "restitution=0.6", "mass_kg=0.5", "timestep_s=0.002"))
+    found = values(
+        *(
+            "--backend",
+            "mujoco",
+            "friction=0.4",
+            "restitution=0.6",
+            "mass_kg=0.5",
+            "timestep_s=0.002",
+        )
+    )
     assert list(found) == [
         *("engine", "asked", "settings", "snippet", "reached", "error"),
         *("misses", "detail", "wall_s", "explanation", "versions"),
     ]
-    assert set(found["reached"]) == {"friction", "friction_hopping", "restitution", "penetration_m", "creep_m_s"}
-    assert found["error"]["friction"] == pytest.approx(found["reached"]["friction"] - 0.4)
+    assert set(found["reached"]) == {
+        "friction",
+        "friction_hopping",
+        "restitution",
+        "penetration_m",
+        "creep_m_s",
+    }
+    assert found["error"]["friction"] == pytest.approx(
+        found["reached"]["friction"] - 0.4
+    )
     assert found["error"]["penetration_m"] is None
     assert found["engine"] == "mujoco" and "mujoco" in found["versions"]
 
 
 def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
     """The pasted pair slows a ball in plain MuJoCo by 5/2 and 5/7 g arm / r^2; with condim 3 it does not."""
-    aim = Aim(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2, timestep_s=0.002)
+    aim = Aim(
+        friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2, timestep_s=0.002
+    )
     found = find_recipe(engine_settings("mujoco"), aim)
     assert found.misses == () and set(found.error) >= {"torsion_m", "rolling_m"}
 
@@ -80,29 +99,48 @@ def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
             rates.append(float(np.abs(middle - data.qvel)[3:].max()) / 0.4)
         return rates
 
-    assert losses(found.snippet) == pytest.approx([2.5 * G * 0.002 / 0.05**2, G * 0.001 / 1.4 / 0.05**2], rel=0.01)
+    assert losses(found.snippet) == pytest.approx(
+        [2.5 * G * 0.002 / 0.05**2, G * 0.001 / 1.4 / 0.05**2], rel=0.01
+    )
     assert max(losses(found.snippet.replace('condim="6"', 'condim="3"'))) < 0.01
 
 
 @pytest.mark.slow
 def test_a_creep_that_is_asked_is_not_exceeded() -> None:
-    aims = (Aim(friction=0.5, creep_m_s=creep, mass_kg=0.2, timestep_s=0.002) for creep in (None, 2.5e-6))
+    aims = (
+        Aim(friction=0.5, creep_m_s=creep, mass_kg=0.2, timestep_s=0.002)
+        for creep in (None, 2.5e-6)
+    )
     free, slow = (find_recipe(engine_settings("mujoco"), aim) for aim in aims)
-    assert free.reached["creep_m_s"] > 2.5e-6 > slow.reached["creep_m_s"] and slow.misses == ()
+    assert (
+        free.reached["creep_m_s"] > 2.5e-6 > slow.reached["creep_m_s"]
+        and slow.misses == ()
+    )
     # A box that pads hold creeps faster than the plate, in both by the same factor, and then within its limit.
     held = [
-        Measurements(backend("mujoco")).measure(phenomenon("grasp-creep"), one.settings.build(0.2).settings)
+        Measurements(backend("mujoco")).measure(
+            phenomenon("grasp-creep"), one.settings.build(0.2).settings
+        )
         for one in (free, slow)
     ]
     assert [one.verdict for one in held] == [Verdict.WRONG, Verdict.INSIDE]
-    factors = [one.value / found.reached["creep_m_s"] for one, found in zip(held, (free, slow), strict=True)]
+    factors = [
+        one.value / found.reached["creep_m_s"]
+        for one, found in zip(held, (free, slow), strict=True)
+    ]
     assert factors == pytest.approx([3.44e6, 3.44e6], rel=0.01)
 
 
 def test_an_engine_without_torsional_friction_says_so() -> None:
     pytest.importorskip("rapier3d")
-    with pytest.raises(UnsupportedSceneError, match=r"rapier cannot simulate the recipe: .* torsional friction"):
-        find_recipe(engine_settings("rapier"), Aim(friction=0.5, torsion_m=0.002, mass_kg=0.2, timestep_s=0.002))
+    with pytest.raises(
+        UnsupportedSceneError,
+        match=r"rapier cannot simulate the recipe: .* torsional friction",
+    ):
+        find_recipe(
+            engine_settings("rapier"),
+            Aim(friction=0.5, torsion_m=0.002, mass_kg=0.2, timestep_s=0.002),
+        )
 
 
 @pytest.mark.slow
@@ -117,7 +155,9 @@ def test_torsional_and_rolling_friction_of_other_engines(engine: str) -> None:
 @pytest.mark.parametrize("place", [0, 1])
 def test_an_example_of_the_page_is_what_the_command_prints(place: int) -> None:
     page = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
-    command, printed = re.findall(r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL)[place]
+    command, printed = re.findall(
+        r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
+    )[place]
     # The page leaves out the wall time.
     found = re.sub(r"\d+\.\d s\n", "", gauge(*shlex.split(command)[2:]).output).split()
     assert found[: len(printed.split())] == printed.split()
@@ -125,11 +165,19 @@ def test_an_example_of_the_page_is_what_the_command_prints(place: int) -> None:
 
 def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound() -> None:
     """For 0.5 kg on 5000 N/m and 20 N s/m."""
-    aim = Aim(friction=0.4, stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0, mass_kg=0.5, timestep_s=0.002)
+    aim = Aim(
+        friction=0.4,
+        stiffness_n_per_m=5000.0,
+        damping_n_s_per_m=20.0,
+        mass_kg=0.5,
+        timestep_s=0.002,
+    )
     found = find_recipe(engine_settings("mujoco"), aim)
     ratio = 20.0 / (2.0 * math.sqrt(5000.0 * 0.5))
     assert found.reached["penetration_m"] == pytest.approx(0.5 * G / 5000.0, rel=0.01)
-    assert found.reached["restitution"] == pytest.approx(spring_damper_restitution(ratio), abs=0.01)
+    assert found.reached["restitution"] == pytest.approx(
+        spring_damper_restitution(ratio), abs=0.01
+    )
     assert found.misses == ()
 
 
@@ -141,7 +189,9 @@ def test_an_allowed_depth_is_kept() -> None:
 
 def test_a_miss_has_its_reason_and_the_step_that_reaches_it() -> None:
     """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both."""
-    aim = Aim(friction=0.4, restitution=0.6, penetration_m=1e-5, mass_kg=0.5, timestep_s=0.01)
+    aim = Aim(
+        friction=0.4, restitution=0.6, penetration_m=1e-5, mass_kg=0.5, timestep_s=0.01
+    )
     found = find_recipe(engine_settings("mujoco"), aim)
     assert found.misses == ("penetration_m",)
     assert "impedance d is at most 0.9999" in found.explanation
@@ -172,19 +222,28 @@ def test_mujoco_gives_what_its_documented_equation_gives(contact: str) -> None:
     meaning = explain(parsed_contact(engine_settings("mujoco"), contact, 0.002), 2.0)
     reached, expected = meaning.reached, meaning.expected
     assert expected is not None
-    assert reached["penetration_m"] == pytest.approx(expected["penetration_m"], rel=1e-3)
+    assert reached["penetration_m"] == pytest.approx(
+        expected["penetration_m"], rel=1e-3
+    )
     assert reached["restitution"] == pytest.approx(expected["restitution"], abs=0.005)
     assert reached["friction"] == pytest.approx(expected["friction"], rel=0.01)
     if expected["time_constant_s"] is not None:
         assert reached["creep_m_s"] == pytest.approx(expected["creep_m_s"], rel=1e-3)
-        assert reached["time_constant_s"] == pytest.approx(expected["time_constant_s"], rel=0.01)
+        assert reached["time_constant_s"] == pytest.approx(
+            expected["time_constant_s"], rel=0.01
+        )
 
 
 def test_the_pyramid_is_in_the_closed_form() -> None:
-    meaning = explain(parsed_contact(engine_settings("mujoco"), "solref=0.02 1 friction=0.5", 0.002), 2.0)
+    meaning = explain(
+        parsed_contact(engine_settings("mujoco"), "solref=0.02 1 friction=0.5", 0.002),
+        2.0,
+    )
     reached, expected = meaning.reached, meaning.expected
     assert expected is not None
-    assert reached["penetration_m"] == pytest.approx(expected["penetration_m"], rel=1e-3)
+    assert reached["penetration_m"] == pytest.approx(
+        expected["penetration_m"], rel=1e-3
+    )
     assert reached["creep_m_s"] == pytest.approx(expected["creep_m_s"], rel=0.06)
 
 
@@ -194,7 +253,12 @@ def test_twice_the_step_is_noticed_by_the_closed_form() -> None:
     settings = parsed_contact(engine_settings("mujoco"), contact, 0.002)
     doubled = settings.model_copy(update={"timestep_s": 0.004}).closed_form()
     assert doubled is not None
-    assert abs(doubled.restitution - (explain(settings, 2.0).reached["restitution"] or 0.0)) > 0.1
+    assert (
+        abs(
+            doubled.restitution - (explain(settings, 2.0).reached["restitution"] or 0.0)
+        )
+        > 0.1
+    )
 
 
 def test_newtons_stiffness_and_damping_are_a_time_constant_and_a_ratio() -> None:
@@ -211,27 +275,44 @@ def closed_form(text: str) -> ContactForm:
 def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one() -> None:
     # MuJoCo documents the limits; without them the first is a division by zero.
     assert closed_form("solimp=0 0 0 0 0") == closed_form("solimp=1e-4 1e-4 0 1e-4 1")
-    assert closed_form("solimp=2 2 0.001 0.5 2") == closed_form("solimp=0.9999 0.9999 0.001 0.5 2")
+    assert closed_form("solimp=2 2 0.001 0.5 2") == closed_form(
+        "solimp=0.9999 0.9999 0.001 0.5 2"
+    )
     assert (mujoco.mjMINIMP, mujoco.mjMAXIMP) == (1e-4, 0.9999)
     assert closed_form("solref=0 0").time_constant_s is None
 
 
-@pytest.mark.parametrize("text", ["solref=0.02 1e300", "solref=100 1e-300", "solimp=0.9 0.95 0.001 0.5 1e300"])
+@pytest.mark.parametrize(
+    "text",
+    ["solref=0.02 1e300", "solref=100 1e-300", "solimp=0.9 0.95 0.001 0.5 1e300"],
+)
 def test_numbers_that_no_equation_takes_are_an_error(text: str) -> None:
-    with pytest.raises(ParameterError, match="its equation overflows with these numbers"):
+    with pytest.raises(
+        ParameterError, match="its equation overflows with these numbers"
+    ):
         explain(parsed_contact(engine_settings("mujoco"), text, 0.002), 2.0)
 
 
 def test_settings_are_explained_on_the_command_line() -> None:
     found = values(
-        *("--backend", "mujoco", "--explain", "solref=0.02 1 solimp=0.9 0.95 0.001", "mass_kg=2"),
+        *(
+            "--backend",
+            "mujoco",
+            "--explain",
+            "solref=0.02 1 solimp=0.9 0.95 0.001",
+            "mass_kg=2",
+        ),
         "timestep_s=0.002",
     )
-    assert found["reached"]["penetration_m"] == pytest.approx(found["closed_form"]["penetration_m"], rel=1e-3)
+    assert found["reached"]["penetration_m"] == pytest.approx(
+        found["closed_form"]["penetration_m"], rel=1e-3
+    )
 
 
 def test_friction_need_not_be_asked() -> None:
-    found = values("--backend", "mujoco", "restitution=0.6", "mass_kg=0.5", "timestep_s=0.002")
+    found = values(
+        "--backend", "mujoco", "restitution=0.6", "mass_kg=0.5", "timestep_s=0.002"
+    )
     assert found["asked"]["friction"] is None
     assert found["error"]["friction"] is None
     assert found["misses"] == []
@@ -239,7 +320,9 @@ def test_friction_need_not_be_asked() -> None:
     assert found["reached"]["restitution"] == pytest.approx(0.6, abs=0.01)
 
 
-def test_an_engine_with_half_the_friction_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_with_half_the_friction_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A planted fault: the engine halves the friction that it is given, whatever the search tries."""
     cls = engine_settings("mujoco")
     kept = cls.build
@@ -261,7 +344,9 @@ def test_an_engine_with_half_the_friction_is_found(monkeypatch: pytest.MonkeyPat
 def test_every_material_has_a_source() -> None:
     for pair in material_pairs():
         assert pair.source
-        assert bool(pair.uncertainty_sources) == (pair.friction_std is not None or pair.restitution_std is not None)
+        assert bool(pair.uncertainty_sources) == (
+            pair.friction_std is not None or pair.restitution_std is not None
+        )
 
 
 def test_a_material_is_looked_up_in_the_task_files() -> None:
@@ -285,7 +370,12 @@ def test_published_friction_names_a_source_that_the_list_explains() -> None:
     explained = " ".join(PUBLISHED)
     for pair in published_pairs():
         assert pair["source"].split(",")[0] in explained
-        numbers = [float(one) for key in ("static", "dynamic") for one in pair[key].split(" to ") if one != "-"]
+        numbers = [
+            float(one)
+            for key in ("static", "dynamic")
+            for one in pair[key].split(" to ")
+            if one != "-"
+        ]
         assert all(0.05 <= one <= 1.5 for one in numbers)
         assert numbers or float(pair["rolling_mm"]) > 0.0
 
@@ -303,7 +393,11 @@ def test_a_fabric_states_what_its_mapping_loses() -> None:
 @pytest.mark.parametrize("width", ["40", "140"])
 def test_a_terminal_does_not_cut_what_is_to_be_pasted(width: str) -> None:
     snippet = values("satin", "--backend", "isaac")["snippet"]
-    text = CliRunner(env={"COLUMNS": width}).invoke(app, ["recipe", "satin", "--backend", "isaac"]).stdout
+    text = (
+        CliRunner(env={"COLUMNS": width})
+        .invoke(app, ["recipe", "satin", "--backend", "isaac"])
+        .stdout
+    )
     assert text.endswith(snippet)
 
 
@@ -372,9 +466,13 @@ def test_a_request_that_asks_for_nothing_is_refused() -> None:
     assert "nothing is asked: add friction=0.4" in " ".join(result.output.split())
 
 
-def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_is_not_installed_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def absent() -> None:
-        raise MissingExtraError("backend 'rapier'", "rapier", ModuleNotFoundError(name="rapier3d"))
+        raise MissingExtraError(
+            "backend 'rapier'", "rapier", ModuleNotFoundError(name="rapier3d")
+        )
 
     monkeypatch.setattr(engine_settings("rapier"), "backend", absent)
     result = gauge(*GOOD, "--backend=rapier")
@@ -382,7 +480,9 @@ def test_an_engine_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
     assert "pip install 'gauge-envs[rapier]'" in " ".join(result.output.split())
 
 
-def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_divergence_is_an_outcome_with_its_cause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A planted fault: damping that reverses and doubles the speed at each step."""
     cls = engine_settings("mujoco")
     kept = cls.aimed
@@ -399,4 +499,13 @@ def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch: pytest.MonkeyPat
 
 
 def test_engines_of_recipes_are_named() -> None:
-    assert engine_names() == ("mujoco", "mujoco_warp", "newton", "physx", "pybullet", "rapier", "drake", "genesis")
+    assert engine_names() == (
+        "mujoco",
+        "mujoco_warp",
+        "newton",
+        "physx",
+        "pybullet",
+        "rapier",
+        "drake",
+        "genesis",
+    )

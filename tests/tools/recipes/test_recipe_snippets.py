@@ -23,20 +23,32 @@ MODULES = {
     "genesis": "genesis.version",
 }
 HEAVY = ("pybullet", "drake", "newton", "mujoco_warp", "genesis")
-ENGINES = [pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else []) for name in MODULES]
+ENGINES = [
+    pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else [])
+    for name in MODULES
+]
 
 
 @cache
-def recipe(engine: str, friction: float = FRICTION, restitution: float = RESTITUTION, step_s: float = STEP_S) -> Recipe:
+def recipe(
+    engine: str,
+    friction: float = FRICTION,
+    restitution: float = RESTITUTION,
+    step_s: float = STEP_S,
+) -> Recipe:
     pytest.importorskip(MODULES[engine])
-    aim = Aim(friction=friction, restitution=restitution, mass_kg=MASS_KG, timestep_s=step_s)
+    aim = Aim(
+        friction=friction, restitution=restitution, mass_kg=MASS_KG, timestep_s=step_s
+    )
     return find_recipe(engine_settings(engine), aim)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_snippet_gives_what_is_said_in_a_plain_loop(engine: str) -> None:
     found = recipe(engine)
-    friction, restitution = getattr(plain_loops, engine)(found.snippet, FRICTION, MASS_KG, STEP_S)
+    friction, restitution = getattr(plain_loops, engine)(
+        found.snippet, FRICTION, MASS_KG, STEP_S
+    )
     assert found.found is not None
     # The plain plate has its edges along the slope, and starts level; single drops scatter between phases.
     assert friction == pytest.approx(found.found.slide.mean, rel=0.005)
@@ -67,7 +79,9 @@ def test_a_snippet_with_a_wrong_unit_is_noticed(right: str, wrong: str) -> None:
     """Planted faults: one number of the snippet is in another unit."""
     snippet = recipe("mujoco").snippet
     assert right in snippet
-    friction, restitution = plain_loops.mujoco(snippet.replace(right, wrong), FRICTION, MASS_KG, STEP_S)
+    friction, restitution = plain_loops.mujoco(
+        snippet.replace(right, wrong), FRICTION, MASS_KG, STEP_S
+    )
     assert max(abs(friction - FRICTION), abs(restitution - RESTITUTION)) > 0.1
 
 
@@ -97,7 +111,12 @@ def test_a_body_that_holds_contact_has_the_asked_friction_in_a_plain_loop(
     found = recipe(engine, **STEEP)
     for turn_deg in (0.0, 15.0, 30.0, 45.0):
         friction = plain_loops.SLIDES[engine](
-            found.snippet, 0.9, mass_kg, turn_deg=turn_deg, size=size, beyond_deg=beyond_deg
+            found.snippet,
+            0.9,
+            mass_kg,
+            turn_deg=turn_deg,
+            size=size,
+            beyond_deg=beyond_deg,
         )
         assert friction == pytest.approx(0.9, rel=FRICTION_SHARE)
 
@@ -106,7 +125,12 @@ def test_a_wide_free_plate_does_not_tip_and_has_the_asked_friction() -> None:
     """Without a lock: a plate twenty times as wide as high, on which friction hardly shifts the load."""
     for turn_deg in (0.0, 15.0, 30.0, 45.0):
         friction = plain_loops.mujoco_slide(
-            recipe("mujoco", **STEEP).snippet, 0.9, MASS_KG, turn_deg=turn_deg, size=(0.6, 0.6, 0.03), is_free=True
+            recipe("mujoco", **STEEP).snippet,
+            0.9,
+            MASS_KG,
+            turn_deg=turn_deg,
+            size=(0.6, 0.6, 0.03),
+            is_free=True,
         )
         assert friction == pytest.approx(0.9, rel=FRICTION_SHARE)
 
@@ -125,11 +149,15 @@ def test_plates_that_hop_have_the_smaller_friction_that_stands_beside() -> None:
     """Free plates in a plain loop, tipped by a thousandth at the start: their mean, and a scatter of about 1 %."""
     found = recipe("mujoco", **STEEP)
     frictions = [
-        plain_loops.mujoco_slide(found.snippet, 0.9, MASS_KG, turn_deg=turn_deg, tip=tip, is_free=True)
+        plain_loops.mujoco_slide(
+            found.snippet, 0.9, MASS_KG, turn_deg=turn_deg, tip=tip, is_free=True
+        )
         for turn_deg in (5.0, 15.0, 25.0, 35.0)
         for tip in ((1e-3, 4e-4), (-3e-4, 1e-3), (5e-4, -8e-4))
     ]
-    assert found.reached["friction_hopping"] == pytest.approx(sum(frictions) / len(frictions), rel=0.015)
+    assert found.reached["friction_hopping"] == pytest.approx(
+        sum(frictions) / len(frictions), rel=0.015
+    )
     assert max(frictions) < 0.9 * (1.0 - FRICTION_SHARE)
 
 
@@ -137,7 +165,9 @@ def test_a_rigid_contact_does_not_hop() -> None:
     """Rapier's plates have one friction, free or not."""
     found = recipe("rapier", **STEEP)
     assert found.reached["friction_hopping"] == pytest.approx(0.9, rel=1e-3)
-    friction = plain_loops.rapier_slide(found.snippet, 0.9, MASS_KG, turn_deg=30.0, is_free=True)
+    friction = plain_loops.rapier_slide(
+        found.snippet, 0.9, MASS_KG, turn_deg=30.0, is_free=True
+    )
     assert friction == pytest.approx(0.9, rel=1e-3)
 
 
@@ -145,4 +175,6 @@ def test_the_comment_of_a_snippet_states_both_frictions() -> None:
     found = recipe("mujoco", **STEEP)
     comment, *_ = found.snippet.splitlines()
     assert comment.startswith("<!-- Friction: 0.9 of bodies that hold contact, 0.8")
-    assert recipe("rapier", **STEEP).snippet.startswith("# Friction: 0.9 of bodies that hold contact, 0.9 of plates")
+    assert recipe("rapier", **STEEP).snippet.startswith(
+        "# Friction: 0.9 of bodies that hold contact, 0.9 of plates"
+    )

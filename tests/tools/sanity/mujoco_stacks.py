@@ -21,11 +21,17 @@ DOG = """<mujoco model="dog"><option iterations="1" ls_iterations="5" ccd_iterat
 ROBOT = '<mujoco><worldbody><body pos="0 0 .2"><freejoint/><geom name="foot" size=".1"/></body></worldbody></mujoco>'
 
 
-def playground_env(model: mujoco.MjModel | None = None, *, substeps: int = 5, **config: Any) -> Any:
+def playground_env(
+    model: mujoco.MjModel | None = None, *, substeps: int = 5, **config: Any
+) -> Any:
     """Return an environment of Playground with a model, that of `DOG` if None, and a configuration."""
     kind = type("Walk", (), {"__module__": "mujoco_playground.env"})
     env = kind()
-    env.mj_model = mujoco.MjModel.from_xml_string(DOG.format(step=0.004)) if model is None else model
+    env.mj_model = (
+        mujoco.MjModel.from_xml_string(DOG.format(step=0.004))
+        if model is None
+        else model
+    )
     env._config, env.n_substeps = config, substeps
     return env
 
@@ -41,16 +47,29 @@ class MujocoCfg:
         self.options = options
 
     def apply(self, model: mujoco.MjModel) -> None:
-        types = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mjtSolver"}
+        types = {
+            "integrator": "mjtIntegrator",
+            "cone": "mjtCone",
+            "solver": "mjtSolver",
+        }
         starts = {"integrator": "mjINT", "cone": "mjCONE", "solver": "mjSOL"}
-        bits = {"disableflags": mujoco.mjtDisableBit, "enableflags": mujoco.mjtEnableBit}
+        bits = {
+            "disableflags": mujoco.mjtDisableBit,
+            "enableflags": mujoco.mjtEnableBit,
+        }
         for name, value in self.options.items():
             if name in types:
                 known = getattr(mujoco, types[name]).__members__
-                (value,) = (one for key, one in known.items() if key.lower() == f"{starts[name]}_{value}".lower())
+                (value,) = (
+                    one
+                    for key, one in known.items()
+                    if key.lower() == f"{starts[name]}_{value}".lower()
+                )
             if name in bits:
                 start = "mjDSBL_" if name == "disableflags" else "mjENBL_"
-                value = sum(int(getattr(bits[name], start + flag.upper())) for flag in value)
+                value = sum(
+                    int(getattr(bits[name], start + flag.upper())) for flag in value
+                )
             setattr(model.opt, name, value)
 
 
@@ -82,11 +101,17 @@ class Part:
 
 
 def mjlab_task(
-    sim: SimulationCfg | None = None, collision: CollisionCfg | None = None, *, observed: int = 0, acted: int = 0
+    sim: SimulationCfg | None = None,
+    collision: CollisionCfg | None = None,
+    *,
+    observed: int = 0,
+    acted: int = 0,
 ) -> Any:
     """Return a task configuration of mjlab with lags of its observations and its actuators."""
     kind = type("Task", (Part,), {"__module__": "mjlab.tasks.cfg"})
-    robot = Part(articulation=Part(actuators=[Part(delay_max_lag=acted)] if acted else []))
+    robot = Part(
+        articulation=Part(actuators=[Part(delay_max_lag=acted)] if acted else [])
+    )
     terms = {"gyro": Part(delay_max_lag=observed), "joints": Part()} if observed else {}
     return kind(
         decimation=4,
@@ -105,7 +130,9 @@ class Scene:
 
     def compile(self) -> mujoco.MjModel:
         spec = mujoco.MjSpec()
-        spec.worldbody.add_geom(name="terrain", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 0.01))
+        spec.worldbody.add_geom(
+            name="terrain", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 0.01)
+        )
         robot = mujoco.MjSpec.from_string(ROBOT)
         (foot,) = robot.geoms
         foot.priority = 1

@@ -39,8 +39,12 @@ class Planted:
 
 
 PLANTED = {
-    "gravity_9": Planted(culprits=("gravity",), rows=("gravity",), option={"gravity": "0 0 -9"}),
-    "gravity_tilted": Planted(culprits=("gravity",), rows=("gravity",), option={"gravity": "0.86 0 -9.77"}),
+    "gravity_9": Planted(
+        culprits=("gravity",), rows=("gravity",), option={"gravity": "0 0 -9"}
+    ),
+    "gravity_tilted": Planted(
+        culprits=("gravity",), rows=("gravity",), option={"gravity": "0.86 0 -9.77"}
+    ),
     "pyramidal_and_soft": Planted(
         culprits=("contact_solimp", "cone", "impratio"),
         rows=("creep-wood",),
@@ -48,28 +52,51 @@ PLANTED = {
         geom={"solref": "0.02 1", "solimp": "0.5 0.9 0.01"},
     ),
     "solimp_from_zero": Planted(
-        culprits=("contact_solimp",), rows=("rest-height",), geom={"solref": "0.02 1", "solimp": "0 0.8 0.01"}
+        culprits=("contact_solimp",),
+        rows=("rest-height",),
+        geom={"solref": "0.02 1", "solimp": "0 0.8 0.01"},
     ),
-    "step_20_ms": Planted(culprits=("timestep_s",), rows=("point",), option={"timestep": "0.02"}),
-    "margin_1_cm": Planted(culprits=("contact_margin_m",), rows=("rest-height",), geom={"margin": "0.01"}),
-    "pyramidal": Planted(culprits=("cone",), rows=("slide-turned",), option={"cone": "pyramidal"}),
+    "step_20_ms": Planted(
+        culprits=("timestep_s",), rows=("point",), option={"timestep": "0.02"}
+    ),
+    "margin_1_cm": Planted(
+        culprits=("contact_margin_m",), rows=("rest-height",), geom={"margin": "0.01"}
+    ),
+    "pyramidal": Planted(
+        culprits=("cone",), rows=("slide-turned",), option={"cone": "pyramidal"}
+    ),
     "one_iteration": Planted(
         culprits=("iterations", "cone"),
         rows=("slide-wood",),
-        option={"iterations": "1", "ls_iterations": "5", "cone": "pyramidal", "impratio": "1"},
+        option={
+            "iterations": "1",
+            "ls_iterations": "5",
+            "cone": "pyramidal",
+            "impratio": "1",
+        },
     ),
-    "soft_solref": Planted(culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "0.2 1"}),
-    "negative_solref": Planted(culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "-50 -14"}),
-    "no_impratio": Planted(culprits=("impratio",), rows=("creep-wood",), option={"impratio": "0.01"}),
+    "soft_solref": Planted(
+        culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "0.2 1"}
+    ),
+    "negative_solref": Planted(
+        culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "-50 -14"}
+    ),
+    "no_impratio": Planted(
+        culprits=("impratio",), rows=("creep-wood",), option={"impratio": "0.01"}
+    ),
     "refsafe_off": Planted(
         culprits=("refsafe", "contact_solref", "timestep_s"),
         rows=("creep-wood",),
         flag={"refsafe": "disable"},
         geom={"solref": "0.001 1"},
     ),
-    "slippery_override": Planted(culprits=("o_friction",), rows=("creep-wood",), flag={"override": "enable"}),
+    "slippery_override": Planted(
+        culprits=("o_friction",), rows=("creep-wood",), flag={"override": "enable"}
+    ),
     "soft_foot": Planted(
-        culprits=("contact_solref",), rows=("rest-height",), foot={"priority": "1", "solref": "0.2 1"}
+        culprits=("contact_solref",),
+        rows=("rest-height",),
+        foot={"priority": "1", "solref": "0.2 1"},
     ),
 }
 """Planted faults by name."""

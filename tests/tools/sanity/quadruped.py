@@ -40,7 +40,9 @@ def quadruped_xml(
             <geom name="{name}" pos=".15 0 -.15" size="{FOOT_RADIUS_M}" mass=".04" {foot}/></body></body>"""
         if locked:
             lock = 'polycoef="0 0 0 0 0" solref="0.004 1" solimp="0.9999 0.9999 0.001"'
-            locks += f'<joint joint1="{leg}_hip" {lock}/><joint joint1="{leg}_knee" {lock}/>'
+            locks += (
+                f'<joint joint1="{leg}_hip" {lock}/><joint joint1="{leg}_knee" {lock}/>'
+            )
     return f"""<mujoco model="quadruped"><option {option}/>
       <default><geom friction="{friction} 0.005 0.0001" {geom}/><joint armature="0.005"/></default>
       <worldbody><geom name="floor" type="plane" size="5 5 .1"/>

@@ -31,10 +31,14 @@ def moved(
     """
     states = {}
     for body in scenario.scene.bodies:
-        displacement = displacements_m.get(body.name.replace("-", "_"), np.zeros((len(times_s), 3)))
+        displacement = displacements_m.get(
+            body.name.replace("-", "_"), np.zeros((len(times_s), 3))
+        )
         states[body.name] = np.zeros((len(times_s), 13))
         states[body.name][:, :3] = np.asarray(body.pose.position_m) + displacement
         states[body.name][:, 3:7] = body.pose.quaternion
         states[body.name][:, 7:10] = np.gradient(displacement, times_s, axis=0)
     markers = np.zeros((len(times_s), 0, 3)) if markers_m is None else markers_m
-    return Rollout(scene=scenario.scene, times_s=times_s, states=states, markers_m=markers)
+    return Rollout(
+        scene=scenario.scene, times_s=times_s, states=states, markers_m=markers
+    )

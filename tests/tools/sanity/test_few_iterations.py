@@ -34,12 +34,18 @@ def test_bodies_stick_with_one_iteration_and_slide_with_enough(case: Case) -> No
     assert acceleration(case, Options().converged) == pytest.approx(case.law, rel=0.05)
 
 
-@pytest.mark.parametrize(("cone", "ls_iterations"), [("pyramidal", 8), ("elliptic", 20)])
+@pytest.mark.parametrize(
+    ("cone", "ls_iterations"), [("pyramidal", 8), ("elliptic", 20)]
+)
 @pytest.mark.parametrize("step", [0.002, 0.004, 0.005, 0.01])
-def test_four_iterations_give_the_converged_acceleration(cone: str, ls_iterations: int, step: float) -> None:
+def test_four_iterations_give_the_converged_acceleration(
+    cone: str, ls_iterations: int, step: float
+) -> None:
     options = Options(cone=cone, timestep=step)
     for case in CASES:
-        few = acceleration(case, replace(options, iterations=4, ls_iterations=ls_iterations))
+        few = acceleration(
+            case, replace(options, iterations=4, ls_iterations=ls_iterations)
+        )
         assert few == pytest.approx(acceleration(case, options.converged), abs=0.02)
 
 
@@ -49,32 +55,46 @@ def test_law_is_coulombs() -> None:
 
 
 @pytest.mark.parametrize("body", MAPPED)
-@pytest.mark.parametrize("push", [Push(1.25, 0.0), Push(1.5, 1.0), Push(3.0, 3.0)], ids=str)
+@pytest.mark.parametrize(
+    "push", [Push(1.25, 0.0), Push(1.5, 1.0), Push(3.0, 3.0)], ids=str
+)
 def test_one_iteration_holds_at_all_speeds_and_loads(body: str, push: Push) -> None:
     assert speed_share(MAPPED[body](), Options(), push) < few_iterations.STICKS
-    assert speed_share(MAPPED[body](), Options(iterations=4), push) > few_iterations.SLIDES
+    assert (
+        speed_share(MAPPED[body](), Options(iterations=4), push) > few_iterations.SLIDES
+    )
 
 
 @pytest.mark.parametrize("body", MAPPED)
 def test_one_iteration_stops_a_sliding_body_too_early(body: str) -> None:
     assert braking_share(MAPPED[body](), Options(), 1.0) < 0.2
-    assert braking_share(MAPPED[body](), Options().converged, 1.0) == pytest.approx(1.0, abs=0.05)
+    assert braking_share(MAPPED[body](), Options().converged, 1.0) == pytest.approx(
+        1.0, abs=0.05
+    )
 
 
-@pytest.mark.parametrize("change", [{"ls_iterations": 50}, {"warmstart": False}], ids=str)
-def test_neither_line_search_nor_warm_start_is_responsible(change: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "change", [{"ls_iterations": 50}, {"warmstart": False}], ids=str
+)
+def test_neither_line_search_nor_warm_start_is_responsible(
+    change: dict[str, object],
+) -> None:
     assert acceleration(CUBE, replace(Options(), **change)) < 0.05 * CUBE.law
 
 
 def test_start_of_the_solver_is_responsible() -> None:
-    assert start_from(CUBE, Options(), given_s=np.inf) == pytest.approx(CUBE.law, rel=0.05)
+    assert start_from(CUBE, Options(), given_s=np.inf) == pytest.approx(
+        CUBE.law, rel=0.05
+    )
     assert start_from(CUBE, Options(), given_s=0.1) < 0.05 * CUBE.law
 
 
 def test_body_that_is_held_disobeys_its_contact_forces() -> None:
     assert force_acceleration(CUBE, Options()) > 2.0 * CUBE.law
     converged = Options().converged
-    assert force_acceleration(CUBE, converged) == pytest.approx(acceleration(CUBE, converged), rel=1e-6)
+    assert force_acceleration(CUBE, converged) == pytest.approx(
+        acceleration(CUBE, converged), rel=1e-6
+    )
 
 
 def test_integrator_that_moves_by_forces_lets_the_cube_slide() -> None:
@@ -86,8 +106,12 @@ def test_map_separates_bodies_that_stick_and_slide() -> None:
 
 
 def test_feet_of_a_robot_slip_too_little() -> None:
-    slips = {name: standing_slip(options, 0.3, 25.0) for name, options in OPTIONS.items()}
-    assert slips["100 / 50, elliptic"] == pytest.approx(slips["100 / 50, pyramidal"], rel=0.1)
+    slips = {
+        name: standing_slip(options, 0.3, 25.0) for name, options in OPTIONS.items()
+    }
+    assert slips["100 / 50, elliptic"] == pytest.approx(
+        slips["100 / 50, pyramidal"], rel=0.1
+    )
     assert slips["1 / 5, pyramidal"] < 0.5 * slips["100 / 50, pyramidal"]
 
 

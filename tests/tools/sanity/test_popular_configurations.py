@@ -14,7 +14,9 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import configuration
 
 
-def test_check_finds_a_page_that_is_not_current(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_finds_a_page_that_is_not_current(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     data = json.loads(script.DATA.read_text(encoding="utf-8"))
     row = next(one for one in data["rows"] if "creep-wood" in one["values"])
     row["values"]["creep-wood"] += 1.0
@@ -38,7 +40,10 @@ def test_ranges_of_a_package_leave_out_what_is_held() -> None:
     real, name = script.real_value("slide-wood"), "slide-wood"
     rows = [{"values": {name: value}} for value in (real, 0.0, None)]
     assert script.share_range(rows, name) == "100 %, 1 held, 1 fails"
-    assert script.value_range([{"values": {"x": 1.25}}, {"values": {"x": -0.04}}], "x", 1) == "0.0 to 1.2"
+    assert (
+        script.value_range([{"values": {"x": 1.25}}, {"values": {"x": -0.04}}], "x", 1)
+        == "0.0 to 1.2"
+    )
     assert script.value_range([{"values": {}}], "x", 1) == ""
 
 
@@ -48,16 +53,24 @@ def test_all_packages_are_in_the_data_with_their_versions() -> None:
     assert all(row["version"] and row["engine_version"] for row in rows)
 
 
-def test_share_of_friction_is_one_for_the_real_cube_and_largest_for_one_that_is_held() -> None:
+def test_share_of_friction_is_one_for_the_real_cube_and_largest_for_one_that_is_held() -> (
+    None
+):
     real = script.real_value("slide-turned")
-    friction = math.tan(math.radians(30.0)) - real / (GRAVITY_M_PER_S2 * math.cos(math.radians(30.0)))
+    friction = math.tan(math.radians(30.0)) - real / (
+        GRAVITY_M_PER_S2 * math.cos(math.radians(30.0))
+    )
     assert script.share_of_friction("slide-turned", real) == pytest.approx(1.0)
-    assert script.share_of_friction("slide-turned", 0.0) == pytest.approx(math.tan(math.radians(30.0)) / friction)
+    assert script.share_of_friction("slide-turned", 0.0) == pytest.approx(
+        math.tan(math.radians(30.0)) / friction
+    )
     assert script.share_of_friction("slide-turned", None) is None
 
 
 def test_equal_settings_share_a_row() -> None:
-    by_key, read, unreadable = script.groups_of(["Reacher-v5", "Walker2d-v5", "Swimmer-v5", "NoSuchEnv-v5"])
+    by_key, read, unreadable = script.groups_of(
+        ["Reacher-v5", "Walker2d-v5", "Swimmer-v5", "NoSuchEnv-v5"]
+    )
     assert list(by_key.values()) == [["Reacher-v5", "Swimmer-v5"], ["Walker2d-v5"]]
     assert len(read) == 2
     assert list(unreadable) == ["NoSuchEnv-v5"]
@@ -74,7 +87,9 @@ def test_friction_of_a_target_is_that_of_the_geoms_that_decide() -> None:
     assert script.friction_of(read, read.contact_groups[0].geoms) == 0.4
 
 
-def test_rows_that_are_known_are_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_that_are_known_are_not_measured_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     package = script.Package("gymnasium", lambda: ["Reacher-v5", "Swimmer-v5"])
     monkeypatch.setattr(script, "PACKAGES", {"Gymnasium": package})
     data: dict[str, Any] = {"rows": [], "unreadable": {}}
@@ -85,9 +100,14 @@ def test_rows_that_are_known_are_not_measured_again(tmp_path: Path, monkeypatch:
     script.measure("Gymnasium", data, tmp_path / "data.json")
 
 
-@pytest.mark.parametrize("package", [script.Package("absent", lambda: ["x"]), script.Package("absent")])
+@pytest.mark.parametrize(
+    "package", [script.Package("absent", lambda: ["x"]), script.Package("absent")]
+)
 def test_package_that_is_not_here_keeps_its_rows(
-    package: script.Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    package: script.Package,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(script, "PACKAGES", {"Absent": package})
     data: dict[str, Any] = {"rows": [{"package": "Absent"}], "unreadable": {}}
@@ -100,12 +120,16 @@ def test_tasks_of_other_packages_are_read_from_probe_files(tmp_path: Path) -> No
     (tmp_path / "playground").mkdir()
     file = tmp_path / "playground" / f"Walk{script.SUFFIX}"
     file.write_text(json.dumps({"versions": {"playground": "0.2.0"}}), encoding="utf-8")
-    assert script.targets_of(script.PACKAGES["MuJoCo Playground"], tmp_path) == ("0.2.0", [str(file)])
+    assert script.targets_of(script.PACKAGES["MuJoCo Playground"], tmp_path) == (
+        "0.2.0",
+        [str(file)],
+    )
     assert script.shown_name(str(file)) == "Walk"
 
 
 @pytest.mark.parametrize(
-    ("acceleration", "text"), [(None, "fails"), (0.05, "held"), (script.real_value("slide-wood"), "100 %")]
+    ("acceleration", "text"),
+    [(None, "fails"), (0.05, "held"), (script.real_value("slide-wood"), "100 %")],
 )
 def test_friction_is_shown_as_a_share(acceleration: float | None, text: str) -> None:
     row = {"values": {"slide-wood": acceleration}}
@@ -114,14 +138,22 @@ def test_friction_is_shown_as_a_share(acceleration: float | None, text: str) -> 
 
 @pytest.mark.parametrize(
     ("geoms", "text"),
-    [("", ""), ("floor, wall and 2 more with ball", " (ball)"), ("floor with head, torso and 3 more", " (head)")],
+    [
+        ("", ""),
+        ("floor, wall and 2 more with ball", " (ball)"),
+        ("floor with head, torso and 3 more", " (head)"),
+    ],
 )
 def test_deciding_geom_is_named(geoms: str, text: str) -> None:
     assert script.deciding({"geoms": {"slide-wood": geoms} if geoms else {}}) == text
 
 
 def test_numbers_have_no_negative_zero() -> None:
-    assert [script.number(value, 1) for value in (-0.04, -0.06, None)] == ["0.0", "-0.1", "fails"]
+    assert [script.number(value, 1) for value in (-0.04, -0.06, None)] == [
+        "0.0",
+        "-0.1",
+        "fails",
+    ]
 
 
 def test_cure_is_shown_by_its_first_change() -> None:

@@ -14,13 +14,28 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cause import alternatives, find_cause
 from gauge_envs.tools.sanity.measure import Measured, Measurements
-from gauge_envs.tools.sanity.model import Cause, PhenomenonResult, Report, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.model import (
+    Cause,
+    PhenomenonResult,
+    Report,
+    TrainingConfiguration,
+    Verdict,
+)
 from gauge_envs.tools.sanity.phenomena import phenomena
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
 """A training configuration that leaves the constants of contacts to the backend."""
 
-QUICK = ("creep-wood", "rest-height", "slide-wood", "rebound", "momentum", "carry-wood", "seam", "point")
+QUICK = (
+    "creep-wood",
+    "rest-height",
+    "slide-wood",
+    "rebound",
+    "momentum",
+    "carry-wood",
+    "seam",
+    "point",
+)
 """All but a wall of bricks, a hundred seconds of a pendulum, and further materials."""
 
 PLANTS = {
@@ -38,7 +53,12 @@ PLANTS = {
 
 
 def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
-    return check(TrainingConfiguration(name="planted", source="test", backend="mujoco", settings=settings), only=only)
+    return check(
+        TrainingConfiguration(
+            name="planted", source="test", backend="mujoco", settings=settings
+        ),
+        only=only,
+    )
 
 
 def flagged(rows: Sequence[PhenomenonResult]) -> dict[str, PhenomenonResult]:
@@ -70,14 +90,19 @@ def test_good_configuration_raises_no_flag() -> None:
     assert flagged(found.rows) == {}
     assert found.worst is Verdict.INSIDE
     assert all(row.cause is None for row in found.rows)
-    assert {row.experiment for row in found.rows} >= {"GAUGE/SlopeSlider-1-wood", "GAUGE/NewtonsCradle-metal"}
+    assert {row.experiment for row in found.rows} >= {
+        "GAUGE/SlopeSlider-1-wood",
+        "GAUGE/NewtonsCradle-metal",
+    }
     assert found.versions["mujoco"]
 
 
 def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     seen = []
     found = check(
-        TrainingConfiguration(name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH),
+        TrainingConfiguration(
+            name="HalfCheetah", source="test", backend="mujoco", settings=CHEETAH
+        ),
         only=["creep-wood", "rest-height", "rebound", "slide-wood"],
         notify=seen.append,
     )
@@ -87,33 +112,54 @@ def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     assert set(bad) == {"creep-wood", "rest-height"}
     # One solref without rebound serves all contacts, so that the model does not state what the row depends on.
     rebound = next(row for row in found.rows if row.phenomenon == "rebound")
-    assert rebound.advisory and rebound.verdict is Verdict.WRONG and rebound.cause is None
-    assert bad["rest-height"].cause is not None and bad["rest-height"].cause.settings == ("contact_solimp",)
-    assert all(row.cause is not None and row.cause.settings and row.cause.tried for row in bad.values())
+    assert (
+        rebound.advisory and rebound.verdict is Verdict.WRONG and rebound.cause is None
+    )
+    assert bad["rest-height"].cause is not None and bad[
+        "rest-height"
+    ].cause.settings == ("contact_solimp",)
+    assert all(
+        row.cause is not None and row.cause.settings and row.cause.tried
+        for row in bad.values()
+    )
     creep = bad["creep-wood"].cause
     assert creep is not None
     tried = {tuple(trial.changes): trial.value for trial in creep.tried}
     assert tried[("cone",)] is not None and tried[("cone",)] < 10.0
     assert bad["creep-wood"].curve is not None
     assert bad["creep-wood"].curve.configured[-1] == pytest.approx(58.0, rel=0.1)
-    assert len(bad["creep-wood"].curve.reality) == len(bad["creep-wood"].curve.default) <= 200
+    assert (
+        len(bad["creep-wood"].curve.reality)
+        == len(bad["creep-wood"].curve.default)
+        <= 200
+    )
     assert found.worst is Verdict.WRONG
     assert found.to_dict()["rows"][0]["phenomenon"] == "creep-wood"
 
 
 def test_a_preset_is_taken_apart_into_its_settings() -> None:
     scenario = phenomena(["rebound"])[0].scenario
-    names = alternatives(Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"})
+    names = alternatives(
+        Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"}
+    )
     assert set(names) >= {"timestep_s", "cone", "contact_solref"}
     assert not {"preset", "drive_interval_s"} & set(names)
 
 
 def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted() -> None:
-    model = {"timestep_s": 0.02, "cone": "pyramidal", "impratio": 1.0, "contact_solref": [0.2, 1.0], "iterations": 100}
+    model = {
+        "timestep_s": 0.02,
+        "cone": "pyramidal",
+        "impratio": 1.0,
+        "contact_solref": [0.2, 1.0],
+        "iterations": 100,
+    }
     wall = phenomena(["wall-sag"])[0].scenario
     tried = alternatives(Measurements(backend("mujoco")), wall, model)
     # The documented default and the preset for a wall have the pyramidal cone too; the one for a cube has not.
-    assert [(one.value, one.source) for one in tried["cone"]] == [("elliptic", "this package's preset contact")]
+    assert [(one.value, one.source) for one in tried["cone"]] == [
+        ("elliptic", "this package's preset contact")
+    ]
     assert [one.value for one in tried["impratio"]] == [10.0]
     assert [(one.value, one.source) for one in tried["contact_solref"]] == [
         ((0.02, 1.0), "the engine's documented default"),
@@ -149,10 +195,20 @@ def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
     """It is the cause, or is named among the settings that suffice, where it is not the default of the scene."""
     bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
     assert PLANTS[name][1] in bad
-    causes = {phenomenon: row.cause for phenomenon, row in bad.items() if row.cause is not None}
+    causes = {
+        phenomenon: row.cause
+        for phenomenon, row in bad.items()
+        if row.cause is not None
+    }
     assert set(causes) == set(bad)
-    differs = {p: cause for p, cause in causes.items() if any(name in trial.changes for trial in cause.tried)}
-    assert {p: cause.line for p, cause in differs.items() if name not in cause.line} == {}
+    differs = {
+        p: cause
+        for p, cause in causes.items()
+        if any(name in trial.changes for trial in cause.tried)
+    }
+    assert {
+        p: cause.line for p, cause in differs.items() if name not in cause.line
+    } == {}
 
 
 @pytest.mark.slow
@@ -176,15 +232,28 @@ class Made(Measurements):
     def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:
         value = self._formula(**self.in_force(None, settings))
         if math.isinf(value):
-            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark="diverged: far")
-        verdict = Verdict.INSIDE if abs(value) <= 2.0 else Verdict.VISIBLE if abs(value) <= 5.0 else Verdict.WRONG
+            return Measured(
+                value=None,
+                deviation=math.inf,
+                verdict=Verdict.WRONG,
+                remark="diverged: far",
+            )
+        verdict = (
+            Verdict.INSIDE
+            if abs(value) <= 2.0
+            else Verdict.VISIBLE
+            if abs(value) <= 5.0
+            else Verdict.WRONG
+        )
         return Measured(value=value, deviation=0.5 * abs(value), verdict=verdict)
 
 
 def cause_of(formula: Callable[..., float], **settings: Any) -> Cause | None:
     made = Made(formula)
     (phenomenon,) = phenomena(["creep-wood"])
-    return find_cause(made, phenomenon, settings, made.measure(None, settings), made.measure(None, {}))
+    return find_cause(
+        made, phenomenon, settings, made.measure(None, settings), made.measure(None, {})
+    )
 
 
 def test_nothing_is_responsible_for_what_is_right() -> None:
@@ -192,18 +261,29 @@ def test_nothing_is_responsible_for_what_is_right() -> None:
 
 
 def test_the_closest_single_setting_is_responsible_and_others_are_reported() -> None:
-    cause = cause_of(lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1)
+    cause = cause_of(
+        lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1
+    )
     assert cause is not None and cause.settings == ("a",)
     assert cause.line == (
         "a = 0 instead of 1 brings creep from 20.1 mm/s to 0.1 mm/s (b = 0 alone to 0.5 mm/s); "
         "from the engine's documented default"
     )
-    assert [trial.changes for trial in cause.tried if not trial.on_default] == [{"a": 0}, {"b": 0}, {"c": 0}]
+    assert [trial.changes for trial in cause.tried if not trial.on_default] == [
+        {"a": 0},
+        {"b": 0},
+        {"c": 0},
+    ]
 
 
 def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
     # With b put back it comes closest, as c takes back what a alone does; but a harms alone, and b does not.
-    cause = cause_of(lambda a, b, c, d, e: 7.0 * a * b + a * (1 - b) * (1.5 - 1.4 * c) + c * (1 - a), a=1, b=1, c=1)
+    cause = cause_of(
+        lambda a, b, c, d, e: 7.0 * a * b + a * (1 - b) * (1.5 - 1.4 * c) + c * (1 - a),
+        a=1,
+        b=1,
+        c=1,
+    )
     assert cause is not None and cause.settings == ("a",)
     assert "from 7 mm/s to 1 mm/s (b = 0 alone to 0.1 mm/s)" in cause.line
 
@@ -223,14 +303,18 @@ def test_each_of_two_suffices() -> None:
 
 def test_two_are_responsible_together() -> None:
     # Three equal shares: no one takes half away, none alone is half of it, and one more than two is not needed.
-    cause = cause_of(lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1)
+    cause = cause_of(
+        lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1
+    )
     assert cause is not None and len(cause.settings) == 2
     assert "together" in cause.line and "d" not in cause.settings
 
 
 def test_more_than_a_few_are_the_configuration_as_a_whole() -> None:
     # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
-    cause = cause_of(lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1)
+    cause = cause_of(
+        lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1
+    )
     assert cause is not None and cause.settings == ()
     assert cause.line == "no reset of up to 3 settings explains it: a, b, c, d, e"
 

@@ -36,7 +36,9 @@ def test_nothing_changes_between_equals() -> None:
 
 def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
     one = Planted(culprits=(), rows=(), geom={"friction": "0.6"})
-    other = Planted(culprits=(), rows=(), geom={"friction": "1.2"}, option={"cone": "pyramidal"})
+    other = Planted(
+        culprits=(), rows=(), geom={"friction": "1.2"}, option={"cone": "pyramidal"}
+    )
     found = rows(compare(model(one), model(other), only=["slide-wood", "slide-turned"]))
     straight, turned = found["foot-straight"], found["foot-turned"]
     # A real slide resolves 4 % of the friction, the half-width of the interval of the row.
@@ -53,7 +55,9 @@ def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
 def test_the_page_shows_what_the_command_prints() -> None:
     page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
     line, shown = re.findall(
-        r"```sh\ngauge (sanity [^\n]* --against [^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
+        r"```sh\ngauge (sanity [^\n]* --against [^\n]*)\n```\n\n```text\n(.*?)```",
+        page,
+        re.DOTALL,
     )[0]
     printed = " ".join(RUNNER.invoke(app, shlex.split(line)).stdout.split())
     head, rows_shown = shown.split("\n\n")
@@ -62,7 +66,9 @@ def test_the_page_shows_what_the_command_prints() -> None:
 
 
 def test_step_and_gravity_are_compared() -> None:
-    fault = Planted(culprits=(), rows=(), option={"timestep": "0.004", "gravity": "0 0 -9"})
+    fault = Planted(
+        culprits=(), rows=(), option={"timestep": "0.004", "gravity": "0 0 -9"}
+    )
     found = rows(compare(model(), model(fault), only=["gravity"]))
     assert set(found) == {"step", "gravity"}
     assert (found["step"].trained, found["step"].deployed) == (0.002, 0.004)
@@ -72,7 +78,13 @@ def test_step_and_gravity_are_compared() -> None:
 
 
 def test_a_tilt_is_a_change_of_gravity() -> None:
-    (row,) = (r for r in compare(model(), model(PLANTED["gravity_tilted"]), only=["gravity"]).rows if r.id == "gravity")
+    (row,) = (
+        r
+        for r in compare(
+            model(), model(PLANTED["gravity_tilted"]), only=["gravity"]
+        ).rows
+        if r.id == "gravity"
+    )
     assert row.trained == pytest.approx(row.deployed, abs=0.01)
     assert (row.change, row.remark) == (Change.LARGE, "the directions differ")
 
@@ -102,17 +114,31 @@ def test_the_command_compares_two_targets(tmp_path) -> None:
     margin = Planted(culprits=(), rows=(), geom={"margin": "0.001"})
     for name, planted in {"a": None, "b": margin}.items():
         (tmp_path / f"{name}.xml").write_text(model_xml(planted))
-    arguments = ["sanity", str(tmp_path / "a.xml"), "--against", str(tmp_path / "b.xml"), "--only", "rest-height"]
+    arguments = [
+        "sanity",
+        str(tmp_path / "a.xml"),
+        "--against",
+        str(tmp_path / "b.xml"),
+        "--only",
+        "rest-height",
+    ]
     outcome = RUNNER.invoke(app, arguments)
     assert outcome.exit_code == 0
-    assert outcome.stdout.startswith("1 of 2 rows change; most of all resting height: gap between cube and board: from")
+    assert outcome.stdout.startswith(
+        "1 of 2 rows change; most of all resting height: gap between cube and board: from"
+    )
     assert "rest-height" in outcome.stdout
-    first, _, row = map(json.loads, RUNNER.invoke(app, [*arguments, "--json"]).stdout.splitlines())
+    first, _, row = map(
+        json.loads, RUNNER.invoke(app, [*arguments, "--json"]).stdout.splitlines()
+    )
     assert first["deployed"]["name"] == "b.xml"
     # Margins of both geoms add up.
     assert row["deployed"] - row["trained"] == pytest.approx(2.0, abs=0.05)
     assert RUNNER.invoke(app, [*arguments, "--fail-on", "wrong"]).exit_code == 1
-    assert "| rest-height |" in RUNNER.invoke(app, [*arguments, "--format", "markdown"]).stdout
+    assert (
+        "| rest-height |"
+        in RUNNER.invoke(app, [*arguments, "--format", "markdown"]).stdout
+    )
     refused = RUNNER.invoke(app, [*arguments, "--out", str(tmp_path / "x.html")])
     assert refused.exit_code == 2
     assert "expected a suffix of .md, .json" in refused.output

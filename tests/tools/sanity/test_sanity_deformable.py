@@ -30,7 +30,11 @@ def one(name: str) -> Phenomenon:
 
 
 def deformable() -> list[Phenomenon]:
-    return [one for one in phenomena(include_deformables=True) if one.scenario.scene.deformables]
+    return [
+        one
+        for one in phenomena(include_deformables=True)
+        if one.scenario.scene.deformables
+    ]
 
 
 def read(phenomenon: Phenomenon, rollout: Rollout) -> float:
@@ -52,7 +56,9 @@ def test_sag_is_the_centre_of_the_swing() -> None:
     rest = markers_m(sag)
     down_m = 1.3e-3 * (1.0 - np.cos(2.0 * np.pi * 16.4 * TIMES_S))
     markers = rest - down_m[:, None, None] * [0.0, 0.0, 1.0]
-    assert read(sag, moved(sag.scenario, TIMES_S, markers)) == pytest.approx(1.3, rel=0.01)
+    assert read(sag, moved(sag.scenario, TIMES_S, markers)) == pytest.approx(
+        1.3, rel=0.01
+    )
 
 
 def test_sag_of_a_linear_strip_is_the_law() -> None:
@@ -63,7 +69,9 @@ def test_sag_of_a_linear_strip_is_the_law() -> None:
     edges = np.linspace(0.0, rod - markers_m(sag)[:, 2].min(), 100_001)
     middles = 0.5 * (edges[1:] + edges[:-1])
     weight = cloth.areal_density_kg_per_m2 * 9.80665 * (cloth.size_m[0] - middles)
-    elongation_m = float(np.sum(weight * np.diff(edges)) / cloth.stretch_stiffness_n_per_m)
+    elongation_m = float(
+        np.sum(weight * np.diff(edges)) / cloth.stretch_stiffness_n_per_m
+    )
     assert sag.reality.value == pytest.approx(1e3 * elongation_m, rel=1e-3)
 
 
@@ -79,7 +87,10 @@ def test_fling_reads_the_angle_of_a_rigid_sheet() -> None:
     markers[..., 1] = rod[1] + arm * np.sin(angle)[:, None]
     markers[..., 2] = rod[2] - arm * np.cos(angle)[:, None]
     assert read(
-        fling, moved(fling.scenario, TIMES_S, markers + displacement[:, None], rod=displacement)
+        fling,
+        moved(
+            fling.scenario, TIMES_S, markers + displacement[:, None], rod=displacement
+        ),
     ) == pytest.approx(13.0, abs=0.01)
 
 
@@ -88,16 +99,31 @@ def test_area_of_a_face_that_grows_alike_in_all_directions(name: str) -> None:
     foam = one(name)
     rest = markers_m(foam)
     markers = rest * np.linspace(1.0, 1.02, len(TIMES_S))[:, None, None]
-    assert read(foam, moved(foam.scenario, TIMES_S, markers)) == pytest.approx(100.0 * (1.02**2 - 1.0))
+    assert read(foam, moved(foam.scenario, TIMES_S, markers)) == pytest.approx(
+        100.0 * (1.02**2 - 1.0)
+    )
 
 
 @pytest.mark.parametrize("frequency_hz", [1.69, 2.49])
 def test_frequency_of_a_sine(frequency_hz: float) -> None:
     beam = one("beam")
-    fall_m = 0.04 * (1.0 - np.cos(2.0 * np.pi * frequency_hz * TIMES_S)) * np.exp(-0.3 * TIMES_S)
+    fall_m = (
+        0.04
+        * (1.0 - np.cos(2.0 * np.pi * frequency_hz * TIMES_S))
+        * np.exp(-0.3 * TIMES_S)
+    )
     markers = markers_m(beam) - fall_m[:, None, None] * [0.0, 0.0, 1.0]
-    assert read(beam, moved(beam.scenario, TIMES_S, markers)) == pytest.approx(frequency_hz, rel=0.01)
-    assert np.isnan(read(beam, moved(beam.scenario, TIMES_S, np.tile(markers_m(beam), (len(TIMES_S), 1, 1)))))
+    assert read(beam, moved(beam.scenario, TIMES_S, markers)) == pytest.approx(
+        frequency_hz, rel=0.01
+    )
+    assert np.isnan(
+        read(
+            beam,
+            moved(
+                beam.scenario, TIMES_S, np.tile(markers_m(beam), (len(TIMES_S), 1, 1))
+            ),
+        )
+    )
 
 
 @pytest.mark.parametrize("stretch", [0.01, -0.02])
@@ -109,7 +135,9 @@ def test_stretch_of_a_rope_that_is_wound(stretch: float) -> None:
     helix = np.column_stack([np.cos(turn), np.sin(turn), 0.5 * turn])
     helix *= body.length_m / np.linalg.norm(np.diff(helix, axis=0), axis=1).sum()
     nodes = helix * (1.0 + stretch * np.sin(np.pi * TIMES_S / 1.2))[:, None, None]
-    rollout = replace(moved(rope.scenario, TIMES_S, np.zeros((0, 0, 3))), nodes_m={"rope": nodes})
+    rollout = replace(
+        moved(rope.scenario, TIMES_S, np.zeros((0, 0, 3))), nodes_m={"rope": nodes}
+    )
     assert read(rope, rollout) == pytest.approx(1e3 * stretch * body.length_m, rel=1e-3)
 
 
@@ -119,19 +147,27 @@ def test_foot_stays_behind_the_base() -> None:
     base = np.outer(0.0173 * TIMES_S, [1.0, 0.0, 0.0])
     markers = rest + base[:, None]
     markers[:, rest[:, 2].argmin(), 0] -= np.where(TIMES_S > 0.0, 2.2e-3, 0.0)
-    assert read(foot, moved(foot.scenario, TIMES_S, markers, base=base)) == pytest.approx(2.2)
+    assert read(
+        foot, moved(foot.scenario, TIMES_S, markers, base=base)
+    ) == pytest.approx(2.2)
 
 
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
 def test_numbers_of_the_recordings() -> None:
-    found = {one.id: (one.reality.value, one.reality.scatter) for one in deformable() if one.reality.scatter}
+    found = {
+        one.id: (one.reality.value, one.reality.scatter)
+        for one in deformable()
+        if one.reality.scatter
+    }
     assert found["beam"] == (1.69, 0.03)
     assert found["foam-stretch"] == pytest.approx((2.7, 2.5))
     assert found["foam-compress"] == pytest.approx((-5.5, 2.5))
     assert found["fling-lag"] == (17.1, 3.4)
-    assert found["foot-lag"] == pytest.approx((2.5, np.std(np.linspace(0.0, 5.0, 100_001))), rel=1e-4)
+    assert found["foot-lag"] == pytest.approx(
+        (2.5, np.std(np.linspace(0.0, 5.0, 100_001))), rel=1e-4
+    )
 
 
 # --- rollouts --------------------------------------------------------------------------------------------------------
@@ -162,10 +198,14 @@ def test_refused_settings_are_declined_with_their_reason() -> None:
 
 
 @pytest.mark.parametrize("timestep_s", [0.01, 0.002, 1 / 900, 0.001])
-@pytest.mark.parametrize("name", ["cloth-carry", "cloth-sag", "foam-stretch", "beam", "foot-lag"])
+@pytest.mark.parametrize(
+    "name", ["cloth-carry", "cloth-sag", "foam-stretch", "beam", "foot-lag"]
+)
 def test_explicit_elasticity_diverges_and_is_seen(name: str, timestep_s: float) -> None:
     """MuJoCo sets back to the start what blows up, and a body at its start may look as if it were right."""
-    measured = Measurements(MUJOCO).measure(one(name), {"timestep_s": timestep_s, "integrator": "Euler"})
+    measured = Measurements(MUJOCO).measure(
+        one(name), {"timestep_s": timestep_s, "integrator": "Euler"}
+    )
     assert (measured.verdict, measured.value) == (Verdict.WRONG, None)
     assert measured.remark.startswith("diverged: after 0.0")
 
@@ -175,7 +215,10 @@ def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> 
         raise MemoryError("too many\ncontacts")
 
     monkeypatch.setattr(SimulationMuJoCo, "advance", give_up)
-    with pytest.raises(DivergedError, match="after 0 s the engine raises MemoryError: too many contacts"):
+    with pytest.raises(
+        DivergedError,
+        match="after 0 s the engine raises MemoryError: too many contacts",
+    ):
         run_scenario(MUJOCO, one("foot-lag").scenario, {})
 
 
@@ -185,16 +228,25 @@ def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.mark.slow
 def test_default_of_lines_and_hanging_cloth() -> None:
     measurements = Measurements(MUJOCO)
-    found = {name: measurements.measure(one(name), {}) for name in ("cloth-sag", "rope-length", "foot-lag")}
-    assert {name: measured.verdict for name, measured in found.items()} == dict.fromkeys(found, Verdict.INSIDE)
-    assert found["cloth-sag"].value == pytest.approx(one("cloth-sag").reality.value, rel=0.02)
+    found = {
+        name: measurements.measure(one(name), {})
+        for name in ("cloth-sag", "rope-length", "foot-lag")
+    }
+    assert {
+        name: measured.verdict for name, measured in found.items()
+    } == dict.fromkeys(found, Verdict.INSIDE)
+    assert found["cloth-sag"].value == pytest.approx(
+        one("cloth-sag").reality.value, rel=0.02
+    )
 
 
 @pytest.mark.slow
 def test_the_step_that_stretches_a_rope_is_found() -> None:
     measurements, rope = Measurements(MUJOCO), one("rope-length")
     settings = {"timestep_s": 0.005, "integrator": "Euler"}
-    configured, default = (measurements.measure(rope, chosen) for chosen in (settings, {}))
+    configured, default = (
+        measurements.measure(rope, chosen) for chosen in (settings, {})
+    )
     assert configured.verdict is Verdict.WRONG
     cause = find_cause(measurements, rope, settings, configured, default)
     assert cause is not None
@@ -203,7 +255,9 @@ def test_the_step_that_stretches_a_rope_is_found() -> None:
 
 def test_the_integrator_that_tears_a_rod_is_found() -> None:
     measurements, foot = Measurements(MUJOCO), one("foot-lag")
-    configured, default = (measurements.measure(foot, chosen) for chosen in (CHEETAH, {}))
+    configured, default = (
+        measurements.measure(foot, chosen) for chosen in (CHEETAH, {})
+    )
     cause = find_cause(measurements, foot, CHEETAH, configured, default)
     assert cause is not None
     assert cause.settings == ("integrator",)
@@ -213,8 +267,15 @@ def test_the_integrator_that_tears_a_rod_is_found() -> None:
 def test_default_raises_one_flag_that_is_the_scenes() -> None:
     """The beam: the modulus of its blocks is not published."""
     measurements = Measurements(MUJOCO)
-    found = {phenomenon.id: measurements.measure(phenomenon, {}) for phenomenon in deformable()}
-    assert {name for name, measured in found.items() if measured.verdict is not Verdict.INSIDE} == {"beam"}
+    found = {
+        phenomenon.id: measurements.measure(phenomenon, {})
+        for phenomenon in deformable()
+    }
+    assert {
+        name
+        for name, measured in found.items()
+        if measured.verdict is not Verdict.INSIDE
+    } == {"beam"}
     assert found["beam"].value == pytest.approx(2.49, abs=0.02)
     assert found["cloth-carry"].value == pytest.approx(0.0, abs=4.0)
 
@@ -223,7 +284,9 @@ def test_default_raises_one_flag_that_is_the_scenes() -> None:
 def test_the_cone_that_lets_cloth_slip_away_is_found() -> None:
     measurements, carry = Measurements(MUJOCO), one("cloth-carry")
     settings = {"cone": "pyramidal", "iterations": 50}
-    configured, default = (measurements.measure(carry, chosen) for chosen in (settings, {}))
+    configured, default = (
+        measurements.measure(carry, chosen) for chosen in (settings, {})
+    )
     cause = find_cause(measurements, carry, settings, configured, default)
     assert cause is not None
     assert cause.settings == ("cone",)
@@ -236,5 +299,7 @@ def test_a_step_as_long_as_the_scene_is_declined() -> None:
 
 
 def test_a_fall_of_two_samples_has_the_height_of_the_release() -> None:
-    rollout = run_scenario(MUJOCO, one("rebound").scenario, {"timestep_s": 0.15, "drive_interval_s": 0.15})
+    rollout = run_scenario(
+        MUJOCO, one("rebound").scenario, {"timestep_s": 0.15, "drive_interval_s": 0.15}
+    )
     assert np.isfinite(one("rebound").value(rollout))

@@ -14,7 +14,14 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mujoco_stacks import CollisionCfg, MujocoCfg, SimulationCfg, install_mjlab, mjlab_task, playground_env
+from mujoco_stacks import (
+    CollisionCfg,
+    MujocoCfg,
+    SimulationCfg,
+    install_mjlab,
+    mjlab_task,
+    playground_env,
+)
 
 from gauge_envs.tools.sanity import TrainingConfiguration, configuration
 from gauge_envs.tools.sanity.stacks import STACKS, dialect, genesis
@@ -22,16 +29,23 @@ from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
 from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
-FLAGS = dict.fromkeys(("warmstart", "refsafe", "eulerdamp", "nativeccd", "multiccd", "island"), (False, True))
+FLAGS = dict.fromkeys(
+    ("warmstart", "refsafe", "eulerdamp", "nativeccd", "multiccd", "island"),
+    (False, True),
+)
 
 MUJOCO: Mapping[str, tuple[Any, ...]] = {
     "timestep_s": (0.0025, 0.004),
     "integrator": ("Euler", "implicitfast", "RK4"),
     "cone": ("elliptic", "pyramidal"),
     "solver": ("PGS", "CG", "Newton"),
-    **dict.fromkeys(("impratio", "tolerance", "ls_tolerance", "noslip_tolerance"), (0.0125, 40.0)),
+    **dict.fromkeys(
+        ("impratio", "tolerance", "ls_tolerance", "noslip_tolerance"), (0.0125, 40.0)
+    ),
     **dict.fromkeys(("ccd_tolerance", "sleep_tolerance"), (0.0125, 40.0)),
-    **dict.fromkeys(("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), (7, 110)),
+    **dict.fromkeys(
+        ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), (7, 110)
+    ),
     **FLAGS,
     **dict.fromkeys(("diagexact", "sleep", "speculative"), (True, False)),
     "contact_solref": ((0.004, 1.5), (-300.0, -20.0)),
@@ -48,7 +62,10 @@ PHYSX: Mapping[str, tuple[Any, ...]] = {
     "timestep_s": (0.0025, 0.004),
     "solver": ("PGS", "TGS"),
     **dict.fromkeys(("position_iterations", "velocity_iterations"), (3, 17)),
-    **dict.fromkeys(("continuous_detection", "enhanced_determinism", "persistent_manifolds"), (True, False)),
+    **dict.fromkeys(
+        ("continuous_detection", "enhanced_determinism", "persistent_manifolds"),
+        (True, False),
+    ),
     "friction_every_iteration": (True, False),
     "tolerance_length_m": (0.1, 2.0),
     "rest_offset_m": (0.001, 0.002),
@@ -65,7 +82,9 @@ GENESIS: Mapping[str, tuple[Any, ...]] = {
     "constraint_solver": ("CG", "Newton"),
     "friction_cone": ("elliptic", "pyramidal"),
     "contact_resolution": ("signorini", "convex"),
-    **dict.fromkeys(("iterations", "line_search_iterations", "noslip_iterations"), (7, 110)),
+    **dict.fromkeys(
+        ("iterations", "line_search_iterations", "noslip_iterations"), (7, 110)
+    ),
     **dict.fromkeys(("multi_contact", "box_box_detection", "gjk"), (False, True)),
     "sustained_timeconst_s": (0.03, 0.05),
     "sustained_impedance": ((0.8, 0.9, 0.002), (0.95, 0.99, 0.01)),
@@ -83,20 +102,32 @@ class Tables(SimpleNamespace):
         return getattr(self, name)
 
     def plain(self) -> dict[str, Any]:
-        return {name: one.plain() if isinstance(one, Tables) else one for name, one in vars(self).items()}
+        return {
+            name: one.plain() if isinstance(one, Tables) else one
+            for name, one in vars(self).items()
+        }
 
 
 def merged(first: dict[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     """Return nested tables with the entries of others."""
     for name, one in second.items():
-        first[name] = merged(first.get(name) or {}, one) if isinstance(one, Mapping) else one
+        first[name] = (
+            merged(first.get(name) or {}, one) if isinstance(one, Mapping) else one
+        )
     return first
 
 
 def found(read: TrainingConfiguration) -> dict[str, Any]:
     """Return settings, and limits of contacts by the same names."""
     limits = None if read.capacity is None else read.capacity.limits
-    return {**read.settings, **({} if limits is None else {"njmax": limits.njmax, "naconmax": limits.naconmax})}
+    return {
+        **read.settings,
+        **(
+            {}
+            if limits is None
+            else {"njmax": limits.njmax, "naconmax": limits.naconmax}
+        ),
+    }
 
 
 # --- one stack each: from a snippet to what is read of it -------------------------------------------------------------
@@ -105,9 +136,16 @@ def found(read: TrainingConfiguration) -> dict[str, Any]:
 def of_mjcf(text: str, _: Path) -> dict[str, Any]:
     parts = text.replace(" and ", "\n")
     # Margins and gaps of two geoms add up, so the plane has none of its own.
-    plane, ball = '<geom type="plane" size="1 1 1" margin="0" gap="0"/>', '<body><freejoint/><geom size=".1"/></body>'
+    plane, ball = (
+        '<geom type="plane" size="1 1 1" margin="0" gap="0"/>',
+        '<body><freejoint/><geom size=".1"/></body>',
+    )
     return found(
-        configuration(mujoco.MjModel.from_xml_string(f"<mujoco>{parts}<worldbody>{plane}{ball}</worldbody></mujoco>"))
+        configuration(
+            mujoco.MjModel.from_xml_string(
+                f"<mujoco>{parts}<worldbody>{plane}{ball}</worldbody></mujoco>"
+            )
+        )
     )
 
 
@@ -117,7 +155,9 @@ def of_playground(text: str, _: Path) -> dict[str, Any]:
     names = {"sim_dt": "timestep_s", "njmax": "njmax", "naconmax": "naconmax"}
     overrides = eval(text.removeprefix("config_overrides="))
     limits = playground_limits(overrides)
-    return {names[key]: limits.get(names[key], value) for key, value in overrides.items()}
+    return {
+        names[key]: limits.get(names[key], value) for key, value in overrides.items()
+    }
 
 
 def playground_limits(overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,7 +168,11 @@ def playground_limits(overrides: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def of_mjlab(text: str, _: Path) -> dict[str, Any]:
-    names = {"SimulationCfg": SimulationCfg, "MujocoCfg": MujocoCfg, "CollisionCfg": CollisionCfg}
+    names = {
+        "SimulationCfg": SimulationCfg,
+        "MujocoCfg": MujocoCfg,
+        "CollisionCfg": CollisionCfg,
+    }
     parts = [eval(part, names) for part in text.split(" and ")]
     sim = next((part for part in parts if isinstance(part, SimulationCfg)), None)
     collision = next((part for part in parts if isinstance(part, CollisionCfg)), None)
@@ -137,14 +181,25 @@ def of_mjlab(text: str, _: Path) -> dict[str, Any]:
 
 def of_isaac_lab(text: str, _: Path) -> dict[str, Any]:
     made = Tables()
-    exec(text, {"self": made, "sim_utils": SimpleNamespace(CollisionPropertiesCfg=Tables)})
+    exec(
+        text,
+        {"self": made, "sim_utils": SimpleNamespace(CollisionPropertiesCfg=Tables)},
+    )
     place = "physics" if "sim.physics" in text else "physx"
-    base = {"sim": {"dt": 0.005, place: {"bounce_threshold_velocity": 0.5}}, "scene": {"robot": {"spawn": {}}}}
-    return found(isaac_lab_configuration(merged(base, made.plain()), name="task", source="test"))
+    base = {
+        "sim": {"dt": 0.005, place: {"bounce_threshold_velocity": 0.5}},
+        "scene": {"robot": {"spawn": {}}},
+    }
+    return found(
+        isaac_lab_configuration(merged(base, made.plain()), name="task", source="test")
+    )
 
 
 def of_isaac_gym(text: str, _: Path) -> dict[str, Any]:
-    names = {"sim": Tables(dt=0.005, substeps=2, physx=Tables(num_position_iterations=4)), "asset": Tables()}
+    names = {
+        "sim": Tables(dt=0.005, substeps=2, physx=Tables(num_position_iterations=4)),
+        "asset": Tables(),
+    }
     exec(text, names)
     cfg = {key: names[key].plain() for key in ("sim", "asset")}
     return found(isaac_gym_configuration(cfg, name="task", source="test"))
@@ -152,7 +207,11 @@ def of_isaac_gym(text: str, _: Path) -> dict[str, Any]:
 
 def of_maniskill(text: str, _: Path) -> dict[str, Any]:
     fields = eval(text, {"SimConfig": dict, "SceneConfig": dict})
-    return found(maniskill_configuration(merged({"sim_freq": 100}, fields), name="task", source="test"))
+    return found(
+        maniskill_configuration(
+            merged({"sim_freq": 100}, fields), name="task", source="test"
+        )
+    )
 
 
 class Constants(np.ndarray):
@@ -180,18 +239,39 @@ class Names:
 
 def of_genesis(text: str, _: Path) -> dict[str, Any]:
     given: dict[str, Any] = {"precision": "32"}
-    options = SimpleNamespace(SimOptions=lambda **sim: {"sim": sim}, RigidOptions=lambda **rigid: {"rigid": rigid})
+    options = SimpleNamespace(
+        SimOptions=lambda **sim: {"sim": sim},
+        RigidOptions=lambda **rigid: {"rigid": rigid},
+    )
     gs = SimpleNamespace(init=lambda **init: given.update(init), options=options)
-    for name in ("integrator", "constraint_solver", "friction_cone", "contact_resolution"):
+    for name in (
+        "integrator",
+        "constraint_solver",
+        "friction_cone",
+        "contact_resolution",
+    ):
         setattr(gs, name, Names())
     constants = np.array([[0.02, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0]] * 2).view(Constants)
-    links = [SimpleNamespace(is_fixed=True, name="ground"), SimpleNamespace(is_fixed=False, name="ball")]
-    geoms = [Geom(contype=1, conaffinity=1, link=link, idx=place) for place, link in enumerate(links)]
-    solver = SimpleNamespace(geoms=geoms, get_sol_params=lambda: constants, set_sol_params=lambda values: None)
+    links = [
+        SimpleNamespace(is_fixed=True, name="ground"),
+        SimpleNamespace(is_fixed=False, name="ball"),
+    ]
+    geoms = [
+        Geom(contype=1, conaffinity=1, link=link, idx=place)
+        for place, link in enumerate(links)
+    ]
+    solver = SimpleNamespace(
+        geoms=geoms,
+        get_sol_params=lambda: constants,
+        set_sol_params=lambda values: None,
+    )
     kind = type("Scene", (), {"__module__": "genesis.engine.scene"})
     scene = kind()
     scene.is_built, scene.rigid_solver = True, solver
-    made: dict[str, Any] = {"sim": {"dt": 0.01, "substeps": 1, "gravity": (0.0, 0.0, -9.81)}, "rigid": {}}
+    made: dict[str, Any] = {
+        "sim": {"dt": 0.01, "substeps": 1, "gravity": (0.0, 0.0, -9.81)},
+        "rigid": {},
+    }
     for part in re.split(r" and (?=gs\.|sim_options|rigid_options|sol_params)", text):
         if part.startswith("sol_params"):
             exec(part, {"scene": scene, "torch": SimpleNamespace(tensor=np.array)})
@@ -200,7 +280,9 @@ def of_genesis(text: str, _: Path) -> dict[str, Any]:
             merged(made, value or {})
     scene.options = SimpleNamespace(
         sim=SimpleNamespace(**made["sim"]),
-        rigid=SimpleNamespace(**{**dict.fromkeys(genesis.SCENE_OPTIONS), **made["rigid"]}),
+        rigid=SimpleNamespace(
+            **{**dict.fromkeys(genesis.SCENE_OPTIONS), **made["rigid"]}
+        ),
     )
     size = SimpleNamespace(itemsize=8 if given["precision"] == "64" else 4)
     sys.modules["genesis"].tc_float = size  # type: ignore[attr-defined]
@@ -209,7 +291,10 @@ def of_genesis(text: str, _: Path) -> dict[str, Any]:
 
 def of_toml(text: str, folder: Path) -> dict[str, Any]:
     file = folder / "settings.toml"
-    file.write_text('backend = "mujoco"\n[settings]\n' + re.sub(r", (?=\w+ = )", "\n", text), encoding="utf-8")
+    file.write_text(
+        'backend = "mujoco"\n[settings]\n' + re.sub(r", (?=\w+ = )", "\n", text),
+        encoding="utf-8",
+    )
     return dict(configuration(file).settings)
 
 
@@ -224,7 +309,14 @@ READINGS: Mapping[str, tuple[Reading, Mapping[str, tuple[Any, ...]]]] = {
     "isaac_gym": (of_isaac_gym, PHYSX),
     "maniskill": (of_maniskill, PHYSX),
     "genesis": (of_genesis, GENESIS),
-    "toml": (of_toml, {name: values for name, values in MUJOCO.items() if name not in ("njmax", "naconmax")}),
+    "toml": (
+        of_toml,
+        {
+            name: values
+            for name, values in MUJOCO.items()
+            if name not in ("njmax", "naconmax")
+        },
+    ),
 }
 """What reads a snippet of each dialect, and values of its settings; Newton's has a test with Newton's own objects."""
 
@@ -242,7 +334,9 @@ def cases() -> Iterator[tuple[str, str]]:
 
 
 def test_every_dialect_is_read_here_or_with_its_engine() -> None:
-    modules = [import_module(f"gauge_envs.tools.sanity.stacks.{name}") for name in STACKS]
+    modules = [
+        import_module(f"gauge_envs.tools.sanity.stacks.{name}") for name in STACKS
+    ]
     names = {one.name for module in modules for one in getattr(module, "DIALECTS", ())}
     assert names == {*READINGS, "newton"}
 
@@ -259,4 +353,8 @@ def test_reading_what_a_dialect_writes_gives_the_setting_back(
     assert written.writes(setting)
     for value in known.get(setting, NUMBERS):
         read = reading(written.paste_text({setting: value}), tmp_path)[setting]
-        assert read == value if isinstance(value, str) else read == pytest.approx(value, rel=1e-6)
+        assert (
+            read == value
+            if isinstance(value, str)
+            else read == pytest.approx(value, rel=1e-6)
+        )

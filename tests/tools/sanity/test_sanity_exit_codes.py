@@ -59,13 +59,28 @@ def test_a_row_that_was_asked_for_by_name_must_be_measured(monkeypatch) -> None:
 
 
 def test_a_check_without_time_is_not_green() -> None:
-    outcome = RUNNER.invoke(app, ["sanity", "HalfCheetah-v5", "--limits", "0s", "--only", "foot-*,creep-*,robot-servo"])
+    outcome = RUNNER.invoke(
+        app,
+        [
+            "sanity",
+            "HalfCheetah-v5",
+            "--limits",
+            "0s",
+            "--only",
+            "foot-*,creep-*,robot-servo",
+        ],
+    )
     assert outcome.exit_code == 3
-    assert outcome.stdout.startswith("Incomplete: ") and "rows were not measured: foot-creep, " in outcome.stdout
+    assert (
+        outcome.stdout.startswith("Incomplete: ")
+        and "rows were not measured: foot-creep, " in outcome.stdout
+    )
 
 
 def test_a_configuration_with_flags_ends_with_1() -> None:
-    outcome = RUNNER.invoke(app, ["sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity"])
+    outcome = RUNNER.invoke(
+        app, ["sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity"]
+    )
     assert outcome.exit_code == 1
     assert outcome.stdout.startswith("Mends most: <default><geom solimp=")
 
@@ -73,22 +88,44 @@ def test_a_configuration_with_flags_ends_with_1() -> None:
 def test_feet_without_friction_are_not_green(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(good_xml().replace("<geom friction", '<geom condim="1" friction'))
-    assert RUNNER.invoke(app, ["sanity", str(path), "--only", "foot-creep"]).exit_code == 3
-    assert RUNNER.invoke(app, ["sanity", str(path), "--only", "foot-creep,robot-friction"]).exit_code == 1
+    assert (
+        RUNNER.invoke(app, ["sanity", str(path), "--only", "foot-creep"]).exit_code == 3
+    )
+    assert (
+        RUNNER.invoke(
+            app, ["sanity", str(path), "--only", "foot-creep,robot-friction"]
+        ).exit_code
+        == 1
+    )
 
 
 def test_success_is_one_line(monkeypatch) -> None:
     lines = run(monkeypatch, report(PERIOD)).stdout.splitlines()
     assert lines == ["Robot-v0: No flags: 1 row measured, nothing to change; 12 s"]
-    assert len(run(monkeypatch, report(PERIOD), "--format", "wide").stdout.splitlines()) > 10
+    assert (
+        len(run(monkeypatch, report(PERIOD), "--format", "wide").stdout.splitlines())
+        > 10
+    )
 
 
-def test_a_baseline_compares_values_with_their_intervals(monkeypatch, tmp_path: Path) -> None:
+def test_a_baseline_compares_values_with_their_intervals(
+    monkeypatch, tmp_path: Path
+) -> None:
     before = tmp_path / "before.json"
-    before.write_text("\n".join(json.dumps(row) for row in as_rows(sanity_document(report(CREEP)))))
+    before.write_text(
+        "\n".join(json.dumps(row) for row in as_rows(sanity_document(report(CREEP))))
+    )
     known = ("--baseline", str(before))
     # The interval is 0.5 mm/s wide on each side, and the creep was 28 mm/s.
-    for creep, code in ((-28.0, 0), (-28.4, 0), (-20.0, 0), (-29.0, 1), (-280.0, 1), (28.0, 0), (None, 1)):
+    for creep, code in (
+        (-28.0, 0),
+        (-28.4, 0),
+        (-20.0, 0),
+        (-29.0, 1),
+        (-280.0, 1),
+        (28.0, 0),
+        (None, 1),
+    ):
         outcome = run(monkeypatch, report(replace(CREEP, configured=creep)), *known)
         assert outcome.exit_code == code, creep
     assert run(monkeypatch, report(CREEP, replace(SLIDE)), *known).exit_code == 1
@@ -96,31 +133,52 @@ def test_a_baseline_compares_values_with_their_intervals(monkeypatch, tmp_path: 
 
 
 @pytest.mark.parametrize("number", [10**400, 0, "x"])
-def test_a_baseline_with_a_number_that_is_none_is_an_error(number: object, monkeypatch, tmp_path: Path) -> None:
+def test_a_baseline_with_a_number_that_is_none_is_an_error(
+    number: object, monkeypatch, tmp_path: Path
+) -> None:
     row = {"phenomenon": "creep-wood", "verdict": "wrong", "configured": number}
     before = tmp_path / "before.json"
     before.write_text(json.dumps(row | {"reality": {"value": 0, "tolerance": 0}}))
     outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
-    assert outcome.exit_code == 2 and "is not the output of gauge sanity --json" in outcome.stderr
+    assert (
+        outcome.exit_code == 2
+        and "is not the output of gauge sanity --json" in outcome.stderr
+    )
 
 
 # --- formats ---------------------------------------------------------------------------------------------------------
 
 
 def test_junit_has_failures_errors_and_skipped_rows(monkeypatch) -> None:
-    suite = ElementTree.fromstring(run(monkeypatch, report(CREEP, PERIOD, WALL, NOTHING), "--format", "junit").stdout)
-    counts = {name: suite.get(name) for name in ("tests", "failures", "errors", "skipped")}
+    suite = ElementTree.fromstring(
+        run(
+            monkeypatch, report(CREEP, PERIOD, WALL, NOTHING), "--format", "junit"
+        ).stdout
+    )
+    counts = {
+        name: suite.get(name) for name in ("tests", "failures", "errors", "skipped")
+    }
     assert counts == {"tests": "4", "failures": "1", "errors": "1", "skipped": "1"}
     outcomes = {case.get("name"): [child.tag for child in case] for case in suite}
-    assert outcomes == {"creep-wood": ["failure"], "period": [], "wall": ["error"], "slip": ["skipped"]}
-    assert "-28 instead of 0 +- 0.5 mm/s" in suite.find("testcase/failure").get("message")
+    assert outcomes == {
+        "creep-wood": ["failure"],
+        "period": [],
+        "wall": ["error"],
+        "slip": ["skipped"],
+    }
+    assert "-28 instead of 0 +- 0.5 mm/s" in suite.find("testcase/failure").get(
+        "message"
+    )
 
 
 def test_sarif_names_rule_level_and_place(monkeypatch, tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.touch()
     checked = report(CREEP, SLIDE, PERIOD, WALL)
-    checked = replace(checked, configuration=replace(checked.configuration, source=f"model file {path}"))
+    checked = replace(
+        checked,
+        configuration=replace(checked.configuration, source=f"model file {path}"),
+    )
     document = json.loads(run(monkeypatch, checked, "--format", "sarif").stdout)
     (found,) = document["runs"]
     assert document["version"] == "2.1.0"
@@ -128,16 +186,24 @@ def test_sarif_names_rule_level_and_place(monkeypatch, tmp_path: Path) -> None:
         ("creep-wood", "error"),
         ("slide", "warning"),
     ]
-    assert {one["id"] for one in found["tool"]["driver"]["rules"]} >= {one["ruleId"] for one in found["results"]}
-    location = found["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]
+    assert {one["id"] for one in found["tool"]["driver"]["rules"]} >= {
+        one["ruleId"] for one in found["results"]
+    }
+    location = found["results"][0]["locations"][0]["physicalLocation"][
+        "artifactLocation"
+    ]
     assert location == {"uri": str(path)}
     assert found["invocations"][0]["executionSuccessful"] is False
 
 
 def test_annotations_of_github_stay_on_one_line(monkeypatch) -> None:
     row = replace(CREEP, title="50 % creep\nof a cube")
-    lines = run(monkeypatch, report(row, WALL), "--format", "github").stdout.splitlines()
-    assert lines[0].startswith("::error title=gauge sanity creep-wood::50 %25 creep%0Aof a cube: -28 instead of 0")
+    lines = run(
+        monkeypatch, report(row, WALL), "--format", "github"
+    ).stdout.splitlines()
+    assert lines[0].startswith(
+        "::error title=gauge sanity creep-wood::50 %25 creep%0Aof a cube: -28 instead of 0"
+    )
     assert lines[1] == "::error title=gauge sanity wall::was not measured"
     assert lines[2].startswith("::notice title=gauge sanity Robot-v0::1 flag")
 
@@ -159,14 +225,21 @@ def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
     for target, options, code in (
         ("robot.xml", "--only robot-*,floor-tilt", 0),
         ("faulty robot.xml", "--only robot-gravcomp --out rows.json", 1),
-        ("faulty robot.xml", "--only 'robot-gravcomp, floor-tilt' --baseline rows.json", 0),
+        (
+            "faulty robot.xml",
+            "--only 'robot-gravcomp, floor-tilt' --baseline rows.json",
+            0,
+        ),
         ("robot.xml", "--only foot-creep --limits 0s", 3),
         ("robot.xml; touch pwned\n$(touch pwned)", "--only robot-* ; touch pwned", 2),
         ("--fail-on=never", "--only `touch pwned`", 2),
     ):
         given = values | {"target": target, "options": options}
         (step,) = [one for one in action["runs"]["steps"] if one["name"] == "Check"]
-        env = {name: given[text.strip("${ }").removeprefix("inputs.")] for name, text in step["env"].items()}
+        env = {
+            name: given[text.strip("${ }").removeprefix("inputs.")]
+            for name, text in step["env"].items()
+        }
         path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
         environment = os.environ | env | {"PATH": path, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(

@@ -79,11 +79,19 @@ def row(name: str, foot: FootGeometry = REFERENCE_FOOT) -> Any:
 
 def test_a_quadruped_stands_on_four_spheres() -> None:
     foot = foot_of(model(quadruped_xml()))
-    assert (foot.name, foot.geoms, foot.foot_count) == ("FL_calf", "FL_foot (sphere)", 4)
-    assert foot.load_kg == pytest.approx(3.0) and foot.robot_mass_kg == pytest.approx(12.0)
+    assert (foot.name, foot.geoms, foot.foot_count) == (
+        "FL_calf",
+        "FL_foot (sphere)",
+        4,
+    )
+    assert foot.load_kg == pytest.approx(3.0) and foot.robot_mass_kg == pytest.approx(
+        12.0
+    )
     (part,) = foot.parts
     assert part.shape == Sphere(radius_m=FOOT_RADIUS_M)
-    np.testing.assert_allclose(part.pose.position_m, [0.0, 0.0, FOOT_RADIUS_M], atol=1e-12)
+    np.testing.assert_allclose(
+        part.pose.position_m, [0.0, 0.0, FOOT_RADIUS_M], atol=1e-12
+    )
     assert foot.sets == tuple(configuration(model(quadruped_xml())).contact_sets)
 
 
@@ -99,20 +107,27 @@ def test_a_quadruped_stands_on_four_spheres() -> None:
         ("Humanoid-v5", "right_foot (sphere)", 2, 42.1, 1.5),
     ],
 )
-def test_feet_of_gymnasiums_robots(name: str, geoms: str, count: int, mass_kg: float, lean_deg: float) -> None:
+def test_feet_of_gymnasiums_robots(
+    name: str, geoms: str, count: int, mass_kg: float, lean_deg: float
+) -> None:
     foot = foot_of(name)
     assert (foot.geoms, foot.foot_count) == (geoms, count)
     assert foot.robot_mass_kg == pytest.approx(mass_kg, rel=1e-2)
     assert foot.load_kg == pytest.approx(foot.robot_mass_kg / count)
     axis = foot.parts[0].pose.rotation.apply([0.0, 0.0, 1.0])
-    assert np.degrees(np.arccos(min(abs(axis[2]), 1.0))) == pytest.approx(lean_deg, abs=1.0)
+    assert np.degrees(np.arccos(min(abs(axis[2]), 1.0))) == pytest.approx(
+        lean_deg, abs=1.0
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
         ("InvertedPendulum-v5", "the model has no ground that a moving geom can touch"),
-        ("Pusher-v5", "no robot of the model stands on the ground under its own weight"),
+        (
+            "Pusher-v5",
+            "no robot of the model stands on the ground under its own weight",
+        ),
     ],
 )
 def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
@@ -131,8 +146,12 @@ def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
 def test_a_model_that_is_nowhere_is_refused(ball: str, tmp_path: Path) -> None:
     """MuJoCo compiles a position and a range of NaN."""
     path = tmp_path / "nowhere.xml"
-    path.write_text(f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>')
-    with pytest.raises(TargetError, match="the poses of the model's geoms are not finite"):
+    path.write_text(
+        f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>'
+    )
+    with pytest.raises(
+        TargetError, match="the poses of the model's geoms are not finite"
+    ):
         configuration(path)
 
 
@@ -144,7 +163,8 @@ BIPED = """<mujoco><asset><mesh name="wedge" vertex="-.1 -.03 0 .1 -.03 0 -.1 .0
   <keyframe><key name="crouch" qpos="0 0 1 1 0 0 0 .3"/><key name="home" qpos="0 0 1 1 0 0 0 -.02"/></keyframe>
 </mujoco>"""
 BOX_FOOT = (
-    '<geom name="sole" type="box" size=".1 .04 .01" mass="1"/><geom name="toe" size=".01" pos=".1 0 0" mass="1"/>'
+    '<geom name="sole" type="box" size=".1 .04 .01" mass="1"/>'
+    '<geom name="toe" size=".01" pos=".1 0 0" mass="1"/>'
 )
 MESH_FOOT = '<geom name="wedge" type="mesh" mesh="wedge" mass="1"/>'
 
@@ -197,7 +217,9 @@ ARM_AND_BOX = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/>
 
 def test_an_object_beside_a_driven_robot_is_no_foot() -> None:
     driven = '<actuator><motor joint="shoulder"/></actuator>'
-    assert configuration(model(ARM_AND_BOX.format(actuator=driven))).foot_geometry is None
+    assert (
+        configuration(model(ARM_AND_BOX.format(actuator=driven))).foot_geometry is None
+    )
     assert foot_of(model(ARM_AND_BOX.format(actuator=""))).geoms == "box (box)"
 
 
@@ -209,7 +231,9 @@ def test_a_base_that_is_held_or_lifted_does_not_stand(joint: str) -> None:
       <actuator>
         <motor joint="arm"/>{'<position joint="lift" kp="1"/>' if "lift" in joint else ""}</actuator></mujoco>"""
     assert configuration(model(xml)).foot_geometry is None
-    free = xml.replace(' damping="1e11"', "").replace('<position joint="lift" kp="1"/>', "")
+    free = xml.replace(' damping="1e11"', "").replace(
+        '<position joint="lift" kp="1"/>', ""
+    )
     assert foot_of(model(free)).foot_count == 1
 
 
@@ -232,8 +256,13 @@ def test_settings_without_a_model_have_no_foot() -> None:
 def test_a_pair_that_is_no_foot_is_declined() -> None:
     robot = model(quadruped_xml(foot='priority="1" solref="0.2 1"'))
     trunk = check(configuration(robot, pair=("floor", "trunk")), only=["foot-creep"])
-    assert rows_of(trunk)["foot-creep"].remark == "the chosen geoms are no foot on the ground"
-    foot = check(configuration(robot, pair=("floor", "RL_foot")), only=["foot-landing-depth"])
+    assert (
+        rows_of(trunk)["foot-creep"].remark
+        == "the chosen geoms are no foot on the ground"
+    )
+    foot = check(
+        configuration(robot, pair=("floor", "RL_foot")), only=["foot-landing-depth"]
+    )
     assert rows_of(foot)["foot-landing-depth"].verdict is Verdict.WRONG
 
 
@@ -244,30 +273,51 @@ def slid(_: Scene, *, friction: float, slope_deg: float) -> Scene:
     return foot_scene(REFERENCE_FOOT, friction=friction, slope_deg=slope_deg)
 
 
-def acceleration(settings: dict[str, Any], *, friction: float, slope_deg: float) -> float:
+def acceleration(
+    settings: dict[str, Any], *, friction: float, slope_deg: float
+) -> float:
     change = partial(slid, friction=friction, slope_deg=slope_deg)
-    scenario = Scenario(name="slid", variant="SlopeSlider-2-wood", seconds=0.6, change=change)
+    scenario = Scenario(
+        name="slid", variant="SlopeSlider-2-wood", seconds=0.6, change=change
+    )
     rollout = run_scenario(MUJOCO, scenario, settings)
-    downhill = rollout.scene.body("ground").pose.rotation.apply(rollout.displacement("foot"), inverse=True)[:, 0]
+    downhill = rollout.scene.body("ground").pose.rotation.apply(
+        rollout.displacement("foot"), inverse=True
+    )[:, 0]
     return fitted_acceleration(rollout.times_s, downhill)
 
 
-@pytest.mark.parametrize(("slope_deg", "friction", "law"), [(40.0, 0.6, 1.80), (35.0, 0.6, 0.81), (30.0, 0.274, 2.58)])
+@pytest.mark.parametrize(
+    ("slope_deg", "friction", "law"),
+    [(40.0, 0.6, 1.80), (35.0, 0.6, 0.81), (30.0, 0.274, 2.58)],
+)
 def test_twelve_kilograms_on_four_feet_stay_where_they_should_slide(
     slope_deg: float, friction: float, law: float
 ) -> None:
     slide = partial(acceleration, friction=friction, slope_deg=slope_deg)
     assert abs(slide(GO1)) < 0.06
     assert slide(GO1 | {"iterations": 3, "timestep_s": 0.002}) < 0.9 * law
-    assert slide(GO1 | {"iterations": 4, "ls_iterations": 8, "timestep_s": 0.01}) == pytest.approx(law, abs=0.03)
-    assert slide(GO1 | {"iterations": 100, "ls_iterations": 50, "timestep_s": 0.002}) == pytest.approx(law, abs=0.01)
+    assert slide(
+        GO1 | {"iterations": 4, "ls_iterations": 8, "timestep_s": 0.01}
+    ) == pytest.approx(law, abs=0.03)
+    assert slide(
+        GO1 | {"iterations": 100, "ls_iterations": 50, "timestep_s": 0.002}
+    ) == pytest.approx(law, abs=0.01)
 
 
-def locked_robot(settings: str, geom: str, friction: float, slope_deg: float, lift_m: float) -> tuple[Any, Any]:
+def locked_robot(
+    settings: str, geom: str, friction: float, slope_deg: float, lift_m: float
+) -> tuple[Any, Any]:
     """Return times and the mean position of the feet of a quadruped with locked joints."""
-    robot = model(quadruped_xml(option=settings, geom=geom, friction=friction, locked=True))
+    robot = model(
+        quadruped_xml(option=settings, geom=geom, friction=friction, locked=True)
+    )
     slope = np.radians(slope_deg)
-    robot.opt.gravity[:] = [GRAVITY_M_PER_S2 * np.sin(slope), 0.0, -GRAVITY_M_PER_S2 * np.cos(slope)]
+    robot.opt.gravity[:] = [
+        GRAVITY_M_PER_S2 * np.sin(slope),
+        0.0,
+        -GRAVITY_M_PER_S2 * np.cos(slope),
+    ]
     data = mujoco.MjData(robot)
     data.qpos[2] += lift_m
     mujoco.mj_forward(robot, data)
@@ -289,13 +339,21 @@ def locked_robot(settings: str, geom: str, friction: float, slope_deg: float, li
         ("pyramidal", 'solref="0.02 1"', 0.15),
     ],
 )
-def test_the_scenes_do_what_the_robot_does_with_locked_joints(cone: str, geom: str, tolerance: float) -> None:
+def test_the_scenes_do_what_the_robot_does_with_locked_joints(
+    cone: str, geom: str, tolerance: float
+) -> None:
     option = f'timestep="0.002" integrator="implicitfast" cone="{cone}" impratio="1"'
     read = configuration(model(quadruped_xml(option=option, geom=geom, locked=True)))
-    assert read.foot_geometry is not None and read.foot_geometry.softening == pytest.approx(15.1, abs=0.1)
+    assert (
+        read.foot_geometry is not None
+        and read.foot_geometry.softening == pytest.approx(15.1, abs=0.1)
+    )
     (settings,) = read.contact_sets.values()
     known = Measurements(MUJOCO)
-    creep, depth = row("foot-creep", read.foot_geometry), row("foot-landing-depth", read.foot_geometry)
+    creep, depth = (
+        row("foot-creep", read.foot_geometry),
+        row("foot-landing-depth", read.foot_geometry),
+    )
     friction = creep.scenario.scene.contacts[0].friction
     times, places = locked_robot(option, geom, friction, 10.0, 0.0)
     late = times > 0.5
@@ -303,9 +361,13 @@ def test_the_scenes_do_what_the_robot_does_with_locked_joints(cone: str, geom: s
     assert known.measure(creep, settings).value == pytest.approx(crept, rel=tolerance)
     _, places = locked_robot(option, geom, friction, 0.0, DROP_M)
     sunk = 1e3 * (FOOT_RADIUS_M - places[:, 2].min())
-    assert known.measure(depth, settings).value == pytest.approx(sunk, rel=tolerance, abs=0.02)
+    assert known.measure(depth, settings).value == pytest.approx(
+        sunk, rel=tolerance, abs=0.02
+    )
     # Without the softness of the foot's link, the robot creeps many times faster than the scene.
-    plain = known.measure(row("foot-creep", replace(read.foot_geometry, softening=None)), settings).value
+    plain = known.measure(
+        row("foot-creep", replace(read.foot_geometry, softening=None)), settings
+    ).value
     assert plain is not None and abs(crept) > 3.0 * abs(plain)
 
 
@@ -315,7 +377,9 @@ def test_scenes_reach_other_processes_and_differ_by_foot() -> None:
     assert ours.name != reference.name
     copy = pickle.loads(pickle.dumps(ours))
     assert copy.scene == ours.scene
-    assert settings_in_force(MUJOCO, copy, {})["inverse_weight_scale"] == pytest.approx(foot.softening)
+    assert settings_in_force(MUJOCO, copy, {})["inverse_weight_scale"] == pytest.approx(
+        foot.softening
+    )
     assert settings_in_force(MUJOCO, reference, {})["inverse_weight_scale"] == 1.0
 
 
@@ -327,7 +391,9 @@ def test_acceleration_is_read_along_the_slope(name: str) -> None:
     slide = row(name)
     times = np.linspace(0.0, 0.5, 126)
     downhill = slide.scenario.scene.body("ground").pose.rotation.apply([1.0, 0.0, 0.0])
-    rollout = moved(slide.scenario, times, foot=np.outer(0.5 * 1.3 * times**2, downhill))
+    rollout = moved(
+        slide.scenario, times, foot=np.outer(0.5 * 1.3 * times**2, downhill)
+    )
     assert slide.value(rollout) == pytest.approx(1.3)
     (contact,) = slide.scenario.scene.contacts
     slope = -np.arcsin(downhill[2])
@@ -342,7 +408,9 @@ def test_creep_counts_after_settling() -> None:
     times = np.linspace(0.0, 1.0, 401)
     downhill = creep.scenario.scene.body("ground").pose.rotation.apply([1.0, 0.0, 0.0])
     along = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
-    assert creep.value(moved(creep.scenario, times, foot=np.outer(along, downhill))) == pytest.approx(7.0, abs=1e-3)
+    assert creep.value(
+        moved(creep.scenario, times, foot=np.outer(along, downhill))
+    ) == pytest.approx(7.0, abs=1e-3)
 
 
 def landing(heights_m: np.ndarray, times: np.ndarray) -> Any:
@@ -357,9 +425,15 @@ def test_a_landing_has_a_depth_a_hop_and_a_time() -> None:
     fall = np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)
     after = times - fall
     dip = np.where(after < 0.0, DROP_M - 0.5 * GRAVITY_M_PER_S2 * times**2, 0.0)
-    dip -= np.where((after >= 0.0) & (after < 0.02), 0.003 * np.sin(np.pi * after / 0.02), 0.0)
+    dip -= np.where(
+        (after >= 0.0) & (after < 0.02), 0.003 * np.sin(np.pi * after / 0.02), 0.0
+    )
     # A hop of 2 mm lasts 40 ms.
-    dip += np.where((after >= 0.02) & (after < 0.06), 0.002 * np.sin(np.pi * (after - 0.02) / 0.04), 0.0)
+    dip += np.where(
+        (after >= 0.02) & (after < 0.06),
+        0.002 * np.sin(np.pi * (after - 0.02) / 0.04),
+        0.0,
+    )
     rollout = landing(dip, times)
     assert row("foot-landing-depth").value(rollout) == pytest.approx(3.0, abs=0.01)
     assert row("foot-rebound").value(rollout) == pytest.approx(0.2, abs=1e-3)
@@ -375,10 +449,14 @@ def test_the_lowest_sole_counts_when_the_body_leans() -> None:
     rollout = landing(np.zeros(61), times)
     states = dict(rollout.states)
     states["foot"] = states["foot"].copy()
-    states["foot"][30:, 3:7] = Rotation.from_euler("y", 1.0, degrees=True).as_quat(scalar_first=True)
+    states["foot"][30:, 3:7] = Rotation.from_euler("y", 1.0, degrees=True).as_quat(
+        scalar_first=True
+    )
     side = REFERENCE_FOOT.half_side_m
     expected = 1e3 * side * np.sin(np.radians(1.0))
-    assert depth.value(replace(rollout, states=states)) == pytest.approx(expected, rel=1e-6)
+    assert depth.value(replace(rollout, states=states)) == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 def test_the_tolerance_of_a_landing_is_that_of_a_rubber_ball() -> None:
@@ -393,30 +471,50 @@ def test_the_tolerance_of_a_landing_is_that_of_a_rubber_ball() -> None:
 
 FAULTS: dict[str, tuple[dict[str, str], str, set[str]]] = {
     "few_iterations": (
-        {"option": 'timestep="0.004" iterations="1" ls_iterations="5" cone="pyramidal" impratio="1"', "geom": ""},
+        {
+            "option": 'timestep="0.004" iterations="1" ls_iterations="5" cone="pyramidal" impratio="1"',
+            "geom": "",
+        },
         "foot-push",
         {"iterations", "cone"},
     ),
-    "soft_foot": ({"foot": 'priority="1" solref="0.2 1"'}, "foot-landing-depth", {"contact_solref"}),
+    "soft_foot": (
+        {"foot": 'priority="1" solref="0.2 1"'},
+        "foot-landing-depth",
+        {"contact_solref"},
+    ),
     "margin": ({"foot": 'margin="0.03"'}, "foot-landing-depth", {"contact_margin_m"}),
     "pyramidal_default": (
-        {"option": 'timestep="0.002" integrator="implicitfast" cone="pyramidal" impratio="1"', "geom": ""},
+        {
+            "option": 'timestep="0.002" integrator="implicitfast" cone="pyramidal" impratio="1"',
+            "geom": "",
+        },
         "foot-creep",
         {"impratio", "cone"},
     ),
     "no_impratio": (
-        {"option": 'timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="0.1"'},
+        {
+            "option": 'timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="0.1"'
+        },
         "foot-creep",
         {"impratio"},
     ),
-    "springy_foot": ({"foot": 'priority="1" solref="-3000 -5"'}, "foot-rebound", {"contact_solref"}),
+    "springy_foot": (
+        {"foot": 'priority="1" solref="-3000 -5"'},
+        "foot-rebound",
+        {"contact_solref"},
+    ),
 }
 """Changes of the good quadruped, a row that is wrong, and the settings of which one must be named."""
 
 
 def test_a_good_quadruped_passes() -> None:
     report = check(model(quadruped_xml()), only=["foot-*"])
-    assert {one.phenomenon: one.verdict for one in report.rows if one.verdict is not Verdict.INSIDE} == {}
+    assert {
+        one.phenomenon: one.verdict
+        for one in report.rows
+        if one.verdict is not Verdict.INSIDE
+    } == {}
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -428,13 +526,23 @@ def test_a_fault_of_the_feet_is_wrong_and_named(name: str) -> None:
     assert found.cause is not None and set(found.cause.settings) & culprits, found.cause
     assert report.cure is not None
     if "foot" in changes:
-        assert "in FL_foot, FR_foot, RL_foot and 1 more, which the default does not reach" in report.cure.line
+        assert (
+            "in FL_foot, FR_foot, RL_foot and 1 more, which the default does not reach"
+            in report.cure.line
+        )
 
 
 def test_the_command_fails_for_a_fault_of_the_feet(tmp_path: Path) -> None:
     path = tmp_path / "soft.xml"
     path.write_text(quadruped_xml(**FAULTS["soft_foot"][0]))
-    arguments = ["sanity", str(path), "--only", "foot-landing-depth", "--fail-on", "wrong"]
+    arguments = [
+        "sanity",
+        str(path),
+        "--only",
+        "foot-landing-depth",
+        "--fail-on",
+        "wrong",
+    ]
     assert RUNNER.invoke(app, arguments).exit_code == 1
     path.write_text(quadruped_xml())
     assert RUNNER.invoke(app, arguments).exit_code == 0
@@ -453,16 +561,26 @@ def test_the_command_fails_for_a_fault_of_the_feet(tmp_path: Path) -> None:
 def test_the_feet_of_planted_models_show_the_fault(name: str) -> None:
     report = check(model(model_xml(PLANTED[name])), only=["foot-*"])
     assert report.worst in (Verdict.VISIBLE, Verdict.WRONG)
-    named = {setting for one in report.rows if one.cause is not None for setting in one.cause.settings}
+    named = {
+        setting
+        for one in report.rows
+        if one.cause is not None
+        for setting in one.cause.settings
+    }
     assert named & set(PLANTED[name].culprits), [one.cause for one in report.rows]
 
 
 def test_the_foot_and_what_is_assumed_are_printed() -> None:
     path = ["sanity", "HalfCheetah-v5", "--only", "foot-creep"]
     text = " ".join(RUNNER.invoke(app, path).stdout.split())
-    assert "bfoot (capsule) with 7 kg, the share of one of 2 feet in 14 kg, in the initial pose" in text
+    assert (
+        "bfoot (capsule) with 7 kg, the share of one of 2 feet in 14 kg, in the initial pose"
+        in text
+    )
     assert "four copies in one rigid body" in text and "6.82 times softer" in text
-    source = rows_of(check("HalfCheetah-v5", only=["foot-creep"]))["foot-creep"].reality.source
+    source = rows_of(check("HalfCheetah-v5", only=["foot-creep"]))[
+        "foot-creep"
+    ].reality.source
     assert "mu = 0.4 that the target states for its foot" in source
 
 

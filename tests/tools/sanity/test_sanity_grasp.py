@@ -26,14 +26,22 @@ from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.stacks import configuration
 
 MUJOCO = Measurements(backend("mujoco"))
-GOOD = {"option": 'cone="elliptic" impratio="100"', "geom": 'solref="0.004 1" solimp=".95 .95 .001"'}
+GOOD = {
+    "option": 'cone="elliptic" impratio="100"',
+    "geom": 'solref="0.004 1" solimp=".95 .95 .001"',
+}
 
 
 BOX = "type='box' size='.005 .01 .02'"
 
 
 def hand(
-    option: str = "", geom: str = "", pad: str = "", motors: str = "left right", tip: str = BOX, held_m: float = 0.03
+    option: str = "",
+    geom: str = "",
+    pad: str = "",
+    motors: str = "left right",
+    tip: str = BOX,
+    held_m: float = 0.03,
 ) -> mujoco.MjModel:
     """Return a gripper above a cube on a floor."""
     fingers = "".join(
@@ -61,8 +69,17 @@ def checked(model: mujoco.MjModel) -> tuple[dict[str, Verdict], Report]:
 def test_creep_and_depth_of_a_box_are_relative_to_its_pads() -> None:
     creep = phenomenon("grasp-creep")
     times = np.linspace(0.0, 1.5, 151)
-    down, inward = np.outer(times, [0.0, 0.0, -1e-6]), np.outer(times > 0.0, [3e-5, 0.0, 0.0])
-    rollout = moved(creep.scenario, times, object=30.0 * down, left=10.0 * down + inward, right=10.0 * down - inward)
+    down, inward = (
+        np.outer(times, [0.0, 0.0, -1e-6]),
+        np.outer(times > 0.0, [3e-5, 0.0, 0.0]),
+    )
+    rollout = moved(
+        creep.scenario,
+        times,
+        object=30.0 * down,
+        left=10.0 * down + inward,
+        right=10.0 * down - inward,
+    )
     assert creep.value(rollout) == pytest.approx(20.0)
     assert phenomenon("grasp-sink").value(rollout) == pytest.approx(30.0)
 
@@ -76,7 +93,10 @@ def test_torque_is_read_from_the_energy_of_the_spin(share: float) -> None:
     rollout = moved(row.scenario, times)
     rollout.states["object"][:, 10] = np.maximum(20.0 - rate * times, 0.0)
     assert row.value(rollout) == pytest.approx(share, rel=1e-3)
-    low, high = row.reality.value - row.reality.tolerance, row.reality.value + row.reality.tolerance
+    low, high = (
+        row.reality.value - row.reality.tolerance,
+        row.reality.value + row.reality.tolerance,
+    )
     assert (low, high) == pytest.approx((0.383, 0.707), abs=0.007)
 
 
@@ -88,12 +108,18 @@ def test_rolling_friction_is_read_from_the_path(arm_mm: float) -> None:
     rate = 5.0 / 7.0 * G * 1e-3 * arm_mm / 0.03
     until = np.minimum(times, 0.3 / rate)
     path = np.outer(0.3 * until - 0.5 * rate * until**2, [1.0, 0.0, 0.0])
-    assert row.value(moved(row.scenario, times, ball=path)) == pytest.approx(arm_mm, rel=2e-3)
+    assert row.value(moved(row.scenario, times, ball=path)) == pytest.approx(
+        arm_mm, rel=2e-3
+    )
 
 
 def test_the_limit_of_rolling_is_the_largest_published_value() -> None:
     (name, most), *_ = sorted(
-        ((row["name"], float(row["rolling_mm"])) for row in published_pairs() if row["rolling_mm"] != "-"),
+        (
+            (row["name"], float(row["rolling_mm"]))
+            for row in published_pairs()
+            if row["rolling_mm"] != "-"
+        ),
         key=lambda pair: -pair[1],
     )
     assert (name, most) == ("hard-rubber-on-steel", MOST_ROLLING_MM)
@@ -107,21 +133,32 @@ def test_the_preset_has_the_values_of_the_conformance_checks() -> None:
     names = ("grasp-creep", "grasp-sink")
     known = {one.check: one.measured for one in run_checks("mujoco", only=names)}
     for name in names:
-        assert MUJOCO.measure(phenomenon(name), {}).value == pytest.approx(known[name], rel=1e-3), name
+        assert MUJOCO.measure(phenomenon(name), {}).value == pytest.approx(
+            known[name], rel=1e-3
+        ), name
 
 
-@pytest.mark.parametrize(("arm_m", "verdict"), [(1e-3, Verdict.INSIDE), (0.1, Verdict.WRONG)])
+@pytest.mark.parametrize(
+    ("arm_m", "verdict"), [(1e-3, Verdict.INSIDE), (0.1, Verdict.WRONG)]
+)
 def test_rolling_friction_of_mujoco(arm_m: float, verdict: Verdict) -> None:
     settings = {"condim": 6, "rolling_friction_m": arm_m}
     found = MUJOCO.measure(phenomenon("rolling"), settings)
     assert found.verdict is verdict
-    assert verdict is Verdict.WRONG or found.value == pytest.approx(1e3 * arm_m, rel=0.01)
+    assert verdict is Verdict.WRONG or found.value == pytest.approx(
+        1e3 * arm_m, rel=0.01
+    )
 
 
 def test_no_slip_iterations_hold_with_the_elliptic_cone_alone() -> None:
-    row, soft = phenomenon("grasp-creep"), {"contact_solref": (0.02, 1.0), "impratio": 1.0}
+    row, soft = (
+        phenomenon("grasp-creep"),
+        {"contact_solref": (0.02, 1.0), "impratio": 1.0},
+    )
     found = {
-        cone: MUJOCO.measure(row, soft | {"cone": cone, "noslip_iterations": 10}).verdict
+        cone: MUJOCO.measure(
+            row, soft | {"cone": cone, "noslip_iterations": 10}
+        ).verdict
         for cone in ("elliptic", "pyramidal")
     }
     assert found == {"elliptic": Verdict.INSIDE, "pyramidal": Verdict.WRONG}
@@ -131,30 +168,49 @@ def test_no_slip_iterations_hold_with_the_elliptic_cone_alone() -> None:
 
 
 def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body() -> None:
-    held = [group for group in configuration(hand(pad='condim="4"')).contact_groups if group.is_held]
+    held = [
+        group
+        for group in configuration(hand(pad='condim="4"')).contact_groups
+        if group.is_held
+    ]
     assert [(group.geoms, group.settings["condim"]) for group in held] == [
         ("cube, left_pad and right_pad with each other", 4)
     ]
     # Fingers without motors hold nothing, and a chosen pair stands for all contacts.
-    assert not any(group.is_held for group in configuration(hand(motors="")).contact_groups)
-    assert not any(group.is_held for group in configuration(hand(), pair=("floor", "cube")).contact_groups)
+    assert not any(
+        group.is_held for group in configuration(hand(motors="")).contact_groups
+    )
+    assert not any(
+        group.is_held
+        for group in configuration(hand(), pair=("floor", "cube")).contact_groups
+    )
 
 
 @pytest.mark.slow
 def test_grasps_are_measured_without_being_named_where_there_is_a_hand() -> None:
     with_hand, without = (
-        {row.phenomenon for row in check(hand(motors=motors), explain=False).rows if row.experiment}
+        {
+            row.phenomenon
+            for row in check(hand(motors=motors), explain=False).rows
+            if row.experiment
+        }
         for motors in ("left", "")
     )
     assert with_hand - without == set(GRASP)
 
 
-@pytest.mark.parametrize(("pad", "spins"), [("", True), ('condim="4" friction="1 .002 0"', False)])
-def test_round_fingertips_without_torsional_friction_are_named(pad: str, spins: bool) -> None:
+@pytest.mark.parametrize(
+    ("pad", "spins"), [("", True), ('condim="4" friction="1 .002 0"', False)]
+)
+def test_round_fingertips_without_torsional_friction_are_named(
+    pad: str, spins: bool
+) -> None:
     """What is said is what MuJoCo does: 5 N on two tips hold 2 mm of arm each, so 20 mN m, or nothing."""
     model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
     verdicts, report = checked(model)
-    assert verdicts["grasp-torsion"] is Verdict.DECLINED and not any(one.is_off for one in verdicts.values())
+    assert verdicts["grasp-torsion"] is Verdict.DECLINED and not any(
+        one.is_off for one in verdicts.values()
+    )
     assert ["holds no torque" in note for note in report.notes] == [True] * spins
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
@@ -164,7 +220,9 @@ def test_round_fingertips_without_torsional_friction_are_named(pad: str, spins: 
     mujoco.mj_step(model, data, 100)
     # I = m (4 a^2 + 4 b^2) / 12 about the line between the tips, with half edges of 20 and 30 mm.
     free = 0.2 * 0.018 / (0.1 * 4.0 * (0.02**2 + 0.03**2) / 12.0)
-    assert data.qvel[3] == pytest.approx(free if spins else 0.0, rel=0.01, abs=1e-2 * free)
+    assert data.qvel[3] == pytest.approx(
+        free if spins else 0.0, rel=0.01, abs=1e-2 * free
+    )
 
 
 def test_flat_pads_are_not_named() -> None:
@@ -173,7 +231,11 @@ def test_flat_pads_are_not_named() -> None:
 
 def test_a_good_hand_has_no_flag() -> None:
     verdicts, report = checked(hand(**GOOD))
-    assert set(verdicts) == set(GRASP) and set(verdicts.values()) == {Verdict.INSIDE} and report.cure is None
+    assert (
+        set(verdicts) == set(GRASP)
+        and set(verdicts.values()) == {Verdict.INSIDE}
+        and report.cure is None
+    )
 
 
 FAULTS = {
@@ -184,13 +246,17 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) for one in FAULTS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(one, marks=pytest.mark.slow) for one in FAULTS]
+)
 def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
     """Planted faults: the change of the first line, set in a copy of the model, leaves no flag."""
     model = hand(**FAULTS[name])
     verdicts, report = checked(model)
     assert verdicts[name].is_off
-    assert report.cure is not None and report.cure.mended_count == report.cure.flag_count
+    assert (
+        report.cure is not None and report.cure.mended_count == report.cure.flag_count
+    )
     robot = report.configuration.robot
     mended, _ = checked(robot.changed(report.cure.changes)[0])
     assert set(mended.values()) == {Verdict.INSIDE}
@@ -202,6 +268,11 @@ def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box() -> N
     (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
     outcome = CliRunner().invoke(app, [*shlex.split(command), "--json"])
     rows = [json.loads(line) for line in outcome.stdout.splitlines()]
-    verdicts = {row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row}
+    verdicts = {
+        row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row
+    }
     assert outcome.exit_code == 1 and set(verdicts) == set(GRASP)
-    assert [name for name, verdict in verdicts.items() if verdict != "inside"] == ["grasp-creep", "grasp-servo"]
+    assert [name for name, verdict in verdicts.items() if verdict != "inside"] == [
+        "grasp-creep",
+        "grasp-servo",
+    ]

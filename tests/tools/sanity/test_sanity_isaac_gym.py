@@ -110,7 +110,11 @@ def read(text: str, **sim: Any) -> Any:
 def test_a_file_of_humanoidverse_is_read(tmp_path) -> None:
     (tmp_path / "config.yaml").write_text(HUMANOIDVERSE)
     found = configuration(tmp_path / "config.yaml")
-    assert (found.backend, found.language, found.frame_skip) == ("physx", "isaac_gym", 4)
+    assert (found.backend, found.language, found.frame_skip) == (
+        "physx",
+        "isaac_gym",
+        4,
+    )
     assert found.settings == {
         "preset": "isaac",
         "timestep_s": 0.005,
@@ -127,7 +131,10 @@ def test_a_file_of_humanoidverse_is_read(tmp_path) -> None:
     assert found.origins["timestep_s"] == "1 / simulator.config.sim.fps"
     assert found.foot_contact is not None
     assert found.foot_contact.friction == (0.75, 1.125)
-    assert "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average" in found.foot_contact.text
+    assert (
+        "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average"
+        in found.foot_contact.text
+    )
 
 
 def test_references_of_hydra_are_followed(tmp_path) -> None:
@@ -150,14 +157,30 @@ def test_classes_of_legged_gym_are_read() -> None:
     assert found.settings["timestep_s"] == 0.005
     # The number of the vertical axis is 0 for y and 1 for z.
     assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
-    assert (found.settings["angular_damping_per_s"], found.settings["max_angular_velocity_rad_per_s"]) == (0.0, 1000.0)
+    assert (
+        found.settings["angular_damping_per_s"],
+        found.settings["max_angular_velocity_rad_per_s"],
+    ) == (0.0, 1000.0)
     assert not any("damping" in note for note in found.notes)
 
 
 def test_a_task_of_isaac_gym_envs_is_read() -> None:
     task = {
-        "env": {"plane": {"staticFriction": 0.8, "dynamicFriction": 0.6, "restitution": 0.2}, "controlFrequencyInv": 2},
-        "sim": {"dt": 0.0166, "substeps": 2, "up_axis": "y", "gravity": [0.0, -9.81, 0.0], "physx": {}},
+        "env": {
+            "plane": {
+                "staticFriction": 0.8,
+                "dynamicFriction": 0.6,
+                "restitution": 0.2,
+            },
+            "controlFrequencyInv": 2,
+        },
+        "sim": {
+            "dt": 0.0166,
+            "substeps": 2,
+            "up_axis": "y",
+            "gravity": [0.0, -9.81, 0.0],
+            "physx": {},
+        },
     }
     task["sim"]["physx"] = {"num_position_iterations": 8, "solver_type": 0}
     found = configuration(task)
@@ -176,9 +199,15 @@ def test_a_task_of_isaac_gym_envs_is_read() -> None:
     [
         ({"substeps": -1}, "substeps is -1: give 1 or more"),
         ({"fps": 0}, "neither"),
-        ({"physx": {"num_position_iterations": "many"}}, "num_position_iterations is 'many'"),
+        (
+            {"physx": {"num_position_iterations": "many"}},
+            "num_position_iterations is 'many'",
+        ),
         ({"physx": {"num_position_iterations": 0}}, "position_iterations"),
-        ({"physx": None}, "there is no table sim.physx; looked for sim, simulator.config.sim"),
+        (
+            {"physx": None},
+            "there is no table sim.physx; looked for sim, simulator.config.sim",
+        ),
     ],
 )
 def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
@@ -188,9 +217,14 @@ def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
 
 def test_changes_are_keys_of_the_file() -> None:
     written = dialect("isaac_gym")
-    text = written.paste_text({"bounce_threshold_m_per_s": 0.2, "timestep_s": 0.002, "solver": "TGS"})
+    text = written.paste_text(
+        {"bounce_threshold_m_per_s": 0.2, "timestep_s": 0.002, "solver": "TGS"}
+    )
     assert text == (
         "sim.physx.bounce_threshold_velocity = 0.2; sim.dt = 0.002; sim.substeps = 1; sim.physx.solver_type = 1"
     )
-    assert (written.writes("asset"), written.writes("angular_damping_per_s")) == (False, True)
+    assert (written.writes("asset"), written.writes("angular_damping_per_s")) == (
+        False,
+        True,
+    )
     assert written.gravity_text((0.0, 0.0, -9.80665)) == "sim.gravity = [0, 0, -9.81]"

@@ -65,7 +65,11 @@ def material(friction: float, mode: str, restitution: float = 0.0) -> dict[str, 
 
 def test_the_default_locomotion_task_is_read() -> None:
     found = configuration(G1)
-    assert (found.backend, found.language, found.frame_skip) == ("physx", "isaac_lab", 4)
+    assert (found.backend, found.language, found.frame_skip) == (
+        "physx",
+        "isaac_lab",
+        4,
+    )
     assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
     assert found.settings == {
         "preset": "isaac",
@@ -86,7 +90,8 @@ def test_the_default_locomotion_task_is_read() -> None:
         "sustained_restitution": False,
     }
     assert (
-        found.origins["position_iterations"] == "scene.robot.spawn.articulation_props.solver_position_iteration_count"
+        found.origins["position_iterations"]
+        == "scene.robot.spawn.articulation_props.solver_position_iteration_count"
     )
     assert set(found.origins) == set(found.settings)
 
@@ -94,11 +99,17 @@ def test_the_default_locomotion_task_is_read() -> None:
 def test_the_ranges_of_an_event_are_what_a_foot_meets() -> None:
     foot = configuration(G1).foot_contact
     assert foot is not None
-    assert (foot.friction, foot.static_friction, foot.restitution) == ((0.6, 0.6), (0.8, 0.8), (0.0, 0.0))
+    assert (foot.friction, foot.static_friction, foot.restitution) == (
+        (0.6, 0.6),
+        (0.8, 0.8),
+        (0.0, 0.0),
+    )
     assert foot.text.endswith(
         "ground 1 (scene.terrain.physics_material) and robot 0.6 (events.physics_material), friction by multiply"
     )
-    drawn = read(events__physics_material__params__dynamic_friction_range=[0.3, 0.8]).foot_contact
+    drawn = read(
+        events__physics_material__params__dynamic_friction_range=[0.3, 0.8]
+    ).foot_contact
     assert drawn is not None
     assert drawn.friction == (0.3, 0.8) and drawn.mean_friction == pytest.approx(0.55)
     assert "friction 0.3 to 0.8" in drawn.text
@@ -128,22 +139,38 @@ def test_of_two_rules_the_one_of_higher_priority_combines(
 
 
 def test_a_floor_without_a_material_is_that_of_the_engine() -> None:
-    found = read(events=None, scene__terrain__physics_material=None, sim__physics_material=None)
+    found = read(
+        events=None, scene__terrain__physics_material=None, sim__physics_material=None
+    )
     assert found.foot_contact is not None
-    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (0.5, pytest.approx(0.4))
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
+        0.5,
+        pytest.approx(0.4),
+    )
     assert "Isaac Sim's default ground plane" in found.foot_contact.source
     # A generated terrain is a mesh, which gets the default material of the simulation.
     mesh = read(
-        events=None, scene__terrain__physics_material=None, scene__terrain__terrain_type="generator"
+        events=None,
+        scene__terrain__physics_material=None,
+        scene__terrain__terrain_type="generator",
     ).foot_contact
     assert mesh is not None
     assert (mesh.mean_friction, mesh.mean_restitution) == (1.0, 0.0)
 
 
 def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
-    plane = {"spawn": {"func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"}}
+    plane = {
+        "spawn": {
+            "func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"
+        }
+    }
     plane["spawn"]["physics_material"] = material(0.7, "average")  # type: ignore[assignment]
-    found = read(events=None, scene__terrain=None, scene__plane=plane, sim__physics_material=material(0.3, "average"))
+    found = read(
+        events=None,
+        scene__terrain=None,
+        scene__plane=plane,
+        sim__physics_material=material(0.3, "average"),
+    )
     assert found.foot_contact is not None
     assert found.foot_contact.mean_friction == pytest.approx(0.5)
     nothing = read(events=None, scene__terrain=None)
@@ -152,9 +179,17 @@ def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
 
 @pytest.mark.parametrize(
     ("limits", "own", "used"),
-    [((1, 255), 8, 8), ((10, 255), 8, 10), ((1, 4), 8, 4), ((1, 255), None, 16), ((1, 4), None, 4)],
+    [
+        ((1, 255), 8, 8),
+        ((10, 255), 8, 10),
+        ((1, 4), 8, 4),
+        ((1, 255), None, 16),
+        ((1, 4), None, 4),
+    ],
 )
-def test_iterations_of_the_robot_are_clamped(limits: tuple[int, int], own: int | None, used: int) -> None:
+def test_iterations_of_the_robot_are_clamped(
+    limits: tuple[int, int], own: int | None, used: int
+) -> None:
     found = read(
         sim__physx__min_position_iteration_count=limits[0],
         sim__physx__max_position_iteration_count=limits[1],
@@ -162,7 +197,9 @@ def test_iterations_of_the_robot_are_clamped(limits: tuple[int, int], own: int |
     )
     assert found.settings["position_iterations"] == used
     assert ("clamped" in found.origins["position_iterations"]) == (used not in (8, 16))
-    assert any("states no count of position iterations" in note for note in found.notes) == (own is None)
+    assert any(
+        "states no count of position iterations" in note for note in found.notes
+    ) == (own is None)
 
 
 def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
@@ -176,22 +213,38 @@ def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
     )
     assert "friction_correlation_distance 0.00625 m are not carried over" in notes
     assert "sim.physx.enable_stabilization is not carried over" in notes
-    assert "sim.physx.enable_external_forces_every_iteration is not carried over" in notes
+    assert (
+        "sim.physx.enable_external_forces_every_iteration is not carried over" in notes
+    )
     assert "not known and not read: sim.physx.new_feature" in notes
     assert "gpu_max" not in notes
-    scaled = read(sim__physx__friction_offset_threshold=0.004, sim__physx__friction_correlation_distance=0.0025)
+    scaled = read(
+        sim__physx__friction_offset_threshold=0.004,
+        sim__physx__friction_correlation_distance=0.0025,
+    )
     assert scaled.settings["tolerance_length_m"] == pytest.approx(0.1)
     springs = read(scene__terrain__physics_material__compliant_contact_stiffness=1e4)
-    assert "compliant_contact_stiffness makes contacts springs" in springs.inapplicable[Need.CONTACT]
+    assert (
+        "compliant_contact_stiffness makes contacts springs"
+        in springs.inapplicable[Need.CONTACT]
+    )
     last = read(sim__physx__solve_articulation_contact_last=True)
-    assert last.inapplicable == {Need.SERVO: "SAPIEN does not expose sim.physx.solve_articulation_contact_last"}
-    assert Need.SERVO in phenomenon("grasp-servo").needs and Need.SERVO not in phenomenon("grasp-sink").needs
+    assert last.inapplicable == {
+        Need.SERVO: "SAPIEN does not expose sim.physx.solve_articulation_contact_last"
+    }
+    assert (
+        Need.SERVO in phenomenon("grasp-servo").needs
+        and Need.SERVO not in phenomenon("grasp-sink").needs
+    )
 
 
 def test_a_light_jaw_sinks_in_after_few_iterations() -> None:
     """Its drive is solved after contacts, so that only iterations stop it, as users of Isaac Lab's grippers report."""
     row, measure = phenomenon("grasp-servo"), Measurements(backend("physx")).measure
-    depths_mm = [measure(row, read(sim__dt=0.01, **{ITERATIONS: count}).settings).value for count in (4, 16)]
+    depths_mm = [
+        measure(row, read(sim__dt=0.01, **{ITERATIONS: count}).settings).value
+        for count in (4, 16)
+    ]
     # The servo asks for 30 mm. What is between a rigid jaw and a rigid palm stops it.
     assert depths_mm == [pytest.approx(30.0, abs=0.5), pytest.approx(0.0, abs=0.1)]
 
@@ -204,17 +257,43 @@ def test_a_light_jaw_sinks_in_after_few_iterations() -> None:
         ({"sim__dt": -0.005}, "timestep_s"),
         ({"sim__physx": [1]}, "sim.physx is a list, and a table is expected"),
         ({"sim__physx__solver_type": 2}, "sim.physx.solver_type is 2: give 0"),
-        ({"sim__physx__enable_ccd": 1}, "sim.physx.enable_ccd is 1, and true or false is expected"),
-        ({"sim__physx__min_position_iteration_count": 300}, "min_position_iteration_count is 300, more than"),
-        ({"sim__physx__bounce_threshold_velocity": float("nan")}, "bounce_threshold_velocity is nan"),
-        ({"sim__gravity": [0.0, -9.81]}, "sim.gravity is a list, and a list of 3 numbers is expected"),
-        ({"scene__terrain__physics_material__friction_combine_mode": "sum"}, "choose one of average, min, multiply"),
-        ({"scene__terrain__physics_material__dynamic_friction": -1.0}, "dynamic_friction is -1: give 0 or more"),
-        ({"sim__dt": "${env.dt}"}, r"sim.dt is '\$\{env.dt\}', which Hydra fills in|there is no sim.dt"),
-        ({"events__physics_material__params__static_friction_range": [1.0]}, "a list of 2 numbers is expected"),
+        (
+            {"sim__physx__enable_ccd": 1},
+            "sim.physx.enable_ccd is 1, and true or false is expected",
+        ),
+        (
+            {"sim__physx__min_position_iteration_count": 300},
+            "min_position_iteration_count is 300, more than",
+        ),
+        (
+            {"sim__physx__bounce_threshold_velocity": float("nan")},
+            "bounce_threshold_velocity is nan",
+        ),
+        (
+            {"sim__gravity": [0.0, -9.81]},
+            "sim.gravity is a list, and a list of 3 numbers is expected",
+        ),
+        (
+            {"scene__terrain__physics_material__friction_combine_mode": "sum"},
+            "choose one of average, min, multiply",
+        ),
+        (
+            {"scene__terrain__physics_material__dynamic_friction": -1.0},
+            "dynamic_friction is -1: give 0 or more",
+        ),
+        (
+            {"sim__dt": "${env.dt}"},
+            r"sim.dt is '\$\{env.dt\}', which Hydra fills in|there is no sim.dt",
+        ),
+        (
+            {"events__physics_material__params__static_friction_range": [1.0]},
+            "a list of 2 numbers is expected",
+        ),
     ],
 )
-def test_a_wrong_value_is_named_with_its_key(values: dict[str, Any], message: str) -> None:
+def test_a_wrong_value_is_named_with_its_key(
+    values: dict[str, Any], message: str
+) -> None:
     with pytest.raises(TargetError, match=message):
         read(**values)
 
@@ -222,32 +301,55 @@ def test_a_wrong_value_is_named_with_its_key(values: dict[str, Any], message: st
 def test_other_engines_and_other_files_are_declined() -> None:
     newton = changed(sim__newton_cfg={"solver_cfg": {"njmax": 65}})
     del newton["sim"]["physx"]
-    with pytest.raises(TargetError, match=r"there is no sim\.physx, and there is sim\.newton_cfg instead"):
+    with pytest.raises(
+        TargetError,
+        match=r"there is no sim\.physx, and there is sim\.newton_cfg instead",
+    ):
         isaac_lab_configuration(newton, name="env.yaml", source="test")
-    other = changed(sim__physics={"solver_cfg": {"solver_type": "mujoco_warp"}}, sim__physx=None)
+    other = changed(
+        sim__physics={"solver_cfg": {"solver_type": "mujoco_warp"}}, sim__physx=None
+    )
     with pytest.raises(TargetError, match=r"there is sim\.physics instead"):
         isaac_lab_configuration(other, name="env.yaml", source="test")
-    for text, message in {"a: 1": r"there is no sim\.dt", "[1]": "the file is a list", "": "the file is empty"}.items():
+    for text, message in {
+        "a: 1": r"there is no sim\.dt",
+        "[1]": "the file is a list",
+        "": "the file is empty",
+    }.items():
         with pytest.raises(TargetError, match=message):
             isaac_lab_configuration(yaml_document(text), name="env.yaml", source="test")
 
 
-def test_keys_that_isaac_lab_ignores_are_shown_where_nothing_is_flagged(tmp_path: Path) -> None:
+def test_keys_that_isaac_lab_ignores_are_shown_where_nothing_is_flagged(
+    tmp_path: Path,
+) -> None:
     """Settings of IsaacGym in Isaac Lab's place never apply there; the file stays one of Isaac Lab."""
     path = tmp_path / "env.yaml"
-    path.write_text(G1.read_text().replace("  physx:\n", "  physx:\n    num_position_iterations: 32\n", 1))
+    path.write_text(
+        G1.read_text().replace(
+            "  physx:\n", "  physx:\n    num_position_iterations: 32\n", 1
+        )
+    )
     found = configuration(path)
-    assert found.language == configuration(yaml_document(path.read_bytes())).language == "isaac_lab"
+    assert (
+        found.language
+        == configuration(yaml_document(path.read_bytes())).language
+        == "isaac_lab"
+    )
     assert found.settings == configuration(G1).settings
     outcome = RUNNER.invoke(app, ["sanity", str(path), "--only", "gravity"])
     assert outcome.exit_code == 0 and "No flags" in outcome.output
-    assert "not read: sim.physx.num_position_iterations; Isaac Lab ignores" in " ".join(outcome.output.split())
+    assert "not read: sim.physx.num_position_iterations; Isaac Lab ignores" in " ".join(
+        outcome.output.split()
+    )
 
 
 def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
     run = tmp_path / "2026-01-01_g1"
     (run / ".hydra").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").write_text(yaml.safe_dump({"env": json.loads(json.dumps(DUMPED)), "seed": 1}))
+    (run / ".hydra" / "config.yaml").write_text(
+        yaml.safe_dump({"env": json.loads(json.dumps(DUMPED)), "seed": 1})
+    )
     found = configuration(run)
     assert found.name == "2026-01-01_g1"
     assert found.settings == configuration(G1).settings
@@ -266,17 +368,35 @@ def test_the_older_namespace_and_its_keys_are_read() -> None:
 
 
 def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
-    physics = {**DUMPED["sim"]["physx"], "class_type": "isaaclab_physx.physics.physx_manager:PhysxManager"}
-    found = read(sim__physics=physics | {"bounce_threshold_velocity": 0.2}, sim__physx=None)
-    assert found.settings == configuration(G1).settings | {"bounce_threshold_m_per_s": 0.2}
-    assert found.origins["bounce_threshold_m_per_s"] == "sim.physics.bounce_threshold_velocity"
-    text = dialect(found.language).paste_text({"bounce_threshold_m_per_s": 0.1, "solver": "TGS"})
-    assert text == "self.sim.physics.bounce_threshold_velocity = 0.1; self.sim.physics.solver_type = 1"
+    physics = {
+        **DUMPED["sim"]["physx"],
+        "class_type": "isaaclab_physx.physics.physx_manager:PhysxManager",
+    }
+    found = read(
+        sim__physics=physics | {"bounce_threshold_velocity": 0.2}, sim__physx=None
+    )
+    assert found.settings == configuration(G1).settings | {
+        "bounce_threshold_m_per_s": 0.2
+    }
+    assert (
+        found.origins["bounce_threshold_m_per_s"]
+        == "sim.physics.bounce_threshold_velocity"
+    )
+    text = dialect(found.language).paste_text(
+        {"bounce_threshold_m_per_s": 0.1, "solver": "TGS"}
+    )
+    assert (
+        text
+        == "self.sim.physics.bounce_threshold_velocity = 0.1; self.sim.physics.solver_type = 1"
+    )
     assert not any("not known" in note for note in found.notes)
 
 
 def test_a_configuration_without_gravity_declines_what_needs_it() -> None:
-    assert read(sim__gravity=[0.0, 0.0, 0.0]).inapplicable[Need.GRAVITY] == "the target has no gravity"
+    assert (
+        read(sim__gravity=[0.0, 0.0, 0.0]).inapplicable[Need.GRAVITY]
+        == "the target has no gravity"
+    )
 
 
 def test_impacts_count_where_a_restitution_is_stated() -> None:
@@ -286,16 +406,26 @@ def test_impacts_count_where_a_restitution_is_stated() -> None:
         scene__terrain__physics_material=material(1.0, "multiply", restitution=0.8),
         sim__physics_material=material(1.0, "multiply", restitution=0.9),
     )
-    for cfg, counts in ((bouncy, True), (changed(sim__physx__bounce_threshold_velocity=2.0), False)):
+    for cfg, counts in (
+        (bouncy, True),
+        (changed(sim__physx__bounce_threshold_velocity=2.0), False),
+    ):
         target = isaac_lab_configuration(cfg, name="env.yaml", source="test")
-        assert any("more slowly than 2 m/s, as after a fall of 204 mm" in note for note in target.notes)
+        assert any(
+            "more slowly than 2 m/s, as after a fall of 204 mm" in note
+            for note in target.notes
+        )
         report = check(target, only=["rebound-slow"])
         (row,) = report.rows
         assert (row.verdict, row.is_flag) == (Verdict.WRONG, counts)
         if counts:
-            assert row.cause is not None and row.cause.settings == ("bounce_threshold_m_per_s",)
+            assert row.cause is not None and row.cause.settings == (
+                "bounce_threshold_m_per_s",
+            )
             assert report.cure is not None
-            assert report.cure.line.startswith("self.sim.physx.bounce_threshold_velocity = ")
+            assert report.cure.line.startswith(
+                "self.sim.physx.bounce_threshold_velocity = "
+            )
         else:
             assert row.advisory == "the target states a restitution of 0"
 
@@ -322,12 +452,20 @@ def test_changes_are_lines_of_python() -> None:
     for name, (value, line) in lines.items():
         assert written.writes(name)
         assert written.assignment(name, value) == line
-        compile(written.paste_text({name: value, "bounce_threshold_m_per_s": 0.2}), "cure", "exec")
-    both = written.paste_text({"contact_offset_m": 0.01, "timestep_s": 0.001, "rest_offset_m": 0.0})
+        compile(
+            written.paste_text({name: value, "bounce_threshold_m_per_s": 0.2}),
+            "cure",
+            "exec",
+        )
+    both = written.paste_text(
+        {"contact_offset_m": 0.01, "timestep_s": 0.001, "rest_offset_m": 0.0}
+    )
     assert both.endswith("CollisionPropertiesCfg(contact_offset=0.01, rest_offset=0)")
     assert written.value_text("max_angular_velocity_rad_per_s", math.pi) == "180"
     assert not written.writes("hinges")
-    assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
+    assert (
+        written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
+    )
 
 
 @pytest.fixture
@@ -342,23 +480,44 @@ def short_swing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.mark.usefixtures("short_swing")
 def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
-    settings = {"timestep_s": 0.01, "hinges": "articulation", "link_linear_damping_per_s": 0.05}
+    settings = {
+        "timestep_s": 0.01,
+        "hinges": "articulation",
+        "link_linear_damping_per_s": 0.05,
+    }
     target = TrainingConfiguration(
-        name="links", source="test", backend="physx", settings=settings, language="isaac_lab"
+        name="links",
+        source="test",
+        backend="physx",
+        settings=settings,
+        language="isaac_lab",
     )
     report = check(target, only=["period"])
     (row,) = report.rows
-    assert row.cause is not None and row.cause.settings == ("link_linear_damping_per_s",)
-    assert "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05" in row.cause.line
+    assert row.cause is not None and row.cause.settings == (
+        "link_linear_damping_per_s",
+    )
+    assert (
+        "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05"
+        in row.cause.line
+    )
     assert report.cure is None or "link_linear_damping" not in report.cure.line
 
 
 @pytest.mark.slow
 def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
     """With PGS and one iteration, the solver alone and the iterations alone each bring another flag."""
-    counts = {"solver_position_iteration_count": 1, "solver_velocity_iteration_count": 0}
-    cfg = changed(sim__physx__solver_type=0, scene__robot__spawn__articulation_props=counts)
-    report = check(isaac_lab_configuration(cfg, name="pgs", source="test"), only=["slide-wood,carry-wood,point"])
+    counts = {
+        "solver_position_iteration_count": 1,
+        "solver_velocity_iteration_count": 0,
+    }
+    cfg = changed(
+        sim__physx__solver_type=0, scene__robot__spawn__articulation_props=counts
+    )
+    report = check(
+        isaac_lab_configuration(cfg, name="pgs", source="test"),
+        only=["slide-wood,carry-wood,point"],
+    )
     assert report.cure is not None
     props = "self.scene.robot.spawn.articulation_props"
     assert report.cure.line == (
@@ -368,14 +527,22 @@ def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
 
 
 def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
-    trained, deployed = (EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed"))
+    trained, deployed = (
+        EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed")
+    )
     comparison = compare(trained, deployed, only=["slide-wood,rebound-slow,gravity"])
     rows = {row.id: row for row in comparison.rows}
     foot, rebound = rows["foot-straight"], rows["foot-restitution"]
-    assert (foot.trained, foot.deployed) == (pytest.approx(1.0, abs=0.02), pytest.approx(0.5, abs=0.01))
+    assert (foot.trained, foot.deployed) == (
+        pytest.approx(1.0, abs=0.02),
+        pytest.approx(0.5, abs=0.01),
+    )
     assert (rebound.trained, rebound.deployed) == (0.0, pytest.approx(0.4, abs=0.01))
     assert [row.change for row in comparison.changed] == [Change.LARGE, Change.LARGE]
-    assert "friction 1, restitution 0: ground 1" in foot.remark and "restitution 0.4: ground 0.5" in foot.remark
+    assert (
+        "friction 1, restitution 0: ground 1" in foot.remark
+        and "restitution 0.4: ground 0.5" in foot.remark
+    )
 
 
 def test_the_examples_hold_what_isaac_lab_writes() -> None:
@@ -395,13 +562,23 @@ def test_the_examples_hold_what_isaac_lab_writes() -> None:
 
 
 def test_the_command_names_both_changes_first() -> None:
-    arguments = ["sanity", str(EXAMPLES / "g1_trained.yaml"), "--against", str(EXAMPLES / "g1_deployed.yaml")]
-    outcome = RUNNER.invoke(app, [*arguments, "--only", "slide-wood,rebound-slow", "--fail-on", "wrong"])
+    arguments = [
+        "sanity",
+        str(EXAMPLES / "g1_trained.yaml"),
+        "--against",
+        str(EXAMPLES / "g1_deployed.yaml"),
+    ]
+    outcome = RUNNER.invoke(
+        app, [*arguments, "--only", "slide-wood,rebound-slow", "--fail-on", "wrong"]
+    )
     assert outcome.exit_code == 1
     first = outcome.stdout.partition("\n\n")[0].replace("\n", " ")
     assert "restitution that a foot meets: from 0 to 0.4" in first
     assert "then friction that a foot meets, straight: from 1 to 0.5" in first
-    for name, reason in {"absent/env.yaml": "there is no such file", "x" * 300: "gymnasium.make fails"}.items():
+    for name, reason in {
+        "absent/env.yaml": "there is no such file",
+        "x" * 300: "gymnasium.make fails",
+    }.items():
         refused = RUNNER.invoke(app, ["sanity", name])
         assert refused.exit_code == 2
         assert reason in refused.output.replace("\n", " ")

@@ -22,24 +22,41 @@ def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:
 @pytest.mark.slow
 def test_another_process_measures_the_same_bits(installed: Callable[..., None]) -> None:
     installed("well")
-    here, there = checked("mujoco:out_of_box", "creep-wood")[0], checked("well:out_of_box", "creep-wood")[0]
+    here, there = (
+        checked("mujoco:out_of_box", "creep-wood")[0],
+        checked("well:out_of_box", "creep-wood")[0],
+    )
     assert here == there != []
 
 
-def test_an_engine_that_dies_costs_one_phenomenon(installed: Callable[..., None]) -> None:
+def test_an_engine_that_dies_costs_one_phenomenon(
+    installed: Callable[..., None],
+) -> None:
     installed("fall-crash", "supports-crash")
     (slide, rebound), result = checked("fall-crash", "creep-wood", "rebound")
-    assert (slide["verdict"], rebound["verdict"], result.exit_code) == ("inside", "wrong", 1)
-    assert rebound["remark"] == "the engine's process died with signal 11 (segmentation fault)"
+    assert (slide["verdict"], rebound["verdict"], result.exit_code) == (
+        "inside",
+        "wrong",
+        1,
+    )
+    assert (
+        rebound["remark"]
+        == "the engine's process died with signal 11 (segmentation fault)"
+    )
     (row,), result = checked("supports-crash", "creep-wood")
     assert (row["verdict"], result.exit_code) == ("declined", 3)
     assert "segmentation fault" in row["remark"]
 
 
 @pytest.mark.slow
-def test_an_engine_that_cannot_start_is_one_line(installed: Callable[..., None]) -> None:
+def test_an_engine_that_cannot_start_is_one_line(
+    installed: Callable[..., None],
+) -> None:
     installed("at-import", "contact-crash")
-    for name, cause in (("at-import", "SystemExit: 3"), ("contact-crash", "segmentation fault")):
+    for name, cause in (
+        ("at-import", "SystemExit: 3"),
+        ("contact-crash", "segmentation fault"),
+    ):
         rows, result = checked(name, "creep-wood")
         assert (rows, result.exit_code) == ([], 2)
         assert cause in result.stderr and result.stderr.startswith("error: ")

@@ -23,15 +23,19 @@ from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
 pytest.importorskip("sapien")
 
-STORED: dict[str, Any] = json.loads((Path(__file__).parent / "data" / "maniskill_sim_configs.json").read_text())[
-    "tasks"
-]
+STORED: dict[str, Any] = json.loads(
+    (Path(__file__).parent / "data" / "maniskill_sim_configs.json").read_text()
+)["tasks"]
 PICK_CUBE = STORED["PickCube-v1"]
 
 
 def test_a_sim_config_is_read() -> None:
     found = maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test")
-    assert (found.backend, found.frame_skip, found.gravity_m_per_s2) == ("physx", 5, (0.0, 0.0, -9.81))
+    assert (found.backend, found.frame_skip, found.gravity_m_per_s2) == (
+        "physx",
+        5,
+        (0.0, 0.0, -9.81),
+    )
     assert found.settings == {
         "preset": "out_of_box",
         "timestep_s": 0.01,
@@ -52,7 +56,10 @@ def test_a_sim_config_is_read() -> None:
         "sustained_restitution": False,
     }
     assert found.foot_contact is not None
-    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (pytest.approx(0.3), 0.0)
+    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
+        pytest.approx(0.3),
+        0.0,
+    )
 
 
 def test_damping_of_links_is_what_sapien_starts_with() -> None:
@@ -62,18 +69,27 @@ def test_damping_of_links_is_what_sapien_starts_with() -> None:
     builder = sapien.Scene([physx.PhysxCpuSystem()]).create_articulation_builder()
     builder.create_link_builder()
     (link,) = builder.build().links
-    assert (link.linear_damping, link.angular_damping) == (pytest.approx(0.05), pytest.approx(0.05))
+    assert (link.linear_damping, link.angular_damping) == (
+        pytest.approx(0.05),
+        pytest.approx(0.05),
+    )
     assert physx.PhysxRigidDynamicComponent().linear_damping == 0.0
 
 
 def test_damping_of_links_acts_on_links_alone() -> None:
     measurements = Measurements(backend("physx"))
     slide, energy = phenomena(["energy", "slide-wood"])
-    free, damped = {"timestep_s": 0.01}, {"timestep_s": 0.01, "link_linear_damping_per_s": 0.05}
+    free, damped = (
+        {"timestep_s": 0.01},
+        {"timestep_s": 0.01, "link_linear_damping_per_s": 0.05},
+    )
     # Half of the energy of small swings is kinetic on average, so it decays at the rate of the damping.
     lost = measurements.measure(energy, damped).value
     assert lost == pytest.approx(1.0 - math.exp(-0.05 * 100.0), abs=0.005)
-    assert measurements.measure(slide, damped).value == measurements.measure(slide, free).value
+    assert (
+        measurements.measure(slide, damped).value
+        == measurements.measure(slide, free).value
+    )
 
 
 def test_objects_are_read_as_their_values() -> None:
@@ -91,10 +107,20 @@ def test_objects_are_read_as_their_values() -> None:
     class Env(gymnasium.Env):
         sim_config = SimConfig()
 
-    for target in (SimConfig(), asdict(SimConfig()) | {"scene_config": {"bounce_threshold": 0.5}}, Env()):
+    for target in (
+        SimConfig(),
+        asdict(SimConfig()) | {"scene_config": {"bounce_threshold": 0.5}},
+        Env(),
+    ):
         found = configuration(target)
-        assert (found.settings["timestep_s"], found.settings["bounce_threshold_m_per_s"]) == (0.005, 0.5)
-    wrapped = SimpleNamespace(unwrapped=SimpleNamespace(sim_config=SimConfig()), spec=SimpleNamespace(id="Mine-v1"))
+        assert (
+            found.settings["timestep_s"],
+            found.settings["bounce_threshold_m_per_s"],
+        ) == (0.005, 0.5)
+    wrapped = SimpleNamespace(
+        unwrapped=SimpleNamespace(sim_config=SimConfig()),
+        spec=SimpleNamespace(id="Mine-v1"),
+    )
     assert configuration(wrapped).name == "Mine-v1"
 
 
@@ -104,36 +130,71 @@ def test_objects_are_read_as_their_values() -> None:
         ({"sim_freq": None}, "no positive sim_config.sim_freq"),
         ({"sim_freq": "fast"}, "sim_config.sim_freq is 'fast'"),
         ({"scene_config": [1]}, "sim_config.scene_config is a list"),
-        ({"scene_config": {"solver_position_iterations": 1.5}}, "solver_position_iterations is 1.5, and a whole"),
-        ({"scene_config": {"enable_tgs": "yes"}}, "enable_tgs is 'yes', and true or false"),
+        (
+            {"scene_config": {"solver_position_iterations": 1.5}},
+            "solver_position_iterations is 1.5, and a whole",
+        ),
+        (
+            {"scene_config": {"enable_tgs": "yes"}},
+            "enable_tgs is 'yes', and true or false",
+        ),
         ({"scene_config": {"contact_offset": -1.0}}, "contact_offset_m"),
-        ({"default_materials_config": {"restitution": "inf"}}, "restitution is inf: give 0 or more"),
+        (
+            {"default_materials_config": {"restitution": "inf"}},
+            "restitution is inf: give 0 or more",
+        ),
     ],
 )
 def test_a_wrong_value_is_named(values: dict[str, Any], message: str) -> None:
     with pytest.raises(TargetError, match=message):
-        maniskill_configuration({**PICK_CUBE, **values}, name="PickCube-v1", source="test")
+        maniskill_configuration(
+            {**PICK_CUBE, **values}, name="PickCube-v1", source="test"
+        )
 
 
 @pytest.mark.slow
-def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold() -> None:
-    report = check(maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"), only=["period,rebound-slow"])
+def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold() -> (
+    None
+):
+    report = check(
+        maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"),
+        only=["period,rebound-slow"],
+    )
     rows = {row.phenomenon: row for row in report.rows}
-    assert (rows["rebound-slow"].configured, rows["rebound-slow"].is_flag) == (0.0, False)
+    assert (rows["rebound-slow"].configured, rows["rebound-slow"].is_flag) == (
+        0.0,
+        False,
+    )
     assert rows["period"].verdict is Verdict.WRONG
-    assert rows["period"].cause is not None and rows["period"].cause.settings == ("link_linear_damping_per_s",)
+    assert rows["period"].cause is not None and rows["period"].cause.settings == (
+        "link_linear_damping_per_s",
+    )
     assert report.cure is not None
-    assert report.cure.line.startswith("[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag")
+    assert report.cure.line.startswith(
+        "[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag"
+    )
 
 
 def test_changes_are_a_sim_config() -> None:
     written = dialect("maniskill")
-    text = written.paste_text({"timestep_s": 0.005, "bounce_threshold_m_per_s": 0.2, "solver": "PGS"})
-    assert text == "SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2, enable_tgs=False))"
+    text = written.paste_text(
+        {"timestep_s": 0.005, "bounce_threshold_m_per_s": 0.2, "solver": "PGS"}
+    )
+    assert (
+        text
+        == "SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2, enable_tgs=False))"
+    )
     compile(text, "cure", "eval")
-    damping = written.paste_text({"link_linear_damping_per_s": 0.0, "position_iterations": 20})
+    damping = written.paste_text(
+        {"link_linear_damping_per_s": 0.0, "position_iterations": 20}
+    )
     config, _, loop = damping.partition(" and ")
-    assert config == "SimConfig(scene_config=SceneConfig(solver_position_iterations=20))"
+    assert (
+        config == "SimConfig(scene_config=SceneConfig(solver_position_iterations=20))"
+    )
     assert loop == "[link.set_linear_damping(0) for link in self.agent.robot.links]"
-    assert (written.writes("hinges"), written.writes("sleep_threshold_m2_per_s2")) == (False, True)
+    assert (written.writes("hinges"), written.writes("sleep_threshold_m2_per_s2")) == (
+        False,
+        True,
+    )
     assert written.value_text("link_linear_damping_per_s", 0.05) == "0.05"

@@ -7,7 +7,15 @@ from typing import Any
 
 import mujoco
 import pytest
-from mujoco_stacks import DOG, CollisionCfg, MujocoCfg, SimulationCfg, install_mjlab, mjlab_task, playground_env
+from mujoco_stacks import (
+    DOG,
+    CollisionCfg,
+    MujocoCfg,
+    SimulationCfg,
+    install_mjlab,
+    mjlab_task,
+    playground_env,
+)
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
@@ -25,7 +33,9 @@ def probe_file(target: Any, folder: Path) -> Path:
 
 
 def test_an_env_of_playground_is_read_with_its_limits() -> None:
-    read = configuration(playground_env(impl="warp", njmax=40, naconmax=2048, action_scale=0.5))
+    read = configuration(
+        playground_env(impl="warp", njmax=40, naconmax=2048, action_scale=0.5)
+    )
     assert read.capacity is not None and read.robot is not None
     assert read.capacity.limits == CapacityLimits(njmax=40, naconmax=2048)
     assert [read.settings[name] for name in OPTIONS] == [0.004, 1, 5, 20]
@@ -33,15 +43,29 @@ def test_an_env_of_playground_is_read_with_its_limits() -> None:
     assert read.settings["contact_solimp"] == [0.9, 0.95, 0.001, 0.5, 2.0]
     assert (read.frame_skip, read.language, read.is_model) == (5, "playground", True)
     assert (read.trains_on, read.robot.action_rad) == ("mujoco_warp", 0.5)
-    assert [group.geoms for group in read.contact_groups] == ["floor with a, b, c and d"]
+    assert [group.geoms for group in read.contact_groups] == [
+        "floor with a, b, c and d"
+    ]
 
 
-def test_the_probe_file_of_playground_has_the_same_rows_and_words(tmp_path: Path) -> None:
+def test_the_probe_file_of_playground_has_the_same_rows_and_words(
+    tmp_path: Path,
+) -> None:
     env = playground_env(impl="warp", njmax=40)
     direct, saved = configuration(env), configuration(probe_file(env, tmp_path))
-    assert (saved.settings, saved.contact_groups) == (direct.settings, direct.contact_groups)
-    assert (saved.language, saved.trains_on, saved.frame_skip) == (direct.language, direct.trains_on, direct.frame_skip)
-    rows = [check(read, only=["slide-wood"], explain=False).rows[0] for read in (direct, saved)]
+    assert (saved.settings, saved.contact_groups) == (
+        direct.settings,
+        direct.contact_groups,
+    )
+    assert (saved.language, saved.trains_on, saved.frame_skip) == (
+        direct.language,
+        direct.trains_on,
+        direct.frame_skip,
+    )
+    rows = [
+        check(read, only=["slide-wood"], explain=False).rows[0]
+        for read in (direct, saved)
+    ]
     assert rows[0].to_dict() == rows[1].to_dict()
     assert rows[0].verdict.value == "wrong"
 
@@ -50,11 +74,22 @@ def test_too_few_constraint_rows_are_wrong_and_named() -> None:
     report = check(playground_env(impl="warp", njmax=12), only=["contact-capacity"])
     row = report.rows[0]
     # Four feet with four rows each.
-    assert (row.configured, row.verdict.value, report.worst.value) == (4.0, "wrong", "wrong")
+    assert (row.configured, row.verdict.value, report.worst.value) == (
+        4.0,
+        "wrong",
+        "wrong",
+    )
     assert row.cause is not None and row.cause.settings == ("njmax",)
-    assert row.cause.line.startswith('config_overrides={"njmax": 20}: its model needs 16 constraint rows in a motion')
-    assert report.cure is not None and report.cure.line == 'config_overrides={"njmax": 20}: the one flag goes'
-    fits = check(playground_env(impl="warp", njmax=40), only=["contact-capacity"]).rows[0]
+    assert row.cause.line.startswith(
+        'config_overrides={"njmax": 20}: its model needs 16 constraint rows in a motion'
+    )
+    assert (
+        report.cure is not None
+        and report.cure.line == 'config_overrides={"njmax": 20}: the one flag goes'
+    )
+    fits = check(playground_env(impl="warp", njmax=40), only=["contact-capacity"]).rows[
+        0
+    ]
     assert (fits.configured, fits.verdict.value) == (0.0, "inside")
     assert "needs 16 constraint rows" in fits.remark and "njmax is 40" in fits.remark
 
@@ -62,9 +97,15 @@ def test_too_few_constraint_rows_are_wrong_and_named() -> None:
 def test_implementations_without_limits_have_no_such_row() -> None:
     read = configuration(playground_env(impl="jax"))
     assert (read.capacity, read.trains_on) == (None, "")
-    assert check(read, only=["contact-capacity", "gravity"]).rows[0].phenomenon == "gravity"
+    assert (
+        check(read, only=["contact-capacity", "gravity"]).rows[0].phenomenon
+        == "gravity"
+    )
     row = check("mujoco", only=["contact-capacity"]).rows[0]
-    assert (row.verdict.value, row.remark) == ("declined", "the target states no limit of its memory for contacts")
+    assert (row.verdict.value, row.remark) == (
+        "declined",
+        "the target states no limit of its memory for contacts",
+    )
 
 
 def test_contacts_of_all_worlds_are_judged_by_their_mean() -> None:
@@ -88,7 +129,9 @@ def test_height_fields_are_not_counted() -> None:
 
 
 def test_an_env_without_a_model_is_refused() -> None:
-    with pytest.raises(TargetError, match="Walk holds no compiled model: give the environment"):
+    with pytest.raises(
+        TargetError, match="Walk holds no compiled model: give the environment"
+    ):
         configuration(playground_env(model=object()))  # type: ignore[arg-type]
 
 
@@ -106,26 +149,53 @@ def test_changes_of_playground_are_overrides_and_mjcf() -> None:
 # --- mjlab -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_task_of_mjlab_is_compiled_and_read(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_task_of_mjlab_is_compiled_and_read(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     install_mjlab(monkeypatch)
-    options = MujocoCfg(timestep=0.005, iterations=10, cone="elliptic", integrator="implicitfast")
+    options = MujocoCfg(
+        timestep=0.005, iterations=10, cone="elliptic", integrator="implicitfast"
+    )
     collision = CollisionCfg(condim=6, solref=(0.01, 1.0))
-    task = mjlab_task(SimulationCfg(njmax=3, nconmax=35, mujoco=options), collision, observed=2, acted=3)
+    task = mjlab_task(
+        SimulationCfg(njmax=3, nconmax=35, mujoco=options),
+        collision,
+        observed=2,
+        acted=3,
+    )
     read = configuration(task)
     names = ("timestep_s", "iterations", "integrator", "cone")
-    assert [read.settings[name] for name in names] == [0.005, 10, "implicitfast", "elliptic"]
-    assert (read.frame_skip, read.language, read.trains_on) == (4, "mjlab", "mujoco_warp")
+    assert [read.settings[name] for name in names] == [
+        0.005,
+        10,
+        "implicitfast",
+        "elliptic",
+    ]
+    assert (read.frame_skip, read.language, read.trains_on) == (
+        4,
+        "mjlab",
+        "mujoco_warp",
+    )
     (used,) = (group for group in read.contact_groups if group.is_used)
     assert used.geoms == "terrain with robot/foot"
     assert (used.constants["condim"], used.constants["solref"]) == (6, [0.01, 1.0])
     # Two steps of the environment, of 20 ms, and three of the engine.
-    assert read.robot is not None and read.robot.delay_s == pytest.approx(2 * 0.02 + 3 * 0.005)
+    assert read.robot is not None and read.robot.delay_s == pytest.approx(
+        2 * 0.02 + 3 * 0.005
+    )
     row = check(read, only=["contact-capacity"]).rows[0]
     assert row.verdict.value == "wrong"
     assert row.cause is not None and row.cause.line.startswith("SimulationCfg(njmax=")
     saved = configuration(probe_file(task, tmp_path))
-    assert (saved.settings, saved.contact_groups) == (read.settings, read.contact_groups)
-    assert (saved.language, saved.trains_on, saved.frame_skip) == ("mjlab", "mujoco_warp", 4)
+    assert (saved.settings, saved.contact_groups) == (
+        read.settings,
+        read.contact_groups,
+    )
+    assert (saved.language, saved.trains_on, saved.frame_skip) == (
+        "mjlab",
+        "mujoco_warp",
+        4,
+    )
 
 
 def test_no_delay_and_no_limit_are_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,11 +207,19 @@ def test_no_delay_and_no_limit_are_not_stated(monkeypatch: pytest.MonkeyPatch) -
 
 def test_changes_of_mjlab_are_configuration_classes() -> None:
     mjlab = dialect("mjlab")
-    changes = {"njmax": 50, "cone": "elliptic", "timestep_s": 0.002, "contact_solref": (0.004, 1.0)}
+    changes = {
+        "njmax": 50,
+        "cone": "elliptic",
+        "timestep_s": 0.002,
+        "contact_solref": (0.004, 1.0),
+    }
     assert mjlab.paste_text(changes, geoms="terrain with foot") == (
         'SimulationCfg(njmax=50, mujoco=MujocoCfg(cone="elliptic", timestep=0.002)) and '
         "CollisionCfg(solref=(0.004, 1)) for terrain with foot"
     )
     assert mjlab.assignment("integrator", "Euler") == 'integrator="euler"'
     assert mjlab.assignment("eulerdamp", False) == 'disableflags=("eulerdamp",)'
-    assert mjlab.gravity_text((0.0, 0.0, -9.80665)) == "SimulationCfg(mujoco=MujocoCfg(gravity=(0, 0, -9.81)))"
+    assert (
+        mjlab.gravity_text((0.0, 0.0, -9.80665))
+        == "SimulationCfg(mujoco=MujocoCfg(gravity=(0, 0, -9.81)))"
+    )

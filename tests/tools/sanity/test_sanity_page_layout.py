@@ -11,13 +11,32 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_sanity_report import ADVICE, CONFIGURATION, CONSTANTS, CREEP, PERIOD, SLIDE, WALL, report
+from test_sanity_report import (
+    ADVICE,
+    CONFIGURATION,
+    CONSTANTS,
+    CREEP,
+    PERIOD,
+    SLIDE,
+    WALL,
+    report,
+)
 
-from gauge_envs.tools.sanity.model import ContactGroup, Cure, GroupOutcome, Report, Verdict
+from gauge_envs.tools.sanity.model import (
+    ContactGroup,
+    Cure,
+    GroupOutcome,
+    Report,
+    Verdict,
+)
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
 from gauge_envs.tools.sanity.words import sanity_page
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = (
+    shutil.which("chromium")
+    or shutil.which("chromium-browser")
+    or shutil.which("google-chrome")
+)
 
 LEAST_TEXT_PX = 14.0
 
@@ -53,7 +72,9 @@ def page_report() -> Report:
     )
     worst = replace(CREEP, geoms=f"floor with {LONG}", groups=groups)
     known = tuple(
-        ContactGroup(geoms=f"floor with {name}", pair_count=4, constants=CONSTANTS, is_used=True)
+        ContactGroup(
+            geoms=f"floor with {name}", pair_count=4, constants=CONSTANTS, is_used=True
+        )
         for name in (LONG, "trunk")
     )
     checked = replace(
@@ -63,19 +84,37 @@ def page_report() -> Report:
         foot_geometry=REFERENCE_FOOT,
         notes=(f"not used: {LONG}",),
     )
-    cure = Cure(changes={}, line=f'<geom solref="0.004 1"/> for {LONG}: 2 of 2 flags go', flag_count=2, mended_count=2)
-    return replace(report(worst, SLIDE, PERIOD, WALL, ADVICE), configuration=checked, cure=cure)
+    cure = Cure(
+        changes={},
+        line=f'<geom solref="0.004 1"/> for {LONG}: 2 of 2 flags go',
+        flag_count=2,
+        mended_count=2,
+    )
+    return replace(
+        report(worst, SLIDE, PERIOD, WALL, ADVICE), configuration=checked, cure=cure
+    )
 
 
 def test_the_cure_comes_first_then_the_table_then_the_pictures() -> None:
     text = sanity_page(page_report())
-    places = [text.index(part) for part in ("<h1>", "Mends most", '<table class="stack phenomena', "<svg", "read from")]
+    places = [
+        text.index(part)
+        for part in (
+            "<h1>",
+            "Mends most",
+            '<table class="stack phenomena',
+            "<svg",
+            "read from",
+        )
+    ]
     assert places == sorted(places)
     assert len(text) < 3_000_000
 
 
 def test_details_are_open_where_something_is_flagged() -> None:
-    cards = re.findall(r'<details class="card" id="([^"]+)"( open)?>', sanity_page(page_report()))
+    cards = re.findall(
+        r'<details class="card" id="([^"]+)"( open)?>', sanity_page(page_report())
+    )
     assert {name: bool(is_open) for name, is_open in cards} == {
         "creep-wood": True,
         "slide": True,
@@ -88,29 +127,51 @@ def test_details_are_open_where_something_is_flagged() -> None:
 
 def test_a_narrow_screen_gets_its_own_rules() -> None:
     text = sanity_page(page_report())
-    assert '<meta name="viewport" content="width=device-width, initial-scale=1"/>' in text
+    assert (
+        '<meta name="viewport" content="width=device-width, initial-scale=1"/>' in text
+    )
     assert "overflow-wrap: anywhere" in text and "@media (max-width: 760px)" in text
     assert "prefers-color-scheme: dark" in text
     # Cells that stand below each other have their titles.
     assert 'data-label="reality"' in text and 'data-label="solimp"' in text
     style = text.split("</style>", maxsplit=1)[0]
     base = float(re.findall(r"font: ([\d.]+)px", style)[0])
-    sizes = [base * float(size) for size in re.findall(r"font-size: ([\d.]+)rem", style)]
+    sizes = [
+        base * float(size) for size in re.findall(r"font-size: ([\d.]+)rem", style)
+    ]
     assert len(sizes) > 3 and min(sizes) >= LEAST_TEXT_PX
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-@pytest.mark.parametrize(("width", "height"), [pytest.param(1200, 800, marks=pytest.mark.slow), (390, 844)])
-def test_nothing_is_wider_than_the_screen_and_text_is_readable(width: int, height: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("width", "height"), [pytest.param(1200, 800, marks=pytest.mark.slow), (390, 844)]
+)
+def test_nothing_is_wider_than_the_screen_and_text_is_readable(
+    width: int, height: int, tmp_path: Path
+) -> None:
     page = sanity_page(page_report()).replace("</body>", f"{MEASURE}</body>")
     # A window is at least 500 pixels wide, so the page is shown in a frame.
     frame = f'<iframe style="border:0" width="{width}" height="{height}" srcdoc="{html.escape(page)}"></iframe>'
     path = tmp_path / "frame.html"
-    path.write_text(f"<!DOCTYPE html><title></title><body>{frame}</body>", encoding="utf-8")
+    path.write_text(
+        f"<!DOCTYPE html><title></title><body>{frame}</body>", encoding="utf-8"
+    )
     assert CHROMIUM is not None
-    arguments = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1300,900"]
+    arguments = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--hide-scrollbars",
+        "--window-size=1300,900",
+    ]
     shown = subprocess.run(
-        [CHROMIUM, *arguments, f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", path.as_uri()],
+        [
+            CHROMIUM,
+            *arguments,
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--dump-dom",
+            path.as_uri(),
+        ],
         capture_output=True,
         text=True,
         timeout=120,

@@ -41,10 +41,15 @@ def value(name: str, settings: dict[str, object]) -> float:
 # --- rollouts --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)])
+@pytest.mark.parametrize(
+    ("step", "interval"),
+    [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)],
+)
 def test_runs_at_its_own_step(step: float, interval: float) -> None:
     scenario = replace(one("rebound").scenario, seconds=0.2)
-    rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step, "integrator": "Euler"})
+    rollout = run_scenario(
+        MUJOCO, scenario, {"timestep_s": step, "integrator": "Euler"}
+    )
     steps = np.round(rollout.times_s / step)
     fall = rollout.position("ball-2")[0, 2] - rollout.position("ball-2")[:, 2]
     assert rollout.interval_s == pytest.approx(interval)
@@ -63,7 +68,9 @@ def test_driver_intervals_join(interval: float) -> None:
     for sample, ((pose, speed, gain), (after, _, _)) in enumerate(pairwise(ends)):
         assert pose == driver.pose(start, sample * interval)
         turn = (after.rotation * pose.rotation.inv()).as_rotvec()
-        np.testing.assert_allclose(speed[3:] * interval + 0.5 * gain[3:] * interval**2, turn, atol=1e-9)
+        np.testing.assert_allclose(
+            speed[3:] * interval + 0.5 * gain[3:] * interval**2, turn, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("step", [0.01, 0.003])
@@ -72,7 +79,9 @@ def test_driven_plate_is_where_its_driver_says(step: float) -> None:
     rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step})
     (driver,) = scenario.scene.drivers
     end = driver.pose(scenario.scene.body("plate").pose, float(rollout.times_s[-1]))
-    turn = end.rotation.inv() * type(end.rotation).from_quat(rollout.states["plate"][-1, 3:7], scalar_first=True)
+    turn = end.rotation.inv() * type(end.rotation).from_quat(
+        rollout.states["plate"][-1, 3:7], scalar_first=True
+    )
     assert np.degrees(turn.magnitude()) < 0.01
 
 
@@ -101,7 +110,9 @@ def test_creep_counts_after_settling() -> None:
     times = np.linspace(0.0, 1.0, 401)
     downhill = creep.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     settling = 0.002 * (1.0 - np.exp(-times / 0.02))
-    rollout = moved(creep.scenario, times, cube=(settling + 0.007 * times)[:, None] * downhill)
+    rollout = moved(
+        creep.scenario, times, cube=(settling + 0.007 * times)[:, None] * downhill
+    )
     assert creep.value(rollout) == pytest.approx(7.0, abs=1e-3)
 
 
@@ -109,7 +120,9 @@ def test_resting_height_is_along_the_normal() -> None:
     rest = one("rest-height")
     times = np.linspace(0.0, 1.0, 101)
     normal = rest.scenario.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
-    sunk = moved(rest.scenario, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal))
+    sunk = moved(
+        rest.scenario, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal)
+    )
     flat = moved(rest.scenario, times)
     assert rest.value(flat) == pytest.approx(0.0, abs=2e-3)
     assert rest.value(sunk) - rest.value(flat) == pytest.approx(-1.2, abs=1e-9)
@@ -121,16 +134,26 @@ def test_slide_reads_acceleration_from_rest(material: str) -> None:
     times = np.linspace(0.0, 0.5, 126)
     downhill = slide.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = slide.reality.value
-    rollout = moved(slide.scenario, times, cube=(0.5 * law * times**2)[:, None] * downhill)
+    rollout = moved(
+        slide.scenario, times, cube=(0.5 * law * times**2)[:, None] * downhill
+    )
     assert slide.value(rollout) == pytest.approx(law)
     # What moves the cube before it has settled does not count: a speed that it then has is no acceleration.
-    pushed = moved(slide.scenario, times, cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill)
+    pushed = moved(
+        slide.scenario,
+        times,
+        cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill,
+    )
     assert slide.value(pushed) == pytest.approx(law)
     late = moved(slide.scenario, times, cube=(0.6 * law * times**2)[:, None] * downhill)
     assert slide.value(late) == pytest.approx(1.2 * law)
     # Real slides show a friction of their own, and the cube has it.
-    friction = next(c.friction for c in slide.scenario.scene.contacts if "board" in c.second)
-    assert friction == pytest.approx({"wood": 0.257145, "plastic": 0.236133, "metal": 0.270867}[material])
+    friction = next(
+        c.friction for c in slide.scenario.scene.contacts if "board" in c.second
+    )
+    assert friction == pytest.approx(
+        {"wood": 0.257145, "plastic": 0.236133, "metal": 0.270867}[material]
+    )
     assert law == pytest.approx(G * (0.5 - friction * np.sqrt(0.75)), rel=2e-3)
 
 
@@ -141,10 +164,16 @@ def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
     times = np.arange(0.0, 0.85, interval)
     displacements = {}
     for ball in rebound.scenario.scene.dynamic_bodies:
-        drop = ball.pose.position_m[2] - rebound.scenario.scene.body("ground").pose.position_m[2] - 0.03
+        drop = (
+            ball.pose.position_m[2]
+            - rebound.scenario.scene.body("ground").pose.position_m[2]
+            - 0.03
+        )
         height = _bounces_m(times, drop, restitution) - drop
         displacements[ball.name.replace("-", "_")] = np.outer(height, [0.0, 0.0, 1.0])
-    assert rebound.value(moved(rebound.scenario, times, **displacements)) == pytest.approx(restitution, rel=2e-3)
+    assert rebound.value(
+        moved(rebound.scenario, times, **displacements)
+    ) == pytest.approx(restitution, rel=2e-3)
 
 
 def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
@@ -161,7 +190,10 @@ def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
 def test_a_ball_that_stays_down_is_a_failure() -> None:
     rebound = one("rebound")
     reading = judged(rebound, moved(rebound.scenario, np.linspace(0.0, 0.85, 400)))
-    assert (reading.value, reading.remark) == (0.0, "5 of 5 drops do not leave the ground again")
+    assert (reading.value, reading.remark) == (
+        0.0,
+        "5 of 5 drops do not leave the ground again",
+    )
 
 
 def test_only_the_last_ball_may_leave() -> None:
@@ -170,10 +202,17 @@ def test_only_the_last_ball_may_leave() -> None:
     after = np.clip(times - 0.25, 0.0, None)
     swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, [0.0, 0.0, 1.0])
     fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), [0.0, 0.0, 1.0])
-    good = judged(momentum, moved(momentum.scenario, times, ball_1=fallen, ball_5=swing))
+    good = judged(
+        momentum, moved(momentum.scenario, times, ball_1=fallen, ball_5=swing)
+    )
     assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
     assert good.remark == ""
-    bad = judged(momentum, moved(momentum.scenario, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
+    bad = judged(
+        momentum,
+        moved(
+            momentum.scenario, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing
+        ),
+    )
     assert bad.remark.startswith("2 of 5 balls swing out")
 
 
@@ -184,14 +223,18 @@ def test_depth_of_a_point_in_the_recess() -> None:
     floor = scene.body("squarebase").pose.position_m[2] - 0.0125
     times = np.array([0.0, 0.1])
     displacement = np.outer([0.0, 1.0], [0.0, 0.0, floor - tip[2] - 0.0031])
-    assert point.value(moved(point.scenario, times, pyramid=displacement)) == pytest.approx(3.1)
+    assert point.value(
+        moved(point.scenario, times, pyramid=displacement)
+    ) == pytest.approx(3.1)
 
 
 def test_lag_of_a_cube_behind_the_rod() -> None:
     (carry,) = phenomena(["cloth-carry"], include_deformables=True)
     times = np.linspace(0.0, 2.0, 101)
     speeds = {"rod": -0.037, "cube": -0.035}
-    displacements = {name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()}
+    displacements = {
+        name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()
+    }
     rollout = moved(carry.scenario, times, **displacements)
     assert carry.value(rollout) == pytest.approx(4.0)
 
@@ -201,15 +244,25 @@ def test_lag_of_a_cube_behind_the_rod() -> None:
 
 def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
     place, displacement = 0.59, 0.3
-    frames = np.column_stack([place + displacement * (np.linspace(0.0, 1.0, 301) - 0.5), np.zeros(301), np.zeros(301)])
-    mean = np.zeros_like(frames)
-    assert trajectory_rmse(frames, mean) - trajectory_dtw(frames, mean) == pytest.approx(
-        displacement**2 / (24.0 * place), rel=0.03
+    frames = np.column_stack(
+        [
+            place + displacement * (np.linspace(0.0, 1.0, 301) - 0.5),
+            np.zeros(301),
+            np.zeros(301),
+        ]
     )
+    mean = np.zeros_like(frames)
+    assert trajectory_rmse(frames, mean) - trajectory_dtw(
+        frames, mean
+    ) == pytest.approx(displacement**2 / (24.0 * place), rel=0.03)
 
 
-@pytest.mark.parametrize(("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)])
-def test_creep_bound_is_the_displacement_that_one_digit_hides(material: str, printed: float) -> None:
+@pytest.mark.parametrize(
+    ("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)]
+)
+def test_creep_bound_is_the_displacement_that_one_digit_hides(
+    material: str, printed: float
+) -> None:
     displacement = creep_bound_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
     assert displacement**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
 
@@ -220,7 +273,10 @@ def test_interval_covers_further_trials() -> None:
     hits = 0
     for row in trials:
         known = Reality.measured(
-            float(row[:7].mean()), scatter=float(row[:7].std(ddof=1)), trial_count=7, source="normal"
+            float(row[:7].mean()),
+            scatter=float(row[:7].std(ddof=1)),
+            trial_count=7,
+            source="normal",
         )
         low, high = known.value - known.tolerance, known.value + known.tolerance
         hits += low <= row[7] <= high
@@ -238,8 +294,12 @@ def test_reality_is_known() -> None:
         assert (reality.trial_count > 0) is is_measured, phenomenon.id
         assert (reality.scatter is not None) is is_measured, phenomenon.id
     rebound = one("rebound")
-    assert (rebound.reality.value, rebound.reality.scatter) == pytest.approx((0.736925, 0.002242))
-    assert next(c.restitution for c in rebound.scenario.scene.contacts) == pytest.approx(0.736925)
+    assert (rebound.reality.value, rebound.reality.scatter) == pytest.approx(
+        (0.736925, 0.002242)
+    )
+    assert next(
+        c.restitution for c in rebound.scenario.scene.contacts
+    ) == pytest.approx(0.736925)
     assert one("momentum").reality.value == pytest.approx(0.9302)
     with pytest.raises(UnknownNameError, match="colour"):
         phenomena(["colour-*"])
@@ -268,7 +328,9 @@ def test_creep_of_half_cheetah_is_mujocos() -> None:
 
 def test_half_cheetah_by_numbers() -> None:
     # With the friction of the model's own floor instead of the cube's, the creep is half of it.
-    assert value("creep-wood", CHEETAH | {"o_friction": (0.4, 0.4, 0.0, 0.0, 0.0)}) == pytest.approx(26.0, abs=3.0)
+    assert value(
+        "creep-wood", CHEETAH | {"o_friction": (0.4, 0.4, 0.0, 0.0, 0.0)}
+    ) == pytest.approx(26.0, abs=3.0)
     assert value("creep-wood", CHEETAH | {"cone": "elliptic", "impratio": 100.0}) < 0.1
     # Before it has sunk in, nothing but gravity moves the cube; the settled slide meets all of the friction.
     slide = one("slide-wood")
@@ -276,15 +338,22 @@ def test_half_cheetah_by_numbers() -> None:
     rollout = Measurements(MUJOCO).measure(slide, CHEETAH).rollout
     assert rollout is not None
     late = rollout.between(0.1, 0.5)
-    way_m = np.linalg.norm(rollout.position("cube") - rollout.position("cube")[0], axis=1)[late]
-    assert 2.0 * np.polyfit(rollout.times_s[late], way_m, 2)[0] == pytest.approx(slide.reality.value, rel=0.01)
+    way_m = np.linalg.norm(
+        rollout.position("cube") - rollout.position("cube")[0], axis=1
+    )[late]
+    assert 2.0 * np.polyfit(rollout.times_s[late], way_m, 2)[0] == pytest.approx(
+        slide.reality.value, rel=0.01
+    )
     assert 0.1 < value("rebound", CHEETAH) < 0.3
     # At equilibrium the spring of the contact carries the weight: it is millimetres deep.
     assert -3.0 < value("rest-height", CHEETAH) < -1.5
 
 
 def test_margin_lifts_what_rests() -> None:
-    bare, lifted = value("rest-height", {}), value("rest-height", {"contact_margin_m": 0.001})
+    bare, lifted = (
+        value("rest-height", {}),
+        value("rest-height", {"contact_margin_m": 0.001}),
+    )
     assert lifted - bare == pytest.approx(1.0, abs=0.01)
 
 
@@ -292,21 +361,35 @@ def test_three_per_cent_of_a_slide_are_visible() -> None:
     slide = one("slide-wood")
     assert 0.9 < 0.03 * slide.reality.value / slide.reality.tolerance < 2.5
     measured = Measurements(MUJOCO).measure(slide, {"friction_scale": 0.96})
-    assert measured.value == pytest.approx(slide.reality.value + 0.04 * 0.257145 * G * np.sqrt(0.75), rel=0.002)
+    assert measured.value == pytest.approx(
+        slide.reality.value + 0.04 * 0.257145 * G * np.sqrt(0.75), rel=0.002
+    )
     assert measured.verdict is Verdict.VISIBLE
 
 
 @pytest.mark.parametrize(
     "patterns",
     [
-        ("creep-*", "rest-height", "slide*", "carry-wood", "slip", "rebound*", "momentum", "seam", "point"),
+        (
+            "creep-*",
+            "rest-height",
+            "slide*",
+            "carry-wood",
+            "slip",
+            "rebound*",
+            "momentum",
+            "seam",
+            "point",
+        ),
         pytest.param((), marks=pytest.mark.slow, id="all"),
     ],
 )
 def test_backend_default_raises_no_flag(patterns: tuple[str, ...]) -> None:
     measurements = Measurements(MUJOCO)
     found = {p.id: measurements.measure(p, {}) for p in phenomena(patterns)}
-    assert {name for name, one in found.items() if one.verdict is not Verdict.INSIDE} == set()
+    assert {
+        name for name, one in found.items() if one.verdict is not Verdict.INSIDE
+    } == set()
 
 
 @pytest.mark.slow
@@ -314,4 +397,6 @@ def test_newtons_default_raises_no_flag() -> None:
     pytest.importorskip("newton")
     measurements = Measurements(backend("newton"))
     found = {p.id: measurements.measure(p, {}) for p in phenomena()}
-    assert {name for name, one in found.items() if one.verdict is not Verdict.INSIDE} == set()
+    assert {
+        name for name, one in found.items() if one.verdict is not Verdict.INSIDE
+    } == set()

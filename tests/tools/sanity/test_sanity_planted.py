@@ -43,7 +43,11 @@ def row_of(report: Report, name: str):
 
 def test_the_documents_recommend_what_is_tested() -> None:
     text = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
-    option = {name: value for name, value in RECOMMENDED["option"].items() if name != "gravity"}
+    option = {
+        name: value
+        for name, value in RECOMMENDED["option"].items()
+        if name != "gravity"
+    }
     assert f"<option {attributes(option)}/>" in text
     assert f"<default><geom {attributes(RECOMMENDED['geom'])}/></default>" in text
     read = configuration(mujoco.MjModel.from_xml_string(model_xml())).settings
@@ -59,12 +63,20 @@ def test_the_recommended_model_passes(tmp_path: Path) -> None:
     outcome = RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "wrong"])
     assert outcome.exit_code == 0, outcome.output
     assert outcome.stdout.startswith("recommended.xml: No flags: ")
-    assert RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "visible"]).exit_code == 0
+    assert (
+        RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "visible"]).exit_code == 0
+    )
 
 
 def test_the_recommended_model_passes_where_faults_show() -> None:
-    report = checked(None, *{name for planted in PLANTED.values() for name in planted.rows})
-    assert {row.phenomenon: row.verdict for row in report.rows if row.verdict is not Verdict.INSIDE} == {}
+    report = checked(
+        None, *{name for planted in PLANTED.values() for name in planted.rows}
+    )
+    assert {
+        row.phenomenon: row.verdict
+        for row in report.rows
+        if row.verdict is not Verdict.INSIDE
+    } == {}
     assert report.cure is None
 
 
@@ -73,23 +85,39 @@ def test_a_planted_fault_fails_and_is_named(name: str, tmp_path: Path) -> None:
     planted = PLANTED[name]
     path = tmp_path / f"{name}.xml"
     path.write_text(model_xml(planted))
-    arguments = ["sanity", str(path), "--fail-on", "wrong", "--only", ",".join(planted.rows)]
+    arguments = [
+        "sanity",
+        str(path),
+        "--fail-on",
+        "wrong",
+        "--only",
+        ",".join(planted.rows),
+    ]
     outcome = RUNNER.invoke(app, arguments)
     assert outcome.exit_code == 1, outcome.output
     report = checked(planted, *planted.rows)
-    named = {setting for row in report.rows if row.cause is not None for setting in row.cause.settings}
+    named = {
+        setting
+        for row in report.rows
+        if row.cause is not None
+        for setting in row.cause.settings
+    }
     assert named & set(planted.culprits), [row.cause for row in report.rows]
     assert report.cure is not None
     assert set(report.cure.changes) & set(planted.culprits), report.cure
 
 
-@pytest.mark.parametrize("name", ["margin_1_cm", "soft_solref", "no_impratio", "gravity_tilted"])
+@pytest.mark.parametrize(
+    "name", ["margin_1_cm", "soft_solref", "no_impratio", "gravity_tilted"]
+)
 def test_the_change_on_top_mends_the_model_when_it_is_pasted(name: str) -> None:
     planted = PLANTED[name]
     before = checked(planted, *planted.rows)
     assert before.cure is not None
     head = before.cure.line.split(": ", 1)[0]
-    spec = mujoco.MjSpec.from_string(model_xml(planted).replace("<worldbody>", f"{_merged(head)}<worldbody>", 1))
+    spec = mujoco.MjSpec.from_string(
+        model_xml(planted).replace("<worldbody>", f"{_merged(head)}<worldbody>", 1)
+    )
     after = check(spec.compile(), only=planted.rows)
     assert [row.verdict for row in after.rows] == [Verdict.INSIDE] * len(planted.rows)
 
@@ -109,14 +137,25 @@ def test_a_soft_foot_with_priority_decides_and_is_named() -> None:
         "floor with trunk, left_shin and right_shin": Verdict.INSIDE,
         "floor with foot": Verdict.WRONG,
     }
-    assert report.cure is not None and " in foot, which the default does not reach" in report.cure.line
+    assert (
+        report.cure is not None
+        and " in foot, which the default does not reach" in report.cure.line
+    )
     # Contacts do not matter to a pendulum.
-    read = configuration(mujoco.MjModel.from_xml_string(model_xml(PLANTED["soft_foot"])))
+    read = configuration(
+        mujoco.MjModel.from_xml_string(model_xml(PLANTED["soft_foot"]))
+    )
     known = Measurements(backend("mujoco"))
-    sets = {one.id: len(subject_of(known, read, one).sets) for one in phenomena(["period", "seam"])}
+    sets = {
+        one.id: len(subject_of(known, read, one).sets)
+        for one in phenomena(["period", "seam"])
+    }
     assert sets == {"period": 1, "seam": 2}
     other = check(
-        configuration(mujoco.MjModel.from_xml_string(model_xml(PLANTED["soft_foot"])), pair=("floor", "trunk")),
+        configuration(
+            mujoco.MjModel.from_xml_string(model_xml(PLANTED["soft_foot"])),
+            pair=("floor", "trunk"),
+        ),
         only=["rest-height"],
     )
     assert other.worst is Verdict.INSIDE
@@ -137,26 +176,42 @@ def test_a_soft_foot_with_priority_decides_and_is_named() -> None:
         ),
     ],
 )
-def test_what_does_not_apply_is_declined_with_the_reason(name: str, declined: set[str], reason: str) -> None:
+def test_what_does_not_apply_is_declined_with_the_reason(
+    name: str, declined: set[str], reason: str
+) -> None:
     report = check(name, only=sorted({"gravity", *declined}))
-    found = {row.phenomenon: row for row in report.rows if row.verdict is Verdict.DECLINED}
+    found = {
+        row.phenomenon: row for row in report.rows if row.verdict is Verdict.DECLINED
+    }
     assert set(found) == declined
     assert {row.remark for row in found.values()} == {reason}
     assert not any(row.is_flag or row.applies for row in found.values())
-    assert report.worst is (Verdict.INSIDE if len(declined) < len(report.rows) else Verdict.DECLINED)
+    assert report.worst is (
+        Verdict.INSIDE if len(declined) < len(report.rows) else Verdict.DECLINED
+    )
 
 
 def test_contacts_without_friction_on_purpose_are_not_judged_by_friction() -> None:
-    report = checked(Planted(culprits=(), rows=(), geom={"condim": "1"}), "creep-wood", "point")
-    assert row_of(report, "creep-wood").remark.startswith("condim 1: contacts of floor with trunk")
+    report = checked(
+        Planted(culprits=(), rows=(), geom={"condim": "1"}), "creep-wood", "point"
+    )
+    assert row_of(report, "creep-wood").remark.startswith(
+        "condim 1: contacts of floor with trunk"
+    )
     assert row_of(report, "point").verdict is Verdict.INSIDE
 
 
 @pytest.mark.parametrize(
-    ("solref", "is_advice"), [("0.004 1", True), ("-1000 -100", True), ("-1000 -1", False), ("0.02 0.1", False)]
+    ("solref", "is_advice"),
+    [("0.004 1", True), ("-1000 -100", True), ("-1000 -1", False), ("0.02 0.1", False)],
 )
-def test_impacts_count_where_the_model_states_a_rebound(solref: str, is_advice: bool) -> None:
-    row = row_of(checked(Planted(culprits=(), rows=(), geom={"solref": solref}), "rebound"), "rebound")
+def test_impacts_count_where_the_model_states_a_rebound(
+    solref: str, is_advice: bool
+) -> None:
+    row = row_of(
+        checked(Planted(culprits=(), rows=(), geom={"solref": solref}), "rebound"),
+        "rebound",
+    )
     assert row.verdict is Verdict.WRONG
     assert bool(row.advisory) is is_advice
 
@@ -187,7 +242,12 @@ def test_gravity_is_judged_against_the_ground(
 
 
 def test_changes_are_written_in_the_language_of_the_target() -> None:
-    changes = {"cone": "elliptic", "refsafe": True, "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0), "timestep_s": 0.005}
+    changes = {
+        "cone": "elliptic",
+        "refsafe": True,
+        "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
+        "timestep_s": 0.005,
+    }
     assert dialect("mjcf").paste_text(changes) == (
         '<option cone="elliptic" timestep="0.005"><flag refsafe="enable"/></option> and '
         '<default><geom solimp="0.9 0.95 0.001 0.5 2"/></default>'
@@ -199,6 +259,9 @@ def test_changes_are_written_in_the_language_of_the_target() -> None:
 
 def test_a_setting_that_is_left_out_is_not_written_as_the_flag_of_another() -> None:
     mjcf = dialect("mjcf")
-    assert mjcf.paste_text({"o_friction": None}) == '<option><flag override="disable"/></option>'
+    assert (
+        mjcf.paste_text({"o_friction": None})
+        == '<option><flag override="disable"/></option>'
+    )
     assert mjcf.paste_text({"contact_solimp": None}) == "no solimp"
     assert mjcf.value_text("contact_solimp", None) == "the default of the engine"

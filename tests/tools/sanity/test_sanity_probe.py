@@ -95,20 +95,37 @@ def facts(target: Any) -> dict[str, Any]:
 def test_the_program_is_python_3_8_and_imports_only_the_standard_library() -> None:
     tree = ast.parse(PROGRAM, feature_version=(3, 8))
     tops = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-    names = {alias.name if isinstance(node, ast.Import) else node.module for node in tops for alias in node.names}
+    names = {
+        alias.name if isinstance(node, ast.Import) else node.module
+        for node in tops
+        for alias in node.names
+    }
     assert {str(name).partition(".")[0] for name in names} <= sys.stdlib_module_names
     assert "gauge_envs" not in PROGRAM
     # Annotations are not evaluated; these forms would be.
     assert not any(isinstance(node, ast.Match) for node in ast.walk(tree))
-    assert ".removeprefix(" not in PROGRAM and ".removesuffix(" not in PROGRAM and "strict=" not in PROGRAM
+    assert (
+        ".removeprefix(" not in PROGRAM
+        and ".removesuffix(" not in PROGRAM
+        and "strict=" not in PROGRAM
+    )
 
 
 def run_program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the program in a folder, without the sources of this package on the path."""
     (folder / "gauge_probe.py").write_text(PROGRAM, encoding="utf-8")
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONPATH"
+    }
     command = [sys.executable, "gauge_probe.py", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        command,
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_a_file_gives_the_same_table_as_the_target(tmp_path: Path) -> None:
@@ -118,10 +135,16 @@ def test_a_file_gives_the_same_table_as_the_target(tmp_path: Path) -> None:
     assert saved.stat().st_size < 10_000
     assert facts(saved) == facts("HalfCheetah-v5")
     patterns = ["gravity", "rest-height", "slide-wood"]
-    direct, by_file = (check(target, only=patterns) for target in ("HalfCheetah-v5", saved))
-    assert [row.to_dict() for row in by_file.rows] == [row.to_dict() for row in direct.rows]
+    direct, by_file = (
+        check(target, only=patterns) for target in ("HalfCheetah-v5", saved)
+    )
+    assert [row.to_dict() for row in by_file.rows] == [
+        row.to_dict() for row in direct.rows
+    ]
     assert by_file.cure == direct.cure
-    assert by_file.configuration.source.endswith(f"model 'cheetah', MuJoCo {mujoco.__version__}")
+    assert by_file.configuration.source.endswith(
+        f"model 'cheetah', MuJoCo {mujoco.__version__}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +156,9 @@ def test_a_file_gives_the_same_table_as_the_target(tmp_path: Path) -> None:
         (("robots:Env(3)", "--out", "own.json"), "robots:Env(3)"),
     ],
 )
-def test_forms_of_targets(tmp_path: Path, arguments: tuple[str, ...], name: str) -> None:
+def test_forms_of_targets(
+    tmp_path: Path, arguments: tuple[str, ...], name: str
+) -> None:
     (tmp_path / "model.xml").write_text(HARD, encoding="utf-8")
     (tmp_path / "robots.py").write_text(
         "import mujoco\nSPEC = mujoco.MjSpec.from_file('model.xml')\n\ndef make():\n    return SPEC.compile()\n\n"
@@ -165,7 +190,13 @@ def test_values_of_configurations_become_plain() -> None:
         limits: tuple[float, float] = (-float("inf"), 1.5)
         mode: Mode = Mode.TGS
 
-    values = {"part": Part(), "rows": np.array([[1, 2]]), "ids": slice(None), "kind": ast.parse, 3: np.float32(0.004)}
+    values = {
+        "part": Part(),
+        "rows": np.array([[1, 2]]),
+        "ids": slice(None),
+        "kind": ast.parse,
+        3: np.float32(0.004),
+    }
     assert plain(values) == {
         "part": {"limits": ["-inf", 1.5], "mode": "TGS"},
         "rows": [[1, 2]],
@@ -192,7 +223,9 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
     from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 
     original = mujoco.MjModel.from_xml_string(HARD)
-    built, notes = build_saved_model(ModelData.model_validate(json.loads(file.read_text())["data"]), "file")
+    built, notes = build_saved_model(
+        ModelData.model_validate(json.loads(file.read_text())["data"]), "file"
+    )
     assert notes == []
     states = []
     for model in (original, built):
@@ -202,7 +235,9 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
         mujoco.mj_comPos(model, data)
         states.append(data)
     for name in POSED:
-        np.testing.assert_allclose(getattr(states[1], name), getattr(states[0], name), atol=1e-12)
+        np.testing.assert_allclose(
+            getattr(states[1], name), getattr(states[0], name), atol=1e-12
+        )
     for name in (
         "body_mass",
         "body_inertia",
@@ -213,13 +248,25 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
         "dof_armature",
         "dof_damping",
     ):
-        np.testing.assert_allclose(getattr(built, name), getattr(original, name), atol=1e-12)
+        np.testing.assert_allclose(
+            getattr(built, name), getattr(original, name), atol=1e-12
+        )
     # Hulls lie where those of the original lie, whatever frame the compiler gives a mesh.
     hulls = []
     for model, data in zip((original, built), states, strict=True):
-        geom = next(index for index in range(model.ngeom) if model.geom_type[index] == mujoco.mjtGeom.mjGEOM_MESH)
-        first, count = (getattr(model, f"mesh_{key}")[model.geom_dataid[geom]] for key in ("vertadr", "vertnum"))
-        turned = model.mesh_vert[first : first + count] @ data.geom_xmat[geom].reshape(3, 3).T
+        geom = next(
+            index
+            for index in range(model.ngeom)
+            if model.geom_type[index] == mujoco.mjtGeom.mjGEOM_MESH
+        )
+        first, count = (
+            getattr(model, f"mesh_{key}")[model.geom_dataid[geom]]
+            for key in ("vertadr", "vertnum")
+        )
+        turned = (
+            model.mesh_vert[first : first + count]
+            @ data.geom_xmat[geom].reshape(3, 3).T
+        )
         hulls.append((turned + data.geom_xpos[geom]).max(axis=0))
     np.testing.assert_allclose(hulls[1], hulls[0], atol=1e-6)
 
@@ -286,20 +333,48 @@ def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
         ("versions", {"mujoco": ["4"]}, "versions.mujoco"),
         ("data.implementation", "cuda", "data: implementation"),
         ("data.arrays", [], "data: arrays"),
-        ("data.arrays.geom_margin", [0.0], "arrays.geom_margin has 1 numbers: expected 1 for each of 9 objects"),
+        (
+            "data.arrays.geom_margin",
+            [0.0],
+            "arrays.geom_margin has 1 numbers: expected 1 for each of 9 objects",
+        ),
         ("data.arrays.geom_margin", ["0"] * 9, "data: arrays.geom_margin"),
         ("data.arrays.geom_margin", [float("nan")] * 9, "data: arrays.geom_margin"),
         ("data.arrays.geom_margin", [1e999] * 9, "data: arrays.geom_margin"),
-        ("data.arrays.geom_bodyid", [10**6] * 9, "geom_bodyid must hold numbers from 0 to 6"),
-        ("data.arrays.geom_bodyid", [-1] * 9, "geom_bodyid must hold numbers from 0 to 6"),
+        (
+            "data.arrays.geom_bodyid",
+            [10**6] * 9,
+            "geom_bodyid must hold numbers from 0 to 6",
+        ),
+        (
+            "data.arrays.geom_bodyid",
+            [-1] * 9,
+            "geom_bodyid must hold numbers from 0 to 6",
+        ),
         ("data.arrays.geom_condim", [2.5] * 9, "geom_condim must hold whole numbers"),
         ("data.arrays.geom_condim", [5] * 9, "condim"),
-        ("data.arrays.geom_priority", [2**33] * 9, "geom_priority must hold numbers of 32 bits"),
-        ("data.arrays.body_parentid", [0, 0, 0, 3, 3, 4, 0], "a body must follow its parent"),
+        (
+            "data.arrays.geom_priority",
+            [2**33] * 9,
+            "geom_priority must hold numbers of 32 bits",
+        ),
+        (
+            "data.arrays.body_parentid",
+            [0, 0, 0, 3, 3, 4, 0],
+            "a body must follow its parent",
+        ),
         ("data.arrays.body_mass", [-1.0] * 7, "mass"),
         ("data.arrays.pair_geom1", [99], "pair_geom1 must hold numbers from 0 to 8"),
-        ("data.arrays.exclude_signature", [2**39], "exclude_signature must hold numbers from 0 to 6"),
-        ("data.arrays.exclude_signature", [-65535], "exclude_signature must hold numbers from 0 to 6"),
+        (
+            "data.arrays.exclude_signature",
+            [2**39],
+            "exclude_signature must hold numbers from 0 to 6",
+        ),
+        (
+            "data.arrays.exclude_signature",
+            [-65535],
+            "exclude_signature must hold numbers from 0 to 6",
+        ),
         ("data.geom_types", ["mjGEOM_PLANE"] * 2001, "data: geom_types"),
         ("data.geom_types", ["mjGEOM_TORUS"] * 9, "has no 'mjGEOM_TORUS'"),
         ("data.geom_types", ["__class__"] * 9, "has no '__class__'"),
@@ -309,17 +384,31 @@ def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
         ("data.body_names", ["x" * 300] * 7, "data: body_names"),
         ("data.hulls", {"0": [0.0] * 300_003}, "more than 100000 vertices"),
         ("data.hulls", {"0": [0.0, 1.0]}, "three coordinates"),
-        ("data.keyframes", {"home": [1.0]}, "keyframes.home has 1 numbers, expected 20"),
+        (
+            "data.keyframes",
+            {"home": [1.0]},
+            "keyframes.home has 1 numbers, expected 20",
+        ),
         ("data.options.integrator", "mjINT_MAGIC", "has no 'mjINT_MAGIC'"),
         ("data.options.iterations", 1.5, "options.iterations: expected a whole number"),
-        ("data.options.iterations", 2.0**40, "options.iterations: expected a whole number"),
+        (
+            "data.options.iterations",
+            2.0**40,
+            "options.iterations: expected a whole number",
+        ),
         ("data.options.timestep", "0.002", "options.timestep: expected a number"),
         ("data.options.timestep", -1.0, "timestep_s"),
         ("data.options.gravity", [0.0], "options.gravity: expected 3 numbers"),
-        ("data.options.disableflags", "mjDSBL_CONTACT", "options.disableflags: expected a list of names"),
+        (
+            "data.options.disableflags",
+            "mjDSBL_CONTACT",
+            "options.disableflags: expected a list of names",
+        ),
     ],
 )
-def test_a_wrong_file_is_refused_with_the_place(file: Path, place: str, value: Any, message: str) -> None:
+def test_a_wrong_file_is_refused_with_the_place(
+    file: Path, place: str, value: Any, message: str
+) -> None:
     document = changed(json.loads(file.read_text()), place, value)
     file.write_text(json.dumps(document))
     with pytest.raises(TargetError, match=message) as caught:
@@ -331,7 +420,11 @@ def test_a_wrong_file_is_refused_with_the_place(file: Path, place: str, value: A
 def test_an_array_that_is_missing_is_named(file: Path) -> None:
     document = json.loads(file.read_text())
     for name in ARRAYS:
-        rest = {key: value for key, value in document["data"]["arrays"].items() if key != name}
+        rest = {
+            key: value
+            for key, value in document["data"]["arrays"].items()
+            if key != name
+        }
         file.write_text(json.dumps(changed(document, "data.arrays", rest)))
         with pytest.raises(TargetError, match=f"arrays.{name} is missing"):
             configuration(file)
@@ -345,7 +438,11 @@ def test_files_that_are_too_large_or_no_files_are_refused(tmp_path: Path) -> Non
     os.mkfifo(pipe)
     deep = tmp_path / f"deep{SUFFIX}"
     deep.write_text('{"format": "gauge-probe", "data": ' + "[" * 100_000)
-    for path, message in ((large, "limit is 16 MB"), (pipe, "not a regular file"), (deep, "nested|Expecting|objects")):
+    for path, message in (
+        (large, "limit is 16 MB"),
+        (pipe, "not a regular file"),
+        (deep, "nested|Expecting|objects"),
+    ):
         with pytest.raises(TargetError, match=message):
             configuration(path)
     with pytest.raises(TargetError, match="there is no such file"):
@@ -357,13 +454,32 @@ def test_damaged_files_end_in_errors_for_people(file: Path) -> None:
     places = [f"data.arrays.{name}" for name in original["data"]["arrays"]]
     places += [f"data.options.{name}" for name in original["data"]["options"]]
     places += [f"data.{name}" for name in original["data"]]
-    values: list[Any] = [None, True, -1, 0, 1e308, 2**31, "", "nan", [], [[]], {}, [1e308] * 10, [-1] * 10, [0] * 70]
+    values: list[Any] = [
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        2**31,
+        "",
+        "nan",
+        [],
+        [[]],
+        {},
+        [1e308] * 10,
+        [-1] * 10,
+        [0] * 70,
+    ]
     chance = random.Random(4)
     refused = 0
     for _ in range(150):
         document = original
         for place in chance.sample(places, 2):
-            document = changed(document, place, chance.choice(values)) if place.count(".") == 2 else document
+            document = (
+                changed(document, place, chance.choice(values))
+                if place.count(".") == 2
+                else document
+            )
         file.write_text(json.dumps(document))
         try:
             configuration(file)

@@ -49,12 +49,28 @@ CONFIGURATION = TrainingConfiguration(
     name="Robot-v0",
     source="a <model> of [mine]",
     backend="mujoco",
-    settings={"timestep_s": 0.01, "refsafe": False, "contact_solimp": [0.0, 0.8, 0.01, 0.5, 2.0], "cone": "pyramidal"},
-    origins={"timestep_s": "option", "refsafe": "option", "cone": "option", "contact_solimp": "floor with foot"},
+    settings={
+        "timestep_s": 0.01,
+        "refsafe": False,
+        "contact_solimp": [0.0, 0.8, 0.01, 0.5, 2.0],
+        "cone": "pyramidal",
+    },
+    origins={
+        "timestep_s": "option",
+        "refsafe": "option",
+        "cone": "option",
+        "contact_solimp": "floor with foot",
+    },
     frame_skip=5,
     contact_groups=(
-        ContactGroup(geoms="floor with foot", pair_count=8, constants=CONSTANTS, is_used=True),
-        ContactGroup(geoms="arms with each other", pair_count=2, constants=CONSTANTS | {"condim": 1}),
+        ContactGroup(
+            geoms="floor with foot", pair_count=8, constants=CONSTANTS, is_used=True
+        ),
+        ContactGroup(
+            geoms="arms with each other",
+            pair_count=2,
+            constants=CONSTANTS | {"condim": 1},
+        ),
     ),
     notes=("not used: arms with each other & more",),
 )
@@ -64,7 +80,9 @@ CREEP = PhenomenonResult(
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
-    reality=Reality.law(0.0, tolerance=0.5, source="paper, Table 5 & more", rationale="cubes <rest>"),
+    reality=Reality.law(
+        0.0, tolerance=0.5, source="paper, Table 5 & more", rationale="cubes <rest>"
+    ),
     default=0.002,
     configured=-28.0,
     verdict=Verdict.WRONG,
@@ -87,9 +105,22 @@ CREEP = PhenomenonResult(
         tolerance=(0.0, 0.25, 0.5),
     ),
 )
-SLIDE = replace(CREEP, phenomenon="slide", title="slide", configured=1.5, verdict=Verdict.VISIBLE, cause=None)
+SLIDE = replace(
+    CREEP,
+    phenomenon="slide",
+    title="slide",
+    configured=1.5,
+    verdict=Verdict.VISIBLE,
+    cause=None,
+)
 PERIOD = replace(
-    CREEP, phenomenon="period", title="period", configured=0.1, verdict=Verdict.INSIDE, cause=None, curve=None
+    CREEP,
+    phenomenon="period",
+    title="period",
+    configured=0.1,
+    verdict=Verdict.INSIDE,
+    cause=None,
+    curve=None,
 )
 WALL = replace(
     CREEP,
@@ -104,12 +135,29 @@ WALL = replace(
     curve=None,
 )
 
-ADVICE = replace(CREEP, phenomenon="rebound", title="rebound", advisory="no impact constant is stated", cause=None)
-NOTHING = replace(WALL, phenomenon="slip", title="slip", remark="the model has no gravity", applies=False)
+ADVICE = replace(
+    CREEP,
+    phenomenon="rebound",
+    title="rebound",
+    advisory="no impact constant is stated",
+    cause=None,
+)
+NOTHING = replace(
+    WALL,
+    phenomenon="slip",
+    title="slip",
+    remark="the model has no gravity",
+    applies=False,
+)
 
 
 def report(*rows: PhenomenonResult) -> Report:
-    return Report(configuration=CONFIGURATION, rows=rows, versions={"mujoco": "4.0.0"}, wall_s=12.3)
+    return Report(
+        configuration=CONFIGURATION,
+        rows=rows,
+        versions={"mujoco": "4.0.0"},
+        wall_s=12.3,
+    )
 
 
 WHOLE = report(CREEP, SLIDE, PERIOD, WALL)
@@ -126,12 +174,16 @@ def shown(checked: Report, *, width: int = 200) -> str:
 
 def test_the_table_shows_reality_values_verdict_and_what_is_responsible() -> None:
     lines = shown(WHOLE).splitlines()
-    index = next(index for index, line in enumerate(lines) if line.startswith("creep-wood"))
+    index = next(
+        index for index, line in enumerate(lines) if line.startswith("creep-wood")
+    )
     for part in ("0 +- 0.5 mm/s", "0.002", "-28", "wrong, -28 mm/s"):
         assert part in lines[index]
     assert "cone: elliptic instead of pyramidal brings" in lines[index + 1]
     text = "\n".join(lines)
-    assert re.search(r"^wall .* - +- +declined\n +'brick' is too heavy", text, re.MULTILINE)
+    assert re.search(
+        r"^wall .* - +- +declined\n +'brick' is too heavy", text, re.MULTILINE
+    )
     assert "visible, +1.5 mm/s" in text
     assert "1 wrong, 1 visible, 1 inside, 1 declined; 12 s" in text
 
@@ -140,7 +192,9 @@ def test_what_was_read_is_shown_with_its_origin() -> None:
     text = shown(WHOLE)
     assert re.search(r"read from +a <model> of \[mine\]", text)
     assert re.search(r"one action +5 steps", text)
-    assert re.search(r"option +timestep_s = 0.01, refsafe = off, cone = pyramidal", text)
+    assert re.search(
+        r"option +timestep_s = 0.01, refsafe = off, cone = pyramidal", text
+    )
     assert re.search(r"floor with foot +contact_solimp = 0 0.8 0.01 0.5 2", text)
     assert re.search(r"^floor with foot\n +used +8 +3 ", text, re.MULTILINE)
     assert "note: not used: arms with each other & more" in text
@@ -149,7 +203,9 @@ def test_what_was_read_is_shown_with_its_origin() -> None:
 def test_verdicts_that_do_not_occur_are_not_explained() -> None:
     assert "declined" not in shown(report(PERIOD))
     assert "advisory" not in shown(WHOLE)
-    assert "a real trial could have done this" in " ".join(shown(report(PERIOD)).split())
+    assert "a real trial could have done this" in " ".join(
+        shown(report(PERIOD)).split()
+    )
 
 
 def test_a_narrow_terminal_loses_no_verdict() -> None:
@@ -162,32 +218,66 @@ def test_a_narrow_terminal_loses_no_verdict() -> None:
 
 
 def test_markdown_is_a_row_each() -> None:
-    top, _, title, rule, *rows, _, tally = as_markdown(sanity_document(WHOLE)).splitlines()
+    top, _, title, rule, *rows, _, tally = as_markdown(
+        sanity_document(WHOLE)
+    ).splitlines()
     assert top == "2 flags; no change that was tried mends one"
     assert title.split(" | ")[-1] == "responsible |"
     assert rule == "| --- | --- | --- | ---: | ---: | ---: | --- | --- |"
-    assert [row.split(" | ")[6].split(",")[0] for row in rows] == ["wrong", "visible", "inside", "declined"]
+    assert [row.split(" | ")[6].split(",")[0] for row in rows] == [
+        "wrong",
+        "visible",
+        "inside",
+        "declined",
+    ]
     assert tally.endswith("1 wrong, 1 visible, 1 inside, 1 declined; 12 s")
 
 
 def test_json_is_the_configuration_and_then_a_row_each() -> None:
-    first, *rows = [json.loads(json.dumps(row, allow_nan=False)) for row in as_rows(sanity_document(WHOLE))]
-    assert first["configuration"]["settings"]["contact_solimp"] == [0.0, 0.8, 0.01, 0.5, 2.0]
+    first, *rows = [
+        json.loads(json.dumps(row, allow_nan=False))
+        for row in as_rows(sanity_document(WHOLE))
+    ]
+    assert first["configuration"]["settings"]["contact_solimp"] == [
+        0.0,
+        0.8,
+        0.01,
+        0.5,
+        2.0,
+    ]
     assert (first["worst"], first["versions"]) == ("wrong", {"mujoco": "4.0.0"})
-    assert [row["phenomenon"] for row in rows] == ["creep-wood", "slide", "period", "wall"]
+    assert [row["phenomenon"] for row in rows] == [
+        "creep-wood",
+        "slide",
+        "period",
+        "wall",
+    ]
     assert rows[0]["cause"]["settings"] == ["cone"]
-    assert rows[0]["cause"]["tried"][1] == {"changes": {"timestep_s": 0.001}, "value": None, "on_default": True}
+    assert rows[0]["cause"]["tried"][1] == {
+        "changes": {"timestep_s": 0.001},
+        "value": None,
+        "on_default": True,
+    }
     assert not any("curve" in row for row in rows)
 
 
 def test_the_top_line_is_the_change_that_mends_most() -> None:
     cure = Cure(
-        changes={"cone": "elliptic"}, line='<option cone="elliptic"/>: 2 of 2 flags go', flag_count=2, mended_count=2
+        changes={"cone": "elliptic"},
+        line='<option cone="elliptic"/>: 2 of 2 flags go',
+        flag_count=2,
+        mended_count=2,
     )
     first = shown(replace(WHOLE, cure=cure)).splitlines()[0]
     assert first == 'Mends most: <option cone="elliptic"/>: 2 of 2 flags go'
-    assert shown(report(PERIOD)).splitlines()[0] == "No flags: 1 row measured, nothing to change"
-    assert shown(report(PERIOD, WALL)).splitlines()[0] == "Incomplete: 1 of 2 rows were not measured: wall"
+    assert (
+        shown(report(PERIOD)).splitlines()[0]
+        == "No flags: 1 row measured, nothing to change"
+    )
+    assert (
+        shown(report(PERIOD, WALL)).splitlines()[0]
+        == "Incomplete: 1 of 2 rows were not measured: wall"
+    )
     assert shown(report(NOTHING)).splitlines()[0] == "Nothing was measured"
 
 
@@ -210,9 +300,15 @@ def test_the_geoms_that_decide_are_named() -> None:
     assert "floor with trunk" in page
 
 
-def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch) -> None:
+def test_regressions_are_those_that_are_worse_than_before(
+    tmp_path, monkeypatch
+) -> None:
     before = tmp_path / "before.json"
-    before.write_text("\n".join(json.dumps(row) for row in as_rows(sanity_document(report(CREEP, PERIOD)))))
+    before.write_text(
+        "\n".join(
+            json.dumps(row) for row in as_rows(sanity_document(report(CREEP, PERIOD)))
+        )
+    )
     known = ["sanity", "mujoco", "--baseline", str(before)]
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report(CREEP, PERIOD))
     assert RUNNER.invoke(app, known).exit_code == 0
@@ -220,7 +316,10 @@ def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch)
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report(CREEP, worse))
     outcome = RUNNER.invoke(app, known)
     assert outcome.exit_code == 1
-    assert "regression: period: visible, 2 half-widths; was 1 half-widths from reality at most" in outcome.stderr
+    assert (
+        "regression: period: visible, 2 half-widths; was 1 half-widths from reality at most"
+        in outcome.stderr
+    )
     assert RUNNER.invoke(app, [*known, "--fail-on", "wrong"]).exit_code == 0
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report(SLIDE, PERIOD))
     assert RUNNER.invoke(app, known).exit_code == 1
@@ -229,9 +328,17 @@ def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch)
 
 
 def test_ids_titles_and_kinds_are_listed_without_a_target() -> None:
-    outcome = RUNNER.invoke(app, ["list", "phenomena", "--json", "creep-*", "gravity", "rebound"])
+    outcome = RUNNER.invoke(
+        app, ["list", "phenomena", "--json", "creep-*", "gravity", "rebound"]
+    )
     rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
-    assert set(rows) == {"gravity", "creep-wood", "creep-plastic", "creep-metal", "rebound"}
+    assert set(rows) == {
+        "gravity",
+        "creep-wood",
+        "creep-plastic",
+        "creep-metal",
+        "rebound",
+    }
     assert (rows["rebound"]["kind"], rows["rebound"]["trial_count"]) == ("measured", 22)
     assert (rows["creep-wood"]["kind"], rows["creep-wood"]["trial_count"]) == ("law", 0)
     assert rows["gravity"]["rationale"]
@@ -240,7 +347,16 @@ def test_ids_titles_and_kinds_are_listed_without_a_target() -> None:
 
 def test_a_time_limit_leaves_rows_unmeasured() -> None:
     outcome = RUNNER.invoke(
-        app, ["sanity", "HalfCheetah-v5", "--limits", "0s", "--only", "gravity,creep-wood", "--json"]
+        app,
+        [
+            "sanity",
+            "HalfCheetah-v5",
+            "--limits",
+            "0s",
+            "--only",
+            "gravity,creep-wood",
+            "--json",
+        ],
     )
     first, gravity, creep = map(json.loads, outcome.stdout.splitlines())
     assert (gravity["verdict"], creep["verdict"]) == ("inside", "declined")
@@ -289,7 +405,9 @@ def test_the_page_is_well_formed_and_needs_nothing_else() -> None:
             assert value.startswith("#"), (tag, key, value)
         assert not re.search(r"url\((?!#)", value), (tag, key, value)
     targets = {value for _, key, value in page.attributes if key == "id"}
-    links = {value[1:] for tag, key, value in page.attributes if tag == "a" and key == "href"}
+    links = {
+        value[1:] for tag, key, value in page.attributes if tag == "a" and key == "href"
+    }
     assert links == {"creep-wood", "slide", "period", "wall"}
     assert links <= targets
 
@@ -322,11 +440,24 @@ def test_each_curve_is_a_picture_with_a_band_and_two_lines_of_different_style() 
     assert len(pictures) == 2
     for picture in pictures:
         ElementTree.fromstring(picture)
-        for label in ("reality", "preset", "this configuration", "way downhill [mm]", "time [s]"):
+        for label in (
+            "reality",
+            "preset",
+            "this configuration",
+            "way downhill [mm]",
+            "time [s]",
+        ):
             assert f">{label}<" in picture
         assert "stroke-dasharray" in picture
-    without = replace(CREEP, curve=replace(CREEP.curve, reality=(), tolerance=(), configured=(), configured_times_s=()))
-    picture = re.search(r"<svg.*?</svg>", sanity_page(report(without)), re.DOTALL).group()
+    without = replace(
+        CREEP,
+        curve=replace(
+            CREEP.curve, reality=(), tolerance=(), configured=(), configured_times_s=()
+        ),
+    )
+    picture = re.search(
+        r"<svg.*?</svg>", sanity_page(report(without)), re.DOTALL
+    ).group()
     assert ">reality<" not in picture
     assert "this configuration" not in picture
 
@@ -347,7 +478,14 @@ def test_a_page_that_cannot_be_drawn_says_why(monkeypatch) -> None:
 
 def test_the_command_on_a_real_configuration(tmp_path) -> None:
     page = tmp_path / "page.html"
-    arguments = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--out", str(page)]
+    arguments = [
+        "sanity",
+        "HalfCheetah-v5",
+        "--only",
+        "rest-height",
+        "--out",
+        str(page),
+    ]
     outcome = RUNNER.invoke(app, [*arguments, "--json", "--fail-on", "wrong"])
     first, row = (json.loads(line) for line in outcome.stdout.splitlines())
     assert outcome.exit_code == 1
@@ -364,12 +502,21 @@ def test_the_command_on_a_real_configuration(tmp_path) -> None:
     ("arguments", "message"),
     [
         (["CartPole-v1"], "CartPole-v1 is .* which has no MuJoCo model"),
-        (["HalfCheetah-v5", "--pair", "floor"], "--pair 'floor': expected the names of two geoms"),
-        (["HalfCheetah-v5", "--pair", "floor,nose"], "no geom 'nose'; it has floor, torso"),
+        (
+            ["HalfCheetah-v5", "--pair", "floor"],
+            "--pair 'floor': expected the names of two geoms",
+        ),
+        (
+            ["HalfCheetah-v5", "--pair", "floor,nose"],
+            "no geom 'nose'; it has floor, torso",
+        ),
         (["mujoco", "--only", "gravity,nope"], "unknown phenomenon 'nope'"),
         ([], "no target is given"),
         (["mujoco", "--baseline", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["mujoco", "--baseline", __file__], "is not the output of gauge sanity --json"),
+        (
+            ["mujoco", "--baseline", __file__],
+            "is not the output of gauge sanity --json",
+        ),
         (["mujoco:nope"], "unknown MuJoCo preset 'nope'"),
     ],
 )

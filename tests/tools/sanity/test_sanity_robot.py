@@ -10,7 +10,12 @@ import pytest
 from robot_faults import FAULTS, good_xml
 
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.model import Need, PhenomenonResult, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.model import (
+    Need,
+    PhenomenonResult,
+    TrainingConfiguration,
+    Verdict,
+)
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomenon
 from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import ROWS, growth
@@ -25,7 +30,9 @@ G = 9.81
 
 def read(xml: str) -> TrainingConfiguration:
     spec = mujoco.MjSpec.from_string(xml)
-    return mujoco_configuration(spec.compile(), name="robot.xml", source="test", spec=spec)
+    return mujoco_configuration(
+        spec.compile(), name="robot.xml", source="test", spec=spec
+    )
 
 
 def rows_of(xml: str) -> dict[str, PhenomenonResult]:
@@ -37,7 +44,11 @@ def row(name: str, xml: str) -> PhenomenonResult:
     return robot_row(name, read(xml).robot)
 
 
-ON_ROBOT = {name for name, fault in FAULTS.items() if any(one in (*ROBOT_IDS, "gravity") for one in fault.rows)}
+ON_ROBOT = {
+    name
+    for name, fault in FAULTS.items()
+    if any(one in (*ROBOT_IDS, "gravity") for one in fault.rows)
+}
 
 
 def test_the_rows_of_a_robot_are_listed() -> None:
@@ -45,7 +56,12 @@ def test_the_rows_of_a_robot_are_listed() -> None:
     assert set(ROWS) == set(ROBOT_IDS) == set(facts("robot_rows"))
     for known in facts("robot_rows").values():
         low, high = known["interval"]
-        assert known["consequence"].endswith(".") and low < high and known["source"] and known["limits"]
+        assert (
+            known["consequence"].endswith(".")
+            and low < high
+            and known["source"]
+            and known["limits"]
+        )
 
 
 def test_a_good_robot_has_no_flag() -> None:
@@ -57,7 +73,9 @@ def test_a_good_robot_has_no_flag() -> None:
 @pytest.mark.parametrize("name", sorted(ON_ROBOT))
 def test_a_mistake_is_found_and_named(name: str) -> None:
     fault = FAULTS[name]
-    flags = {row.phenomenon: row for row in rows_of(fault.xml()).values() if row.is_flag}
+    flags = {
+        row.phenomenon: row for row in rows_of(fault.xml()).values() if row.is_flag
+    }
     named = set(flags) & set(fault.rows)
     assert named or not set(fault.rows) <= {*ROBOT_IDS, "gravity"}, flags
     assert all(flags[one].consequence for one in named - {"gravity"})
@@ -65,11 +83,18 @@ def test_a_mistake_is_found_and_named(name: str) -> None:
 
 def test_every_mistake_has_a_thread() -> None:
     assert len(FAULTS) >= 40
-    assert all(name.count("#") == 1 and name.split("#")[1].isdigit() for name in (f.thread for f in FAULTS.values()))
+    assert all(
+        name.count("#") == 1 and name.split("#")[1].isdigit()
+        for name in (f.thread for f in FAULTS.values())
+    )
 
 
-@pytest.mark.parametrize(("scale_rad", "is_flag"), [(0.3, False), (np.degrees(0.3), True), (0.001, True)])
-def test_a_full_action_asks_for_a_share_of_the_torque(scale_rad: float, is_flag: bool) -> None:
+@pytest.mark.parametrize(
+    ("scale_rad", "is_flag"), [(0.3, False), (np.degrees(0.3), True), (0.001, True)]
+)
+def test_a_full_action_asks_for_a_share_of_the_torque(
+    scale_rad: float, is_flag: bool
+) -> None:
     robot = replace(read(good_xml()).robot, action_rad=scale_rad)
     found = robot_row("robot-action", robot)
     assert found.configured == pytest.approx(scale_rad * 80.0 / 40.0)
@@ -77,7 +102,9 @@ def test_a_full_action_asks_for_a_share_of_the_torque(scale_rad: float, is_flag:
     assert robot_row("robot-action", read(good_xml()).robot).verdict is Verdict.DECLINED
 
 
-@pytest.mark.parametrize(("delay_s", "is_flag"), [(0.0, False), (0.02, False), (0.11, True)])
+@pytest.mark.parametrize(
+    ("delay_s", "is_flag"), [(0.0, False), (0.02, False), (0.11, True)]
+)
 def test_a_long_delay_is_found(delay_s: float, is_flag: bool) -> None:
     found = robot_row("robot-delay", replace(read(good_xml()).robot, delay_s=delay_s))
     assert found.configured == pytest.approx(1e3 * delay_s)
@@ -94,16 +121,22 @@ def hinge_xml(kp: float, kv: float, armature: float, option: str) -> str:
 
 
 @pytest.mark.parametrize("kp", [10.0, 900.0, 4000.0, 2e5])
-@pytest.mark.parametrize(("integrator", "is_implicit"), [("implicitfast", True), ("Euler", False)])
+@pytest.mark.parametrize(
+    ("integrator", "is_implicit"), [("implicitfast", True), ("Euler", False)]
+)
 def test_the_growth_of_a_servo_is_its_eigenvalue_and_motion_grows_with_it(
     kp: float, integrator: str, is_implicit: bool
 ) -> None:
     step, kv, armature = 0.005, 0.4, 0.001
     inertia = 0.4 * 0.1**2 + armature
-    robot = read(hinge_xml(kp, kv, armature, f'timestep="{step}" integrator="{integrator}"')).robot
+    robot = read(
+        hinge_xml(kp, kv, armature, f'timestep="{step}" integrator="{integrator}"')
+    ).robot
     mass = inertia + (step * kv if is_implicit else 0.0)
     speed = np.array([-step * kp / mass, 1.0 - step * kv / mass])
-    expected = np.abs(np.linalg.eigvals([[1.0 + step * speed[0], step * speed[1]], speed])).max()
+    expected = np.abs(
+        np.linalg.eigvals([[1.0 + step * speed[0], step * speed[1]], speed])
+    ).max()
     assert growth(robot, robot.model) == pytest.approx(expected, rel=1e-6)
     data = mujoco.MjData(robot.model)
     data.qpos[0] = 1e-6
@@ -130,17 +163,25 @@ def test_torque_damping_friction_and_armature_are_ratios_to_the_limb() -> None:
         lever = data.subtree_com[body] - data.joint(f"{leg}_hip").xanchor
         torques.append(abs(robot.model.body_subtreemass[body] * G * lever[0]))
     knee = max(
-        abs(robot.model.body_subtreemass[b] * G * (data.subtree_com[b] - data.joint(f"{leg}_knee").xanchor)[0])
+        abs(
+            robot.model.body_subtreemass[b]
+            * G
+            * (data.subtree_com[b] - data.joint(f"{leg}_knee").xanchor)[0]
+        )
         for leg in ("FL", "RL")
         for b in [robot.model.body(f"{leg}_calf").id]
     )
-    assert found["robot-torque"].configured == pytest.approx(40.0 / max(*torques, knee), rel=1e-3)
+    assert found["robot-torque"].configured == pytest.approx(
+        40.0 / max(*torques, knee), rel=1e-3
+    )
     assert found["robot-damping"].configured == pytest.approx(3.0 * 0.5 / 40.0)
     assert found["robot-frictionloss"].configured == pytest.approx(0.2 / 40.0)
 
 
 def test_density_and_gravcomp_are_those_of_the_model() -> None:
-    assert row("robot-density", good_xml().replace('density="1500"', 'density="1.5"')).configured == pytest.approx(1.5)
+    assert row(
+        "robot-density", good_xml().replace('density="1500"', 'density="1.5"')
+    ).configured == pytest.approx(1.5)
     lifted = good_xml().replace('<body name="trunk"', '<body name="trunk" gravcomp="1"')
     robot = read(lifted).robot
     share = robot.model.body("trunk").mass[0] / robot.model.body_subtreemass[1]
@@ -158,7 +199,9 @@ def test_the_tilt_of_the_floor_is_the_slope_on_which_a_ball_rolls() -> None:
     while data.time < 0.4:
         mujoco.mj_step(model, data)
     downhill = np.linalg.norm(data.qvel[:3])
-    assert downhill / data.time == pytest.approx(G * np.sin(np.radians(found.configured)), rel=0.02)
+    assert downhill / data.time == pytest.approx(
+        G * np.sin(np.radians(found.configured)), rel=0.02
+    )
 
 
 def test_the_friction_of_a_foot_is_what_a_slide_shows() -> None:
@@ -172,8 +215,12 @@ def test_the_friction_of_a_foot_is_what_a_slide_shows() -> None:
       </worldbody></mujoco>"""
     configuration = read(xml)
     assert configuration.robot.foot_rows
-    assert robot_row("robot-friction", configuration.robot).configured == pytest.approx(0.5)
-    assert robot_row("robot-floor-friction", configuration.robot).configured == pytest.approx(5.0)
+    assert robot_row("robot-friction", configuration.robot).configured == pytest.approx(
+        0.5
+    )
+    assert robot_row(
+        "robot-floor-friction", configuration.robot
+    ).configured == pytest.approx(5.0)
     model = configuration.robot.model
     data = mujoco.MjData(model)
     speeds = []
@@ -197,11 +244,19 @@ def arm_xml(joint: str = "", servo: str = "") -> str:
       <actuator><position name="a" joint="j" kp="{KP}" {servo}/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize(("dry", "viscous"), [(0.2, 0.3), (0.02, 1.0), (0.5, 0.0), (0.0, 0.3), (0.0, 0.0)])
-def test_the_dry_part_is_that_of_the_torque_that_keeps_a_joint_turning(dry: float, viscous: float) -> None:
+@pytest.mark.parametrize(
+    ("dry", "viscous"), [(0.2, 0.3), (0.02, 1.0), (0.5, 0.0), (0.0, 0.3), (0.0, 0.0)]
+)
+def test_the_dry_part_is_that_of_the_torque_that_keeps_a_joint_turning(
+    dry: float, viscous: float
+) -> None:
     xml = arm_xml(f'frictionloss="{dry}" damping="{viscous}"')
-    assert row("robot-dry", xml).configured == pytest.approx(dry / (dry + viscous) if dry else 0.0, abs=1e-9)
-    model = mujoco.MjModel.from_xml_string(xml.replace("<option", '<option gravity="0 0 0"'))
+    assert row("robot-dry", xml).configured == pytest.approx(
+        dry / (dry + viscous) if dry else 0.0, abs=1e-9
+    )
+    model = mujoco.MjModel.from_xml_string(
+        xml.replace("<option", '<option gravity="0 0 0"')
+    )
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
     data = mujoco.MjData(model)
     data.qvel[0], data.qfrc_applied[0] = 1.0, dry + viscous
@@ -214,25 +269,42 @@ def test_friction_that_the_engine_switches_off_is_none() -> None:
         "/><worldbody>", '><flag frictionloss="disable"/></option><worldbody>'
     )
     found = row("robot-dry", off)
-    assert found.configured == 0.0 and found.cause.line.startswith('<flag frictionloss="enable"/> and frictionloss=')
+    assert found.configured == 0.0 and found.cause.line.startswith(
+        '<flag frictionloss="enable"/> and frictionloss='
+    )
 
 
-def test_the_half_of_a_step_takes_a_sixth_of_a_period_or_what_the_limit_allows() -> None:
+def test_the_half_of_a_step_takes_a_sixth_of_a_period_or_what_the_limit_allows() -> (
+    None
+):
     inertia = ARM_KG * (ARM_M**2 + 0.4 * 0.01**2)
     free_s = np.pi / 3.0 * np.sqrt(inertia / KP)
-    assert row("robot-lag", arm_xml()).configured == pytest.approx(1e3 * free_s, rel=5e-3)
-    assert row("robot-lag", arm_xml(servo='ctrlrange="-.1 .4"')).configured == pytest.approx(1e3 * free_s, rel=5e-3)
+    assert row("robot-lag", arm_xml()).configured == pytest.approx(
+        1e3 * free_s, rel=5e-3
+    )
+    assert row(
+        "robot-lag", arm_xml(servo='ctrlrange="-.1 .4"')
+    ).configured == pytest.approx(1e3 * free_s, rel=5e-3)
     slow = row("robot-lag", arm_xml(servo='forcerange="-4 4"'))
-    assert slow.configured == pytest.approx(1e3 * np.sqrt(0.3 * inertia / 4.0), rel=5e-3)
+    assert slow.configured == pytest.approx(
+        1e3 * np.sqrt(0.3 * inertia / 4.0), rel=5e-3
+    )
     # With a gear of 2 a step of the joint is twice as long for the actuator, and four times as stiff.
-    assert row("robot-lag", arm_xml(servo='gear="2"')).configured == pytest.approx(0.5e3 * free_s, rel=1e-2)
-    assert row("robot-lag", arm_xml(servo='ctrlrange="-.1 .2"')).verdict is Verdict.DECLINED
+    assert row("robot-lag", arm_xml(servo='gear="2"')).configured == pytest.approx(
+        0.5e3 * free_s, rel=1e-2
+    )
+    assert (
+        row("robot-lag", arm_xml(servo='ctrlrange="-.1 .2"')).verdict
+        is Verdict.DECLINED
+    )
 
 
 def test_a_servo_sags_by_its_weight_over_its_stiffness() -> None:
     sag = 1e3 * ARM_KG * G * ARM_M / KP
     assert row("robot-sag", arm_xml()).configured == pytest.approx(sag, rel=2e-3)
-    assert row("robot-sag", arm_xml(servo='gear="2"')).configured == pytest.approx(sag / 4.0, rel=2e-3)
+    assert row("robot-sag", arm_xml(servo='gear="2"')).configured == pytest.approx(
+        sag / 4.0, rel=2e-3
+    )
     stiff = row("robot-sag", arm_xml().replace('kp="40.0"', 'kp="40000"'))
     assert stiff.configured == pytest.approx(1e-3 * sag, rel=2e-3)
     assert stiff.verdict is Verdict.WRONG and stiff.advisory
@@ -245,12 +317,18 @@ def test_a_servo_sags_by_its_weight_over_its_stiffness() -> None:
         ("robot-lag", 'kp="80" kv="2" forcerange="-40 40"', 'kp="8000" kv="4"'),
     ],
 )
-def test_joints_that_no_robot_has_are_found_and_their_cure_clears_the_flag(name: str, old: str, new: str) -> None:
+def test_joints_that_no_robot_has_are_found_and_their_cure_clears_the_flag(
+    name: str, old: str, new: str
+) -> None:
     text = good_xml()
     assert old in text
     before = read(text.replace(old, new))
     report = check(before, only=[name])
-    assert report.rows[0].is_flag and report.rows[0].consequence and report.cure is not None
+    assert (
+        report.rows[0].is_flag
+        and report.rows[0].consequence
+        and report.cure is not None
+    )
     after = check(applied(before, report.cure.changes)[0], only=["robot-*"])
     assert [one.phenomenon for one in after.rows if one.is_flag] == []
 
@@ -275,16 +353,24 @@ def test_a_robot_that_never_touches_is_not_judged_by_contacts() -> None:
     assert not never_touches(low.robot) and Need.CONTACT not in low.inapplicable
 
 
-def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row() -> None:
+def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row() -> (
+    None
+):
     xml = good_xml().replace('name="floor"', 'name="floor" margin="0.02"')
     found = {
-        r.phenomenon: r for r in check(read(xml), only=["creep-wood", "rest-height", "release", "slide-wood"]).rows
+        r.phenomenon: r
+        for r in check(
+            read(xml), only=["creep-wood", "rest-height", "release", "slide-wood"]
+        ).rows
     }
     assert found["rest-height"].configured == pytest.approx(20.0, abs=0.05)
     assert abs(found["creep-wood"].configured) < 0.05
     assert found["slide-wood"].verdict is Verdict.INSIDE
     assert found["release"].configured > 100.0
-    assert phenomenon("release").scenario.scene.bodies == phenomenon("rest-height").scenario.scene.bodies
+    assert (
+        phenomenon("release").scenario.scene.bodies
+        == phenomenon("rest-height").scenario.scene.bodies
+    )
 
 
 # --- cures -----------------------------------------------------------------------------------------------------------
@@ -293,17 +379,31 @@ def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row(
 @pytest.mark.parametrize(
     ("name", "rows", "text"),
     [
-        ("margin_of_the_floor", ["rest-height"], 'margin="0" in floor, which the default does not reach'),
+        (
+            "margin_of_the_floor",
+            ["rest-height"],
+            'margin="0" in floor, which the default does not reach',
+        ),
         ("solimp_from_zero", ["rest-height"], "<default><geom solimp="),
         ("gravcomp", ["robot-gravcomp"], 'gravcomp="0" for trunk'),
         ("foot_cannot_collide", ["robot-feet"], "contype and conaffinity of FL_foot"),
         ("kp_diverges", ["robot-servo"], "^kp and kv times 0.1: the one flag goes"),
-        ("euler_without_eulerdamp", ["robot-servo"], '^<option integrator="implicitfast"/>: the one flag goes'),
-        ("damping_by_40", ["robot-damping", "robot-dry"], '^damping="3.3" for FL_hip and joints like it: 2 of 2 flags'),
+        (
+            "euler_without_eulerdamp",
+            ["robot-servo"],
+            '^<option integrator="implicitfast"/>: the one flag goes',
+        ),
+        (
+            "damping_by_40",
+            ["robot-damping", "robot-dry"],
+            '^damping="3.3" for FL_hip and joints like it: 2 of 2 flags',
+        ),
         ("slippery_floor_loses", ["robot-floor-friction"], 'priority="1" for floor'),
     ],
 )
-def test_a_cure_is_applied_and_a_second_check_has_no_flag(name: str, rows: list[str], text: str) -> None:
+def test_a_cure_is_applied_and_a_second_check_has_no_flag(
+    name: str, rows: list[str], text: str
+) -> None:
     before = read(FAULTS[name].xml())
     report = check(before, only=rows)
     assert report.cure is not None and text in f"^{report.cure.line}"

@@ -21,7 +21,15 @@ from gauge_envs.tools.conformance.lab import RefusedSettingsError
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
 
-LOCOMOTION = ("HalfCheetah-v5", "Ant-v5", "Hopper-v5", "Walker2d-v5", "Humanoid-v5", "HumanoidStandup-v5", "Pusher-v5")
+LOCOMOTION = (
+    "HalfCheetah-v5",
+    "Ant-v5",
+    "Hopper-v5",
+    "Walker2d-v5",
+    "Humanoid-v5",
+    "HumanoidStandup-v5",
+    "Pusher-v5",
+)
 
 # Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
 HEAP = """
@@ -60,20 +68,32 @@ def heap(*, option: str = "", flag: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
 
 
-def found_contacts(model: mujoco.MjModel, data: mujoco.MjData) -> dict[tuple[int, int], np.ndarray]:
+def found_contacts(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> dict[tuple[int, int], np.ndarray]:
     """Constants of the contacts that MuJoCo makes now, by the geoms; those in which nothing can move left out."""
     contacts = {}
     for contact in data.contact:
         if contact.exclude != 3:
-            constants = (contact.friction, contact.solref, contact.solreffriction, contact.solimp)
-            contacts[tuple(sorted(contact.geom.tolist()))] = np.hstack([contact.dim, *constants, contact.includemargin])
+            constants = (
+                contact.friction,
+                contact.solref,
+                contact.solreffriction,
+                contact.solimp,
+            )
+            contacts[tuple(sorted(contact.geom.tolist()))] = np.hstack(
+                [contact.dim, *constants, contact.includemargin]
+            )
     return contacts
 
 
 def read_contacts(model: mujoco.MjModel) -> dict[tuple[int, int], np.ndarray]:
     pairs = contact_pairs(model)
     without_gap = pairs.constants[:, : COLUMNS["gap"].start]
-    return {tuple(geoms): row for geoms, row in zip(pairs.geoms.tolist(), without_gap, strict=True)}
+    return {
+        tuple(geoms): row
+        for geoms, row in zip(pairs.geoms.tolist(), without_gap, strict=True)
+    }
 
 
 @pytest.mark.parametrize(
@@ -95,7 +115,9 @@ def test_pairs_are_those_that_mujoco_makes_of_a_heap(option: str, flag: str) -> 
     assert len(made) > 20
     assert made.keys() == read.keys()
     for geoms, constants in made.items():
-        np.testing.assert_allclose(read[geoms], constants, rtol=1e-12, err_msg=str(geoms))
+        np.testing.assert_allclose(
+            read[geoms], constants, rtol=1e-12, err_msg=str(geoms)
+        )
 
 
 @pytest.mark.parametrize("name", LOCOMOTION)
@@ -124,20 +146,28 @@ def test_a_gap_is_the_sum_of_both() -> None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         assert data.ncon == count
-        assert contact_pairs(model).constants[0, COLUMNS["gap"]].item() == pytest.approx(0.05)
+        assert contact_pairs(model).constants[
+            0, COLUMNS["gap"]
+        ].item() == pytest.approx(0.05)
 
 
 def test_half_cheetah() -> None:
     read = configuration("HalfCheetah-v5")
     settings = read.settings
     assert (read.backend, read.frame_skip, read.notes) == ("mujoco", 5, ())
-    assert (settings["timestep_s"], settings["integrator"], settings["cone"]) == (0.01, "Euler", "pyramidal")
+    assert (settings["timestep_s"], settings["integrator"], settings["cone"]) == (
+        0.01,
+        "Euler",
+        "pyramidal",
+    )
     assert settings["contact_solref"] == [0.02, 1.0]
     assert settings["contact_solimp"] == [0.0, 0.8, 0.01, 0.5, 2.0]
     assert "contact_margin_m" not in settings
     assert [group.pair_count for group in read.contact_groups] == [8]
     assert read.origins["contact_solref"] == read.contact_groups[0].geoms
-    assert read.contact_groups[0].geoms.startswith("floor with torso, head, bthigh and 5 more")
+    assert read.contact_groups[0].geoms.startswith(
+        "floor with torso, head, bthigh and 5 more"
+    )
 
 
 def test_margins_of_foot_and_floor_add_up_in_ant() -> None:
@@ -154,12 +184,15 @@ def test_every_option_of_a_model_reaches_the_built_model() -> None:
     )
     settings = dict(configuration(model).settings)
     built = backend("mujoco").build(
-        load_experiment("SlopeSlider-1-wood").scene, settings | {"drive_interval_s": settings["timestep_s"]}
+        load_experiment("SlopeSlider-1-wood").scene,
+        settings | {"drive_interval_s": settings["timestep_s"]},
     )
     for name in dir(model.opt):
         given = getattr(model.opt, name)
         if not name.startswith("_") and name != "gravity" and not callable(given):
-            np.testing.assert_array_equal(getattr(built.model.opt, name), given, err_msg=name)
+            np.testing.assert_array_equal(
+                getattr(built.model.opt, name), given, err_msg=name
+            )
 
 
 def test_contact_constants_of_a_model_reach_every_contact() -> None:
@@ -171,27 +204,49 @@ def test_contact_constants_of_a_model_reach_every_contact() -> None:
     assert settings["torsional_friction_m"] == 0.01
     for variant in ("SlopeSlider-1-wood", "BouncingBall-rubber", "WallBreaking-wood"):
         scene = load_experiment(variant).scene
-        built = backend("mujoco").build(scene, settings | {"drive_interval_s": 0.002}).model
-        assert built.npair == sum(len(list(scene.colliding_pairs(contact))) for contact in scene.contacts)
+        built = (
+            backend("mujoco").build(scene, settings | {"drive_interval_s": 0.002}).model
+        )
+        assert built.npair == sum(
+            len(list(scene.colliding_pairs(contact))) for contact in scene.contacts
+        )
         for field in ("solref", "solreffriction", "solimp", "margin", "gap", "dim"):
-            expected = np.broadcast_to(getattr(model, f"pair_{field}"), getattr(built, f"pair_{field}").shape)
+            expected = np.broadcast_to(
+                getattr(model, f"pair_{field}"), getattr(built, f"pair_{field}").shape
+            )
             np.testing.assert_array_equal(getattr(built, f"pair_{field}"), expected)
         # What slides is a real object: only the other coefficients are the model's.
-        np.testing.assert_allclose(built.pair_friction[:, 2:], np.tile([0.01, 0.002, 0.002], (built.npair, 1)))
-        assert set(built.pair_friction[:, 0]) == {contact.friction for contact in scene.contacts}
+        np.testing.assert_allclose(
+            built.pair_friction[:, 2:], np.tile([0.01, 0.002, 0.002], (built.npair, 1))
+        )
+        assert set(built.pair_friction[:, 0]) == {
+            contact.friction for contact in scene.contacts
+        }
 
 
 def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too() -> None:
-    settings = {"contact_solref": (0.01, 0.8), "contact_margin_m": 0.004, "contact_gap_m": 0.002, "condim": 4}
-    simulation = backend("mujoco").build(load_experiment("WallBreaking-wood").scene, settings)
+    settings = {
+        "contact_solref": (0.01, 0.8),
+        "contact_margin_m": 0.004,
+        "contact_gap_m": 0.002,
+        "condim": 4,
+    }
+    simulation = backend("mujoco").build(
+        load_experiment("WallBreaking-wood").scene, settings
+    )
     simulation.advance(1 / 180)
     bricks = {simulation.model.geom(name).id for name in ("brick-1", "brick-2")}
     assert bricks <= set(np.unique(simulation.data.contact.geom))
     free = simulation.data.contact.geom.min(axis=1) >= min(bricks)
     assert free.sum() > 100
-    for values, expected in ((simulation.data.contact.includemargin, 0.004), (simulation.data.contact.dim, 4)):
+    for values, expected in (
+        (simulation.data.contact.includemargin, 0.004),
+        (simulation.data.contact.dim, 4),
+    ):
         np.testing.assert_allclose(values[free], expected)
-    np.testing.assert_allclose(simulation.data.contact.solref[free], np.tile([0.01, 0.8], (free.sum(), 1)))
+    np.testing.assert_allclose(
+        simulation.data.contact.solref[free], np.tile([0.01, 0.8], (free.sum(), 1))
+    )
 
 
 def test_friction_settings() -> None:
@@ -199,8 +254,14 @@ def test_friction_settings() -> None:
     real = backend("mujoco").build(scene).model.pair_friction
     scaled = backend("mujoco").build(scene, {"friction_scale": 0.5}).model.pair_friction
     np.testing.assert_allclose(scaled[:, :2], 0.5 * real[:, :2])
-    given = backend("mujoco").build(scene, {"o_friction": [0.1, 0.2, 0.3, 0.4, 0.5]}).model.pair_friction
-    np.testing.assert_allclose(given, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(real), 1)))
+    given = (
+        backend("mujoco")
+        .build(scene, {"o_friction": [0.1, 0.2, 0.3, 0.4, 0.5]})
+        .model.pair_friction
+    )
+    np.testing.assert_allclose(
+        given, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(real), 1))
+    )
 
 
 def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
@@ -216,7 +277,14 @@ def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
 
 def test_restitution_ends_where_contacts_are_given() -> None:
     recipe = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene).model
-    given = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, {"contact_solref": [0.02, 1.0]}).model
+    given = (
+        backend("mujoco")
+        .build(
+            load_experiment("BouncingBall-rubber").scene,
+            {"contact_solref": [0.02, 1.0]},
+        )
+        .model
+    )
     assert (recipe.pair_solref[:, 1] < -1.0).all()
     assert given.pair_solref.tolist() == [[0.02, 1.0]]
     assert not given.pair_solreffriction.any()
@@ -227,7 +295,9 @@ def test_groups_that_differ_are_reported_and_can_be_picked() -> None:
     read = configuration(model)
     assert read.name == "heap"
     assert read.contact_groups[0].geoms.startswith("floor with")
-    assert sum(group.pair_count for group in read.contact_groups) == len(contact_pairs(model).geoms)
+    assert sum(group.pair_count for group in read.contact_groups) == len(
+        contact_pairs(model).geoms
+    )
     assert any("solref -500 -20" in note for note in read.notes) or len(read.notes) > 3
     picked = configuration(model, pair=("c", "e"))
     assert picked.settings["contact_solimp"] == [0.6, 0.7, 0.02, 0.3, 4.0]
@@ -243,12 +313,26 @@ def test_groups_that_differ_are_reported_and_can_be_picked() -> None:
 
 def test_sliding_friction_alone_makes_no_difference() -> None:
     hopper = configuration("Hopper-v5")
-    assert [group.is_used for group in hopper.contact_groups] == [True, True, False, False]
-    assert {group.constants["friction"][0] for group in hopper.contact_groups if group.is_used} == {1.0, 2.0}
+    assert [group.is_used for group in hopper.contact_groups] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert {
+        group.constants["friction"][0]
+        for group in hopper.contact_groups
+        if group.is_used
+    } == {1.0, 2.0}
 
 
 def test_override_gives_all_contacts_its_own_constants_friction_included() -> None:
-    read = configuration(heap(option="o_friction='.1 .2 .3 .4 .5' o_solref='.007 1.3'", flag="override='enable'"))
+    read = configuration(
+        heap(
+            option="o_friction='.1 .2 .3 .4 .5' o_solref='.007 1.3'",
+            flag="override='enable'",
+        )
+    )
     assert read.settings["o_friction"] == [0.1, 0.2, 0.3, 0.4, 0.5]
     assert read.settings["contact_solref"] == [0.007, 1.3]
     assert read.origins["o_friction"] == "option, flag override"
@@ -280,15 +364,23 @@ def test_files_backends_and_objects(tmp_path) -> None:
     path.write_text("""<mujoco><option timestep=".004"/><include file="part.xml"/>
       <worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>""")
     read = configuration(path)
-    assert (read.name, read.settings["timestep_s"], read.frame_skip) == ("robot.xml", 0.004, None)
-    assert configuration(mujoco.MjModel.from_xml_path(str(path))).settings == read.settings
+    assert (read.name, read.settings["timestep_s"], read.frame_skip) == (
+        "robot.xml",
+        0.004,
+        None,
+    )
+    assert (
+        configuration(mujoco.MjModel.from_xml_path(str(path))).settings == read.settings
+    )
     env = gymnasium.make("HalfCheetah-v5")
     assert configuration(env) == configuration("HalfCheetah-v5")
     assert configuration(read) is read
     assert configuration("mujoco:out_of_box").settings == {"preset": "out_of_box"}
     assert configuration("mujoco").settings == {}
     toml = tmp_path / "mine.toml"
-    toml.write_text('backend = "mujoco"\npreset = "stack"\n[settings]\ntimestep_s = 0.003\nimpratio = 5.0\n')
+    toml.write_text(
+        'backend = "mujoco"\npreset = "stack"\n[settings]\ntimestep_s = 0.003\nimpratio = 5.0\n'
+    )
     mine = configuration(str(toml))
     assert mine.settings == {"timestep_s": 0.003, "impratio": 5.0, "preset": "stack"}
     assert mine.origins == dict.fromkeys(mine.settings, "mine.toml")
@@ -298,12 +390,18 @@ class Robot(gymnasium.Env):
     """An environment of somebody else, with a model and nothing more."""
 
     def __init__(self) -> None:
-        self.model = mujoco.MjModel.from_xml_string("<mujoco><option timestep='.005'/></mujoco>")
+        self.model = mujoco.MjModel.from_xml_string(
+            "<mujoco><option timestep='.005'/></mujoco>"
+        )
 
 
 def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
     read = configuration(Robot())
-    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == ("Robot", None, 0.005)
+    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == (
+        "Robot",
+        None,
+        0.005,
+    )
     (tmp_path / "robots.py").write_text(
         "import gymnasium, mujoco\nclass Robot(gymnasium.Env):\n    frame_skip = 4\n"
         "    model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
@@ -312,12 +410,20 @@ def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
     )
     monkeypatch.syspath_prepend(tmp_path)
     read = configuration("robots:Robot-v0")
-    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == ("robots:Robot-v0", 4, 0.002)
-    with pytest.raises(TargetError, match=r"'robots:Broken-v0': gymnasium.make fails: .*nowhere"):
+    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == (
+        "robots:Robot-v0",
+        4,
+        0.002,
+    )
+    with pytest.raises(
+        TargetError, match=r"'robots:Broken-v0': gymnasium.make fails: .*nowhere"
+    ):
         configuration("robots:Broken-v0")
 
 
-@pytest.mark.parametrize("name", ["good", pytest.param("newton", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["good", pytest.param("newton", marks=pytest.mark.slow)]
+)
 def test_examples_are_read(name: str) -> None:
     read = configuration(ROOT / "examples" / "sanity" / f"{name}.toml")
     assert read.settings["timestep_s"] == 0.002
@@ -327,7 +433,11 @@ def test_examples_are_read(name: str) -> None:
 def test_an_id_of_this_suite_has_its_own_settings(name: str) -> None:
     settings = configuration(name).settings
     assert settings["preset"] == "contact"
-    assert settings == {k: v for k, v in PRESETS["contact"].model_dump(mode="json").items() if k != "drive_interval_s"}
+    assert settings == {
+        k: v
+        for k, v in PRESETS["contact"].model_dump(mode="json").items()
+        if k != "drive_interval_s"
+    }
 
 
 def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None:
@@ -335,13 +445,20 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None
         "<mujoco><worldbody><geom size='1'/><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
     read = configuration(model).settings
-    assert SettingsMuJoCo(preset="out_of_box", drive_interval_s=0.002, **read) == PRESETS["out_of_box"]
+    assert (
+        SettingsMuJoCo(preset="out_of_box", drive_interval_s=0.002, **read)
+        == PRESETS["out_of_box"]
+    )
 
 
 @pytest.mark.parametrize(
     ("target", "error", "message"),
     [
-        ("CartPole-v1", TargetError, r"CartPole-v1 is .*CartPoleEnv, which has no MuJoCo model; give a Gymnasium id"),
+        (
+            "CartPole-v1",
+            TargetError,
+            r"CartPole-v1 is .*CartPoleEnv, which has no MuJoCo model; give a Gymnasium id",
+        ),
         ("Nope-v1", TargetError, r"'Nope-v1': gymnasium.make fails: .*Nope"),
         ("nowhere.xml", TargetError, "nowhere.xml: there is no such file"),
         ("nowhere.toml", TargetError, "nowhere.toml: there is no such file"),
@@ -349,7 +466,9 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None
         (3, TargetError, "int cannot be checked"),
     ],
 )
-def test_what_cannot_be_read_says_why(target: object, error: type[GaugeError], message: str) -> None:
+def test_what_cannot_be_read_says_why(
+    target: object, error: type[GaugeError], message: str
+) -> None:
     with pytest.raises(error, match=message):
         configuration(target)  # type: ignore[arg-type]  # one of them is of a wrong type on purpose
 
@@ -366,18 +485,46 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
             "setings: unknown key; keys: backend, preset, settings",
         ),
         ("a.toml", "preset = 'contact'", "backend: missing key"),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "'cone'.*given: 'round'"),
-        ("a.toml", 'backend = "mujoco"\n[settings]\nsteps = 3', "'steps' .*unknown setting"),
+        (
+            "a.toml",
+            'backend = "mujoco"\n[settings]\ncone = "round"',
+            "'cone'.*given: 'round'",
+        ),
+        (
+            "a.toml",
+            'backend = "mujoco"\n[settings]\nsteps = 3',
+            "'steps' .*unknown setting",
+        ),
         ("a.toml", "backend = ", r"a\.toml: ."),
         ("a.json", "{", r"a\.json: ."),
         ("a.json", "[1]", "the file: "),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = 0', "'timestep_s'.*given: 0"),
+        (
+            "a.toml",
+            'backend = "mujoco"\n[settings]\ntimestep_s = 0',
+            "'timestep_s'.*given: 0",
+        ),
         ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = [1]', "'timestep_s'"),
         ("a.json", GENESIS % ("[]", "0"), "sim.dt is a list, and a number is expected"),
-        ("a.json", GENESIS % ("1" * 400, "0"), "sim.dt is 'a number of many digits', and a number is expected"),
-        ("a.json", GENESIS % ("0.01", "[3]"), "rigid.integrator is a list, and a number is expected"),
-        ("a.json", GENESIS.replace("9.81", '"down"') % ("0.01", "0"), "sim.gravity is 'down', and a number"),
-        ("a.xml", "<mujoco><option speed='3'/></mujoco>", "MuJoCo cannot load it: .*speed"),
+        (
+            "a.json",
+            GENESIS % ("1" * 400, "0"),
+            "sim.dt is 'a number of many digits', and a number is expected",
+        ),
+        (
+            "a.json",
+            GENESIS % ("0.01", "[3]"),
+            "rigid.integrator is a list, and a number is expected",
+        ),
+        (
+            "a.json",
+            GENESIS.replace("9.81", '"down"') % ("0.01", "0"),
+            "sim.gravity is 'down', and a number",
+        ),
+        (
+            "a.xml",
+            "<mujoco><option speed='3'/></mujoco>",
+            "MuJoCo cannot load it: .*speed",
+        ),
         (
             "a.urdf",
             "<robot name='a'><link name='b'><collision><geometry><mesh filename='package://a/b.stl'/></geometry>"
@@ -386,7 +533,9 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
         ),
     ],
 )
-def test_a_wrong_file_is_named_with_its_key(tmp_path, name: str, text: str, message: str) -> None:
+def test_a_wrong_file_is_named_with_its_key(
+    tmp_path, name: str, text: str, message: str
+) -> None:
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(TargetError, match=message):
@@ -395,7 +544,10 @@ def test_a_wrong_file_is_named_with_its_key(tmp_path, name: str, text: str, mess
 
 @pytest.mark.parametrize("target", ["mujoco", "SlopeSlider-1-wood"])
 def test_pairs_are_of_models_alone(target: str) -> None:
-    with pytest.raises(TargetError, match=r"pairs of geoms are those of a MuJoCo model|has no geoms to choose from"):
+    with pytest.raises(
+        TargetError,
+        match=r"pairs of geoms are those of a MuJoCo model|has no geoms to choose from",
+    ):
         configuration(target, pair=("a", "b"))
 
 
@@ -404,7 +556,9 @@ def test_pairs_are_of_models_alone(target: str) -> None:
 
 def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
     scene = load_experiment("BouncingBall-rubber").scene
-    simulation = backend("mujoco").build(scene, {"timestep_s": 0.003, "drive_interval_s": 0.003})
+    simulation = backend("mujoco").build(
+        scene, {"timestep_s": 0.003, "drive_interval_s": 0.003}
+    )
     for _ in range(50):
         simulation.advance(0.003)
     assert simulation.data.time == pytest.approx(0.15)
@@ -413,21 +567,34 @@ def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
 
 
 @pytest.mark.parametrize(
-    "settings", [{"timestep_s": 0.01}, {"timestep_s": 0.003}, {"timestep_s": 0.002, "drive_interval_s": 0.003}]
+    "settings",
+    [
+        {"timestep_s": 0.01},
+        {"timestep_s": 0.003},
+        {"timestep_s": 0.002, "drive_interval_s": 0.003},
+    ],
 )
 def test_a_step_must_divide_the_drive_interval(settings: dict[str, float]) -> None:
-    with pytest.raises(ParameterError, match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps"):
+    with pytest.raises(
+        ParameterError,
+        match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
+    ):
         backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
 
 
 def test_environments_drive_in_intervals_of_their_own() -> None:
     with pytest.raises(
-        ParameterError, match=r"'drive_interval_s' is 0.002 s, but environments drive in intervals of 1/180 s"
+        ParameterError,
+        match=r"'drive_interval_s' is 0.002 s, but environments drive in intervals of 1/180 s",
     ):
         gymnasium.make("GAUGE/SlopeSlider-1-wood", settings={"preset": "out_of_box"})
     made = gymnasium.make(
         "GAUGE/SlopeSlider-1-wood",
-        settings={"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
+        settings={
+            "preset": "out_of_box",
+            "timestep_s": 1 / 540,
+            "drive_interval_s": 1 / 180,
+        },
     )
     made.close()
 
@@ -440,13 +607,17 @@ def test_checks_against_closed_forms_drive_as_environments_do() -> None:
 @pytest.mark.slow
 def test_newton_runs_with_another_drive_interval() -> None:
     scene = load_experiment("BouncingBall-rubber").scene
-    simulation = backend("newton").build(scene, {"timestep_s": 1 / 600, "drive_interval_s": 1 / 600})
+    simulation = backend("newton").build(
+        scene, {"timestep_s": 1 / 600, "drive_interval_s": 1 / 600}
+    )
     start = simulation.body_states(["ball"])[0, 2]
     for _ in range(60):
         simulation.advance(1 / 600)
     # Semi-implicit Euler falls by g t (t + h) / 2.
     fall = 0.5 * scene.gravity_m_per_s2 * 0.1 * (0.1 + 1 / 600)
-    assert start - simulation.body_states(["ball"])[0, 2] == pytest.approx(fall, abs=1e-5)
+    assert start - simulation.body_states(["ball"])[0, 2] == pytest.approx(
+        fall, abs=1e-5
+    )
 
 
 # --- the whole chain --------------------------------------------------------------------------------------------------
@@ -466,7 +637,9 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
     names = [model.geom(int(index)).name for index in contact_pairs(model).geoms[0]]
     floor, source = ({geom.name: geom for geom in spec.geoms}[name] for name in names)
     for body, like in ((board, floor), (cube, source)):
-        frame = spec.worldbody.add_body(name=body.name, pos=away + body.pose.position_m, quat=body.pose.quaternion)
+        frame = spec.worldbody.add_body(
+            name=body.name, pos=away + body.pose.position_m, quat=body.pose.quaternion
+        )
         if body is cube:
             frame.add_freejoint()
         frame.add_geom(
@@ -476,7 +649,10 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
             friction=[friction, 0.0, 0.0],
             contype=4,
             conaffinity=4,
-            **{key: getattr(like, key) for key in ("solref", "solimp", "margin", "gap", "condim", "solmix")},
+            **{
+                key: getattr(like, key)
+                for key in ("solref", "solimp", "margin", "gap", "condim", "solmix")
+            },
         )
     spec.compiler.settotalmass = -1.0
     model = spec.compile()
@@ -493,22 +669,37 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
     place = simulation.body_states(["cube"])[0, :3]
     # PGS, Humanoid's solver, stops at a residual that scales with the inertia of the whole model.
     tolerance = 5e-6 if settings["solver"] == "PGS" else 1e-7
-    np.testing.assert_allclose(place, data.qpos[address : address + 3] - away, atol=tolerance)
+    np.testing.assert_allclose(
+        place, data.qpos[address : address + 3] - away, atol=tolerance
+    )
     assert np.linalg.norm(place - start) > 1e-4
 
 
-def test_a_model_that_takes_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_takes_too_much_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("gauge_envs.tools.sanity.stacks.mjcf.MODEL_CPU_S", 2)
     bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
-    (tmp_path / "bomb.xml").write_text(f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
-    with pytest.raises(TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"):
+    (tmp_path / "bomb.xml").write_text(
+        f"<mujoco><worldbody>{bomb}</worldbody></mujoco>"
+    )
+    with pytest.raises(
+        TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"
+    ):
         configuration(tmp_path / "bomb.xml")
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("deep.json", b"[" * 100_000), ("deep.toml", b"a = " + b"[" * 100_000), ("a.toml", b"\xff")]
+    ("name", "content"),
+    [
+        ("deep.json", b"[" * 100_000),
+        ("deep.toml", b"a = " + b"[" * 100_000),
+        ("a.toml", b"\xff"),
+    ],
 )
-def test_a_settings_file_that_is_damaged_is_an_error(name: str, content: bytes, tmp_path: Path) -> None:
+def test_a_settings_file_that_is_damaged_is_an_error(
+    name: str, content: bytes, tmp_path: Path
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(TargetError, match=name):
         configuration(tmp_path / name)

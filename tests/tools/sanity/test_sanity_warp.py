@@ -71,26 +71,48 @@ def test_captured_steps_are_those_of_mujoco_warp() -> None:
 
 
 def test_a_model_of_mujoco_warp_has_the_same_constants() -> None:
-    model = heap(option='timestep=".004" cone="elliptic" impratio="7" iterations="3" ls_iterations="9"')
+    model = heap(
+        option='timestep=".004" cone="elliptic" impratio="7" iterations="3" ls_iterations="9"'
+    )
     own, there = configuration(model), configuration(on_warp(model)[0])
     # mujoco_warp raises the tolerance to what single precision resolves.
     assert there.settings["tolerance"] == 1e-6
-    names = ("timestep_s", "cone", "impratio", "iterations", "ls_iterations", "integrator", "solver")
-    assert [there.settings[name] for name in names] == [own.settings[name] for name in names]
+    names = (
+        "timestep_s",
+        "cone",
+        "impratio",
+        "iterations",
+        "ls_iterations",
+        "integrator",
+        "solver",
+    )
+    assert [there.settings[name] for name in names] == [
+        own.settings[name] for name in names
+    ]
     assert [(one.pair_count, one.is_used) for one in there.contact_groups] == [
         (one.pair_count, one.is_used) for one in own.contact_groups
     ]
     for one, other in zip(there.contact_groups, own.contact_groups, strict=True):
         for name, value in other.constants.items():
-            np.testing.assert_allclose(one.constants[name], value, rtol=1e-5, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                one.constants[name], value, rtol=1e-5, atol=1e-9, err_msg=name
+            )
 
 
 def test_a_model_of_mjx_keeps_the_names_of_its_geoms() -> None:
     model = heap()
     arrays = {
-        name: np.asarray(getattr(model, name)) for name in dir(model) if isinstance(getattr(model, name), np.ndarray)
+        name: np.asarray(getattr(model, name))
+        for name in dir(model)
+        if isinstance(getattr(model, name), np.ndarray)
     }
-    option = SimpleNamespace(**{name: getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")})
+    option = SimpleNamespace(
+        **{
+            name: getattr(model.opt, name)
+            for name in dir(model.opt)
+            if not name.startswith("_")
+        }
+    )
     kind = type("Model", (SimpleNamespace,), {"__module__": "mujoco.mjx._src.types"})
     read = configuration(kind(**arrays, names=model.names, opt=option))
     assert read.contact_groups[0].geoms.startswith("floor with ")
@@ -99,14 +121,23 @@ def test_a_model_of_mjx_keeps_the_names_of_its_geoms() -> None:
     assert {name: read.settings[name] for name in ("cone", "solver", "iterations")} == {
         name: expected[name] for name in ("cone", "solver", "iterations")
     }
-    broken = kind(**{**arrays, "geom_friction": np.zeros(4)}, names=model.names, opt=option)
-    with pytest.raises(TargetError, match=r"give the mujoco\.MjModel that it is made from"):
+    broken = kind(
+        **{**arrays, "geom_friction": np.zeros(4)}, names=model.names, opt=option
+    )
+    with pytest.raises(
+        TargetError, match=r"give the mujoco\.MjModel that it is made from"
+    ):
         configuration(broken)
 
 
-def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
-    with pytest.raises(MissingExtraError, match=r"running on mujoco_warp needs mujoco_warp, .*gauge-envs\[newton\]"):
+    with pytest.raises(
+        MissingExtraError,
+        match=r"running on mujoco_warp needs mujoco_warp, .*gauge-envs\[newton\]",
+    ):
         BackendMuJoCoWarp()
 
 
@@ -114,7 +145,9 @@ def test_scenes_that_it_does_not_run() -> None:
     backend = BackendMuJoCoWarp()
     assert backend.supports(load_experiment("SlopeSlider-2-wood").scene)
     assert "deformable bodies" in str(
-        backend.supports(phenomena(["cloth-sag"], include_deformables=True)[0].scenario.scene).missing
+        backend.supports(
+            phenomena(["cloth-sag"], include_deformables=True)[0].scenario.scene
+        ).missing
     )
     with pytest.raises(ParameterError):
         backend.build(load_experiment("SlopeSlider-2-wood").scene, {"cone": "round"})
@@ -127,7 +160,9 @@ def test_data_states_an_overflow() -> None:
     with wp.ScopedDevice("cpu"):
         mujoco_warp.forward(there, data)
     read = configuration((there, data))
-    assert read.capacity is not None and read.capacity.limits == CapacityLimits(njmax=5, naconmax=1, worlds=1)
+    assert read.capacity is not None and read.capacity.limits == CapacityLimits(
+        njmax=5, naconmax=1, worlds=1
+    )
     row = capacity_row(read, dialect("mjcf"))
     # Two balls touch the floor, and there is place for one.
     assert row is not None and row.verdict.value == "wrong" and row.cause is not None
@@ -142,18 +177,33 @@ def test_data_states_an_overflow() -> None:
 @pytest.mark.slow
 def test_what_mends_few_iterations_is_measured_where_it_trains() -> None:
     trained = TrainingConfiguration(
-        name="go1", source="test", backend="mujoco", settings=GO1, language="mjcf", trains_on="mujoco_warp"
+        name="go1",
+        source="test",
+        backend="mujoco",
+        settings=GO1,
+        language="mjcf",
+        trains_on="mujoco_warp",
     )
     report = check(trained, only=["slide-wood", "gravity"])
     (row,) = [row for row in report.rows if row.phenomenon == "slide-wood"]
     assert row.configured == pytest.approx(0.02, abs=0.02)
-    assert report.cure is not None and "on mujoco_warp, where it trains" in report.cure.line
+    assert (
+        report.cure is not None
+        and "on mujoco_warp, where it trains" in report.cure.line
+    )
     # The elliptic cone alone lets this cube slide, and not one that has rested (studies/few_iterations).
     assert report.cure.changes["iterations"] >= 4
     measurements = Measurements(BackendMuJoCoWarp())
-    subject = subject_of(measurements, applied(trained, report.cure.changes)[0], phenomena(["slide-wood"])[0])
+    subject = subject_of(
+        measurements,
+        applied(trained, report.cure.changes)[0],
+        phenomena(["slide-wood"])[0],
+    )
     assert subject.worst().value == pytest.approx(2.72, rel=0.02)
-    assert check(applied(trained, report.cure.changes)[0], only=["slide-wood"]).cure is None
+    assert (
+        check(applied(trained, report.cure.changes)[0], only=["slide-wood"]).cure
+        is None
+    )
 
 
 @pytest.mark.slow
@@ -167,10 +217,15 @@ def test_sliding_and_driving_follow_the_laws() -> None:
         "impratio": 100.0,
         "timestep_s": 0.002,
     }
-    settings |= {"contact_solref": (0.004, 1.0), "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0)}
+    settings |= {
+        "contact_solref": (0.004, 1.0),
+        "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0),
+    }
     slide, carry = phenomena(["slide-wood"])[0], phenomena(["carry-wood"])[0]
     for one in (slide, carry):
-        simulation = backend.build(one.scenario.scene, {**settings, "drive_interval_s": 0.002})
+        simulation = backend.build(
+            one.scenario.scene, {**settings, "drive_interval_s": 0.002}
+        )
         simulation.reset(0)
         rollout = record(
             simulation,
@@ -179,11 +234,21 @@ def test_sliding_and_driving_follow_the_laws() -> None:
             interval_s=0.002,
             speed_limit_m_per_s=one.scenario.scene.speed_limit_m_per_s,
         )
-        assert abs(one.value(rollout) - one.reality.value) <= one.reality.tolerance, one.id
+        assert abs(one.value(rollout) - one.reality.value) <= one.reality.tolerance, (
+            one.id
+        )
 
 
 def test_limits_of_the_engine_are_described() -> None:
     read = configuration(mujoco.MjModel.from_xml_string(BALLS))
-    assert target_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[0].phenomenon == "gravity"
+    assert (
+        target_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[
+            0
+        ].phenomenon
+        == "gravity"
+    )
     (row,) = target_rows(read, dialect("mjcf"), ["contact-capacity"])
-    assert (row.verdict.value, row.remark) == ("declined", "the target states no limit of its memory for contacts")
+    assert (row.verdict.value, row.remark) == (
+        "declined",
+        "the target states no limit of its memory for contacts",
+    )

@@ -7,7 +7,12 @@ from itertools import pairwise
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.stacks.documents import MOST_DEPTH, MOST_YAML_BYTES, read_yaml, yaml_document
+from gauge_envs.tools.sanity.stacks.documents import (
+    MOST_DEPTH,
+    MOST_YAML_BYTES,
+    read_yaml,
+    yaml_document,
+)
 
 LETTERS = "abcdefghi"
 
@@ -19,7 +24,9 @@ def grown(value: str) -> str:
 
 
 def merged() -> str:
-    tables = [f"{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}" for a, b in pairwise(LETTERS)]
+    tables = [
+        f"{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}" for a, b in pairwise(LETTERS)
+    ]
     return "\n".join(["a: &a {w: 1, x: 2, y: 3, z: 4}", *tables])
 
 
@@ -30,7 +37,12 @@ def test_tuples_slices_and_aliases_are_data() -> None:
     one: &id001 {x: 1}
     other: *id001
     """
-    assert yaml_document(text) == {"gravity": (0.0, 0.0, -9.81), "joints": None, "one": {"x": 1}, "other": {"x": 1}}
+    assert yaml_document(text) == {
+        "gravity": (0.0, 0.0, -9.81),
+        "joints": None,
+        "one": {"x": 1},
+        "other": {"x": 1},
+    }
 
 
 @pytest.mark.parametrize(
@@ -49,13 +61,18 @@ def test_tuples_slices_and_aliases_are_data() -> None:
 def test_every_other_tag_of_python_is_refused(tag: str, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "env.yaml").write_text(f"sim:\n  dt: {tag}\n")
-    with pytest.raises(TargetError, match=r"env\.yaml: line 2: the tag !!python/\S+ would run code; only"):
+    with pytest.raises(
+        TargetError,
+        match=r"env\.yaml: line 2: the tag !!python/\S+ would run code; only",
+    ):
         read_yaml(tmp_path / "env.yaml")
     assert not (tmp_path / "RAN").exists()
 
 
 def test_a_slice_is_never_called() -> None:
-    assert yaml_document("a: !!python/object/apply:builtins.slice {args: [1, 2], state: {x: 1}}") == {"a": None}
+    assert yaml_document(
+        "a: !!python/object/apply:builtins.slice {args: [1, 2], state: {x: 1}}"
+    ) == {"a": None}
 
 
 @pytest.mark.parametrize(
@@ -68,7 +85,10 @@ def test_a_slice_is_never_called() -> None:
         ("a: &a {b: {c: *a}}", "contains itself"),
         # PyYAML from 6.0.4 refuses a depth of its own choice first.
         ("[" * 50_000, f"more than {MOST_DEPTH} deep|it is no YAML: "),
-        ("".join(f"{' ' * k}a:\n" for k in range(200)), f"more than {MOST_DEPTH} deep|it is no YAML: "),
+        (
+            "".join(f"{' ' * k}a:\n" for k in range(200)),
+            f"more than {MOST_DEPTH} deep|it is no YAML: ",
+        ),
         ("a: *x", "it is no YAML: "),
         ("a: 1\n---\nb: 2", "it is no YAML: "),
         ("a: !unknown 1", "is unknown"),
@@ -85,7 +105,9 @@ def test_a_slice_is_never_called() -> None:
     ],
     ids=lambda value: str(value)[:20].strip(),
 )
-def test_what_is_damaged_or_too_large_is_an_error(text: str | bytes, reason: str, tmp_path) -> None:
+def test_what_is_damaged_or_too_large_is_an_error(
+    text: str | bytes, reason: str, tmp_path
+) -> None:
     file = tmp_path / "env.yaml"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     # Where the words are those of a library, the file is ours to name.
@@ -94,6 +116,9 @@ def test_what_is_damaged_or_too_large_is_an_error(text: str | bytes, reason: str
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path) -> None:
-    for name, reason in {"absent.yaml": "no such file", ".": "not a regular file"}.items():
+    for name, reason in {
+        "absent.yaml": "no such file",
+        ".": "not a regular file",
+    }.items():
         with pytest.raises(TargetError, match=reason):
             read_yaml(tmp_path / name)

@@ -69,7 +69,11 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Result]:
     other = {"SlopeSlider-3-wood": {"cube.friction": 0.2}}
     requests = [
         RunRequest(name, settings=settings, parameters=other.get(name, "calibrated"))
-        for name in ("SlopeSlider-2-wood", "NonsmoothContact-3-wood", "SlopeSlider-3-wood")
+        for name in (
+            "SlopeSlider-2-wood",
+            "NonsmoothContact-3-wood",
+            "SlopeSlider-3-wood",
+        )
         for settings in (None, SETTINGS)
     ]
     list(run_many(requests, out=folder))
@@ -97,16 +101,30 @@ def test_every_link_leads_to_a_file_of_the_site(site: Path) -> None:
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
-    for file in (*pages(site), site / "assets" / "site.css", site / "assets" / "replay.js"):
-        assert not re.search(r"https?://|//[a-z]+\.[a-z]|@import|url\(", file.read_text(encoding="utf-8")), file.name
+    for file in (
+        *pages(site),
+        site / "assets" / "site.css",
+        site / "assets" / "replay.js",
+    ):
+        assert not re.search(
+            r"https?://|//[a-z]+\.[a-z]|@import|url\(", file.read_text(encoding="utf-8")
+        ), file.name
 
 
-def test_the_scores_are_those_of_the_results(site: Path, results: dict[Path, Result]) -> None:
-    overview, experiment = Page(site / "index.html").text, Page(site / "experiment-SlopeSlider-2-wood.html").text
+def test_the_scores_are_those_of_the_results(
+    site: Path, results: dict[Path, Result]
+) -> None:
+    overview, experiment = (
+        Page(site / "index.html").text,
+        Page(site / "experiment-SlopeSlider-2-wood.html").text,
+    )
     for result in results.values():
         if result.id != "GAUGE/SlopeSlider-2-wood":
             continue
-        value, interval = result.score.rmse_aligned_normalized, result.score.rmse_aligned_normalized_95
+        value, interval = (
+            result.score.rmse_aligned_normalized,
+            result.score.rmse_aligned_normalized_95,
+        )
         assert value is not None and interval is not None
         text = f"{score_text(value)} [{score_text(interval[0])}, {score_text(interval[1])}]"
         assert text in overview
@@ -114,7 +132,9 @@ def test_the_scores_are_those_of_the_results(site: Path, results: dict[Path, Res
 
 
 @pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
-def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tmp_path: Path) -> None:
+def test_the_first_page_says_whether_two_configurations_differ(
+    is_same: bool, tmp_path: Path
+) -> None:
     # The default step given as a setting is another configuration of the same run.
     default = next(run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path))
     other = (
@@ -123,7 +143,11 @@ def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tm
         else {"parameters": {"cube.friction": 0.05}}
     )
     list(run_many([RunRequest("SlopeSlider-2-wood", **other)], out=tmp_path))
-    save_site({file: load_result(file) for file in tmp_path.glob("*.json")}, tmp_path / "site", replays=False)
+    save_site(
+        {file: load_result(file) for file in tmp_path.glob("*.json")},
+        tmp_path / "site",
+        replays=False,
+    )
     overview = Page(tmp_path / "site" / "index.html").text
     experiment = Page(tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").text
     assert ("Not distinguishable from it" in overview) == is_same
@@ -133,13 +157,22 @@ def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tm
 
 def test_an_experiment_without_a_reference_shows_distances(site: Path) -> None:
     assert "how far engines are apart" in Page(site / "index.html").text
-    assert "Distances between engines" in Page(site / "experiment-SlopeSlider-3-wood.html").text
+    assert (
+        "Distances between engines"
+        in Page(site / "experiment-SlopeSlider-3-wood.html").text
+    )
 
 
-def test_replays_hold_the_poses_of_the_run(site: Path, results: dict[Path, Result]) -> None:
+def test_replays_hold_the_poses_of_the_run(
+    site: Path, results: dict[Path, Result]
+) -> None:
     files = sorted((site / "data").glob("SlopeSlider-2-wood.*.js"))
     assert len(files) == 2
-    key, data = json.loads("[" + files[0].read_text().removeprefix("gaugeReplay(").removesuffix(");\n") + "]")
+    key, data = json.loads(
+        "["
+        + files[0].read_text().removeprefix("gaugeReplay(").removesuffix(");\n")
+        + "]"
+    )
     assert key == files[0].name.removesuffix(".js")
     assert data["moving"] == ["cube"]
     assert data["views"] == 37
@@ -152,12 +185,21 @@ EVIL = '"><img src=x onerror=alert(1)><script>alert(2)</script></style>'
 
 def tags(file: Path) -> list[str]:
     page = Page(file)
-    assert not [key for _, attributes in page.elements for key in attributes if key.startswith("on")], file.name
+    assert not [
+        key
+        for _, attributes in page.elements
+        for key in attributes
+        if key.startswith("on")
+    ], file.name
     return [tag for tag, _ in page.elements]
 
 
 def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) -> None:
-    file, result = next((file, one) for file, one in results.items() if one.id == "GAUGE/SlopeSlider-2-wood")
+    file, result = next(
+        (file, one)
+        for file, one in results.items()
+        if one.id == "GAUGE/SlopeSlider-2-wood"
+    )
     hostile = replace(
         result,
         backend=EVIL,
@@ -185,43 +227,78 @@ def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) 
     ("change", "reason"),
     [
         (lambda text: text[:-40], "not a result file"),
-        (lambda text: text.replace('"rmse": 7.4', '"rmse": 0.4'), "score.rmse: the file states 0.4"),
-        (lambda text: re.sub(r'("samples": \[\[)[^,\]]+', r"\1null", text), "simulated is nan at frame 0"),
-        (lambda text: text.replace('"revision": 1', '"revision": 2'), "it has revision 2, and the installed package"),
+        (
+            lambda text: text.replace('"rmse": 7.4', '"rmse": 0.4'),
+            "score.rmse: the file states 0.4",
+        ),
+        (
+            lambda text: re.sub(r'("samples": \[\[)[^,\]]+', r"\1null", text),
+            "simulated is nan at frame 0",
+        ),
+        (
+            lambda text: text.replace('"revision": 1', '"revision": 2'),
+            "it has revision 2, and the installed package",
+        ),
     ],
     ids=["damaged", "forged", "not a number", "other revision"],
 )
 def test_a_wrong_file_is_named_and_left_out(
-    change: Callable[[str], str], reason: str, results: dict[Path, Result], tmp_path: Path
+    change: Callable[[str], str],
+    reason: str,
+    results: dict[Path, Result],
+    tmp_path: Path,
 ) -> None:
     source = tmp_path / "results"
     source.mkdir()
-    good = next(file for file, result in results.items() if result.id == "GAUGE/SlopeSlider-2-wood")
+    good = next(
+        file
+        for file, result in results.items()
+        if result.id == "GAUGE/SlopeSlider-2-wood"
+    )
     (source / good.name).write_bytes(good.read_bytes())
     (source / "wrong.json").write_text(change(good.read_text()))
-    run = CliRunner().invoke(app, ["report", str(source), "--out", str(tmp_path / "site"), "--no-replay"])
+    run = CliRunner().invoke(
+        app, ["report", str(source), "--out", str(tmp_path / "site"), "--no-replay"]
+    )
     assert run.exit_code == 1
-    assert f"wrong.json: {reason}" in " ".join(run.stderr.split()).replace("GAUGE/SlopeSlider-2-wood: ", "")
+    assert f"wrong.json: {reason}" in " ".join(run.stderr.split()).replace(
+        "GAUGE/SlopeSlider-2-wood: ", ""
+    )
     assert "wrong.json" not in Page(tmp_path / "site" / "reproduce.html").text
 
 
-def test_lines_of_many_configurations_are_those_of_their_engines(results: dict[Path, Result], tmp_path: Path) -> None:
-    result = next(result for result in results.values() if result.id == "GAUGE/SlopeSlider-2-wood")
+def test_lines_of_many_configurations_are_those_of_their_engines(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
+    result = next(
+        result for result in results.values() if result.id == "GAUGE/SlopeSlider-2-wood"
+    )
     many = {
-        tmp_path / f"{engine}{preset}.json": replace(result, backend=engine, settings_given=preset)
+        tmp_path / f"{engine}{preset}.json": replace(
+            result, backend=engine, settings_given=preset
+        )
         for engine in ("drake", "mujoco", "newton", "rapier")
         for preset in ({}, {"preset": "out_of_box"})
     }
     save_site(many, tmp_path / "site", replays=False)
-    drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text(encoding="utf-8")
-    lines = re.findall(r'<polyline points="[^"]*" stroke="(.*?)"( stroke-dasharray="5 3")? class="curve"', drawn)
+    drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text(
+        encoding="utf-8"
+    )
+    lines = re.findall(
+        r'<polyline points="[^"]*" stroke="(.*?)"( stroke-dasharray="5 3")? class="curve"',
+        drawn,
+    )
     assert len(set(lines)) == 8
-    assert "gauge-envs[drake,newton,rapier]'" in Page(tmp_path / "site" / "reproduce.html").text.replace(" ", "")
+    assert "gauge-envs[drake,newton,rapier]'" in Page(
+        tmp_path / "site" / "reproduce.html"
+    ).text.replace(" ", "")
     assert {color for color, _ in lines} == {f"var(--c{number})" for number in range(4)}
 
 
 def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:
-    run = CliRunner().invoke(app, ["report", str(tmp_path), "--out", str(tmp_path / "site")])
+    run = CliRunner().invoke(
+        app, ["report", str(tmp_path), "--out", str(tmp_path / "site")]
+    )
     assert run.exit_code == 2
     assert "holds no result files" in run.stderr
     with pytest.raises(ResultFileError, match="no result"):
@@ -231,14 +308,18 @@ def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:
 # --- the folder ---
 
 
-def test_a_folder_with_something_else_is_refused(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_a_folder_with_something_else_is_refused(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(ResultFileError, match="something else than a site"):
         save_site(results, tmp_path, replays=False)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
-def test_a_new_site_replaces_the_whole_old_one(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_a_new_site_replaces_the_whole_old_one(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     out = tmp_path / "site"
     save_site(results, out, replays=False)
     first = dict(list(results.items())[:1])
@@ -247,7 +328,9 @@ def test_a_new_site_replaces_the_whole_old_one(results: dict[Path, Result], tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-def test_an_interrupted_site_leaves_the_old_one(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_an_interrupted_site_leaves_the_old_one(
+    results: dict[Path, Result], tmp_path: Path
+) -> None:
     out = tmp_path / "site"
     save_site(dict(list(results.items())[:1]), out, replays=False)
     before = sorted(path.name for path in out.rglob("*"))
@@ -268,13 +351,22 @@ def test_an_interrupted_site_leaves_the_old_one(results: dict[Path, Result], tmp
 def test_a_quantized_position_is_within_half_a_step() -> None:
     positions = np.random.default_rng(0).normal(size=(50, 3, 3)) * (1.0, 0.01, 0.0)
     one = quantized(positions)
-    step, counts = np.array(one["step"]), np.frombuffer(b64decode(one["data"]), "<i2").reshape(positions.shape)
-    assert (np.abs(one["centre"] + counts * step - positions) <= 0.5000001 * step + 1e-12).all()
+    step, counts = (
+        np.array(one["step"]),
+        np.frombuffer(b64decode(one["data"]), "<i2").reshape(positions.shape),
+    )
+    assert (
+        np.abs(one["centre"] + counts * step - positions) <= 0.5000001 * step + 1e-12
+    ).all()
     np.testing.assert_allclose(step[:2], np.ptp(positions, axis=(0, 1))[:2] / 65534)
 
 
-def test_the_ghost_has_the_real_values_along_the_measured_directions(results: dict[Path, Result]) -> None:
-    result = next(one for one in results.values() if one.id == "GAUGE/SlopeSlider-2-wood")
+def test_the_ghost_has_the_real_values_along_the_measured_directions(
+    results: dict[Path, Result],
+) -> None:
+    result = next(
+        one for one in results.values() if one.id == "GAUGE/SlopeSlider-2-wood"
+    )
     experiment = load_experiment("SlopeSlider-2-wood")
     band = reference_band(experiment)
     assert band is not None
@@ -300,19 +392,31 @@ def requests() -> Sequence[RunRequest]:
         RunRequest("SlopeSlider-2-wood", settings=SETTINGS, seed=3),
         RunRequest("SlopeSlider-2-wood", parameters={"cube.friction": 0.21}),
         RunRequest("BouncingBall-rubber", parameters="effective"),
-        RunRequest("SlopeSlider-2-wood", repeats=2, seed=1, jitter=Jitter(position_m=0.0015, angle_rad=0.01)),
+        RunRequest(
+            "SlopeSlider-2-wood",
+            repeats=2,
+            seed=1,
+            jitter=Jitter(position_m=0.0015, angle_rad=0.01),
+        ),
     )
 
 
-@pytest.mark.parametrize("request_", requests(), ids=["settings", "overrides", "set", "repeats"])
-def test_the_command_of_a_page_makes_the_same_results(request_: RunRequest, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "request_", requests(), ids=["settings", "overrides", "set", "repeats"]
+)
+def test_the_command_of_a_page_makes_the_same_results(
+    request_: RunRequest, tmp_path: Path
+) -> None:
     made = list(run_many([request_]))
     command = run_command(made)
     assert command is not None
     words = [word.strip("'") for word in command.split()]
     run = CliRunner().invoke(app, [*words[1:], "--out", str(tmp_path)])
     assert run.exit_code == 0, run.output
-    again = sorted((load_result(file) for file in tmp_path.glob("*.json")), key=lambda one: one.seed or 0)
+    again = sorted(
+        (load_result(file) for file in tmp_path.glob("*.json")),
+        key=lambda one: one.seed or 0,
+    )
     assert [one.seed for one in again] == [one.seed for one in made]
     for one, other in zip(made, again, strict=True):
         assert one.trajectory == other.trajectory
@@ -321,7 +425,9 @@ def test_the_command_of_a_page_makes_the_same_results(request_: RunRequest, tmp_
 
 def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
     rows = [
-        ForestRow(label=name, color="red", value=value, interval=(0.5 * value, 2.0 * value))
+        ForestRow(
+            label=name, color="red", value=value, interval=(0.5 * value, 2.0 * value)
+        )
         for name, value in (("near", 0.02), ("far", 3.0))
     ]
     drawn = forest("scores", rows)
@@ -333,10 +439,15 @@ def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
 
 def test_a_page_says_when_its_reference_ends(site: Path) -> None:
     # The law of a fall holds until the first contact, after frame 3 of 10.
-    assert "It ends at 0.10 s." in Page(site / "experiment-NonsmoothContact-3-wood.html").text
+    assert (
+        "It ends at 0.10 s."
+        in Page(site / "experiment-NonsmoothContact-3-wood.html").text
+    )
     assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text
 
 
 def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site: Path) -> None:
-    assert "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
+    assert (
+        "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
+    )
     assert "closer" not in Page(site / "experiment-NonsmoothContact-3-wood.html").text

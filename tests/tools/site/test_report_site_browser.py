@@ -15,7 +15,12 @@ from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.site import save_site
 
 BROWSER = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
+    (
+        found
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (found := shutil.which(name))
+    ),
+    "",
 )
 
 FLAGS = (
@@ -31,20 +36,37 @@ FLAGS = (
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not BROWSER, reason="no Chromium")]
 
-NAMES = ("SlopeSlider-2-wood", "SlopeSlider-3-wood", "NewtonsCradle-metal", "BouncingBall-rubber")
+NAMES = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-3-wood",
+    "NewtonsCradle-metal",
+    "BouncingBall-rubber",
+)
 
 
 def opened(page: Path, width: int, profile: Path) -> tuple[str, list[str]]:
     """Return the document of a page after five seconds, and the messages of its scripts."""
-    command = [BROWSER, *FLAGS, f"--window-size={width},900", f"--user-data-dir={profile}", page.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    command = [
+        BROWSER,
+        *FLAGS,
+        f"--window-size={width},900",
+        f"--user-data-dir={profile}",
+        page.as_uri(),
+    ]
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, check=True
+    )
     return done.stdout, re.findall(r"CONSOLE.*", done.stderr)
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("results")
-    requests = [RunRequest(name, settings=settings) for name in NAMES for settings in (None, {"timestep_s": 1 / 900})]
+    requests = [
+        RunRequest(name, settings=settings)
+        for name in NAMES
+        for settings in (None, {"timestep_s": 1 / 900})
+    ]
     list(run_many(requests, out=folder))
     out = folder / "site"
     save_site({file: load_result(file) for file in sorted(folder.glob("*.json"))}, out)
@@ -52,14 +74,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("width", [1200, 390])
-def test_every_page_opens_without_a_message(width: int, site: Path, tmp_path: Path) -> None:
+def test_every_page_opens_without_a_message(
+    width: int, site: Path, tmp_path: Path
+) -> None:
     pages = sorted(site.glob("*.html"))
     assert len(pages) == len(NAMES) + 3
     for page in pages:
         document, messages = opened(page, width, tmp_path)
         assert messages == [], page.name
         labels = re.findall(r"<span style=\"left[^>]*>([^<]*)</span>", document)
-        assert len(labels) == (2 if page.name.startswith("experiment") else 0), page.name
+        assert len(labels) == (2 if page.name.startswith("experiment") else 0), (
+            page.name
+        )
 
 
 def test_a_broken_script_is_found(site: Path, tmp_path: Path) -> None:
@@ -67,7 +93,9 @@ def test_a_broken_script_is_found(site: Path, tmp_path: Path) -> None:
     shutil.copytree(site, broken)
     script = broken / "assets" / "replay.js"
     script.write_text(script.read_text().replace("THREE.HemisphereLight", "THREE.Sun"))
-    document, messages = opened(broken / "experiment-BouncingBall-rubber.html", 1200, tmp_path / "profile")
+    document, messages = opened(
+        broken / "experiment-BouncingBall-rubber.html", 1200, tmp_path / "profile"
+    )
     assert messages or "not a constructor" in document
 
 
@@ -75,5 +103,7 @@ def test_a_missing_replay_is_named_on_the_page(site: Path, tmp_path: Path) -> No
     broken = tmp_path / "site"
     shutil.copytree(site, broken)
     shutil.rmtree(broken / "data")
-    document, _ = opened(broken / "experiment-BouncingBall-rubber.html", 1200, tmp_path / "profile")
+    document, _ = opened(
+        broken / "experiment-BouncingBall-rubber.html", 1200, tmp_path / "profile"
+    )
     assert re.search(r"data/BouncingBall-rubber\.0-[^<]*\.js is missing", document)

@@ -33,7 +33,9 @@ def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.toml").write_text(FILE)
     monkeypatch.setattr(command, "_workers", lambda *arguments: [HereWorker()])
-    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
+    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
+        app, list(map(str, arguments))
+    )
 
 
 def lines(result: Any) -> list[dict[str, Any]]:
@@ -47,23 +49,49 @@ def test_plan_and_run(gauge: Any, tmp_path: Path) -> None:
     done = gauge("sweep", "sweep.toml", "--out", "out")
     assert done.exit_code == 0 and "mujoco" in done.stdout
     assert len(contents(tmp_path / "out")) == 4
-    (row,) = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "repeats=3"))
-    assert (row["experiment"], row["episodes"], row["left"], row["unknown"]) == ("SlopeSlider-2-wood", 6, 2, 0)
+    (row,) = lines(
+        gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "repeats=3")
+    )
+    assert (row["experiment"], row["episodes"], row["left"], row["unknown"]) == (
+        "SlopeSlider-2-wood",
+        6,
+        2,
+        0,
+    )
     assert row["engine_s"] > 0.0
 
 
 def test_words_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
     gauge("sweep", "sweep.toml", "--out", "file")
     steps = "timestep_s=0.002777777777777778,0.001388888888888889"
-    gauge("sweep", "variants=SlopeSlider-2-wood", "repeats=2", "--set", steps, "--out", "options")
+    gauge(
+        "sweep",
+        "variants=SlopeSlider-2-wood",
+        "repeats=2",
+        "--set",
+        steps,
+        "--out",
+        "options",
+    )
     assert contents(tmp_path / "file") == contents(tmp_path / "options")
 
 
 @needs_rapier
 def test_words_and_options_replace_keys_of_the_file(gauge: Any) -> None:
-    options = ["backends=mujoco", "backends=rapier", "--set", "mujoco.iterations=5,10", "jitter=0.5mm"]
-    rows = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", *options))
-    assert [(row["backend"], row["runs"]) for row in rows] == [("mujoco", 4), ("rapier", 2)]
+    options = [
+        "backends=mujoco",
+        "backends=rapier",
+        "--set",
+        "mujoco.iterations=5,10",
+        "jitter=0.5mm",
+    ]
+    rows = lines(
+        gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", *options)
+    )
+    assert [(row["backend"], row["runs"]) for row in rows] == [
+        ("mujoco", 4),
+        ("rapier", 2),
+    ]
 
 
 def test_json_has_a_line_for_each_new_result(gauge: Any) -> None:
@@ -89,14 +117,25 @@ def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
     kept = contents(tmp_path / "out")
     assert len(kept) == 2
     assert gauge("sweep", "sweep.toml", "--out", "out").exit_code == 0
-    assert len(contents(tmp_path / "out")) == 4 and kept.items() <= contents(tmp_path / "out").items()
+    assert (
+        len(contents(tmp_path / "out")) == 4
+        and kept.items() <= contents(tmp_path / "out").items()
+    )
 
 
 @needs_rapier
-def test_exit_code_1_states_a_bad_outcome(gauge: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exit_code_1_states_a_bad_outcome(
+    gauge: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     foam = ["backends=rapier", "repeats=1", "--out", "out"]
     declined = gauge("sweep", "variants=FoamBending-soft", *foam)
-    assert declined.exit_code == 1 and declined.stdout.split()[-5:] == ["rapier", "0", "0", "1", "0"]
+    assert declined.exit_code == 1 and declined.stdout.split()[-5:] == [
+        "rapier",
+        "0",
+        "0",
+        "1",
+        "0",
+    ]
     assert gauge("sweep", "variants=FoamBending-s[o]ft", *foam).exit_code == 0
 
 
@@ -105,22 +144,42 @@ def test_exit_code_1_states_a_bad_outcome(gauge: Any, monkeypatch: pytest.Monkey
     [
         ([], "nothing to run: give a sweep file"),
         (["repeats=2"], "variants: missing key"),
-        (["variant=SlopeSlider-2-wood"], "unknown detail 'variant'; did you mean variants?"),
+        (
+            ["variant=SlopeSlider-2-wood"],
+            "unknown detail 'variant'; did you mean variants?",
+        ),
         (["sweep.toml", "repeats=0"], "repeats: "),
         (["sweep.toml", "jitter=1cm"], "expected numbers with units, as 1mm,0.5deg"),
-        (["sweep.toml", "SlopeSlider-2-wood"], "expected one sweep file; experiments are variants=ID,ID"),
+        (
+            ["sweep.toml", "SlopeSlider-2-wood"],
+            "expected one sweep file; experiments are variants=ID,ID",
+        ),
         (["none.toml"], "none.toml: (file): cannot be read"),
-        (["sweep.toml", "--set", "iterations"], "expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE"),
-        (["sweep.toml", "--set", "rapier.iterations=3"], "'rapier' is no engine of this sweep: mujoco"),
+        (
+            ["sweep.toml", "--set", "iterations"],
+            "expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE",
+        ),
+        (
+            ["sweep.toml", "--set", "rapier.iterations=3"],
+            "'rapier' is no engine of this sweep: mujoco",
+        ),
         (["sweep.toml", "--shard", "3"], "expected NUMBER/COUNT, as 0/16"),
         (["sweep.toml", "--shard", "5/4"], "expected a number from 0 to 3"),
         (["sweep.toml", "backends=bullet"], "unknown backend 'bullet'"),
-        (["variants=SlopeSlider-2-wood", "--slurm", "jobs.py"], "--slurm needs a sweep file"),
-        (["sweep.toml", "repeats=1000000000"], "2,000,000,000 episodes, the limit is 1,000,000"),
+        (
+            ["variants=SlopeSlider-2-wood", "--slurm", "jobs.py"],
+            "--slurm needs a sweep file",
+        ),
+        (
+            ["sweep.toml", "repeats=1000000000"],
+            "2,000,000,000 episodes, the limit is 1,000,000",
+        ),
         (["sweep.toml", "--out", "sweep.toml"], "results cannot be written there"),
     ],
 )
-def test_a_wrong_request_has_exit_code_2(gauge: Any, arguments: list[str], message: str) -> None:
+def test_a_wrong_request_has_exit_code_2(
+    gauge: Any, arguments: list[str], message: str
+) -> None:
     result = gauge("sweep", *arguments)
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
@@ -128,14 +187,24 @@ def test_a_wrong_request_has_exit_code_2(gauge: Any, arguments: list[str], messa
 
 def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:
     for number in range(2):
-        assert gauge("sweep", "sweep.toml", "--out", "parts", "--shard", f"{number}/2").exit_code == 0
+        assert (
+            gauge(
+                "sweep", "sweep.toml", "--out", "parts", "--shard", f"{number}/2"
+            ).exit_code
+            == 0
+        )
         assert len(contents(tmp_path / "parts")) == 2 * (number + 1)
     again = gauge("sweep", "sweep.toml", "--out", "parts")
     assert again.exit_code == 0 and "4/4" not in again.stderr
 
 
 def test_the_slurm_script_states_the_sweep(gauge: Any, tmp_path: Path) -> None:
-    assert gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "3").exit_code == 0
+    assert (
+        gauge(
+            "sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "3"
+        ).exit_code
+        == 0
+    )
     text = (tmp_path / "jobs.py").read_text()
     compile(text, "jobs.py", "exec")
     assert "JOBS = 3" in text and str(tmp_path / "sweep.toml") in text

@@ -31,7 +31,14 @@ VALUES: dict[str, Any] = {
 }
 COUNT = 24
 COMMAND = [
-    *(sys.executable, "-c", "from gauge_command import main; main()", "sweep", "--workers", "2"),
+    *(
+        sys.executable,
+        "-c",
+        "from gauge_command import main; main()",
+        "sweep",
+        "--workers",
+        "2",
+    ),
     *("backends=mujoco,rapier", "variants=SlopeSlider-2-*", "repeats=2"),
     *("--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"),
 ]
@@ -52,23 +59,37 @@ def children(pid: int) -> list[int]:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
 @needs_rapier
-def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path: Path) -> None:
+def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
+    tmp_path: Path,
+) -> None:
     expected = whole(tmp_path / "whole")
     folder, moments = tmp_path / "killed", random.Random(0)
     kills = []
     for count, victim in enumerate(("parent", "parent", "worker", None), 1):
         before = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
-        process = subprocess.Popen([*COMMAND, str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL)
-        while victim and process.poll() is None and len(list(folder.glob("*.json"))) < len(before) + 3:
+        process = subprocess.Popen(
+            [*COMMAND, str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL
+        )
+        while (
+            victim
+            and process.poll() is None
+            and len(list(folder.glob("*.json"))) < len(before) + 3
+        ):
             time.sleep(0.01)
         time.sleep(moments.uniform(0.0, 0.3))
         # A child that is found may end before it is killed; the next one is then taken.
         while victim and len(kills) < count and process.poll() is None:
             with contextlib.suppress(ProcessLookupError, IndexError):
-                os.kill(process.pid if victim == "parent" else children(process.pid)[0], signal.SIGKILL)
+                os.kill(
+                    process.pid if victim == "parent" else children(process.pid)[0],
+                    signal.SIGKILL,
+                )
                 kills.append(victim)
         returncode = process.wait()
-        assert returncode in ({"parent": [-signal.SIGKILL], "worker": [0, 1], None: [0]}[victim])
+        assert (
+            returncode
+            in ({"parent": [-signal.SIGKILL], "worker": [0, 1], None: [0]}[victim])
+        )
         after = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.json")}
         assert before.items() <= after.items()
         assert contents(folder).items() <= expected.items()
@@ -97,7 +118,10 @@ def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
             return run(request)
 
         monkeypatch.setattr(first, "run", run_and_kill)
-        assert len(swept(plan_sweep(sweep_spec(VALUES)), tmp_path / "ray", *workers)) == COUNT
+        assert (
+            len(swept(plan_sweep(sweep_spec(VALUES)), tmp_path / "ray", *workers))
+            == COUNT
+        )
     finally:
         ray.shutdown()
     assert len(calls) > 3

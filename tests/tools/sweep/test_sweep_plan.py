@@ -64,7 +64,9 @@ def test_any_other_content_has_other_names(other: dict[str, Any]) -> None:
     assert not names(planned(repeats=2)) & names(planned(**{"repeats": 2} | other))
 
 
-def test_the_versions_of_engine_and_package_belong_to_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_versions_of_engine_and_package_belong_to_the_key(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     before = names(planned())
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
     assert not before & names(planned())
@@ -72,14 +74,19 @@ def test_the_versions_of_engine_and_package_belong_to_the_key(monkeypatch: pytes
 
 def test_more_repeats_keep_the_names_of_the_first_ones() -> None:
     jitter = {"position_m": 0.001}
-    assert names(planned(repeats=2, jitter=jitter)) < names(planned(repeats=5, jitter=jitter))
+    assert names(planned(repeats=2, jitter=jitter)) < names(
+        planned(repeats=5, jitter=jitter)
+    )
 
 
 def test_settings_that_resolve_to_the_same_run_once() -> None:
     experiment = load_experiment(WOOD)
     default = settings_for(experiment.scene)
     plan = planned(
-        settings={"timestep_s": [default.timestep_s, 1 / 3600, 1 / 3600], "iterations": [default.iterations]}
+        settings={
+            "timestep_s": [default.timestep_s, 1 / 3600, 1 / 3600],
+            "iterations": [default.iterations],
+        }
     )
     assert plan.episode_count == 2 and plan.duplicates == 1
     assert names(planned()) < names(plan)
@@ -108,7 +115,11 @@ def test_every_experiment_has_a_hash_of_its_own() -> None:
 
 
 def test_what_has_no_content_hash_is_refused() -> None:
-    assert content_sha256({"a": (1, 2.5)}) == content_sha256({"a": [1, 2.5]}) != content_sha256({"a": [1, 2]})
+    assert (
+        content_sha256({"a": (1, 2.5)})
+        == content_sha256({"a": [1, 2.5]})
+        != content_sha256({"a": [1, 2]})
+    )
     with pytest.raises(TypeError, match="set has no content hash"):
         content_sha256({1, 2})
 
@@ -122,8 +133,17 @@ def test_keys_of_seeds_differ() -> None:
 
 def test_a_billion_episodes_are_refused_with_their_number() -> None:
     thousand = list(range(1, 1001))
-    with pytest.raises(ParameterError, match=r"the sweep has 1,000,000,000 episodes, the limit is 1,000,000"):
-        planned(settings={"iterations": thousand, "ls_iterations": thousand, "ccd_iterations": thousand})
+    with pytest.raises(
+        ParameterError,
+        match=r"the sweep has 1,000,000,000 episodes, the limit is 1,000,000",
+    ):
+        planned(
+            settings={
+                "iterations": thousand,
+                "ls_iterations": thousand,
+                "ccd_iterations": thousand,
+            }
+        )
 
 
 @pytest.mark.parametrize(
@@ -133,12 +153,17 @@ def test_a_billion_episodes_are_refused_with_their_number() -> None:
         ({"variants": ["SlopeSlider-9-*"]}, "unknown experiment 'SlopeSlider-9-"),
         ({"presets": ["quick"]}, "unknown MuJoCo preset 'quick'"),
         ({"parameters": ["measured"]}, "has no parameter set 'measured'"),
-        ({"settings": {"substeps": [2]}}, r"setting 'substeps' .* own table, \[settings.mujoco\]"),
+        (
+            {"settings": {"substeps": [2]}},
+            r"setting 'substeps' .* own table, \[settings.mujoco\]",
+        ),
         ({"settings": {"timestep_s": [0.004]}}, "choose a timestep_s that divides it"),
         ({"settings": {"iterations": ["many"]}}, "MuJoCo setting 'iterations'"),
     ],
 )
-def test_what_would_fail_every_episode_is_refused_before_it_runs(values: dict[str, Any], message: str) -> None:
+def test_what_would_fail_every_episode_is_refused_before_it_runs(
+    values: dict[str, Any], message: str
+) -> None:
     with pytest.raises(GaugeError, match=message):
         planned(**values)
 
@@ -150,7 +175,10 @@ def test_an_unknown_pattern_offers_names() -> None:
 
 @needs_rapier
 def test_a_setting_of_one_engine_stands_in_its_table() -> None:
-    plan = planned(backends=["mujoco", "rapier"], settings={"mujoco": {"noslip_iterations": [0, 5]}})
+    plan = planned(
+        backends=["mujoco", "rapier"],
+        settings={"mujoco": {"noslip_iterations": [0, 5]}},
+    )
     assert [run.request.backend for run in plan.runs] == ["mujoco", "mujoco", "rapier"]
 
 
@@ -172,13 +200,23 @@ def test_default_jitter_is_that_of_a_run() -> None:
 @needs_rapier
 def test_only_engines_with_shared_worlds_run_repeats_together() -> None:
     plan = planned(backends=["mujoco", "rapier"], repeats=4)
-    assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [[0], [1], [2], [3], [0, 1, 2, 3]]
+    assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [
+        [0],
+        [1],
+        [2],
+        [3],
+        [0, 1, 2, 3],
+    ]
     rapier = plan.runs[1]
     done = {rapier.file_name(2)} | {plan.runs[0].file_name(seed) for seed in range(4)}
     tasks = list(remaining_tasks(plan, done))
     assert [list(task.seeds) for task in tasks] == [[0, 1], [3]]
     assert tasks[0].file_names == [rapier.file_name(0), rapier.file_name(1)]
-    assert (tasks[0].request.seed, tasks[0].request.repeats, tasks[0].request.jitter) == (0, 2, rapier.request.jitter)
+    assert (
+        tasks[0].request.seed,
+        tasks[0].request.repeats,
+        tasks[0].request.jitter,
+    ) == (0, 2, rapier.request.jitter)
 
 
 @needs_rapier
@@ -186,5 +224,7 @@ def test_parts_are_the_whole() -> None:
     plan = planned(variants=["SlopeSlider-*"], backends=["mujoco", "rapier"])
     parts = [shard(plan, number, 4) for number in range(4)]
     assert [run for part in parts for run in part.runs] == list(plan.runs)
-    with pytest.raises(ParameterError, match="shard 4/4: expected a number from 0 to 3"):
+    with pytest.raises(
+        ParameterError, match="shard 4/4: expected a number from 0 to 3"
+    ):
         shard(plan, 4, 4)

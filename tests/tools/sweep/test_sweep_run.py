@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sweep_workers import HereWorker, contents, mortal_worker, needs_rapier, outcomes, plain, swept
+from sweep_workers import (
+    HereWorker,
+    contents,
+    mortal_worker,
+    needs_rapier,
+    outcomes,
+    plain,
+    swept,
+)
 
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.pool import Limits, ProcessWorker
@@ -19,12 +27,18 @@ from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep, remaining_tasks
 from gauge_envs.tools.sweep.run import run_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
 
-WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
+WOOD, PLASTIC, METAL = (
+    "SlopeSlider-2-wood",
+    "SlopeSlider-2-plastic",
+    "SlopeSlider-2-metal",
+)
 QUICK = {"timestep_s": [1 / 360, 1 / 720]}
 
 
 def planned(**values: Any) -> SweepPlan:
-    return plan_sweep(sweep_spec({"variants": [WOOD], "repeats": 2, "settings": QUICK} | values))
+    return plan_sweep(
+        sweep_spec({"variants": [WOOD], "repeats": 2, "settings": QUICK} | values)
+    )
 
 
 # --- results ---
@@ -32,7 +46,9 @@ def planned(**values: Any) -> SweepPlan:
 
 @needs_rapier
 def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path: Path) -> None:
-    results = swept(planned(backends=["mujoco", "rapier"]), tmp_path, HereWorker(), HereWorker())
+    results = swept(
+        planned(backends=["mujoco", "rapier"]), tmp_path, HereWorker(), HereWorker()
+    )
     requests = [
         RunRequest(WOOD, backend=engine, settings={"timestep_s": step}, repeats=2)
         for engine in ("mujoco", "rapier")
@@ -55,7 +71,9 @@ def test_worker_processes_give_the_same_bits(tmp_path: Path) -> None:
 
 def test_nothing_runs_twice(tmp_path: Path) -> None:
     plan = planned()
-    with closing(run_sweep(remaining_tasks(plan, ()), [HereWorker()], tmp_path)) as finished:
+    with closing(
+        run_sweep(remaining_tasks(plan, ()), [HereWorker()], tmp_path)
+    ) as finished:
         next(finished)
     kept = contents(tmp_path)
     assert len(kept) == 1
@@ -63,7 +81,12 @@ def test_nothing_runs_twice(tmp_path: Path) -> None:
     again = HereWorker()
     assert len(swept(plan, tmp_path, again)) == len(again.requests) == 3
     assert len(contents(tmp_path)) == 4
-    assert times.items() <= {file.name: file.stat().st_mtime_ns for file in tmp_path.glob("*.json")}.items()
+    assert (
+        times.items()
+        <= {
+            file.name: file.stat().st_mtime_ns for file in tmp_path.glob("*.json")
+        }.items()
+    )
     assert swept(plan, tmp_path) == []
 
 
@@ -94,22 +117,38 @@ def test_the_version_of_another_machine_is_a_failure(tmp_path: Path) -> None:
                 result.versions["mujoco"] = "1.0"
             return results
 
-    (result,) = swept(planned(variants=[WOOD], repeats=1, settings={}), tmp_path, OldWorker())
-    assert result.outcome is Outcome.FAILED and "made with mujoco 1.0, planned with" in str(result.error)
+    (result,) = swept(
+        planned(variants=[WOOD], repeats=1, settings={}), tmp_path, OldWorker()
+    )
+    assert (
+        result.outcome is Outcome.FAILED
+        and "made with mujoco 1.0, planned with" in str(result.error)
+    )
 
 
 # --- failures ---
 
 
-def test_a_worker_that_dies_costs_its_episode(installed: Callable[..., None], tmp_path: Path) -> None:
+def test_a_worker_that_dies_costs_its_episode(
+    installed: Callable[..., None], tmp_path: Path
+) -> None:
     installed("crash")
-    plan = planned(backends=["crash"], variants=[WOOD, PLASTIC], repeats=1, settings={"timestep_s": [1 / 360]})
+    plan = planned(
+        backends=["crash"],
+        variants=[WOOD, PLASTIC],
+        repeats=1,
+        settings={"timestep_s": [1 / 360]},
+    )
     folder = tmp_path / "out"
     results = swept(plan, folder, ProcessWorker(Limits()))
     assert sorted(result.outcome.value for result in results) == ["failed", "finished"]
-    failed = [json.loads(file.read_text()) for file in (folder / "failed").glob("*.json")]
+    failed = [
+        json.loads(file.read_text()) for file in (folder / "failed").glob("*.json")
+    ]
     assert {one["id"] for one in failed} == {f"GAUGE/{PLASTIC}"}
-    assert all("died with signal 11 (segmentation fault)" in one["error"] for one in failed)
+    assert all(
+        "died with signal 11 (segmentation fault)" in one["error"] for one in failed
+    )
     assert outcomes(folder) == ["failed", "finished"]
     worker = HereWorker()
     assert swept(plan, folder, worker) == [] == worker.requests
@@ -118,7 +157,9 @@ def test_a_worker_that_dies_costs_its_episode(installed: Callable[..., None], tm
 def test_failures_run_again_on_request(tmp_path: Path) -> None:
     plan = planned(variants=[WOOD], repeats=1, settings={"timestep_s": [1 / 360]})
     (result,) = swept(plan, tmp_path, mortal_worker(0))
-    assert result.error == "died" and len(list((tmp_path / "failed").glob("*.json"))) == 1
+    assert (
+        result.error == "died" and len(list((tmp_path / "failed").glob("*.json"))) == 1
+    )
     assert swept(plan, tmp_path) == []
     (result,) = swept(plan, tmp_path, retry_failed=True)
     assert result.outcome is Outcome.FINISHED
@@ -128,7 +169,12 @@ def test_failures_run_again_on_request(tmp_path: Path) -> None:
 
 @needs_rapier
 def test_what_a_declined_scene_leaves(tmp_path: Path) -> None:
-    (result,) = swept(planned(backends=["rapier"], variants=["FoamBending-soft"], repeats=1, settings={}), tmp_path)
+    (result,) = swept(
+        planned(
+            backends=["rapier"], variants=["FoamBending-soft"], repeats=1, settings={}
+        ),
+        tmp_path,
+    )
     assert result.outcome is Outcome.DECLINED
     assert len(list((tmp_path / "declined").glob("*.json"))) == 1
 

@@ -52,11 +52,17 @@ def test_the_count_is_the_product_of_all_lists(tmp_path: Path) -> None:
     spec = spec_of(tmp_path, WHOLE)
     assert spec.episode_count() == (2 * 2 * 3 + 2 * 2 * 1) * 4 * 2 * 4
     jitter = spec.start_jitter
-    assert jitter is not None and jitter.position_m == 0.002 and jitter.velocity_m_per_s == 0.0
+    assert (
+        jitter is not None
+        and jitter.position_m == 0.002
+        and jitter.velocity_m_per_s == 0.0
+    )
 
 
 def test_an_experiment_file_is_beside_the_sweep_file(tmp_path: Path) -> None:
-    assert spec_of(tmp_path, 'variants = ["crate.toml"]').variants == [str(tmp_path / "crate.toml")]
+    assert spec_of(tmp_path, 'variants = ["crate.toml"]').variants == [
+        str(tmp_path / "crate.toml")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -74,24 +80,50 @@ def test_an_experiment_file_is_beside_the_sweep_file(tmp_path: Path) -> None:
         ("variants = []", "variants: "),
         (SLIDE + "presets = []", "presets: "),
         (SLIDE + "parameters = []", "parameters: "),
-        (SLIDE + "parameters = [3]", "parameters: 3: the name of a parameter set is expected"),
+        (
+            SLIDE + "parameters = [3]",
+            "parameters: 3: the name of a parameter set is expected",
+        ),
         (SLIDE + "repeats = '4'", "repeats: "),
         (SLIDE + "repeats = true", "repeats: "),
         (SLIDE + "repeats = 0", "repeats: "),
         (SLIDE + "seed = -1", "seed: "),
         (SLIDE + "jitter = 1", "jitter: "),
-        (SLIDE + "[jitter]\nposition_mm = 1.0", "jitter.position_mm: unknown key; keys: position_m, angle_rad"),
+        (
+            SLIDE + "[jitter]\nposition_mm = 1.0",
+            "jitter.position_mm: unknown key; keys: position_m, angle_rad",
+        ),
         (SLIDE + "[jitter]\nposition_m = nan", "jitter.position_m: "),
-        (SLIDE + "[settings]\ntimestep_s = 0.1", "settings.timestep_s: a list of one or more values is expected"),
-        (SLIDE + "[settings]\ntimestep_s = []", "settings.timestep_s: a list of one or more values is expected"),
-        (SLIDE + "[settings]\ntimestep_s = [nan]", "settings.timestep_s: nan is no finite number"),
-        (SLIDE + "[settings]\ntimestep_s = [{ a = 1 }]", "settings.timestep_s: {'a': 1} is no finite number"),
-        (SLIDE + "[settings.bullet]\niterations = [1]", "settings.bullet: a table of an engine that backends does not"),
-        (SLIDE + "[settings.mujoco]\niterations = 1", "settings.mujoco.iterations: a list of one or more values"),
+        (
+            SLIDE + "[settings]\ntimestep_s = 0.1",
+            "settings.timestep_s: a list of one or more values is expected",
+        ),
+        (
+            SLIDE + "[settings]\ntimestep_s = []",
+            "settings.timestep_s: a list of one or more values is expected",
+        ),
+        (
+            SLIDE + "[settings]\ntimestep_s = [nan]",
+            "settings.timestep_s: nan is no finite number",
+        ),
+        (
+            SLIDE + "[settings]\ntimestep_s = [{ a = 1 }]",
+            "settings.timestep_s: {'a': 1} is no finite number",
+        ),
+        (
+            SLIDE + "[settings.bullet]\niterations = [1]",
+            "settings.bullet: a table of an engine that backends does not",
+        ),
+        (
+            SLIDE + "[settings.mujoco]\niterations = 1",
+            "settings.mujoco.iterations: a list of one or more values",
+        ),
         ("variants = ['../crate.toml']", "is outside the folder of sweep.toml"),
     ],
 )
-def test_a_wrong_file_is_named_with_key_and_reason(tmp_path: Path, text: str, message: str) -> None:
+def test_a_wrong_file_is_named_with_key_and_reason(
+    tmp_path: Path, text: str, message: str
+) -> None:
     with pytest.raises(SweepFileError) as caught:
         spec_of(tmp_path, text)
     assert str(caught.value).startswith(str(tmp_path / "sweep.toml"))

@@ -26,7 +26,10 @@ from gauge_envs.tools.transfer.envelope import (
     experiment_envelope,
     sobol_sigmas,
 )
-from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
+from gauge_envs.tools.transfer.policy_replays import (
+    make_control_env,
+    task_uncertainties,
+)
 
 SLIDE = "SlopeSlider-2-wood"
 TASK = "SlopeSlider-Limit-wood"
@@ -45,14 +48,25 @@ def test_parameters_have_the_uncertainties_of_their_files() -> None:
         "cube.position_m along its x axis",
         "cube.position_m along its y axis",
     ]
-    assert (found["cube.friction"].value, found["cube.friction"].std) == (0.273673, pytest.approx(0.0171, abs=5e-5))
+    assert (found["cube.friction"].value, found["cube.friction"].std) == (
+        0.273673,
+        pytest.approx(0.0171, abs=5e-5),
+    )
     assert found["cube.mass_kg"].std == pytest.approx(1e-4 / math.sqrt(12))
     assert all(one.source for one in found.values())
     # The face of a board at 30 degrees.
-    assert abs(found["cube.position_m along its x axis"].direction[2]) == pytest.approx(0.5)
+    assert abs(found["cube.position_m along its x axis"].direction[2]) == pytest.approx(
+        0.5
+    )
 
 
-JOINTED = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
+JOINTED = (
+    "JointPendulum-dry",
+    "JointPendulum-viscous",
+    "DoublePendulum-bars",
+    "TorquePendulum-ak80",
+    "ServoArm-so101",
+)
 
 
 @pytest.mark.parametrize("name", JOINTED)
@@ -67,10 +81,16 @@ def test_constants_of_joints_are_parameters(name: str) -> None:
         for key, value in vars(part or hinge.dynamics).items()
         if value and key in input_uncertainties().joint and part is not None
     ]
-    assert sorted(one.value for key, one in found.items() if not key.endswith("mass_kg")) == sorted(stated)
+    assert sorted(
+        one.value for key, one in found.items() if not key.endswith("mass_kg")
+    ) == sorted(stated)
     assert all(one.std > 0.0 and one.unit != "1" for one in found.values())
-    moved = load_experiment(name, overrides_at(list(found.values()), [1.0] * len(found))).scene
-    assert [body.pose for body in moved.bodies] == [body.pose for body in experiment.scene.bodies]
+    moved = load_experiment(
+        name, overrides_at(list(found.values()), [1.0] * len(found))
+    ).scene
+    assert [body.pose for body in moved.bodies] == [
+        body.pose for body in experiment.scene.bodies
+    ]
     assert moved.body(experiment.recorded[0]).angular_velocity_rad_per_s == (
         experiment.scene.body(experiment.recorded[0]).angular_velocity_rad_per_s
     )
@@ -79,7 +99,11 @@ def test_constants_of_joints_are_parameters(name: str) -> None:
 def test_an_envelope_of_trials_with_own_starts_is_that_of_the_first_trial() -> None:
     found = experiment_envelope("DoublePendulum-bars", samples=4)
     first = run_episode(RunRequest("DoublePendulum-bars")).score
-    assert (found.quantity, found.unit, found.calibrated) == ("RMSE", "mm", pytest.approx(first.rmse))
+    assert (found.quantity, found.unit, found.calibrated) == (
+        "RMSE",
+        "mm",
+        pytest.approx(first.rmse),
+    )
     # Friction that is two and more times uncertain moves the score, and no world starts as another trial.
     changes = overrides_at(found.parameters, found.sigmas[2].tolist())
     again = run_episode(RunRequest("DoublePendulum-bars", parameters=changes)).score
@@ -90,20 +114,30 @@ def test_every_experiment_can_be_moved_along_its_parameters() -> None:
     for variant in variants():
         experiment = load_experiment(variant)
         parameters = uncertain_parameters(experiment)
-        moved = load_experiment(variant, overrides_at(parameters, [1.0] * len(parameters))).scene
+        moved = load_experiment(
+            variant, overrides_at(parameters, [1.0] * len(parameters))
+        ).scene
         assert (moved == experiment.scene) is (not parameters), variant.name
 
 
 def test_a_control_task_takes_the_sigma_of_its_limit() -> None:
     env = make_control_env(TASK)
-    friction = next(one for one in task_uncertainties(env) if one.key == "cube.friction")
+    friction = next(
+        one for one in task_uncertainties(env) if one.key == "cube.friction"
+    )
     assert (friction.value, friction.std) == (env.limit.value, env.limit.sigma)
 
 
 def test_values_stay_physical() -> None:
-    friction = next(one for one in uncertain_parameters(load_experiment(SLIDE)) if one.key == "cube.friction")
+    friction = next(
+        one
+        for one in uncertain_parameters(load_experiment(SLIDE))
+        if one.key == "cube.friction"
+    )
     assert overrides_at([friction], [-100.0]) == {"cube.friction": 0.0}
-    assert overrides_at([replace(friction, high=0.3)], [100.0]) == {"cube.friction": 0.3}
+    assert overrides_at([replace(friction, high=0.3)], [100.0]) == {
+        "cube.friction": 0.3
+    }
 
 
 def test_points_are_normally_distributed() -> None:
@@ -112,7 +146,9 @@ def test_points_are_normally_distributed() -> None:
     assert np.abs(points.mean(axis=0)).max() < 0.002
     assert np.abs(points.std(axis=0) - 1.0).max() < 0.005
     assert np.array_equal(points, sobol_sigmas(4096, 3, seed=1))
-    with pytest.raises(ParameterError, match="100 samples: a Sobol sequence needs a power of 2"):
+    with pytest.raises(
+        ParameterError, match="100 samples: a Sobol sequence needs a power of 2"
+    ):
         sobol_sigmas(100, 3)
 
 
@@ -121,7 +157,9 @@ def test_points_are_normally_distributed() -> None:
 
 def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
     """At 0.98 of the calibrated friction, open loop: it slips where friction is below 0.98 of the calibrated one."""
-    found = control_envelope(TASK, policy=LawPolicy(fraction=0.98), samples=8, settings=FAST)
+    found = control_envelope(
+        TASK, policy=LawPolicy(fraction=0.98), samples=8, settings=FAST
+    )
     column = [one.key for one in found.parameters].index("cube.friction")
     friction = found.parameters[column]
     relative = 1.0 + found.sigmas[:, column] * friction.std / friction.value
@@ -132,12 +170,20 @@ def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
     assert np.array_equal(np.array(found.endings)[clear], expected[clear])
     report = envelope_report(found)
     assert report.effects[0].parameter.key == "cube.friction"
-    assert report.largest_ratio == pytest.approx(0.98 / relative[relative > 0.98].min(), abs=0.03)
+    assert report.largest_ratio == pytest.approx(
+        0.98 / relative[relative > 0.98].min(), abs=0.03
+    )
 
 
 def test_carry_pays_over_friction_as_the_law_says() -> None:
     """The same actions need the same friction where the cube holds, so their share of the limit is that over mu."""
-    found = control_envelope("Carry-Limit-wood", policy=LawPolicy(fraction=0.8), samples=8, settings=FAST, batch=5)
+    found = control_envelope(
+        "Carry-Limit-wood",
+        policy=LawPolicy(fraction=0.8),
+        samples=8,
+        settings=FAST,
+        batch=5,
+    )
     column = [one.key for one in found.parameters].index("cube.friction")
     friction = found.parameters[column]
     relative = 1.0 + found.sigmas[:, column] * friction.std / friction.value
@@ -146,11 +192,15 @@ def test_carry_pays_over_friction_as_the_law_says() -> None:
     # A third of the reward is for the way, and two thirds are the share of the limit.
     share = (found.calibrated - 1.0 / 3.0) * 1.5
     assert found.ratios == pytest.approx(share / relative, rel=2e-3)
-    assert found.values == pytest.approx(1.0 / 3.0 + 2.0 / 3.0 * share / relative, rel=2e-3)
+    assert found.values == pytest.approx(
+        1.0 / 3.0 + 2.0 / 3.0 * share / relative, rel=2e-3
+    )
 
 
 def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
-    found = control_envelope(TASK, policy=LawPolicy(informed=True), samples=2, settings=FAST)
+    found = control_envelope(
+        TASK, policy=LawPolicy(informed=True), samples=2, settings=FAST
+    )
     assert set(found.endings) == {"held"}
     assert found.ratios == pytest.approx(np.full(2, 0.95), abs=0.005)
 
@@ -158,13 +208,17 @@ def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
 def test_the_size_of_a_batch_changes_nothing() -> None:
     found = experiment_envelope(SLIDE, samples=4, batch=3)
     assert found.quantity == "normalized RMSE"
-    assert np.array_equal(found.values, experiment_envelope(SLIDE, samples=4, batch=4).values)
+    assert np.array_equal(
+        found.values, experiment_envelope(SLIDE, samples=4, batch=4).values
+    )
     # README: the score of this experiment.
     assert found.calibrated == pytest.approx(0.41, abs=0.005)
 
 
 def test_experiments_without_a_band_have_a_deviation() -> None:
-    found = experiment_envelope("SlopeSlider-3-wood", samples=2, settings={"timestep_s": 1 / 1080})
+    found = experiment_envelope(
+        "SlopeSlider-3-wood", samples=2, settings={"timestep_s": 1 / 1080}
+    )
     assert (found.quantity, found.calibrated) == ("deviation", 0.0)
     assert np.all(found.values > 0.0)
 
@@ -187,9 +241,14 @@ def test_effects_are_those_of_a_known_function() -> None:
         calibrated_ending="complete",
     )
     report = envelope_report(found)
-    assert [one.parameter.key for one in report.effects[:2]] == ["cube.mass_kg", "cube.friction"]
+    assert [one.parameter.key for one in report.effects[:2]] == [
+        "cube.mass_kg",
+        "cube.friction",
+    ]
     assert [one.per_sigma for one in report.effects[:2]] == pytest.approx([-2.0, 0.5])
-    assert (report.low, report.high) == pytest.approx((3 - 1.96 * 2.06, 3 + 1.96 * 2.06), abs=0.15)
+    assert (report.low, report.high) == pytest.approx(
+        (3 - 1.96 * 2.06, 3 + 1.96 * 2.06), abs=0.15
+    )
 
 
 # --- command ---
@@ -197,7 +256,14 @@ def test_effects_are_those_of_a_known_function() -> None:
 
 def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    arguments = ["transfer", "envelope", "GAUGE/Pendulum-Limit-metal", "samples=4", "--out", str(tmp_path / "a.png")]
+    arguments = [
+        "transfer",
+        "envelope",
+        "GAUGE/Pendulum-Limit-metal",
+        "samples=4",
+        "--out",
+        str(tmp_path / "a.png"),
+    ]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "100.0 % end as the calibrated one does" in result.stdout.replace("\n", " ")

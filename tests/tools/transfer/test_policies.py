@@ -16,7 +16,11 @@ from gymnasium.spaces import Box
 
 from gauge_envs.errors import PolicyError
 from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy
+from gauge_envs.tools.transfer.policies.load import (
+    checked_policy,
+    load_policies,
+    load_policy,
+)
 from gauge_envs.tools.transfer.policy_replays import make_control_env
 
 TASK = "Pendulum-Limit-metal"
@@ -53,12 +57,16 @@ class Evil:
         ("TD3", {"net_arch": [8, 8]}),
     ],
 )
-def test_an_actor_from_weights_acts_as_the_package_that_saved_it(name, kwargs, env, tmp_path) -> None:
+def test_an_actor_from_weights_acts_as_the_package_that_saved_it(
+    name, kwargs, env, tmp_path
+) -> None:
     sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     torch = pytest.importorskip("torch")
     if "activation_fn" in kwargs:
         kwargs = kwargs | {"activation_fn": getattr(torch.nn, kwargs["activation_fn"])}
-    model = getattr(sb3, name)("MlpPolicy", env, policy_kwargs=kwargs, device="cpu", seed=1)
+    model = getattr(sb3, name)(
+        "MlpPolicy", env, policy_kwargs=kwargs, device="cpu", seed=1
+    )
     file = tmp_path / "policy.zip"
     model.save(file)
     policy = load_policy(str(file), env)
@@ -70,25 +78,45 @@ def test_an_actor_from_weights_acts_as_the_package_that_saved_it(name, kwargs, e
 
 def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path) -> None:
     sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
-    model = sb3.PPO("MlpPolicy", env, policy_kwargs={"squash_output": True}, use_sde=True, device="cpu")
+    model = sb3.PPO(
+        "MlpPolicy",
+        env,
+        policy_kwargs={"squash_output": True},
+        use_sde=True,
+        device="cpu",
+    )
     file = tmp_path / "policy.zip"
     model.save(file)
     with pytest.raises(PolicyError, match=r"gSDE.*runs code.*--trust"):
         load_policy(str(file), env)
     trusted = load_policy(str(file), env, trust=True)
     observation = observations()[0]
-    assert trusted(observation) == pytest.approx(model.predict(observation, deterministic=True)[0])
+    assert trusted(observation) == pytest.approx(
+        model.predict(observation, deterministic=True)[0]
+    )
 
 
-def write_sb3(file: Path, sizes: tuple[int, ...], *, evil: Path | None = None, **data: object) -> Path:
+def write_sb3(
+    file: Path, sizes: tuple[int, ...], *, evil: Path | None = None, **data: object
+) -> Path:
     torch = pytest.importorskip("torch")
     weights = {}
     for number, (before, after) in enumerate(pairwise(sizes)):
-        name = "action_net." if number == len(sizes) - 2 else f"mlp_extractor.policy_net.{2 * number}."
-        weights |= {f"{name}weight": torch.ones(after, before), f"{name}bias": torch.zeros(after)}
+        name = (
+            "action_net."
+            if number == len(sizes) - 2
+            else f"mlp_extractor.policy_net.{2 * number}."
+        )
+        weights |= {
+            f"{name}weight": torch.ones(after, before),
+            f"{name}bias": torch.zeros(after),
+        }
     stream = io.BytesIO()
     torch.save(weights if evil is None else {"weight": Evil(evil)}, stream)
-    stated = {"policy_class": {"__module__": "stable_baselines3.common.policies"}, "policy_kwargs": {}} | data
+    stated = {
+        "policy_class": {"__module__": "stable_baselines3.common.policies"},
+        "policy_kwargs": {},
+    } | data
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("data", json.dumps(stated))
         archive.writestr("policy.pth", stream.getvalue())
@@ -96,7 +124,9 @@ def write_sb3(file: Path, sizes: tuple[int, ...], *, evil: Path | None = None, *
 
 
 def test_a_policy_of_another_task_is_refused(env, tmp_path) -> None:
-    with pytest.raises(PolicyError, match="7 entries of the observation, the task has 5"):
+    with pytest.raises(
+        PolicyError, match="7 entries of the observation, the task has 5"
+    ):
         load_policy(str(write_sb3(tmp_path / "a.zip", (7, 4, 1))), env)
     with pytest.raises(PolicyError, match="2 entries of the action, the task has 1"):
         load_policy(str(write_sb3(tmp_path / "b.zip", (5, 4, 2))), env)
@@ -113,8 +143,14 @@ def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path) -> Non
     ("data", "reason"),
     [
         ({"policy_class": {"__module__": "mine"}}, "module 'mine'"),
-        ({"policy_kwargs": {"features_extractor_class": "<class 'mine.Net'>"}}, "features_extractor_class"),
-        ({"policy_kwargs": {"activation_fn": "<class 'mine.Swish'>"}}, "activation is <class 'mine.Swish'>"),
+        (
+            {"policy_kwargs": {"features_extractor_class": "<class 'mine.Net'>"}},
+            "features_extractor_class",
+        ),
+        (
+            {"policy_kwargs": {"activation_fn": "<class 'mine.Swish'>"}},
+            "activation is <class 'mine.Swish'>",
+        ),
         ({"use_sde": True}, "gSDE"),
     ],
 )
@@ -123,12 +159,16 @@ def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path) ->
         load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), **data)), env)
 
 
-@pytest.mark.parametrize("data", [b"[]", b"null", b"[" * 9000, b"\xff", b" " * 17_000_000])
+@pytest.mark.parametrize(
+    "data", [b"[]", b"null", b"[" * 9000, b"\xff", b" " * 17_000_000]
+)
 def test_damaged_data_is_no_policy(data: bytes, env, tmp_path) -> None:
     with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", data)
         archive.writestr("policy.pth", b"PK")
-    with pytest.raises(PolicyError, match=r"a\.zip: it is no policy of Stable-Baselines3"):
+    with pytest.raises(
+        PolicyError, match=r"a\.zip: it is no policy of Stable-Baselines3"
+    ):
         load_policy(str(tmp_path / "a.zip"), env)
 
 
@@ -137,7 +177,9 @@ def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path) -> None:
     with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("archive/data/0", b"a" * 1000)
     # The size that the directory states, twice in 4 bytes.
-    lied = inner.getvalue().replace((1000).to_bytes(4, "little"), (10**9).to_bytes(4, "little"))
+    lied = inner.getvalue().replace(
+        (1000).to_bytes(4, "little"), (10**9).to_bytes(4, "little")
+    )
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("data", "{}")
         archive.writestr("policy.pth", lied)
@@ -149,11 +191,22 @@ def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path) -> None:
     ("change", "reason"),
     [
         (lambda torch: {1: torch.ones(1)}, "holds no weights"),
-        (lambda torch: {"mlp_extractor.policy_net.abc.weight": torch.ones(4, 5)}, "are not numbered"),
-        (lambda torch: {"action_net.weight": torch.ones(1, 4).to_sparse()}, "holds no plain numbers"),
-        (lambda torch: {"action_net.weight": torch.ones(1, 4, device="meta")}, "holds no plain numbers"),
         (
-            lambda torch: {"mlp_extractor.policy_net.2.weight": torch.ones(1).expand(10**5, 10**5)},
+            lambda torch: {"mlp_extractor.policy_net.abc.weight": torch.ones(4, 5)},
+            "are not numbered",
+        ),
+        (
+            lambda torch: {"action_net.weight": torch.ones(1, 4).to_sparse()},
+            "holds no plain numbers",
+        ),
+        (
+            lambda torch: {"action_net.weight": torch.ones(1, 4, device="meta")},
+            "holds no plain numbers",
+        ),
+        (
+            lambda torch: {
+                "mlp_extractor.policy_net.2.weight": torch.ones(1).expand(10**5, 10**5)
+            },
             "more numbers than policy.pth holds",
         ),
     ],
@@ -162,7 +215,10 @@ def test_damaged_weights_are_refused(change, reason, env, tmp_path) -> None:
     torch = pytest.importorskip("torch")
     file = write_sb3(tmp_path / "a.zip", (5, 4, 1))
     with zipfile.ZipFile(file) as archive:
-        data, weights = archive.read("data"), torch.load(io.BytesIO(archive.read("policy.pth")))
+        data, weights = (
+            archive.read("data"),
+            torch.load(io.BytesIO(archive.read("policy.pth"))),
+        )
     stream = io.BytesIO()
     torch.save(weights | change(torch), stream)
     with zipfile.ZipFile(file, "w") as archive:
@@ -186,7 +242,9 @@ class VecNormalize:
 
 @pytest.fixture
 def has_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.tools.transfer.policies.load.find_spec", lambda _: True)
+    monkeypatch.setattr(
+        "gauge_envs.tools.transfer.policies.load.find_spec", lambda _: True
+    )
 
 
 def write_statistics(file: Path, saved: object) -> Path:
@@ -195,20 +253,29 @@ def write_statistics(file: Path, saved: object) -> Path:
 
 
 def test_observations_are_normalized_as_in_the_training(env, tmp_path) -> None:
-    vec = pytest.importorskip("stable_baselines3.common.vec_env", reason="extra 'rl' is not installed")
-    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: make_control_env(TASK)]), clip_obs=2.0)
+    vec = pytest.importorskip(
+        "stable_baselines3.common.vec_env", reason="extra 'rl' is not installed"
+    )
+    scaled = vec.VecNormalize(
+        vec.DummyVecEnv([lambda: make_control_env(TASK)]), clip_obs=2.0
+    )
     scaled.obs_rms.update(observations())
     file = tmp_path / "norm.pkl"
     scaled.save(str(file))
     policy = load_policy("numpy:mean", env, normalization=file, trust=True)
     for observation in observations():
-        assert policy(observation) == np.clip(scaled.normalize_obs(observation).mean(), -1.0, 1.0)
+        assert policy(observation) == np.clip(
+            scaled.normalize_obs(observation).mean(), -1.0, 1.0
+        )
 
 
 @pytest.mark.usefixtures("has_sb3")
 def test_a_policy_gets_the_normalized_observation(env, tmp_path) -> None:
     file = write_statistics(tmp_path / "norm.pkl", VecNormalize())
-    assert load_policy("numpy:mean", env, normalization=file, trust=True)(np.full(5, 0.5)) == 0.25
+    assert (
+        load_policy("numpy:mean", env, normalization=file, trust=True)(np.full(5, 0.5))
+        == 0.25
+    )
 
 
 def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path) -> None:
@@ -225,9 +292,21 @@ def test_statistics_of_another_task_are_refused(env, tmp_path) -> None:
     saved = VecNormalize()
     saved.observation_space = Box(-np.inf, np.inf, (3,))
     with pytest.raises(PolicyError, match=r"shape \(3,\), the task has \(5,\)"):
-        load_policy("numpy:mean", env, normalization=write_statistics(tmp_path / "a.pkl", saved), trust=True)
-    with pytest.raises(PolicyError, match=r"b\.pkl: expected a file of VecNormalize\.save"):
-        load_policy("numpy:mean", env, normalization=write_statistics(tmp_path / "b.pkl", {}), trust=True)
+        load_policy(
+            "numpy:mean",
+            env,
+            normalization=write_statistics(tmp_path / "a.pkl", saved),
+            trust=True,
+        )
+    with pytest.raises(
+        PolicyError, match=r"b\.pkl: expected a file of VecNormalize\.save"
+    ):
+        load_policy(
+            "numpy:mean",
+            env,
+            normalization=write_statistics(tmp_path / "b.pkl", {}),
+            trust=True,
+        )
 
 
 # --- ONNX ---
@@ -237,7 +316,9 @@ def write_onnx(file: Path, size: int, *, outputs: int = 1) -> Path:
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime", reason="extra 'onnx' is not installed")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
-    weights = helper.make_tensor("w", kind, [size, outputs], np.full(size * outputs, 0.1).tolist())
+    weights = helper.make_tensor(
+        "w", kind, [size, outputs], np.full(size * outputs, 0.1).tolist()
+    )
     graph = helper.make_graph(
         [helper.make_node("MatMul", ["observation", "w"], ["action"])],
         "policy",
@@ -245,7 +326,12 @@ def write_onnx(file: Path, size: int, *, outputs: int = 1) -> Path:
         [helper.make_tensor_value_info("action", kind, ["batch", outputs])],
         [weights],
     )
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
+    onnx.save(
+        helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+        ),
+        file,
+    )
     return file
 
 
@@ -256,7 +342,9 @@ def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path) -> Non
         assert policy(observation) == pytest.approx(expected, abs=1e-6)
     with pytest.raises(PolicyError, match="observation has 5 entries"):
         load_policy(str(write_onnx(tmp_path / "b.onnx", 6)), env)
-    with pytest.raises(PolicyError, match=r"action has shape \(3,\), the task takes \(1,\)"):
+    with pytest.raises(
+        PolicyError, match=r"action has shape \(3,\), the task takes \(1,\)"
+    ):
         load_policy(str(write_onnx(tmp_path / "c.onnx", 5, outputs=3)), env)
 
 
@@ -277,12 +365,22 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> 
         [size],
     )
     file = tmp_path / "bomb.onnx"
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
-    with pytest.raises(PolicyError, match=r"bomb\.onnx: onnxruntime cannot run the network"):
+    onnx.save(
+        helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+        ),
+        file,
+    )
+    with pytest.raises(
+        PolicyError, match=r"bomb\.onnx: onnxruntime cannot run the network"
+    ):
         load_policy(str(file), env)
     # A network that is cheap for zeros and a loop without end for the task's own observations.
     body = helper.make_graph(
-        [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Identity", ["before"], ["after"])],
+        [
+            helper.make_node("Identity", ["go"], ["on"]),
+            helper.make_node("Identity", ["before"], ["after"]),
+        ],
         "body",
         [
             helper.make_tensor_value_info("step", kinds.INT64, []),
@@ -304,15 +402,25 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> 
         "policy",
         [helper.make_tensor_value_info("observation", kinds.FLOAT, ["batch", 5])],
         [helper.make_tensor_value_info("action", kinds.FLOAT, ["batch", 1])],
-        [helper.make_tensor("zero", kinds.FLOAT, [], [0.0]), helper.make_tensor("many", kinds.INT64, [], [2**62])],
+        [
+            helper.make_tensor("zero", kinds.FLOAT, [], [0.0]),
+            helper.make_tensor("many", kinds.INT64, [], [2**62]),
+        ],
     )
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
+    onnx.save(
+        helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
+        ),
+        file,
+    )
     monkeypatch.setattr("gauge_envs.tools.transfer.policies.load.MOST_ONNX_CPU_S", 3)
     policy = load_policy(str(file), env)
     with pytest.raises(PolicyError, match=r"bomb\.onnx: the network needs more than"):
         policy(np.ones(5))
     file.write_bytes(b"no network")
-    with pytest.raises(PolicyError, match=r"bomb\.onnx: it is no network that onnxruntime can load"):
+    with pytest.raises(
+        PolicyError, match=r"bomb\.onnx: it is no network that onnxruntime can load"
+    ):
         load_policy(str(file), env)
 
 
@@ -322,7 +430,10 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> 
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        ("policy.pt", r"expected a \.zip of Stable-Baselines3, a \.onnx, or module:function"),
+        (
+            "policy.pt",
+            r"expected a \.zip of Stable-Baselines3, a \.onnx, or module:function",
+        ),
         ("missing.zip", "missing.zip: cannot be read: No such file"),
         ("os:getcwd", "importing a module runs its code: add --trust"),
     ],
@@ -362,9 +473,16 @@ def test_a_function_of_a_module(env) -> None:
         ("odd:other", "the import raised ZeroDivisionError"),
     ],
 )
-def test_a_module_that_breaks_is_an_error(source: str, reason: str, env, tmp_path, monkeypatch) -> None:
+def test_a_module_that_breaks_is_an_error(
+    source: str, reason: str, env, tmp_path, monkeypatch
+) -> None:
     odd = "import sys\ndef act(_):\n    sys.exit(4)\ndef __getattr__(_):\n    1 / 0\n"
-    texts = {"fails": "1 / 0", "exits": "import sys; sys.exit(3)", "wrong": "def", "odd": odd}
+    texts = {
+        "fails": "1 / 0",
+        "exits": "import sys; sys.exit(3)",
+        "wrong": "def",
+        "odd": odd,
+    }
     for name, text in texts.items():
         (tmp_path / f"{name}.py").write_text(text)
         monkeypatch.delitem(sys.modules, name, raising=False)
@@ -383,4 +501,6 @@ def test_numbers_of_files_must_fit(env) -> None:
     with pytest.raises(PolicyError, match="given twice"):
         load_policies(["a.zip", "a.zip"], env)
     with pytest.raises(PolicyError, match="2 files of statistics for 3 policies"):
-        load_policies(["a.zip", "b.zip", "c.zip"], env, normalization=[Path("x"), Path("y")])
+        load_policies(
+            ["a.zip", "b.zip", "c.zip"], env, normalization=[Path("x"), Path("y")]
+        )

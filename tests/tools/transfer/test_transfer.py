@@ -45,7 +45,9 @@ def tilting(fraction: float):
 
     def act(observation: np.ndarray) -> np.ndarray:
         time_s = observation[4]
-        return np.array([command if time_s < 0.5 * RAMP_S else -command if time_s < RAMP_S else 0.0])
+        return np.array(
+            [command if time_s < 0.5 * RAMP_S else -command if time_s < RAMP_S else 0.0]
+        )
 
     return act
 
@@ -64,7 +66,9 @@ def predicted_reward(fraction: float, friction: float) -> float:
     final = math.atan(fraction * FRICTION)
     half = final / (0.5 * RAMP_S) ** 2
     times = np.arange(0.0, 5.0, step_s) + 0.5 * step_s
-    acceleration = np.where(times < 0.5 * RAMP_S, half, np.where(times < RAMP_S, -half, 0.0))
+    acceleration = np.where(
+        times < 0.5 * RAMP_S, half, np.where(times < RAMP_S, -half, 0.0)
+    )
     late = final - 0.5 * half * (RAMP_S - np.minimum(times, RAMP_S)) ** 2
     tilt = np.where(times < 0.5 * RAMP_S, 0.5 * half * times**2, late)
     normal = GRAVITY * np.cos(tilt) + acceleration * ALONG_M
@@ -91,7 +95,11 @@ def constant(name: str, friction: float, sigmas: float = -1.0) -> ReplayWorld:
 
 
 def test_kept_reward_is_that_of_the_closed_form() -> None:
-    worlds = [constant("90 %", 0.90 * FRICTION), constant("95 %", 0.95 * FRICTION), constant("110 %", 1.1 * FRICTION)]
+    worlds = [
+        constant("90 %", 0.90 * FRICTION),
+        constant("95 %", 0.95 * FRICTION),
+        constant("110 %", 1.1 * FRICTION),
+    ]
     done = replay(TASK, {"steep": tilting(0.98)}, TRAINING, worlds, starts=1)
     report = transfer_report(done)
     promised = predicted_reward(0.98, FRICTION)
@@ -102,7 +110,12 @@ def test_kept_reward_is_that_of_the_closed_form() -> None:
         assert row.kept.value == pytest.approx(expected, abs=0.015)
     low, middle, high = report.others
     assert [row.falls for row in report.others] == [True, True, False]
-    assert low.kept.value < middle.kept.value < high.kept.value == pytest.approx(1.0, abs=0.005)
+    assert (
+        low.kept.value
+        < middle.kept.value
+        < high.kept.value
+        == pytest.approx(1.0, abs=0.005)
+    )
     assert (low.endings, high.endings) == ({"slipped": 1}, {"held": 1})
     assert report.first_fall is low
     assert report.kept.low is None
@@ -111,7 +124,9 @@ def test_kept_reward_is_that_of_the_closed_form() -> None:
 
 def test_a_policy_with_margin_keeps_everything() -> None:
     worlds = [constant("90 %", 0.9 * FRICTION)]
-    report = transfer_report(replay(TASK, {"careful": tilting(0.5)}, TRAINING, worlds, starts=2))
+    report = transfer_report(
+        replay(TASK, {"careful": tilting(0.5)}, TRAINING, worlds, starts=2)
+    )
     assert [row.kept.value for row in report.others] == pytest.approx([1.0], abs=0.003)
     assert report.first_fall is None
     assert report.kept.low <= report.kept.value <= report.kept.high
@@ -124,7 +139,10 @@ class Slippery(BackendMuJoCo):
     name = "slippery"
 
     def build(self, scene, settings=None):
-        weaker = tuple(replace(contact, friction=0.9 * contact.friction) for contact in scene.contacts)
+        weaker = tuple(
+            replace(contact, friction=0.9 * contact.friction)
+            for contact in scene.contacts
+        )
         return super().build(replace(scene, contacts=weaker), settings)
 
 
@@ -132,16 +150,25 @@ class Slippery(BackendMuJoCo):
 def _slippery(monkeypatch) -> None:
     real = registry.entry_points
     fault = EntryPoint("slippery", f"{__name__}:Slippery", registry.ENGINES_GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: [*real(group=group), fault])
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: [*real(group=group), fault]
+    )
 
 
 @pytest.mark.usefixtures("_slippery")
 def test_a_planted_fault_of_an_engine_is_named_first() -> None:
     worlds = [
-        ReplayWorld(name="slippery", kind=WorldKind.CONFIGURATION, backend="slippery", settings=FAST),
+        ReplayWorld(
+            name="slippery",
+            kind=WorldKind.CONFIGURATION,
+            backend="slippery",
+            settings=FAST,
+        ),
         constant("friction - 2 sigma", 0.9 * FRICTION, -2.0),
     ]
-    report = transfer_report(replay(TASK, {"steep": tilting(0.98)}, TRAINING, worlds, starts=1))
+    report = transfer_report(
+        replay(TASK, {"steep": tilting(0.98)}, TRAINING, worlds, starts=1)
+    )
     faulty, moved = report.others
     # The fault is a friction of 0.9 of what the world states, so both worlds are the same physics.
     assert faulty.kept.value == pytest.approx(moved.kept.value, abs=1e-9)
@@ -152,7 +179,9 @@ def test_a_planted_fault_of_an_engine_is_named_first() -> None:
 
 
 def known(
-    rewards: dict[str, list[list[float]]], largest: dict[str, float] | None = None, limit: float = 1.0
+    rewards: dict[str, list[list[float]]],
+    largest: dict[str, float] | None = None,
+    limit: float = 1.0,
 ) -> Replays:
     """Return episodes with given rewards, the law's largest reward in each world, and a limit in all but the first."""
     kinds = [WorldKind.TRAINING, *[WorldKind.CONSTANT] * (len(rewards) - 1)]
@@ -163,7 +192,9 @@ def known(
     episodes = []
     for name, table in rewards.items():
         value = limit if episodes else 1.0
-        law = Limit(quantity="q", unit="1", value=value, sigma=0.1, law="", sigma_source="")
+        law = Limit(
+            quantity="q", unit="1", value=value, sigma=0.1, law="", sigma_source=""
+        )
         report = LimitReport(limit=law, reached=0.5, ending=Ending.HELD, time_s=1.0)
         for policy, row in enumerate(table):
             for start, reward in enumerate(row):
@@ -191,14 +222,20 @@ def known(
 def test_the_interval_of_policies_is_that_of_students_t() -> None:
     random = np.random.default_rng(1)
     kept = 0.5 + 0.1 * random.standard_normal(20)
-    report = transfer_report(known({"train": [[10.0]] * 20, "there": [[10.0 * one] for one in kept]}))
+    report = transfer_report(
+        known({"train": [[10.0]] * 20, "there": [[10.0 * one] for one in kept]})
+    )
     assert report.kept.value == pytest.approx(kept.mean())
     # t of 0.975 with 19 degrees of freedom is 2.093 (tables of Student's distribution).
     half = 2.093 * kept.std(ddof=1) / math.sqrt(20)
-    assert (report.kept.low, report.kept.high) == pytest.approx((kept.mean() - half, kept.mean() + half), rel=1e-4)
+    assert (report.kept.low, report.kept.high) == pytest.approx(
+        (kept.mean() - half, kept.mean() + half), rel=1e-4
+    )
 
 
-def held_share(policies: int, starts: int, scatter: tuple[float, float, float], count: int = 400) -> float:
+def held_share(
+    policies: int, starts: int, scatter: tuple[float, float, float], count: int = 400
+) -> float:
     """Share of simulated studies whose interval holds the share of 0.8 that is kept of a promise of 10.
 
     Args:
@@ -210,7 +247,9 @@ def held_share(policies: int, starts: int, scatter: tuple[float, float, float], 
     random = np.random.default_rng(3)
     shape = (policies, starts)
 
-    def drawn(mean: float, of_policies: float, of_starts: float, of_episodes: float) -> np.ndarray:
+    def drawn(
+        mean: float, of_policies: float, of_starts: float, of_episodes: float
+    ) -> np.ndarray:
         return 10.0 * (
             mean
             + of_policies * random.standard_normal((policies, 1))
@@ -220,7 +259,10 @@ def held_share(policies: int, starts: int, scatter: tuple[float, float, float], 
 
     held = 0
     for _ in range(count):
-        rewards = {"train": drawn(1.0, 0.03, 0.01, 0.01).tolist(), "there": drawn(0.8, *scatter).tolist()}
+        rewards = {
+            "train": drawn(1.0, 0.03, 0.01, 0.01).tolist(),
+            "there": drawn(0.8, *scatter).tolist(),
+        }
         kept = transfer_report(known(rewards)).kept
         held += kept.low <= 0.8 <= kept.high
     return held / count
@@ -228,9 +270,16 @@ def held_share(policies: int, starts: int, scatter: tuple[float, float, float], 
 
 @pytest.mark.parametrize(
     ("policies", "starts", "scatter"),
-    [(5, 2, (0.1, 0.02, 0.02)), (5, 2, (0.1, 0.1, 0.1)), (5, 3, (0.1, 0.0, 0.0)), (3, 3, (0.03, 0.1, 0.02))],
+    [
+        (5, 2, (0.1, 0.02, 0.02)),
+        (5, 2, (0.1, 0.1, 0.1)),
+        (5, 3, (0.1, 0.0, 0.0)),
+        (3, 3, (0.03, 0.1, 0.02)),
+    ],
 )
-def test_the_interval_holds_what_is_kept(policies: int, starts: int, scatter: tuple[float, float, float]) -> None:
+def test_the_interval_holds_what_is_kept(
+    policies: int, starts: int, scatter: tuple[float, float, float]
+) -> None:
     # Of 400 studies, a true 95 % gives 0.92 or more in 99 of 100 runs. Percentiles of draws with replacement hold 0.8
     # to 0.87 here: they are too short for few policies and starts.
     assert held_share(policies, starts, scatter) >= 0.92
@@ -239,13 +288,17 @@ def test_the_interval_holds_what_is_kept(policies: int, starts: int, scatter: tu
 def test_the_interval_of_few_starts_counts_their_number() -> None:
     """Two starts of one policy: t of 0.975 with one degree of freedom is 12.706."""
     kept = transfer_report(known({"train": [[10.0, 10.0]], "there": [[4.0, 6.0]]})).kept
-    assert (kept.low, kept.high) == pytest.approx((0.5 - 12.706 * 0.1, 0.5 + 12.706 * 0.1), rel=1e-4)
+    assert (kept.low, kept.high) == pytest.approx(
+        (0.5 - 12.706 * 0.1, 0.5 + 12.706 * 0.1), rel=1e-4
+    )
 
 
 def test_an_error_that_training_shares_cancels() -> None:
     """A start that earns more everywhere changes no share."""
     report = transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))
-    assert (report.kept.low, report.kept.value, report.kept.high) == pytest.approx((0.5, 0.5, 0.5))
+    assert (report.kept.low, report.kept.value, report.kept.high) == pytest.approx(
+        (0.5, 0.5, 0.5)
+    )
 
 
 def test_a_smaller_reward_that_the_law_allows_is_no_fall() -> None:
@@ -261,21 +314,36 @@ def test_a_lower_limit_alone_excuses_no_fall() -> None:
     assert (report.others[0].allowed, report.others[0].falls) == (1.0, True)
 
 
-@pytest.mark.parametrize(("task", "share"), [("Turntable-Limit-wood", 0.5), ("Carry-Limit-wood", 1.0)])
-def test_the_largest_reward_follows_the_law_of_the_task(task: str, share: float) -> None:
-    whole, weak = (make_control_env(task, parameters={"cube.friction": value}).largest_reward for value in (0.4, 0.2))
+@pytest.mark.parametrize(
+    ("task", "share"), [("Turntable-Limit-wood", 0.5), ("Carry-Limit-wood", 1.0)]
+)
+def test_the_largest_reward_follows_the_law_of_the_task(
+    task: str, share: float
+) -> None:
+    whole, weak = (
+        make_control_env(task, parameters={"cube.friction": value}).largest_reward
+        for value in (0.4, 0.2)
+    )
     assert weak / whole == pytest.approx(share)
 
 
 def test_without_a_promise_there_is_no_share() -> None:
-    with pytest.raises(ParameterError, match=r"earn -2 in train, where they were trained"):
+    with pytest.raises(
+        ParameterError, match=r"earn -2 in train, where they were trained"
+    ):
         transfer_report(known({"train": [[-2.0]], "there": [[1.0]]}))
-    with pytest.raises(ParameterError, match="no world could be run besides the training"):
+    with pytest.raises(
+        ParameterError, match="no world could be run besides the training"
+    ):
         transfer_report(known({"train": [[2.0]]}))
 
 
 def test_json_holds_a_line_for_each_world_and_the_verdict() -> None:
-    rows = as_rows(transfer_document(transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))))
+    rows = as_rows(
+        transfer_document(
+            transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))
+        )
+    )
     assert [row["kind"] for row in rows] == ["training", "constant", "verdict"]
     assert rows[-1]["kept"]["value"] == 0.5
     json.dumps(rows, allow_nan=False)
@@ -285,15 +353,21 @@ def test_json_holds_a_line_for_each_world_and_the_verdict() -> None:
 
 
 def test_worlds_state_their_sigma() -> None:
-    worlds = list(other_worlds("Turntable-Limit-wood", TRAINING, engines=[("mujoco", {})], sigmas=[1.0]))
+    worlds = list(
+        other_worlds(
+            "Turntable-Limit-wood", TRAINING, engines=[("mujoco", {})], sigmas=[1.0]
+        )
+    )
     by_name = {world.name: world for world in worlds}
     below = by_name["mujoco, cube.friction - 1 sigma"]
     # 6.2 %, docs/control.md.
-    assert below.parameters["cube.friction"] == pytest.approx(0.378789 * (1 - 0.0625), abs=5e-4)
-    assert "scoring/uncertainties.toml" in below.source
-    assert by_name["mujoco, cube.mass_kg + 1 sigma"].parameters["cube.mass_kg"] == pytest.approx(
-        0.0903 + 2.9e-5, abs=1e-6
+    assert below.parameters["cube.friction"] == pytest.approx(
+        0.378789 * (1 - 0.0625), abs=5e-4
     )
+    assert "scoring/uncertainties.toml" in below.source
+    assert by_name["mujoco, cube.mass_kg + 1 sigma"].parameters[
+        "cube.mass_kg"
+    ] == pytest.approx(0.0903 + 2.9e-5, abs=1e-6)
     assert by_name["mujoco, cube.restitution - 1 sigma"].parameters == {
         "cube.restitution": pytest.approx(0.285485 * (1 - 0.2778))
     }
@@ -320,8 +394,14 @@ def test_command_reports_and_draws(tmp_path) -> None:
     [
         (["a.pt", "--id", TASK], r"expected a \.zip"),
         (["a.zip", "--id", "Turntable-1-wood"], "unknown control task"),
-        ([f"{__name__}:pumping", "--trust", "--id", TASK, "--to", "bullet3"], "unknown backend 'bullet3'"),
-        ([f"{__name__}:pumping", "--trust", "--id", TASK, "sigmas=one"], "expected numbers"),
+        (
+            [f"{__name__}:pumping", "--trust", "--id", TASK, "--to", "bullet3"],
+            "unknown backend 'bullet3'",
+        ),
+        (
+            [f"{__name__}:pumping", "--trust", "--id", TASK, "sigmas=one"],
+            "expected numbers",
+        ),
     ],
 )
 def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:

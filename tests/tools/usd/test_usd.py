@@ -55,21 +55,30 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
 def test_friction_about_the_normal_and_against_rolling_is_kept(tmp_path: Path) -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     first, *others = experiment.scene.contacts
-    scene = replace(experiment.scene, contacts=(replace(first, torsion_m=0.0031, rolling_m=0.0007), *others))
+    scene = replace(
+        experiment.scene,
+        contacts=(replace(first, torsion_m=0.0031, rolling_m=0.0007), *others),
+    )
     to_usd(scene, tmp_path / "a.usda")
     assert from_usd(tmp_path / "a.usda") == scene
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
-@pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
-def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"]
+)
+def test_every_kind_of_file_keeps_every_double(
+    name: str, suffix: str, tmp_path: Path
+) -> None:
     experiment = load_experiment(name)
     export_stage(experiment_stage(experiment), tmp_path / f"a{suffix}")
     assert from_usd(tmp_path / f"a{suffix}") == experiment.scene
 
 
 def test_overrides_come_back() -> None:
-    experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
+    experiment = load_experiment(
+        "SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3}
+    )
     with tempfile.TemporaryDirectory() as folder:
         export_stage(experiment_stage(experiment), Path(folder) / "a.usda")
         assert from_usd(Path(folder) / "a.usda") == experiment.scene
@@ -84,7 +93,18 @@ def test_a_layer_says_where_its_bodies_are_and_whose_they_are() -> None:
 
 # --- scenes at random ------------------------------------------------------------------------------------------------
 
-NAMES = ("cube", "a-1", "a_1", "Contacts", "ball 2", "Würfel", "plate", "wall", "cloth", "rope")
+NAMES = (
+    "cube",
+    "a-1",
+    "a_1",
+    "Contacts",
+    "ball 2",
+    "Würfel",
+    "plate",
+    "wall",
+    "cloth",
+    "rope",
+)
 
 lengths = st.floats(1e-3, 2.0)
 coordinates = st.floats(-3.0, 3.0)
@@ -93,7 +113,9 @@ points = st.tuples(coordinates, coordinates, coordinates)
 unit_vectors = points.filter(lambda p: math.hypot(*p) > 0.1).map(
     lambda p: tuple((np.asarray(p) / np.linalg.norm(p)).tolist())
 )
-poses = st.builds(Pose.from_euler_deg, points, st.tuples(*[st.floats(-180.0, 180.0)] * 3))
+poses = st.builds(
+    Pose.from_euler_deg, points, st.tuples(*[st.floats(-180.0, 180.0)] * 3)
+)
 boxes = st.builds(Box, size_m=st.tuples(lengths, lengths, lengths))
 
 
@@ -104,7 +126,9 @@ def convex_unions(draw: st.DrawFn) -> ConvexUnion:
     for index in range(draw(st.integers(1, 3))):
         x, edge = 4.0 * index, draw(st.floats(0.1, 1.0))
         corner = (x, draw(coordinates), draw(coordinates))
-        rest = [tuple(np.add(corner, edge * np.eye(3)[axis]).tolist()) for axis in range(3)]
+        rest = [
+            tuple(np.add(corner, edge * np.eye(3)[axis]).tolist()) for axis in range(3)
+        ]
         pieces.append((corner, *rest))
     return ConvexUnion(pieces_m=tuple(pieces))
 
@@ -119,7 +143,11 @@ solids = st.one_of(
 
 @st.composite
 def profiles(draw: st.DrawFn) -> TrapezoidProfile | CosineProfile | SampledProfile:
-    start_s, duration_s, amount = draw(st.floats(0.0, 1.0)), draw(st.floats(0.1, 2.0)), draw(coordinates)
+    start_s, duration_s, amount = (
+        draw(st.floats(0.0, 1.0)),
+        draw(st.floats(0.1, 2.0)),
+        draw(coordinates),
+    )
     kind = draw(st.sampled_from(["trapezoid", "cosine", "sampled"]))
     if kind == "trapezoid":
         part = draw(st.floats(0.0, 0.5))
@@ -134,7 +162,9 @@ def profiles(draw: st.DrawFn) -> TrapezoidProfile | CosineProfile | SampledProfi
         return CosineProfile(start_s=start_s, duration_s=duration_s, amount=amount)
     steps = draw(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=6))
     values = draw(st.lists(coordinates, min_size=len(steps), max_size=len(steps)))
-    return SampledProfile(times_s=tuple(np.cumsum(steps).tolist()), values=tuple(values))
+    return SampledProfile(
+        times_s=tuple(np.cumsum(steps).tolist()), values=tuple(values)
+    )
 
 
 motions = st.builds(
@@ -169,7 +199,12 @@ def deformables(draw: st.DrawFn, name: str) -> Cloth | SoftBody | Rope | Rod:
     if kind is Rod:
         return Rod(**common, length_m=draw(lengths), radius_m=draw(lengths))
     return SoftBody(
-        **common, shape=draw(boxes.map(lambda box: replace(box, size_m=tuple(0.1 * e for e in box.size_m))))
+        **common,
+        shape=draw(
+            boxes.map(
+                lambda box: replace(box, size_m=tuple(0.1 * e for e in box.size_m))
+            )
+        ),
     )
 
 
@@ -178,7 +213,11 @@ def _of_different_pairs(contacts: list[Contact]) -> tuple[Contact, ...]:
     seen: set[frozenset[str]] = set()
     kept = []
     for contact in contacts:
-        pairs = {frozenset((first, second)) for first in contact.first for second in contact.second}
+        pairs = {
+            frozenset((first, second))
+            for first in contact.first
+            for second in contact.second
+        }
         if not pairs & seen:
             kept.append(contact)
         seen |= pairs
@@ -192,25 +231,50 @@ def scenes(draw: st.DrawFn) -> Scene:
     bodies, drivers, joints = [], [], []
     for name in names[:count]:
         motion = draw(st.sampled_from(list(Motion)))
-        shape = draw(st.one_of(solids, st.just(Plane()))) if motion is Motion.FIXED else draw(solids)
+        shape = (
+            draw(st.one_of(solids, st.just(Plane())))
+            if motion is Motion.FIXED
+            else draw(solids)
+        )
         mass = 0.0 if isinstance(shape, Plane) else draw(positive)
-        body = RigidBody(name=name, shape=shape, motion=motion, pose=draw(poses), mass_kg=mass)
+        body = RigidBody(
+            name=name, shape=shape, motion=motion, pose=draw(poses), mass_kg=mass
+        )
         bodies.append(body)
         is_free = motion is Motion.DYNAMIC and draw(st.booleans())
         if is_free:
-            bodies[-1] = replace(body, linear_velocity_m_per_s=draw(points), angular_velocity_rad_per_s=draw(points))
+            bodies[-1] = replace(
+                body,
+                linear_velocity_m_per_s=draw(points),
+                angular_velocity_rad_per_s=draw(points),
+            )
         if motion is Motion.KINEMATIC and draw(st.booleans()):
             moves = tuple(draw(st.lists(motions, min_size=1, max_size=2)))
-            drivers.append(Driver(body=name, motions=moves, provenance=draw(st.sampled_from(["video", "nominal"]))))
+            drivers.append(
+                Driver(
+                    body=name,
+                    motions=moves,
+                    provenance=draw(st.sampled_from(["video", "nominal"])),
+                )
+            )
         if motion is Motion.DYNAMIC and not is_free and draw(st.booleans()):
             joint = st.one_of(
-                st.builds(Hinge, body=st.just(name), anchor_m=points, axis=unit_vectors),
-                st.builds(Tether, body=st.just(name), anchor_m=points, length_m=lengths),
+                st.builds(
+                    Hinge, body=st.just(name), anchor_m=points, axis=unit_vectors
+                ),
+                st.builds(
+                    Tether, body=st.just(name), anchor_m=points, length_m=lengths
+                ),
             )
             joints.append(draw(joint))
-    soft = [draw(deformables(name)) for name in names[count : count + draw(st.integers(0, 2))]]
+    soft = [
+        draw(deformables(name))
+        for name in names[count : count + draw(st.integers(0, 2))]
+    ]
     everybody = [body.name for body in (*bodies, *soft)]
-    group = st.lists(st.sampled_from(everybody), min_size=1, max_size=4, unique=True).map(tuple)
+    group = st.lists(
+        st.sampled_from(everybody), min_size=1, max_size=4, unique=True
+    ).map(tuple)
     contact = st.builds(
         Contact,
         first=group,
@@ -225,9 +289,19 @@ def scenes(draw: st.DrawFn) -> Scene:
         Attachment(
             deformable=body.name,
             region=Region(
-                axis=draw(st.sampled_from("xyz")), side=draw(st.sampled_from(["low", "high"])), depth_m=draw(lengths)
+                axis=draw(st.sampled_from("xyz")),
+                side=draw(st.sampled_from(["low", "high"])),
+                depth_m=draw(lengths),
             ),
-            to=draw(st.sampled_from([name for name in everybody if name != body.name and name not in moving])),
+            to=draw(
+                st.sampled_from(
+                    [
+                        name
+                        for name in everybody
+                        if name != body.name and name not in moving
+                    ]
+                )
+            ),
         )
         for body in soft
         if {*everybody} - moving - {body.name}
@@ -280,7 +354,10 @@ def test_very_many_scenes_come_back_to_the_bit(scene: Scene) -> None:
 def test_what_is_named_or_driven_twice_is_not_written(tmp_path: Path) -> None:
     scene = load_experiment("Turntable-1-wood").scene
     with pytest.raises(ParameterError, match="'cube' has more than one name"):
-        to_usd(replace(scene, bodies=(*scene.bodies, scene.body("cube"))), tmp_path / "a.usda")
+        to_usd(
+            replace(scene, bodies=(*scene.bodies, scene.body("cube"))),
+            tmp_path / "a.usda",
+        )
     with pytest.raises(ParameterError, match="'plate' has more than one driver"):
         to_usd(replace(scene, drivers=scene.drivers * 2), tmp_path / "a.usda")
     with pytest.raises(ParameterError, match=r"ends in \.usda"):

@@ -27,7 +27,9 @@ def stage(scene: Scene, tmp_path: Path) -> Usd.Stage:
 
 
 def joint(stage: Usd.Stage) -> UsdPhysics.RevoluteJoint:
-    return UsdPhysics.RevoluteJoint(next(prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.RevoluteJoint)))
+    return UsdPhysics.RevoluteJoint(
+        next(prim for prim in stage.Traverse() if prim.IsA(UsdPhysics.RevoluteJoint))
+    )
 
 
 def saved(stage: Usd.Stage) -> Path:
@@ -37,13 +39,18 @@ def saved(stage: Usd.Stage) -> Path:
 
 def test_a_layer_returns_the_scene_exactly(scene: Scene, stage: Usd.Stage) -> None:
     assert read_usd(saved(stage)).scene == scene
-    assert [str(rel.GetTargets()[0]) for rel in (joint(stage).GetBody0Rel(), joint(stage).GetBody1Rel())] == [
+    assert [
+        str(rel.GetTargets()[0])
+        for rel in (joint(stage).GetBody0Rel(), joint(stage).GetBody1Rel())
+    ] == [
         "/World/first",
         "/World/second",
     ]
 
 
-def test_a_joint_without_exact_numbers_is_read_from_its_frames(scene: Scene, stage: Usd.Stage) -> None:
+def test_a_joint_without_exact_numbers_is_read_from_its_frames(
+    scene: Scene, stage: Usd.Stage
+) -> None:
     for name in ("gauge:anchor_m", "gauge:axis"):
         joint(stage).GetPrim().RemoveProperty(name)
     (found,) = read_usd(saved(stage)).scene.body_hinges
@@ -56,7 +63,10 @@ def test_edited_frames_move_the_hinge(scene: Scene, stage: Usd.Stage) -> None:
         # Along the axis, which is the same in both blocks.
         place.Set(place.Get() + Gf.Vec3f(0.0, 0.01, 0.0))
     (found,) = read_usd(saved(stage)).scene.body_hinges
-    along = np.subtract(found.anchor_m, scene.body_hinges[0].anchor_m) @ scene.body_hinges[0].axis
+    along = (
+        np.subtract(found.anchor_m, scene.body_hinges[0].anchor_m)
+        @ scene.body_hinges[0].axis
+    )
     assert along == pytest.approx(0.01, abs=1e-6)
 
 
@@ -69,7 +79,10 @@ def test_frames_that_do_not_meet_are_refused(stage: Usd.Stage) -> None:
 
 def test_other_joints_of_two_bodies_are_refused(stage: Usd.Stage) -> None:
     path = joint(stage).GetPath()
-    targets = [rel.GetTargets() for rel in (joint(stage).GetBody0Rel(), joint(stage).GetBody1Rel())]
+    targets = [
+        rel.GetTargets()
+        for rel in (joint(stage).GetBody0Rel(), joint(stage).GetBody1Rel())
+    ]
     stage.RemovePrim(path)
     ball = UsdPhysics.SphericalJoint.Define(stage, path)
     ball.CreateBody0Rel().SetTargets(targets[0])

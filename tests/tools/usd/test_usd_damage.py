@@ -39,7 +39,11 @@ def survives(content: str | bytes, suffix: str = ".usda") -> None:
     """The file gives a scene that ends, or an error that names it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"damaged{suffix}"
-        file.write_bytes(content.encode("utf-8", "surrogateescape") if isinstance(content, str) else content)
+        file.write_bytes(
+            content.encode("utf-8", "surrogateescape")
+            if isinstance(content, str)
+            else content
+        )
         try:
             scene = from_usd(file)
         except GaugeError as error:
@@ -50,8 +54,15 @@ def survives(content: str | bytes, suffix: str = ".usda") -> None:
 
 
 @settings(FUZZ, max_examples=30)
-@given(name=st.sampled_from(NAMES), where=st.floats(0.0, 1.0), length=st.integers(0, 200), data=st.binary(max_size=20))
-def test_bytes_that_are_lost_or_changed(name: str, where: float, length: int, data: bytes) -> None:
+@given(
+    name=st.sampled_from(NAMES),
+    where=st.floats(0.0, 1.0),
+    length=st.integers(0, 200),
+    data=st.binary(max_size=20),
+)
+def test_bytes_that_are_lost_or_changed(
+    name: str, where: float, length: int, data: bytes
+) -> None:
     content = layer_text(name).encode()
     at = int(where * len(content))
     survives(content[:at] + data + content[at + length :])
@@ -62,12 +73,29 @@ def test_bytes_that_are_lost_or_changed(name: str, where: float, length: int, da
     name=st.sampled_from(NAMES),
     pick=st.integers(0, 10**6),
     value=st.sampled_from(
-        ["nan", "inf", "-1", "0", "1e300", "()", "[]", "None", '"text"', "(1, 2)", "(nan, 0, 0)", "-0.5"]
+        [
+            "nan",
+            "inf",
+            "-1",
+            "0",
+            "1e300",
+            "()",
+            "[]",
+            "None",
+            '"text"',
+            "(1, 2)",
+            "(nan, 0, 0)",
+            "-0.5",
+        ]
     ),
 )
 def test_values_that_make_no_sense(name: str, pick: int, value: str) -> None:
     lines = layer_text(name).splitlines()
-    given_ = [i for i, line in enumerate(lines) if re.search(r" = \S", line) and line.rstrip()[-1] != "("]
+    given_ = [
+        i
+        for i, line in enumerate(lines)
+        if re.search(r" = \S", line) and line.rstrip()[-1] != "("
+    ]
     i = given_[pick % len(given_)]
     lines[i] = lines[i].partition(" = ")[0] + f" = {value}"
     survives("\n".join(lines) + "\n")
@@ -77,22 +105,32 @@ def test_values_that_make_no_sense(name: str, pick: int, value: str) -> None:
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e300", "-1e20", "1e-20"])
 def test_times_that_make_no_sense(key: str, value: str) -> None:
     """Without the double beside them, so that they count."""
-    text, count = re.subn(rf"(\n    {key} = )\S+", rf"\g<1>{value}", layer_text("Turntable-1-wood"))
+    text, count = re.subn(
+        rf"(\n    {key} = )\S+", rf"\g<1>{value}", layer_text("Turntable-1-wood")
+    )
     assert count == 1
-    text, count = re.subn(r"\n        custom double gauge:duration_s = \S+ \([^)]*\)", "", text)
+    text, count = re.subn(
+        r"\n        custom double gauge:duration_s = \S+ \([^)]*\)", "", text
+    )
     assert count == 1
     survives(text)
 
 
 @settings(FUZZ, max_examples=60)
 @given(
-    name=st.sampled_from(NAMES), pick=st.integers(0, 10**6), how=st.sampled_from(["remove", "retype", "block", "empty"])
+    name=st.sampled_from(NAMES),
+    pick=st.integers(0, 10**6),
+    how=st.sampled_from(["remove", "retype", "block", "empty"]),
 )
-def test_properties_that_are_missing_or_of_another_type(name: str, pick: int, how: str) -> None:
+def test_properties_that_are_missing_or_of_another_type(
+    name: str, pick: int, how: str
+) -> None:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(layer_text(name))
     found: list[Sdf.Path] = []
-    layer.Traverse("/", lambda path: found.append(path) if path.IsPropertyPath() else None)
+    layer.Traverse(
+        "/", lambda path: found.append(path) if path.IsPropertyPath() else None
+    )
     path = found[pick % len(found)]
     prim, spec = layer.GetPrimAtPath(path.GetPrimPath()), layer.GetPropertyAtPath(path)
     if how == "remove" or not isinstance(spec, Sdf.AttributeSpec):
@@ -144,7 +182,10 @@ def test_files_that_are_no_layers(suffix: str, content: bytes, tmp_path: Path) -
 
 
 def test_files_that_do_not_exist(tmp_path: Path) -> None:
-    for path, reason in ((tmp_path / "gone.usda", "there is no such file"), (tmp_path, "it is not a regular file")):
+    for path, reason in (
+        (tmp_path / "gone.usda", "there is no such file"),
+        (tmp_path, "it is not a regular file"),
+    ):
         with pytest.raises(AssetError, match=reason):
             from_usd(path)
 
@@ -163,9 +204,13 @@ def test_binary_layers_that_are_damaged(where: float, data: bytes) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="needs Linux")
-def test_a_reader_that_asks_for_all_memory_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_asks_for_all_memory_is_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / "scene.usda"
     file.write_text(layer_text("Pendulum-metal"), encoding="utf-8")
     monkeypatch.setattr(Source, "prims", lambda _: np.ones(4000 * MEGABYTE, np.uint8))
-    with pytest.raises(AssetError, match=r"scene\.usda: reading it needs more than 1000 MB of memory"):
+    with pytest.raises(
+        AssetError, match=r"scene\.usda: reading it needs more than 1000 MB of memory"
+    ):
         from_usd(file)

@@ -14,7 +14,17 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Pose, RigidBody, Scene, Sphere, Tether
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+    Tether,
+)
 from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -59,7 +69,11 @@ def both(*edits: Edit) -> Edit:
 
 def with_body(scene: Scene, name: str, **changes: Any) -> Scene:
     return replace(
-        scene, bodies=tuple(replace(body, **changes) if body.name == name else body for body in scene.bodies)
+        scene,
+        bodies=tuple(
+            replace(body, **changes) if body.name == name else body
+            for body in scene.bodies
+        ),
     )
 
 
@@ -75,8 +89,18 @@ def with_deformable(scene: Scene, index: int, **changes: Any) -> Scene:
     return replace(scene, deformables=tuple(deformables))
 
 
-SLIDER, TABLE, BALL, PENDULUM = "SlopeSlider-2-wood", "Turntable-1-wood", "BouncingBall-rubber", "Pendulum-metal"
-CLOTH, FOAM, CRADLE, TWIST = "TextileBending-rayon", "FoamTwisting-soft", "NewtonsCradle-metal", "FoamTwisting-soft"
+SLIDER, TABLE, BALL, PENDULUM = (
+    "SlopeSlider-2-wood",
+    "Turntable-1-wood",
+    "BouncingBall-rubber",
+    "Pendulum-metal",
+)
+CLOTH, FOAM, CRADLE, TWIST = (
+    "TextileBending-rayon",
+    "FoamTwisting-soft",
+    "NewtonsCradle-metal",
+    "FoamTwisting-soft",
+)
 MATERIAL = "/World/Materials/contact_0"
 
 # name, edit, what the scene is then; single precision counts as the decimal that was typed.
@@ -137,7 +161,9 @@ COUNTED = {
     "pose": (
         BALL,
         setting("/World/ball", "xformOp:translate", Gf.Vec3d(0.1, 0.2, 0.9)),
-        lambda s: with_body(s, "ball", pose=replace(s.body("ball").pose, position_m=(0.1, 0.2, 0.9))),
+        lambda s: with_body(
+            s, "ball", pose=replace(s.body("ball").pose, position_m=(0.1, 0.2, 0.9))
+        ),
     ),
     "radius": (
         BALL,
@@ -156,8 +182,17 @@ COUNTED = {
     ),
     "anchor": (
         CRADLE,
-        setting("/World/Joints/joint_1", "physics:localPos0", Gf.Vec3f(0.5, 0.25, 0.75)),
-        lambda s: replace(s, joints=(s.joints[0], replace(s.joints[1], anchor_m=(0.5, 0.25, 0.75)), *s.joints[2:])),
+        setting(
+            "/World/Joints/joint_1", "physics:localPos0", Gf.Vec3f(0.5, 0.25, 0.75)
+        ),
+        lambda s: replace(
+            s,
+            joints=(
+                s.joints[0],
+                replace(s.joints[1], anchor_m=(0.5, 0.25, 0.75)),
+                *s.joints[2:],
+            ),
+        ),
     ),
     "motion": (
         TABLE,
@@ -202,7 +237,9 @@ COUNTED = {
 }
 
 
-def shift_point(stage: Usd.Stage, path: str, index: int, position: tuple[float, float, float]) -> None:
+def shift_point(
+    stage: Usd.Stage, path: str, index: int, position: tuple[float, float, float]
+) -> None:
     attribute = UsdGeom.PointBased(stage.GetPrimAtPath(path)).GetPointsAttr()
     points = list(attribute.Get())
     points[index] = Gf.Vec3f(*position)
@@ -216,7 +253,9 @@ def with_marker(markers: Any, index: int, position: tuple[float, float, float]) 
 
 
 @pytest.mark.parametrize("case", COUNTED)
-def test_the_edited_value_counts_and_no_other_changes(case: str, tmp_path: Path) -> None:
+def test_the_edited_value_counts_and_no_other_changes(
+    case: str, tmp_path: Path
+) -> None:
     name, edit, change = COUNTED[case]
     expected = change(original(name))
     assert expected != original(name)
@@ -232,9 +271,15 @@ def test_the_edited_value_counts_and_no_other_changes(case: str, tmp_path: Path)
         ("/World/PhysicsScene", "gauge:gravity_m_per_s2"),
     ],
 )
-def test_without_the_double_the_standard_value_counts(path: str, attribute: str, tmp_path: Path) -> None:
+def test_without_the_double_the_standard_value_counts(
+    path: str, attribute: str, tmp_path: Path
+) -> None:
     # All of these have so few digits that single precision, read as a decimal, has them too.
-    scene = edited(SLIDER, tmp_path, lambda stage: stage.GetPrimAtPath(path).RemoveProperty(attribute))
+    scene = edited(
+        SLIDER,
+        tmp_path,
+        lambda stage: stage.GetPrimAtPath(path).RemoveProperty(attribute),
+    )
     assert scene == original(SLIDER)
 
 
@@ -258,14 +303,24 @@ def test_a_string_has_the_length_that_was_edited(tmp_path: Path) -> None:
         assert from_usd(tmp_path / "b.usda") == expected
 
 
-def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(tmp_path: Path) -> None:
+def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(
+    tmp_path: Path,
+) -> None:
     name = "Funnel-rayon"
     before = original(name)
     body = next(body for body in before.bodies if isinstance(body.shape, ConvexUnion))
-    moved = tuple(float(x) for x in np.float32(1.01) * np.float32(body.shape.pieces_m[2][1]))
-    after = edited(name, tmp_path, lambda stage: shift_point(stage, f"/World/{body.name}/collision_2", 1, moved))
+    moved = tuple(
+        float(x) for x in np.float32(1.01) * np.float32(body.shape.pieces_m[2][1])
+    )
+    after = edited(
+        name,
+        tmp_path,
+        lambda stage: shift_point(stage, f"/World/{body.name}/collision_2", 1, moved),
+    )
     found = after.body(body.name).shape
-    for index, (piece, was) in enumerate(zip(found.pieces_m, body.shape.pieces_m, strict=True)):
+    for index, (piece, was) in enumerate(
+        zip(found.pieces_m, body.shape.pieces_m, strict=True)
+    ):
         for vertex, (point, old) in enumerate(zip(piece, was, strict=True)):
             if (index, vertex) == (2, 1):
                 np.testing.assert_allclose(point, moved, rtol=1e-6)
@@ -293,26 +348,36 @@ def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path: Path) -> None:
 
 
 def test_a_pendulum_that_is_moved_keeps_its_anchor(tmp_path: Path) -> None:
-    scene = edited(PENDULUM, tmp_path, setting("/World/ball", "xformOp:translate", Gf.Vec3d(0.2, 0.49, 0.3)))
+    scene = edited(
+        PENDULUM,
+        tmp_path,
+        setting("/World/ball", "xformOp:translate", Gf.Vec3d(0.2, 0.49, 0.3)),
+    )
     assert scene.body("ball").pose.position_m == (0.2, 0.49, 0.3)
     assert scene.joints == original(PENDULUM).joints
 
 
 def test_a_world_that_is_moved_moves_its_bodies(tmp_path: Path) -> None:
     def edit(stage: Usd.Stage) -> None:
-        UsdGeom.Xformable(stage.GetPrimAtPath("/World")).AddTranslateOp().Set(Gf.Vec3d(1.0, 0.0, 0.0))
+        UsdGeom.Xformable(stage.GetPrimAtPath("/World")).AddTranslateOp().Set(
+            Gf.Vec3d(1.0, 0.0, 0.0)
+        )
 
     scene, before = edited(SLIDER, tmp_path, edit), original(SLIDER)
     for body in before.bodies:
         shifted = np.add(body.pose.position_m, [1.0, 0.0, 0.0])
-        np.testing.assert_allclose(scene.body(body.name).pose.position_m, shifted, atol=1e-15)
+        np.testing.assert_allclose(
+            scene.body(body.name).pose.position_m, shifted, atol=1e-15
+        )
     assert scene.contacts == before.contacts
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------
 
 
-def orient(stage: Usd.Stage, path: str, turn: Callable[[float], Rotation], frames: range) -> None:
+def orient(
+    stage: Usd.Stage, path: str, turn: Callable[[float], Rotation], frames: range
+) -> None:
     attribute = stage.GetPrimAtPath(path).GetAttribute("xformOp:orient")
     for frame in frames:
         w, x, y, z = turn(frame / FRAME_RATE_HZ).as_quat(scalar_first=True)
@@ -326,13 +391,17 @@ def turning(turn: Callable[[float], Rotation]) -> Edit:
 
 def test_samples_that_stay_on_the_axis_keep_it_and_its_action(tmp_path: Path) -> None:
     before = original(TABLE)
-    scene = edited(TABLE, tmp_path, turning(lambda t: Rotation.from_rotvec([0, 0, 2.0 * t * t])))
+    scene = edited(
+        TABLE, tmp_path, turning(lambda t: Rotation.from_rotvec([0, 0, 2.0 * t * t]))
+    )
     (driver,), (was,) = scene.drivers, before.drivers
     (motion,), (old,) = driver.motions, was.motions
     assert replace(motion, profiles=old.profiles) == old
     assert isinstance(motion.profiles[0], SampledProfile)
     for frame in range(95):
-        assert motion.value(frame / FRAME_RATE_HZ) == pytest.approx(2.0 * (frame / FRAME_RATE_HZ) ** 2, abs=1e-9)
+        assert motion.value(frame / FRAME_RATE_HZ) == pytest.approx(
+            2.0 * (frame / FRAME_RATE_HZ) ** 2, abs=1e-9
+        )
     assert scene.bodies == before.bodies
     assert driver.provenance.startswith("nominal: edited in edited.usda")
 
@@ -345,7 +414,9 @@ def test_one_sample_that_is_edited_leaves_the_others(tmp_path: Path) -> None:
     high = np.add(was.pose(start, index / FRAME_RATE_HZ).position_m, [0.0, 0.01, 0.02])
 
     def edit(stage: Usd.Stage) -> None:
-        stage.GetPrimAtPath(f"/World/{was.body}").GetAttribute("xformOp:translate").Set(Gf.Vec3d(*high.tolist()), index)
+        stage.GetPrimAtPath(f"/World/{was.body}").GetAttribute("xformOp:translate").Set(
+            Gf.Vec3d(*high.tolist()), index
+        )
 
     (driver,) = edited(name, tmp_path, edit).drivers
     for frame in range(round(before.duration_s * FRAME_RATE_HZ) + 1):
@@ -370,18 +441,23 @@ def test_general_samples_are_reproduced(tmp_path: Path) -> None:
         w, x, y, z = (tumble(frame / FRAME_RATE_HZ)).as_quat(scalar_first=True).tolist()
         expected = Pose(position_m=start.position_m, quaternion=(w, x, y, z))
         assert pose_distance(driver.pose(start, frame / FRAME_RATE_HZ), expected) < 1e-9
-    assert [m.residual_rate for m in driver.motions if m.axis == (0.0, 0.0, 1.0) and m.kind == "rotate"] == [
-        original(TABLE).drivers[0].motions[0].residual_rate
-    ]
+    assert [
+        m.residual_rate
+        for m in driver.motions
+        if m.axis == (0.0, 0.0, 1.0) and m.kind == "rotate"
+    ] == [original(TABLE).drivers[0].motions[0].residual_rate]
 
 
 def test_a_quarter_turn_about_each_axis_in_turn_is_an_error(tmp_path: Path) -> None:
     def tumble(time_s: float) -> Rotation:
         third, phase = divmod(round(time_s * FRAME_RATE_HZ), 32)
-        return Rotation.from_rotvec(0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2 * np.eye(3)[third])
+        return Rotation.from_rotvec(
+            0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2 * np.eye(3)[third]
+        )
 
     with pytest.raises(
-        AssetError, match=r"/World/plate: the time samples of its transform: no three successive rotations"
+        AssetError,
+        match=r"/World/plate: the time samples of its transform: no three successive rotations",
     ):
         edited(TABLE, tmp_path, turning(tumble))
 
@@ -392,17 +468,25 @@ def test_the_exact_motion_can_be_edited_in_its_json(tmp_path: Path) -> None:
 
     def edit(stage: Usd.Stage) -> None:
         found = stage.GetPrimAtPath("/World/plate").GetAttribute(attribute)
-        found.Set(found.Get().replace(repr(before.drivers[0].motions[0].profiles[0].amount), "1.5"))
+        found.Set(
+            found.Get().replace(
+                repr(before.drivers[0].motions[0].profiles[0].amount), "1.5"
+            )
+        )
 
     (driver,) = edited(TABLE, tmp_path, edit).drivers
     assert driver.motions[0].profiles[0].amount == 1.5
     assert driver.provenance == "nominal: edited in edited.usda, was nominal"
 
 
-def test_a_driven_body_that_moves_with_its_samples_turns_about_its_new_place(tmp_path: Path) -> None:
+def test_a_driven_body_that_moves_with_its_samples_turns_about_its_new_place(
+    tmp_path: Path,
+) -> None:
     moved = Gf.Vec3d(0.5, 0.5, 0.178902)
     turn = turning(lambda t: Rotation.from_rotvec([0, 0, t]))
-    scene = edited(TABLE, tmp_path, both(setting("/World/plate", "xformOp:translate", moved), turn))
+    scene = edited(
+        TABLE, tmp_path, both(setting("/World/plate", "xformOp:translate", moved), turn)
+    )
     (driver,) = scene.drivers
     (motion,) = driver.motions
     np.testing.assert_allclose(motion.point_m[:2], (0.5, 0.5), atol=1e-9)
@@ -423,11 +507,19 @@ def test_without_samples_the_exact_motion_counts(tmp_path: Path) -> None:
 
 
 def pairs(scene: Scene) -> set[frozenset[str]]:
-    return {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
+    return {
+        frozenset(pair)
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+    }
 
 
 def test_a_collider_that_is_disabled_collides_no_more(tmp_path: Path) -> None:
-    scene = edited(TABLE, tmp_path, setting("/World/ground/collision", "physics:collisionEnabled", False))
+    scene = edited(
+        TABLE,
+        tmp_path,
+        setting("/World/ground/collision", "physics:collisionEnabled", False),
+    )
     assert scene.contacts == original(TABLE).contacts[:1]
     assert scene.bodies == original(TABLE).bodies
 
@@ -458,19 +550,31 @@ def test_balls_of_a_cradle_that_pass_each_other_leave_one_chain(tmp_path: Path) 
         filtered.CreateFilteredPairsRel().AddTarget(paths[other])
 
     scene = edited(CRADLE, tmp_path, edit)
-    listed = [frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)]
-    assert sorted(map(sorted, listed)) == sorted(map(sorted, pairs(before) - {frozenset((one, other))}))
+    listed = [
+        frozenset(pair)
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+    ]
+    assert sorted(map(sorted, listed)) == sorted(
+        map(sorted, pairs(before) - {frozenset((one, other))})
+    )
     assert scene.has_impact_chain
 
 
-def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(tmp_path: Path) -> None:
+def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(
+    tmp_path: Path,
+) -> None:
     name = "StickStack-soft"
 
     def edit(stage: Usd.Stage) -> None:
-        stage.GetPrimAtPath("/World/Contacts/contact_0").GetRelationship("gauge:second").AddTarget("/World/ground")
+        stage.GetPrimAtPath("/World/Contacts/contact_0").GetRelationship(
+            "gauge:second"
+        ).AddTarget("/World/ground")
 
     before = original(name)
-    assert edited(name, tmp_path, edit) == with_contact(before, 0, second=(*before.contacts[0].second, "ground"))
+    assert edited(name, tmp_path, edit) == with_contact(
+        before, 0, second=(*before.contacts[0].second, "ground")
+    )
 
 
 def test_a_body_that_is_added_collides_by_its_material(tmp_path: Path) -> None:
@@ -500,12 +604,18 @@ def test_a_body_that_is_added_collides_by_its_material(tmp_path: Path) -> None:
 DECLINED = {
     "both edited": (
         SLIDER,
-        both(setting("/World/cube", "gauge:mass_kg", 0.3), setting("/World/cube", "physics:mass", 0.2)),
+        both(
+            setting("/World/cube", "gauge:mass_kg", 0.3),
+            setting("/World/cube", "physics:mass", 0.2),
+        ),
         r"/World/cube.gauge:mass_kg: is 0.3 but /World/cube.physics:mass is 0.2",
     ),
     "static and dynamic": (
         SLIDER,
-        both(setting(MATERIAL, "physics:staticFriction", 0.3), setting(MATERIAL, "physics:dynamicFriction", 0.2)),
+        both(
+            setting(MATERIAL, "physics:staticFriction", 0.3),
+            setting(MATERIAL, "physics:dynamicFriction", 0.2),
+        ),
         r"staticFriction: is 0.3 but .*dynamicFriction is 0.2: make them agree",
     ),
     "pose of a driven body alone": (
@@ -530,7 +640,11 @@ DECLINED = {
     ),
     "attached vertices": (
         CLOTH,
-        setting("/World/Attachments/attachment_0", "omniphysics:vtxIndicesSrc0", Vt.IntArray([0])),
+        setting(
+            "/World/Attachments/attachment_0",
+            "omniphysics:vtxIndicesSrc0",
+            Vt.IntArray([0]),
+        ),
         r"vtxIndicesSrc0: was edited, but it follows from gauge:region_axis",
     ),
     "half of a hinge": (
@@ -540,19 +654,25 @@ DECLINED = {
     ),
     "another material": (
         SLIDER,
-        lambda stage: UsdShade.MaterialBindingAPI(stage.GetPrimAtPath("/World/cube")).Bind(
-            ice(stage), UsdShade.Tokens.weakerThanDescendants, "physics"
-        ),
+        lambda stage: UsdShade.MaterialBindingAPI(
+            stage.GetPrimAtPath("/World/cube")
+        ).Bind(ice(stage), UsdShade.Tokens.weakerThanDescendants, "physics"),
         r"/World/cube: is bound to /World/ice",
     ),
     "motion, both": (
         TABLE,
-        both(setting("/World/cube", "physics:kinematicEnabled", True), setting("/World/cube", "gauge:motion", "fixed")),
+        both(
+            setting("/World/cube", "physics:kinematicEnabled", True),
+            setting("/World/cube", "gauge:motion", "fixed"),
+        ),
         r"gauge:motion: is fixed, but UsdPhysics makes the body kinematic",
     ),
     "driver, both": (
         TABLE,
-        both(turning(lambda t: Rotation.from_rotvec([0, 0, 2.0 * t])), lambda stage: accelerate(stage)),
+        both(
+            turning(lambda t: Rotation.from_rotvec([0, 0, 2.0 * t])),
+            lambda stage: accelerate(stage),
+        ),
         r"gauge:driver: puts the body up to .* away from the time samples",
     ),
     "a driver that is no JSON": (
@@ -577,7 +697,9 @@ def ice(stage: Usd.Stage) -> UsdShade.Material:
 
 
 @pytest.mark.parametrize("case", DECLINED)
-def test_edits_that_contradict_each_other_are_errors_that_name_the_place(case: str, tmp_path: Path) -> None:
+def test_edits_that_contradict_each_other_are_errors_that_name_the_place(
+    case: str, tmp_path: Path
+) -> None:
     name, edit, message = DECLINED[case]
     with pytest.raises(AssetError, match=message) as caught:
         edited(name, tmp_path, edit)

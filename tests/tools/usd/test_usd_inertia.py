@@ -17,7 +17,9 @@ def test_a_stated_moment_of_inertia_survives_a_layer(tmp_path: Path) -> None:
     scene = load_experiment("CubeToss-acrylic").scene
     file = tmp_path / "cube.usda"
     to_usd(scene, file)
-    assert read_usd(file).scene.body("cube").inertia_kg_m2 == pytest.approx(8.1e-4, rel=1e-12)
+    assert read_usd(file).scene.body("cube").inertia_kg_m2 == pytest.approx(
+        8.1e-4, rel=1e-12
+    )
     stage = Usd.Stage.Open(str(file))
     cube = next(prim for prim in stage.Traverse() if prim.GetName() == "cube")
     UsdPhysics.MassAPI(cube).GetDiagonalInertiaAttr().Set(Gf.Vec3f(6.8e-4))

@@ -12,7 +12,16 @@ import pytest
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 
 from gauge_envs.errors import AssetError
-from gauge_envs.scene import Box, ConvexUnion, Hinge, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    Box,
+    ConvexUnion,
+    Hinge,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.usd.writer import to_usd
@@ -33,7 +42,9 @@ THROWN = RigidBody(
 SCENE = Scene(bodies=(THROWN,), duration_s=0.5)
 
 
-def written(tmp_path: Path, edit: Callable[[UsdPhysics.RigidBodyAPI], None] = lambda _: None) -> Path:
+def written(
+    tmp_path: Path, edit: Callable[[UsdPhysics.RigidBodyAPI], None] = lambda _: None
+) -> Path:
     """A layer of the scene after an edit of the body."""
     to_usd(SCENE, tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
@@ -47,7 +58,11 @@ def test_a_layer_keeps_every_digit(tmp_path: Path) -> None:
 
 
 def test_a_scene_at_rest_writes_no_velocity(tmp_path: Path) -> None:
-    rest = replace(THROWN, linear_velocity_m_per_s=(0.0, 0.0, 0.0), angular_velocity_rad_per_s=(0.0, 0.0, 0.0))
+    rest = replace(
+        THROWN,
+        linear_velocity_m_per_s=(0.0, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
+    )
     to_usd(replace(SCENE, bodies=(rest,)), tmp_path / "a.usda")
     assert "elocity" not in (tmp_path / "a.usda").read_text()
 
@@ -69,28 +84,42 @@ def test_an_edited_standard_velocity_counts(tmp_path: Path) -> None:
         rigid.GetAngularVelocityAttr().Set(Gf.Vec3f(0.0, 0.0, 0.0))
 
     body = from_usd(written(tmp_path, edit)).body("thrown")
-    assert body.linear_velocity_m_per_s == pytest.approx(POSE.rotation.apply([0.0, 0.0, 2.0]), abs=1e-12)
+    assert body.linear_velocity_m_per_s == pytest.approx(
+        POSE.rotation.apply([0.0, 0.0, 2.0]), abs=1e-12
+    )
     assert body.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
 
 
 def test_an_edited_double_counts(tmp_path: Path) -> None:
     edited = (3.0, 0.0, 0.1)
-    file = written(tmp_path, lambda rigid: rigid.GetPrim().GetAttribute("gauge:linear_velocity_m_per_s").Set(edited))
-    assert from_usd(file) == replace(SCENE, bodies=(replace(THROWN, linear_velocity_m_per_s=edited),))
+    file = written(
+        tmp_path,
+        lambda rigid: (
+            rigid.GetPrim().GetAttribute("gauge:linear_velocity_m_per_s").Set(edited)
+        ),
+    )
+    assert from_usd(file) == replace(
+        SCENE, bodies=(replace(THROWN, linear_velocity_m_per_s=edited),)
+    )
 
 
 def test_two_edits_that_disagree_are_an_error(tmp_path: Path) -> None:
     def edit(rigid: UsdPhysics.RigidBodyAPI) -> None:
-        rigid.GetPrim().GetAttribute("gauge:linear_velocity_m_per_s").Set((3.0, 0.0, 0.1))
+        rigid.GetPrim().GetAttribute("gauge:linear_velocity_m_per_s").Set(
+            (3.0, 0.0, 0.1)
+        )
         rigid.GetVelocityAttr().Set(Gf.Vec3f(0.0, 0.0, 2.0))
 
     with pytest.raises(
-        AssetError, match=r"/World/thrown: its gauge: velocities give physics:velocity .* make them agree"
+        AssetError,
+        match=r"/World/thrown: its gauge: velocities give physics:velocity .* make them agree",
     ):
         from_usd(written(tmp_path, edit))
 
 
-def foreign(tmp_path: Path, *, up: str, metres: float, edit: Callable[[UsdGeom.Xform], None]) -> RigidBody:
+def foreign(
+    tmp_path: Path, *, up: str, metres: float, edit: Callable[[UsdGeom.Xform], None]
+) -> RigidBody:
     """The ball of a layer of plain UsdPhysics, with a velocity of (100, 0, 0) units/s and (0, 0, 180) degrees/s."""
     stage = Usd.Stage.CreateInMemory()
     UsdGeom.SetStageUpAxis(stage, up)
@@ -119,7 +148,9 @@ def test_a_velocity_of_another_tool_is_in_its_units_and_axes(tmp_path: Path) -> 
 
 
 def test_a_velocity_turns_with_the_body(tmp_path: Path) -> None:
-    body = foreign(tmp_path, up="Z", metres=1.0, edit=lambda xform: xform.AddRotateZOp().Set(90.0))
+    body = foreign(
+        tmp_path, up="Z", metres=1.0, edit=lambda xform: xform.AddRotateZOp().Set(90.0)
+    )
     assert body.linear_velocity_m_per_s == pytest.approx((0.0, 100.0, 0.0))
     assert body.angular_velocity_rad_per_s == pytest.approx((0.0, 0.0, math.pi))
 
@@ -129,7 +160,9 @@ def test_a_collider_off_the_origin_moves_with_the_body(tmp_path: Path) -> None:
 
     def edit(xform: UsdGeom.Xform) -> None:
         xform.GetPrim().GetStage().DefinePrim("/ball/shape", "Sphere")
-        UsdGeom.Xformable(xform.GetPrim().GetStage().GetPrimAtPath("/ball/shape")).AddTranslateOp().Set((0.0, 1.0, 0.0))
+        UsdGeom.Xformable(
+            xform.GetPrim().GetStage().GetPrimAtPath("/ball/shape")
+        ).AddTranslateOp().Set((0.0, 1.0, 0.0))
 
     body = foreign(tmp_path, up="Z", metres=1.0, edit=edit)
     assert body.pose.position_m == pytest.approx((0.0, 1.0, 0.0))

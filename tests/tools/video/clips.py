@@ -9,7 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    Motion,
+    VideoTask,
+    video_task,
+)
 
 Draw = Callable[[NDArray[np.uint8], NDArray[np.float64], float], None]
 
@@ -50,7 +55,10 @@ def clip(
     place, truth, duration_s = _motion(task, rng)
     share = 1.0 + rng.normal(0.0, calibration_sigma)
     powers = {"a_m_s2": 1.0, "mte": 0.5}
-    truth = {metric: value * share ** powers.get(metric, 0.0) for metric, value in truth.items()}
+    truth = {
+        metric: value * share ** powers.get(metric, 0.0)
+        for metric, value in truth.items()
+    }
     scene = _scene(task, rng)
     frames = []
     sheet = rng.normal(0.0, noise, scene.shape)
@@ -71,7 +79,9 @@ def clip(
 
 def _motion(
     task: VideoTask, rng: np.random.Generator
-) -> tuple[Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float]:
+) -> tuple[
+    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
+]:
     """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
     start = np.array(task.centre_px)
     scale = task.scale_m_per_px
@@ -86,9 +96,13 @@ def _motion(
         def turning(time_s: float) -> tuple[NDArray[np.float64], float]:
             # A plate that starts at once would need more force than friction has.
             since = max(0.0, time_s - release)
-            angle = rate * (0.5 * since**2 / RAMP_S if since < RAMP_S else since - 0.5 * RAMP_S)
+            angle = rate * (
+                0.5 * since**2 / RAMP_S if since < RAMP_S else since - 0.5 * RAMP_S
+            )
             c, s = np.cos(angle), np.sin(angle)
-            return pivot + np.array([[c, -s], [s, c]]) @ offset, -float(np.degrees(angle))
+            return pivot + np.array([[c, -s], [s, c]]) @ offset, -float(
+                np.degrees(angle)
+            )
 
         return turning, {"de_n": 0.0}, release + 1.5
     if task.motion is Motion.PENDULUM:
@@ -97,7 +111,11 @@ def _motion(
         length = float(np.linalg.norm(start - pivot))
 
         def swinging(time_s: float) -> tuple[NDArray[np.float64], float]:
-            angle = amplitude * np.exp(-damping * time_s) * np.cos(2.0 * np.pi * time_s / period)
+            angle = (
+                amplitude
+                * np.exp(-damping * time_s)
+                * np.cos(2.0 * np.pi * time_s / period)
+            )
             return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
 
         return swinging, {"pd_s": period, "r2": 1.0}, 4.0
@@ -121,9 +139,13 @@ def _motion(
 
 def _straight(
     task: VideoTask, rng: np.random.Generator, release: float
-) -> tuple[Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float]:
+) -> tuple[
+    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
+]:
     start, scale = np.array(task.centre_px), task.scale_m_per_px
-    a = float(rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81))
+    a = float(
+        rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81)
+    )
     reach_m = (0.38 if task.motion is Motion.SLIDE else 0.44) * 1.0
     lasts = (2.0 * reach_m / a) ** 0.5
     direction = np.array(task.direction)
@@ -134,15 +156,25 @@ def _straight(
         late = time_s - release - lasts
         if task.motion is Motion.FALL and late > 0.0:
             s = max(0.0, s - 0.6 * a * lasts * late + 0.5 * a * late**2)
-        return start + direction * s / scale, 31.6 if task.motion is Motion.SLIDE else 0.0
+        return (
+            start + direction * s / scale,
+            31.6 if task.motion is Motion.SLIDE else 0.0,
+        )
 
-    return straight, {"a_m_s2": a}, release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2)
+    return (
+        straight,
+        {"a_m_s2": a},
+        release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2),
+    )
 
 
 def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
     """Return a still scene: what stands around the object in the first frames, in plain colours with some texture."""
     width, height = REFERENCE_SIZE_PX
-    is_dark = task.id in ("SlopeSlider-2-wood", "SlopeSlider-2-metal") or task.motion is Motion.TURN
+    is_dark = (
+        task.id in ("SlopeSlider-2-wood", "SlopeSlider-2-metal")
+        or task.motion is Motion.TURN
+    )
     scene = np.full((height, width, 3), 30 if is_dark else 205, dtype=np.uint8)
     if task.motion is Motion.SLIDE:
         cv2.line(scene, (670, 72), (150, 392), (150, 185, 215), 16, cv2.LINE_AA)
@@ -162,9 +194,18 @@ def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(scene + texture, 0, 255).astype(np.uint8)
 
 
-def _draw(task: VideoTask, picture: NDArray[np.uint8], place: NDArray[np.float64], angle_deg: float) -> None:
+def _draw(
+    task: VideoTask,
+    picture: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    angle_deg: float,
+) -> None:
     if task.motion in (Motion.SLIDE, Motion.TURN):
-        colour = {"wood": (105, 150, 195), "plastic": (40, 35, 25), "metal": (190, 185, 190)}[task.id.rsplit("-", 1)[1]]
+        colour = {
+            "wood": (105, 150, 195),
+            "plastic": (40, 35, 25),
+            "metal": (190, 185, 190),
+        }[task.id.rsplit("-", 1)[1]]
         half = 0.5 * task.size_px
         corners = cv2.boxPoints(((0.0, 0.0), (2 * half, 2 * half), -angle_deg))
         points = np.round((corners + place) * (1 << SHIFT)).astype(np.int32)
@@ -175,6 +216,13 @@ def _draw(task: VideoTask, picture: NDArray[np.uint8], place: NDArray[np.float64
     _disk(picture, place, 0.5 * task.size_px, (22, 22, 22))
 
 
-def _disk(picture: NDArray[np.uint8], place: NDArray[np.float64], radius: float, colour: tuple[int, int, int]) -> None:
+def _disk(
+    picture: NDArray[np.uint8],
+    place: NDArray[np.float64],
+    radius: float,
+    colour: tuple[int, int, int],
+) -> None:
     centre = tuple(round(value * (1 << SHIFT)) for value in place)
-    cv2.circle(picture, centre, round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT)
+    cv2.circle(
+        picture, centre, round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT
+    )

@@ -50,13 +50,20 @@ class Camera:
         """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
         world = self.point_m + points_m @ self.axes
         bent = np.array([*self.distortion, 0.0, 0.0])
-        return np.asarray(cv2.projectPoints(world, self.rvec, self.tvec, self.matrix, bent)[0][:, 0], dtype=float)
+        return np.asarray(
+            cv2.projectPoints(world, self.rvec, self.tvec, self.matrix, bent)[0][:, 0],
+            dtype=float,
+        )
 
-    def view(self, *, sigma_px: float = 0.0, sigma_m: float = 0.0, **motion: object) -> PlaneView:
+    def view(
+        self, *, sigma_px: float = 0.0, sigma_m: float = 0.0, **motion: object
+    ) -> PlaneView:
         """Return the view by the corners of a rectangle in the plane."""
         corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
         places = self.to_picture_px(corners)
-        pairs = PointPairs(px=places.tolist(), m=corners.tolist(), sigma_px=sigma_px, sigma_m=sigma_m)
+        pairs = PointPairs(
+            px=places.tolist(), m=corners.tolist(), sigma_px=sigma_px, sigma_m=sigma_m
+        )
         lens = Lens(matrix=self.matrix.tolist(), distortion=tuple(self.distortion))
         return PlaneView(size_px=SIZE_PX, source=pairs, lens=lens, **motion)
 
@@ -82,18 +89,35 @@ def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
 
 def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
     """Return a camera that looks at the origin of a vertical plane or, for a turntable, of a horizontal one."""
-    azimuth, height = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(15, 35)), np.radians(rng.uniform(10, 25))
-    away = np.array([np.sin(azimuth) * np.cos(height), -np.cos(azimuth) * np.cos(height), np.sin(height)])
+    azimuth, height = (
+        rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(15, 35)),
+        np.radians(rng.uniform(10, 25)),
+    )
+    away = np.array(
+        [
+            np.sin(azimuth) * np.cos(height),
+            -np.cos(azimuth) * np.cos(height),
+            np.sin(height),
+        ]
+    )
     normal, up = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     if motion is Motion.TURN:
-        away = np.array([np.sin(azimuth) * np.sin(height), -np.sin(height + 0.3), np.cos(height + 0.3)])
+        away = np.array(
+            [
+                np.sin(azimuth) * np.sin(height),
+                -np.sin(height + 0.3),
+                np.cos(height + 0.3),
+            ]
+        )
         normal, up = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
     eye = rng.uniform(1.1, 1.4) * away / np.linalg.norm(away)
     forward = -eye / np.linalg.norm(eye)
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(forward, right), forward])
-    matrix = np.array([[rng.uniform(1000, 1150), 0.0, 640.0], [0.0, 0.0, 360.0], [0.0, 0.0, 1.0]])
+    matrix = np.array(
+        [[rng.uniform(1000, 1150), 0.0, 640.0], [0.0, 0.0, 360.0], [0.0, 0.0, 1.0]]
+    )
     matrix[1, 1] = matrix[0, 0]
     return Camera(
         rvec=cv2.Rodrigues(rotation)[0][:, 0],
@@ -107,7 +131,12 @@ def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
 
 def _motion(
     name: str, rng: np.random.Generator
-) -> tuple[Callable[[float], tuple[FloatArray, float]], dict[str, float], float, dict[str, object]]:
+) -> tuple[
+    Callable[[float], tuple[FloatArray, float]],
+    dict[str, float],
+    float,
+    dict[str, object],
+]:
     """Return place [m] and rotation [rad] at a time, the truth, the duration [s], and what the view states of it."""
     motion, release = video_task(name).motion, float(rng.uniform(0.2, 0.4))
     if motion in (Motion.SLIDE, Motion.FALL):
@@ -141,10 +170,19 @@ def _motion(
         )
 
         def swinging(time_s: float) -> tuple[FloatArray, float]:
-            angle = swing * np.exp(-damping * time_s) * np.cos(2.0 * np.pi * time_s / period)
+            angle = (
+                swing
+                * np.exp(-damping * time_s)
+                * np.cos(2.0 * np.pi * time_s / period)
+            )
             return pivot + 0.27 * np.array([np.sin(angle), -np.cos(angle)]), 0.0
 
-        return swinging, {"pd_s": period}, 3.0, {"pivot_m": pivot, "pivot_sigma_m": 0.001}
+        return (
+            swinging,
+            {"pd_s": period},
+            3.0,
+            {"pivot_m": pivot, "pivot_sigma_m": 0.001},
+        )
     length, mte = 0.138, float(rng.uniform(0.5, 0.95))
     ratios = mte * np.array([1.04, 0.96])
     peaks = np.arccos(1.0 - ratios**2 * video_task(name).release_height_m / length)
@@ -158,4 +196,9 @@ def _motion(
                 angle = float(peak * np.sin(np.pi * since / 0.4))
         return pivot + length * np.array([np.sin(angle), -np.cos(angle)]), 0.0
 
-    return outgoing, {"mte": mte}, 2.0, {"pivot_m": pivot, "pivot_sigma_m": 0.0005, "length_m": length}
+    return (
+        outgoing,
+        {"mte": mte},
+        2.0,
+        {"pivot_m": pivot, "pivot_sigma_m": 0.0005, "length_m": length},
+    )

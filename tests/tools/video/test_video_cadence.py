@@ -22,7 +22,11 @@ def shown(motion: np.ndarray, source_fps: float, fps: float) -> np.ndarray:
     """Return differences of frames that show the latest picture of a source with these differences."""
     count = int(len(motion) * fps / source_fps)
     pictures = (np.arange(count) * source_fps / fps + 1e-9).astype(int)
-    differences = np.where(np.diff(pictures, prepend=-1) > 0, motion[np.minimum(pictures, len(motion) - 1)], 3.0)
+    differences = np.where(
+        np.diff(pictures, prepend=-1) > 0,
+        motion[np.minimum(pictures, len(motion) - 1)],
+        3.0,
+    )
     differences[0] = np.inf
     return np.asarray(differences)
 
@@ -30,7 +34,10 @@ def shown(motion: np.ndarray, source_fps: float, fps: float) -> np.ndarray:
 MOTION = np.r_[np.full(15, 3.0), np.linspace(20.0, 120.0, 30), np.full(15, 3.0)]
 
 
-@pytest.mark.parametrize(("source", "fps"), [(25.0, 30.0), (24.0, 30.0), (15.0, 30.0), (24.0, 60.0), (12.0, 60.0)])
+@pytest.mark.parametrize(
+    ("source", "fps"),
+    [(25.0, 30.0), (24.0, 30.0), (15.0, 30.0), (24.0, 60.0), (12.0, 60.0)],
+)
 def test_pictures_that_are_shown_again_are_left_out(source: float, fps: float) -> None:
     found = cadence_of(shown(MOTION, source, fps), fps)
     assert found.fps == pytest.approx(source)
@@ -71,10 +78,16 @@ def test_stated_times_are_used_where_they_are_not_uniform() -> None:
 
 def test_25_pictures_shown_at_30_give_the_true_acceleration() -> None:
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=25.0)
-    frames = [frame for number, frame in enumerate(one.frames) for _ in range(2 if number % 5 == 4 else 1)]
+    frames = [
+        frame
+        for number, frame in enumerate(one.frames)
+        for _ in range(2 if number % 5 == 4 else 1)
+    ]
     result = score(frames, 30.0, one.task)
     assert result.grade is Grade.VALID, result.reasons
-    assert result.reasons[0].startswith("1 of every 6 frames show the picture before again")
+    assert result.reasons[0].startswith(
+        "1 of every 6 frames show the picture before again"
+    )
     assert result.metrics["a_m_s2"] == pytest.approx(one.truth["a_m_s2"], rel=0.02)
 
 
@@ -82,7 +95,11 @@ def test_25_pictures_shown_at_30_give_the_true_acceleration() -> None:
 def test_repeated_pictures_are_no_force_on_a_turntable() -> None:
     # Counted as pictures of their own, they give 0.09 N.
     one = clip("Turntable-2-metal", np.random.default_rng(3), fps=25.0)
-    frames = [frame for number, frame in enumerate(one.frames) for _ in range(2 if number % 5 == 4 else 1)]
+    frames = [
+        frame
+        for number, frame in enumerate(one.frames)
+        for _ in range(2 if number % 5 == 4 else 1)
+    ]
     result = score(frames, 30.0, one.task)
     assert result.grade is Grade.VALID, result.reasons
     assert result.metrics["de_n"] == pytest.approx(one.truth["de_n"], abs=0.01)
@@ -91,7 +108,9 @@ def test_repeated_pictures_are_no_force_on_a_turntable() -> None:
 def test_files_that_are_cut_off_are_named(tmp_path: Path) -> None:
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=12.0)
     for name, code in (("whole.avi", "MJPG"), ("whole.mp4", "mp4v")):
-        writer = cv2.VideoWriter(str(tmp_path / name), cv2.VideoWriter_fourcc(*code), 12.0, (832, 480))
+        writer = cv2.VideoWriter(
+            str(tmp_path / name), cv2.VideoWriter_fourcc(*code), 12.0, (832, 480)
+        )
         for frame in one.frames:
             writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
         writer.release()
@@ -99,8 +118,13 @@ def test_files_that_are_cut_off_are_named(tmp_path: Path) -> None:
     (tmp_path / "cut.avi").write_bytes(packed[: int(0.7 * len(packed))])
     (tmp_path / "short.avi").write_bytes(packed[: int(0.1 * len(packed))])
     reasons = score(tmp_path / "cut.avi", None, one.task).reasons
-    assert any(f"states {len(one.frames)} frames, and" in reason for reason in reasons), reasons
-    with pytest.raises(VideoError, match=f"that can be decoded, of the {len(one.frames)} that it states"):
+    assert any(
+        f"states {len(one.frames)} frames, and" in reason for reason in reasons
+    ), reasons
+    with pytest.raises(
+        VideoError,
+        match=f"that can be decoded, of the {len(one.frames)} that it states",
+    ):
         track_object(FileFrames(tmp_path / "short.avi"), video_task(one.task))
     # An MP4 holds its table of contents at the end.
     packed = (tmp_path / "whole.mp4").read_bytes()

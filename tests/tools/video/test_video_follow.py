@@ -26,20 +26,32 @@ def test_a_likelier_place_far_away_is_left_out(decoys: int) -> None:
 
 
 def test_a_gap_is_bridged_and_stays_empty() -> None:
-    frames = [[sight(4.0 * number, 0.7)] if not 6 <= number < 12 else [] for number in range(20)]
+    frames = [
+        [sight(4.0 * number, 0.7)] if not 6 <= number < 12 else []
+        for number in range(20)
+    ]
     path = best_path(frames, np.zeros(2), 50.0)
-    assert [number for number, one in enumerate(path) if not np.isfinite(one.x_px)] == list(range(6, 12))
+    assert [
+        number for number, one in enumerate(path) if not np.isfinite(one.x_px)
+    ] == list(range(6, 12))
 
 
 def test_nothing_is_found_where_there_is_no_candidate() -> None:
-    assert all(one.likeness == 0.0 for one in best_path([[], [], []], np.zeros(2), 50.0))
+    assert all(
+        one.likeness == 0.0 for one in best_path([[], [], []], np.zeros(2), 50.0)
+    )
 
 
 def test_a_struck_ball_is_followed_from_where_it_hangs() -> None:
     swing = [20.0, 75.0, 120.0, 150.0, 160.0, 150.0, 120.0, 75.0, 20.0]
-    frames = [[sight(x, 0.6)] if x else [] for x in [0.0] * 9 + swing + [0.0] * 9 + swing]
+    frames = [
+        [sight(x, 0.6)] if x else [] for x in [0.0] * 9 + swing + [0.0] * 9 + swing
+    ]
     found = {
-        struck: [one.likeness > 0.0 for one in best_path(frames, np.zeros(2), 20.0, 30.0, is_struck=struck)]
+        struck: [
+            one.likeness > 0.0
+            for one in best_path(frames, np.zeros(2), 20.0, 30.0, is_struck=struck)
+        ]
         for struck in (True, False)
     }
     assert found[True] == [bool(ones) for ones in frames]
@@ -49,9 +61,17 @@ def test_a_struck_ball_is_followed_from_where_it_hangs() -> None:
 def test_only_balls_of_the_cradle_are_its_balls() -> None:
     task = video_task("NewtonsCradle-metal")
     assert task.pivot_px is not None and task.rest_px is not None
-    length, first_x = task.rest_px[1] - task.pivot_px[1], task.pivot_px[0] - 4.0 * task.size_px
+    length, first_x = (
+        task.rest_px[1] - task.pivot_px[1],
+        task.pivot_px[0] - 4.0 * task.size_px,
+    )
     at = 0.7 * length
-    places = {"row": (first_x, task.rest_px[1]), "arc": (first_x - at, task.pivot_px[1] + math.sqrt(length**2 - at**2))}
+    places = {
+        "row": (first_x, task.rest_px[1]),
+        "arc": (first_x - at, task.pivot_px[1] + math.sqrt(length**2 - at**2)),
+    }
     for x, y in places.values():
         assert _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
-    assert not _is_neighbour(Sight(x_px=first_x - 50.0, y_px=task.pivot_px[1] + 150.0, likeness=1.0), task)
+    assert not _is_neighbour(
+        Sight(x_px=first_x - 50.0, y_px=task.pivot_px[1] + 150.0, likeness=1.0), task
+    )

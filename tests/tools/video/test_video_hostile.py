@@ -41,11 +41,16 @@ def test_a_damaged_track_is_an_error(text: str, reason: str, tmp_path: Path) -> 
         ("a = " + "[" * 5000, "nested too deeply"),
         ("a." * 5000 + "b = 1", "dots between two delimiters"),
         (CAMERA.format(size=f"[{HUGE}, 1]", px=POINTS, sigma=0.5), "size_px.0: "),
-        (CAMERA.format(size="[1280, 720]", px=f"[[{HUGE}, 1]]", sigma=0.5), "points.px.0.0: "),
+        (
+            CAMERA.format(size="[1280, 720]", px=f"[[{HUGE}, 1]]", sigma=0.5),
+            "points.px.0.0: ",
+        ),
         (CAMERA.format(size="[1280, 720]", px=POINTS, sigma=HUGE), "points.sigma_px: "),
     ],
 )
-def test_a_damaged_camera_file_is_an_error(text: str, reason: str, tmp_path: Path) -> None:
+def test_a_damaged_camera_file_is_an_error(
+    text: str, reason: str, tmp_path: Path
+) -> None:
     file = tmp_path / "camera.toml"
     file.write_text(text)
     with pytest.raises(VideoError, match=reason):
@@ -62,5 +67,7 @@ def test_a_camera_in_json_is_not_nested_without_end(tmp_path: Path) -> None:
 def test_a_size_is_two_numbers(size: str, tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
     options = ["--id", "SlopeSlider-2-wood", "fps=30", f"size={size}"]
-    result = CliRunner().invoke(app, ["video", "score", str(tmp_path / "track.csv"), *options])
+    result = CliRunner().invoke(
+        app, ["video", "score", str(tmp_path / "track.csv"), *options]
+    )
     assert result.exit_code == 2 and "give width and height in pixels" in result.stderr

@@ -31,7 +31,9 @@ def test_acceleration_from_rest_is_exact() -> None:
 @pytest.mark.parametrize("release_s", [-0.02, 0.0, 0.013, 0.03])
 def test_a_release_between_two_frames_is_found(release_s: float) -> None:
     moving = np.maximum(TIMES_S - release_s, 0.0)
-    fit = fit_constant_acceleration(TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=1 / 30)
+    fit = fit_constant_acceleration(
+        TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=1 / 30
+    )
     assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-4)
     assert fit.release_s == pytest.approx(release_s, abs=1e-4)
 
@@ -44,13 +46,18 @@ def test_qfi_is_the_f_statistic_of_the_nested_models() -> None:
     quadratic = np.polynomial.Polynomial.fit(u, s, 2)
     sse = [float(((s - model(u)) ** 2).sum()) for model in (linear, quadratic)]
     expected = (sse[0] - sse[1]) / (sse[1] / (TIMES_S.size - 3))
-    assert fit_constant_acceleration(TIMES_S, s).qfi == pytest.approx(expected, rel=1e-6)
+    assert fit_constant_acceleration(TIMES_S, s).qfi == pytest.approx(
+        expected, rel=1e-6
+    )
 
 
 def test_qfi_of_noise_follows_the_f_distribution() -> None:
     rng = np.random.default_rng(1)
     values = [
-        fit_constant_acceleration(TIMES_S, TIMES_S**2 + rng.normal(0.0, 0.01, TIMES_S.size)).qfi for _ in range(400)
+        fit_constant_acceleration(
+            TIMES_S, TIMES_S**2 + rng.normal(0.0, 0.01, TIMES_S.size)
+        ).qfi
+        for _ in range(400)
     ]
     assert stats.kstest(values, stats.f(1, TIMES_S.size - 3).cdf).pvalue > 0.01
 
@@ -58,7 +65,9 @@ def test_qfi_of_noise_follows_the_f_distribution() -> None:
 def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction() -> None:
     radius_m, rate = 0.1, 8.0
     times_s = np.arange(300) / 240.0
-    circle = radius_m * np.column_stack([np.cos(rate * times_s), np.sin(rate * times_s)])
+    circle = radius_m * np.column_stack(
+        [np.cos(rate * times_s), np.sin(rate * times_s)]
+    )
     error = dynamic_error(times_s, circle, mass_kg=0.09, friction=0.38)
     # Three points of a circle give the acceleration 2 r (1 - cos(w dt)) / dt^2.
     a = 2.0 * radius_m * (1.0 - np.cos(rate / 240.0)) * 240.0**2
@@ -70,7 +79,9 @@ def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction() ->
 def test_accelerations_over_a_gap_are_exact_for_a_parabola() -> None:
     times_s = np.array([0.0, 0.1, 0.4, 0.5, 0.9])
     parabola = np.column_stack([1.5 * times_s**2, 0.2 * times_s])
-    assert dynamic_error(times_s, parabola, mass_kg=1.0, friction=0.0).accelerations_m_per_s2 == pytest.approx(3.0)
+    assert dynamic_error(
+        times_s, parabola, mass_kg=1.0, friction=0.0
+    ).accelerations_m_per_s2 == pytest.approx(3.0)
 
 
 def test_momentum_transfer_averages_the_ratios_of_speeds() -> None:
@@ -81,7 +92,9 @@ def test_momentum_transfer_averages_the_ratios_of_speeds() -> None:
         momentum_transfer(0.0, [0.1])
 
 
-@pytest.mark.parametrize(("period_s", "damping"), [(1.06, 0.05), (0.4, 0.0), (6.0, -0.2), (2.3, 1.0)])
+@pytest.mark.parametrize(
+    ("period_s", "damping"), [(1.06, 0.05), (0.4, 0.0), (6.0, -0.2), (2.3, 1.0)]
+)
 def test_damped_oscillation_is_found(period_s: float, damping: float) -> None:
     times_s = np.arange(150) / 25.0
     omega = 2.0 * np.pi / period_s
@@ -97,11 +110,15 @@ def test_damped_oscillation_with_gaps_and_noise() -> None:
     rng = np.random.default_rng(2)
     times_s = np.arange(200) / 30.0
     kept = rng.random(times_s.size) > 0.4
-    angles = 0.2 * np.cos(2.0 * np.pi * times_s / 1.06) + rng.normal(0.0, 0.01, times_s.size)
+    angles = 0.2 * np.cos(2.0 * np.pi * times_s / 1.06) + rng.normal(
+        0.0, 0.01, times_s.size
+    )
     fit = fit_damped_oscillation(times_s[kept], angles[kept])
     assert fit.period_s == pytest.approx(1.06, rel=2e-3)
     guess = (fit.damping_per_s, 2.0 * np.pi / fit.period_s)
-    assert fit_damped_oscillation(times_s[kept], angles[kept], guess=guess).period_s == pytest.approx(fit.period_s)
+    assert fit_damped_oscillation(
+        times_s[kept], angles[kept], guess=guess
+    ).period_s == pytest.approx(fit.period_s)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +130,9 @@ def test_damped_oscillation_with_gaps_and_noise() -> None:
         ([0.0, 0.1, 0.2, 0.3], [0.0, 0.1], "must match"),
     ],
 )
-def test_samples_that_cannot_be_fitted_are_errors(times_s: list[float], values: list[float], message: str) -> None:
+def test_samples_that_cannot_be_fitted_are_errors(
+    times_s: list[float], values: list[float], message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         fit_constant_acceleration(times_s, values)
 
@@ -126,14 +145,19 @@ def test_an_angle_that_does_not_change_is_an_error() -> None:
 @pytest.mark.parametrize("release_s", [0.31, 0.35, 0.42])
 def test_rest_and_law_meet_at_the_release(release_s: float) -> None:
     moving = np.maximum(TIMES_S - release_s, 0.0)
-    fit = fit_constant_acceleration(TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=0.13, release_s=0.36)
+    fit = fit_constant_acceleration(
+        TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=0.13, release_s=0.36
+    )
     assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-4)
     assert fit.release_s == pytest.approx(release_s, abs=1e-4)
 
 
 def test_form_is_the_same_for_any_scale() -> None:
     steady = 0.3 * TIMES_S
-    fits = [fit_constant_acceleration(TIMES_S, scale * steady) for scale in (0.01, 1.0, 50.0)]
+    fits = [
+        fit_constant_acceleration(TIMES_S, scale * steady)
+        for scale in (0.01, 1.0, 50.0)
+    ]
     assert [fit.form for fit in fits] == pytest.approx([fits[0].form] * 3)
     # The best a + b t^2 of t on 0..1 leaves 1/sqrt(5) - ... of its spread: sqrt(1/12 - 15/256) of the distance.
     assert fits[0].form == pytest.approx((1 / 12 - 5 / 64) ** 0.5, abs=4e-3)
@@ -142,7 +166,9 @@ def test_form_is_the_same_for_any_scale() -> None:
 def test_monotone_misfit_pools_what_falls() -> None:
     assert monotone_misfit([1.0, 2.0, 2.0, 5.0], is_rising=True) == 0.0
     # The pair 3, 1 is pooled to 2: two residuals of 1 of four values with the mean 2.
-    assert monotone_misfit([1.0, 3.0, 1.0, 3.0], is_rising=True) == pytest.approx(0.5**0.5 / 2.0)
+    assert monotone_misfit([1.0, 3.0, 1.0, 3.0], is_rising=True) == pytest.approx(
+        0.5**0.5 / 2.0
+    )
     assert monotone_misfit([3.0, 1.0], is_rising=False) == 0.0
 
 

@@ -30,7 +30,13 @@ from gauge_envs.tools.video import (  # noqa: E402
 )
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX  # noqa: E402
 
-TASKS = ("SlopeSlider-2-metal", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
+TASKS = (
+    "SlopeSlider-2-metal",
+    "BouncingBall-rubber",
+    "Turntable-2-metal",
+    "NewtonsCradle-metal",
+    "Pendulum-metal",
+)
 SCORING = Path(__file__).parents[3] / "scoring"
 FACTS = SCORING / "facts" / "recordings"
 
@@ -47,7 +53,9 @@ METRES = "m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]\nsigma_px = 0
 SIZE = "size_px = [1280, 720]\n"
 
 
-def _track(places_px: NDArray[np.float64], frames: NDArray[np.int64], fps: float) -> Track:
+def _track(
+    places_px: NDArray[np.float64], frames: NDArray[np.int64], fps: float
+) -> Track:
     """Return a track from places in the pictures of 1280 x 720 pixels."""
     return Track(
         frames=frames,
@@ -81,8 +89,12 @@ def test_a_view_agrees_with_opencv(task: str) -> None:
     places_m = np.random.default_rng(4).uniform(-0.25, 0.25, (50, 2))
     view = camera.view()
     # OpenCV takes five steps to straighten a lens, which leave 0.01 px at the edge.
-    assert view.to_picture_px(places_m) == pytest.approx(camera.to_picture_px(places_m), abs=0.01)
-    assert view.to_plane_m(camera.to_picture_px(places_m)) == pytest.approx(places_m, abs=1e-5)
+    assert view.to_picture_px(places_m) == pytest.approx(
+        camera.to_picture_px(places_m), abs=0.01
+    )
+    assert view.to_plane_m(camera.to_picture_px(places_m)) == pytest.approx(
+        places_m, abs=1e-5
+    )
 
 
 def test_four_points_are_enough(tmp_path: Path) -> None:
@@ -90,11 +102,18 @@ def test_four_points_are_enough(tmp_path: Path) -> None:
     file = tmp_path / "camera.json"
     px = [[400, 600], [900, 600], [800, 300], [500, 300]]
     m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]
-    values = {"size_px": [1280, 720], "points": {"px": px, "m": m, "sigma_px": 0.5, "sigma_m": 0.001}}
+    values = {
+        "size_px": [1280, 720],
+        "points": {"px": px, "m": m, "sigma_px": 0.5, "sigma_m": 0.001},
+    }
     file.write_text(json.dumps(values), encoding="utf-8")
     view = read_camera(file)
-    assert view.to_plane_m(np.array(px, dtype=float)) == pytest.approx(np.array(m), abs=1e-7)
-    assert view.to_plane_m(np.array([[650.0, 412.5]])) == pytest.approx(np.zeros((1, 2)), abs=1e-7)
+    assert view.to_plane_m(np.array(px, dtype=float)) == pytest.approx(
+        np.array(m), abs=1e-7
+    )
+    assert view.to_plane_m(np.array([[650.0, 412.5]])) == pytest.approx(
+        np.zeros((1, 2)), abs=1e-7
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,9 +124,21 @@ def test_four_points_are_enough(tmp_path: Path) -> None:
         (SIZE + "[board]\nsquare_m = 0\n", "board.square_m: .*given: 0"),
         (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
         (SIZE + POINTS + METRES + "sigma = 1\n", "points.sigma: unknown key"),
-        (SIZE + POINTS + METRES + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),
-        (SIZE + POINTS + METRES + "[motion]\ndirection = [0, 0]\n", "direction is zero"),
-        (SIZE + POINTS + METRES + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n", "no camera matrix"),
+        (
+            SIZE + POINTS + METRES + "[motion]\npivot_m = [0.1, 0.2]\n",
+            "pivot_sigma_m go together",
+        ),
+        (
+            SIZE + POINTS + METRES + "[motion]\ndirection = [0, 0]\n",
+            "direction is zero",
+        ),
+        (
+            SIZE
+            + POINTS
+            + METRES
+            + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n",
+            "no camera matrix",
+        ),
         (
             "size_px = [1280, 720]\n[points]\npx = [[0, 0], [1, 0], [1, 1]]\nm = [[0, 0], [1, 0], [1, 1]]\n"
             "sigma_px = 1\nsigma_m = 0\n",
@@ -121,7 +152,9 @@ def test_four_points_are_enough(tmp_path: Path) -> None:
         ("size_px = [1280", "TOML"),
     ],
 )
-def test_a_damaged_camera_file_is_an_error(text: str, message: str, tmp_path: Path) -> None:
+def test_a_damaged_camera_file_is_an_error(
+    text: str, message: str, tmp_path: Path
+) -> None:
     file = tmp_path / "camera.toml"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(VideoError, match=message):
@@ -134,16 +167,29 @@ def test_the_command_takes_a_track_and_a_camera(tmp_path: Path) -> None:
     camera.write_text(SIZE + POINTS + METRES, encoding="utf-8")
     rows = [f"{frame},{x},{y}" for frame, (x, y) in enumerate(clip.places_px)]
     track.write_text("\n".join(["frame,x,y", *rows]), encoding="utf-8")
-    arguments = ["video", "score", str(track), "--id", clip.task, "--camera", str(camera), "fps=50"]
+    arguments = [
+        "video",
+        "score",
+        str(track),
+        "--id",
+        clip.task,
+        "--camera",
+        str(camera),
+        "fps=50",
+    ]
     outcome = CliRunner().invoke(app, [*arguments, "--json"])
     by_hand = score_track(
-        _track(clip.places_px, np.arange(len(rows)), FPS), video_task(clip.task), camera=read_camera(camera)
+        _track(clip.places_px, np.arange(len(rows)), FPS),
+        video_task(clip.task),
+        camera=read_camera(camera),
     )
     # Pixels of the track are those of the camera file.
     assert json.loads(outcome.stdout)["metrics"] == pytest.approx(by_hand.metrics)
     arguments[2] = str(track.with_suffix(".mp4"))
     outcome = CliRunner().invoke(app, arguments)
-    assert outcome.exit_code == 2 and "needs --camera and object=" in " ".join(outcome.output.split())
+    assert outcome.exit_code == 2 and "needs --camera and object=" in " ".join(
+        outcome.output.split()
+    )
 
 
 # --- known motions ---------------------------------------------------------------------------------------------------
@@ -153,7 +199,11 @@ def test_the_command_takes_a_track_and_a_camera(tmp_path: Path) -> None:
 def test_a_track_of_an_oblique_camera_gives_the_constant(task: str) -> None:
     clip = oblique_clip(task, np.random.default_rng(0))
     result = score_track(_clip_track(clip), video_task(task), camera=clip.from_points)
-    assert all(_holds(result, clip.truth)), (clip.truth, result.metrics, result.uncertainty)
+    assert all(_holds(result, clip.truth)), (
+        clip.truth,
+        result.metrics,
+        result.uncertainty,
+    )
 
 
 @pytest.mark.slow
@@ -161,8 +211,16 @@ def test_a_wrong_scale_changes_the_acceleration() -> None:
     clip = oblique_clip("BouncingBall-rubber", np.random.default_rng(0))
     source = clip.from_points.source
     assert isinstance(source, PointPairs)
-    wrong = replace(clip.from_points, source=source.model_copy(update={"m": 1.25 * np.array(source.m)}))
-    assert not any(_holds(score_track(_clip_track(clip), video_task(clip.task), camera=wrong), clip.truth))
+    wrong = replace(
+        clip.from_points,
+        source=source.model_copy(update={"m": 1.25 * np.array(source.m)}),
+    )
+    assert not any(
+        _holds(
+            score_track(_clip_track(clip), video_task(clip.task), camera=wrong),
+            clip.truth,
+        )
+    )
 
 
 @pytest.mark.slow
@@ -171,7 +229,16 @@ def test_twenty_cameras_hold_the_truth(task: str) -> None:
     held = []
     for seed in range(20):
         clip = oblique_clip(task, np.random.default_rng(seed))
-        held.append(all(_holds(score_track(_clip_track(clip), video_task(task), camera=clip.from_points), clip.truth)))
+        held.append(
+            all(
+                _holds(
+                    score_track(
+                        _clip_track(clip), video_task(task), camera=clip.from_points
+                    ),
+                    clip.truth,
+                )
+            )
+        )
     # Of 20 intervals of 95 %, fewer than 17 hold the truth with a probability of 1.6 %.
     assert sum(held) >= 17
 
@@ -182,11 +249,18 @@ def test_twenty_cameras_hold_the_truth(task: str) -> None:
 def _recorded(name: str) -> dict[str, NDArray[np.float64]]:
     with (FACTS / f"{name}.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    return {key: np.array([float(row[key]) if row[key] else math.nan for row in rows]) for key in rows[0]}
+    return {
+        key: np.array([float(row[key]) if row[key] else math.nan for row in rows])
+        for key in rows[0]
+    }
 
 
-def _recording(point_m: tuple[float, ...], axes: tuple[tuple[float, ...], ...]) -> Camera:
-    return Camera(**RECORDED, point_m=np.array(point_m), axes=np.array(axes, dtype=float))
+def _recording(
+    point_m: tuple[float, ...], axes: tuple[tuple[float, ...], ...]
+) -> Camera:
+    return Camera(
+        **RECORDED, point_m=np.array(point_m), axes=np.array(axes, dtype=float)
+    )
 
 
 def test_the_recorded_pendulum_has_its_period() -> None:
@@ -194,8 +268,13 @@ def test_the_recorded_pendulum_has_its_period() -> None:
     used = recorded["used"] == 1
     # The camera looks along -y: to the right is -x.
     camera = _recording((0.36, 0.4705, 0.3), ((-1, 0, 0), (0, 0, 1)))
-    view = camera.view(sigma_m=0.003, pivot_m=np.array([0.0005, 0.1634]), pivot_sigma_m=0.008)
-    places = np.column_stack([360.0 - recorded["x_mm"], recorded["z_mm"] - 300.0])[used] / 1e3
+    view = camera.view(
+        sigma_m=0.003, pivot_m=np.array([0.0005, 0.1634]), pivot_sigma_m=0.008
+    )
+    places = (
+        np.column_stack([360.0 - recorded["x_mm"], recorded["z_mm"] - 300.0])[used]
+        / 1e3
+    )
     frames = np.round(recorded["time_s"][used] * 18).astype(np.int64)
     track = _track(camera.to_picture_px(places), frames, 18)
     result = score_track(track, video_task("Pendulum-metal"), camera=view)
@@ -210,7 +289,9 @@ def test_the_recorded_turntable_holds_its_cube() -> None:
     places = np.column_stack([recorded["x_mm"] - 410.0, recorded["y_mm"] - 410.0]) / 1e3
     frames = np.round(recorded["time_s"] * 25).astype(np.int64)
     track = _track(camera.to_picture_px(places), frames, 25)
-    result = score_track(track, video_task("Turntable-2-metal"), camera=camera.view(sigma_m=0.002))
+    result = score_track(
+        track, video_task("Turntable-2-metal"), camera=camera.view(sigma_m=0.002)
+    )
     assert all(_holds(result, {"de_n": 0.0}))
 
 
@@ -222,7 +303,9 @@ def _trials(name: str, column: str) -> NDArray[np.float64]:
     with (SCORING / "trials" / f"{name}.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     names = [key for key in rows[0] if key.endswith(column)]
-    return np.array([[float(row[key]) for row in rows if row[key]] for key in names]) / 1e3
+    return (
+        np.array([[float(row[key]) for row in rows if row[key]] for key in names]) / 1e3
+    )
 
 
 @pytest.mark.slow
@@ -230,7 +313,9 @@ def _trials(name: str, column: str) -> NDArray[np.float64]:
 def test_real_slides_have_their_acceleration(material: str) -> None:
     task = video_task(f"SlopeSlider-2-{material}")
     assert task.direction is not None
-    facts = tomllib.loads((SCORING / "facts" / "slope_slider_30deg_summary.toml").read_text())[material]
+    facts = tomllib.loads(
+        (SCORING / "facts" / "slope_slider_30deg_summary.toml").read_text()
+    )[material]
     found = []
     for along_m in _trials(task.id, ".downhill"):
         along_px = (along_m - along_m[0]) / task.scale_m_per_px
@@ -247,4 +332,6 @@ def test_real_slides_have_their_acceleration(material: str) -> None:
         found.append(result.metrics["a_m_s2"])
     assert len(found) == facts["trial_count"]
     # The law starts from rest. Two trials of plastic move at the first frame already, and get 3.3 and 3.4 m/s^2.
-    assert np.median(found) == pytest.approx(facts["acceleration_m_s2"]["median"], rel=0.01)
+    assert np.median(found) == pytest.approx(
+        facts["acceleration_m_s2"]["median"], rel=0.01
+    )

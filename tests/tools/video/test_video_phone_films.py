@@ -20,9 +20,21 @@ from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
-from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, score_track, video_task  # noqa: E402
+from gauge_envs.tools.video import (  # noqa: E402
+    PlaneView,
+    PointPairs,
+    Track,
+    read_camera,
+    score_track,
+    video_task,
+)
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
-from gauge_envs.tools.video.phone_films import FrontalFilm, charuco, resistance, restitution  # noqa: E402
+from gauge_envs.tools.video.phone_films import (  # noqa: E402
+    FrontalFilm,
+    charuco,
+    resistance,
+    restitution,
+)
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
 
@@ -46,7 +58,9 @@ def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str) -> None:
         return
     picture = Image.open(file)
     mm_per_px = 25.4 / picture.info["dpi"][0]
-    corners, ids, *_ = cv2.aruco.CharucoDetector(charuco()).detectBoard(np.asarray(picture))
+    corners, ids, *_ = cv2.aruco.CharucoDetector(charuco()).detectBoard(
+        np.asarray(picture)
+    )
     places = corners.reshape(-1, 2) * mm_per_px
     assert len(ids) == 24
     assert np.linalg.norm(places[5] - places[0]) == pytest.approx(5 * 30.0, rel=1e-3)
@@ -56,14 +70,24 @@ def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str) -> None:
 
 def test_a_board_of_another_kind_is_refused(tmp_path: Path) -> None:
     outcome = run("video", "board", tmp_path / "board.jpg")
-    assert outcome.exit_code == 2 and "give a .png or .pdf" in " ".join(outcome.output.split())
+    assert outcome.exit_code == 2 and "give a .png or .pdf" in " ".join(
+        outcome.output.split()
+    )
 
 
 @pytest.mark.slow
 def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path) -> None:
     one = shot("slide", 5, tmp_path)
     box = ",".join(f"{value:.1f}" for value in one.box_px)
-    words = ["--id", "slide", "--camera", one.camera, f"object={box}", "--out", tmp_path / "drawn"]
+    words = [
+        "--id",
+        "slide",
+        "--camera",
+        one.camera,
+        f"object={box}",
+        "--out",
+        tmp_path / "drawn",
+    ]
     outcome = run("video", "score", one.video, *words, "--json")
     assert outcome.exit_code == 0, outcome.output
     found = json.loads(outcome.stdout)
@@ -73,21 +97,43 @@ def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path) -> Non
     assert (tmp_path / "drawn" / f"{one.video.stem}.overlay.mp4").exists()
     friction = f"friction={found['metrics']['friction']:.3f}"
     for engine in ("mujoco", "pybullet"):
-        recipe = run("recipe", friction, "mass_kg=0.1", "timestep_s=0.002", "--backend", engine)
-        assert recipe.exit_code == 0 and "All values that are asked are reached" in recipe.output
+        recipe = run(
+            "recipe", friction, "mass_kg=0.1", "timestep_s=0.002", "--backend", engine
+        )
+        assert (
+            recipe.exit_code == 0
+            and "All values that are asked are reached" in recipe.output
+        )
 
 
 @pytest.mark.slow
 def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path: Path) -> None:
     one, length_m = shot("pendulum", 9, tmp_path), _length_of_swing_m(9)
     box = ",".join(f"{value:.1f}" for value in one.box_px)
-    words = ["--id", "pendulum", "--camera", one.camera, f"object={box}", "--out", tmp_path]
+    words = [
+        "--id",
+        "pendulum",
+        "--camera",
+        one.camera,
+        f"object={box}",
+        "--out",
+        tmp_path,
+    ]
     assert run("video", "score", one.video, *words).exit_code == 0
     load = ["mass_kg=0.1", f"length_m={length_m}", "fit=viscous_friction_n_m_s_per_rad"]
-    outcome = run("recipe", "joint", tmp_path / f"{one.video.stem}.swing.csv", *load, "--format", "json")
+    outcome = run(
+        "recipe",
+        "joint",
+        tmp_path / f"{one.video.stem}.swing.csv",
+        *load,
+        "--format",
+        "json",
+    )
     (found,) = json.loads(outcome.stdout)["settings"]
     # The amplitude of a ball on a massless rod falls by half of friction over inertia.
-    assert found["value"] == pytest.approx(2.0 * one.truth * 0.1 * length_m**2, rel=0.05)
+    assert found["value"] == pytest.approx(
+        2.0 * one.truth * 0.1 * length_m**2, rel=0.05
+    )
 
 
 def _length_of_swing_m(seed: int) -> float:
@@ -103,7 +149,17 @@ def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
     for seed in (6, 7, 8):
         one = shot(motion, seed, tmp_path, fps=30.0 if motion == "pendulum" else 60.0)
         box = ",".join(f"{value:.1f}" for value in one.box_px)
-        outcome = run("video", "score", one.video, "--id", motion, "--camera", one.camera, f"object={box}", "--json")
+        outcome = run(
+            "video",
+            "score",
+            one.video,
+            "--id",
+            motion,
+            "--camera",
+            one.camera,
+            f"object={box}",
+            "--json",
+        )
         low, high = json.loads(outcome.stdout)["uncertainty"][one.name]
         assert low <= one.truth <= high, (seed, one.truth, low, high)
 
@@ -113,9 +169,17 @@ def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
     ("motion", "fault", "reason"),
     [
         ("fall", "slow", r"gravity is (2\.[345]\d) m/s\^2: give fps= of the camera"),
-        ("pendulum", "slow", r"gravity is (2\.[345]\d?) m/s\^2: give fps= of the camera"),
+        (
+            "pendulum",
+            "slow",
+            r"gravity is (2\.[345]\d?) m/s\^2: give fps= of the camera",
+        ),
         ("slide", "millimetres", "friction is below 0: .* check the camera file"),
-        ("roll", "millimetres", "rolling_resistance is below 0: .* check the camera file"),
+        (
+            "roll",
+            "millimetres",
+            "rolling_resistance is below 0: .* check the camera file",
+        ),
     ],
 )
 def test_slow_motion_and_a_board_in_millimetres_are_invalid(
@@ -129,7 +193,11 @@ def test_slow_motion_and_a_board_in_millimetres_are_invalid(
     assert TITLES[one.name] in sound.output
     wrong = tmp_path / "wrong.toml"
     text = one.camera.read_text()
-    wrong.write_text(text.replace("square_m = 0.035", "square_m = 35") if fault == "millimetres" else text)
+    wrong.write_text(
+        text.replace("square_m = 0.035", "square_m = 35")
+        if fault == "millimetres"
+        else text
+    )
     outcome = run(*words, wrong, *(["fps=15"] if fault == "slow" else []))
     assert f"invalid for {motion}" in outcome.output
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
@@ -137,7 +205,10 @@ def test_slow_motion_and_a_board_in_millimetres_are_invalid(
 
 def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
     frames = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
-    with pytest.raises(VideoError, match=r"8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2"):
+    with pytest.raises(
+        VideoError,
+        match=r"8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2",
+    ):
         FrontalFilm(frames, PlaneView(size_px=SIZE_PX, source=Board(square_m=0.035)))
     with pytest.raises(VideoError, match="the camera file states"):
         FrontalFilm(frames, PlaneView(size_px=(640, 480), source=Board(square_m=0.035)))
@@ -150,7 +221,9 @@ def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
     cv2.fillConvexPoly(picture, np.array(px), (220, 30, 30))
     file = tmp_path / "camera.toml"
     metres = "[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]"
-    file.write_text(f"size_px = [1280, 720]\n[points]\npx = {px}\nm = {metres}\nsigma_px = 0.5\nsigma_m = 0.001\n")
+    file.write_text(
+        f"size_px = [1280, 720]\n[points]\npx = {px}\nm = {metres}\nsigma_px = 0.5\nsigma_m = 0.001\n"
+    )
     film = FrontalFilm(ArrayFrames([picture] * 9, fps=30.0), read_camera(file))
     blue, _, red = next(film.native()).transpose(2, 0, 1).astype(int)
     dark = red - blue > 95
@@ -170,7 +243,9 @@ def test_rebounds_give_the_restitution() -> None:
     fallen = height - 0.5 * 9.81 * np.maximum(times - 0.1, 0.0) ** 2
     heights = np.where(times < impact, fallen, speed * late - 0.5 * 9.81 * late**2)
     used = times < impact + flight * (1.0 + 0.9 * e)
-    places = np.column_stack([np.full(used.sum(), 300.0), -heights[used] / task.scale_m_per_px])
+    places = np.column_stack(
+        [np.full(used.sum(), 300.0), -heights[used] / task.scale_m_per_px]
+    )
     track = Track(
         frames=np.arange(len(places)),
         fps=60.0,
@@ -180,16 +255,31 @@ def test_rebounds_give_the_restitution() -> None:
     )
     assert restitution(track, task) == pytest.approx(e, abs=1e-6)
     short = Track(
-        **{**vars(track), **{name: getattr(track, name)[:30] for name in ("frames", "points_px", "confidence")}}
+        **{
+            **vars(track),
+            **{
+                name: getattr(track, name)[:30]
+                for name in ("frames", "points_px", "confidence")
+            },
+        }
     )
     with pytest.raises(ParameterError, match="two flights"):
         restitution(short, task)
 
 
-def slope_film(a_m_s2: float, slope_rad: float, **view: float) -> tuple[Track, PlaneView]:
+def slope_film(
+    a_m_s2: float, slope_rad: float, **view: float
+) -> tuple[Track, PlaneView]:
     """Return an exact track from rest down a slope to the left, 500 px per metre, and how its camera sees it."""
-    pairs = {"px": [(0, 0), (832, 0), (832, 480), (0, 480)], "m": [(0, 0.96), (1.664, 0.96), (1.664, 0), (0, 0)]}
-    camera = PlaneView(size_px=(832, 480), source=PointPairs(**pairs, sigma_px=0.0, sigma_m=0.0), **view)
+    pairs = {
+        "px": [(0, 0), (832, 0), (832, 480), (0, 480)],
+        "m": [(0, 0.96), (1.664, 0.96), (1.664, 0), (0, 0)],
+    }
+    camera = PlaneView(
+        size_px=(832, 480),
+        source=PointPairs(**pairs, sigma_px=0.0, sigma_m=0.0),
+        **view,
+    )
     frames, down = np.arange(60), np.array([-math.cos(slope_rad), math.sin(slope_rad)])
     times, places = frames / 60.0, np.zeros((60, 2))
     for _ in range(50):
@@ -197,19 +287,32 @@ def slope_film(a_m_s2: float, slope_rad: float, **view: float) -> tuple[Track, P
         places = np.array([700.0, 100.0]) + 500.0 * fallen[:, None] * down
         times = frames / 60.0 + camera.readout_s * (places[:, 1] / 480.0 - 0.5)
     ones = np.ones(60)
-    return Track(frames=frames, fps=60.0, points_px=places, confidence=ones, size_ratio=ones), camera
+    return Track(
+        frames=frames, fps=60.0, points_px=places, confidence=ones, size_ratio=ones
+    ), camera
 
 
 def test_a_ball_that_rolls_is_no_slide() -> None:
     # Without slip a = g (sin t - c cos t) / (1 + k), Goldstein, Classical Mechanics, section 2.4 for c = 0.
     slope, c, k = math.radians(20.0), 0.02, 0.4
-    track, camera = slope_film(9.80665 * (math.sin(slope) - c * math.cos(slope)) / (1.0 + k), slope)
+    track, camera = slope_film(
+        9.80665 * (math.sin(slope) - c * math.cos(slope)) / (1.0 + k), slope
+    )
     task = video_task("SlopeSlider-2-wood")
-    result, task = score_track(track, task, camera=camera), frontal_task(camera, track, task)
+    result, task = (
+        score_track(track, task, camera=camera),
+        frontal_task(camera, track, task),
+    )
     rolled, ends = resistance(result, task, None, k)
-    assert rolled == pytest.approx(c, abs=1e-3) and ends is not None and ends[0] < c < ends[1]
+    assert (
+        rolled == pytest.approx(c, abs=1e-3)
+        and ends is not None
+        and ends[0] < c < ends[1]
+    )
     # Judged as a slide it seems to have two sevenths of the tangent as friction; a hollow ball would push itself.
-    assert resistance(result, task, None, 0.0)[0] == pytest.approx((k * math.tan(slope) + c) / (1.0 + k), abs=1e-3)
+    assert resistance(result, task, None, 0.0)[0] == pytest.approx(
+        (k * math.tan(slope) + c) / (1.0 + k), abs=1e-3
+    )
     wrong = resistance(result, task, None, 2.0 / 3.0)[1]
     assert wrong is not None and wrong[1] < 0.0
 
@@ -218,15 +321,21 @@ def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
     track, camera = slope_film(3.0, math.radians(30.0), readout_s=0.025)
     task = video_task("SlopeSlider-2-wood")
     found = score_track(track, task, camera=camera).metrics["a_m_s2"]
-    blind = score_track(track, task, camera=PlaneView(size_px=camera.size_px, source=camera.source)).metrics["a_m_s2"]
+    blind = score_track(
+        track, task, camera=PlaneView(size_px=camera.size_px, source=camera.source)
+    ).metrics["a_m_s2"]
     assert found == pytest.approx(3.0, rel=2e-3)
     assert blind is not None and blind > 1.03 * 3.0
 
 
 @pytest.mark.parametrize("box", ["1,2,3", "1,2,0,4", "a,b,c,d"])
 def test_a_box_is_four_numbers(box: str, tmp_path: Path) -> None:
-    outcome = run("video", "score", tmp_path / "film.mp4", "--id", "slide", f"object={box}")
-    assert outcome.exit_code == 2 and "left, top, width and height" in " ".join(outcome.output.split())
+    outcome = run(
+        "video", "score", tmp_path / "film.mp4", "--id", "slide", f"object={box}"
+    )
+    assert outcome.exit_code == 2 and "left, top, width and height" in " ".join(
+        outcome.output.split()
+    )
 
 
 def test_the_camera_files_of_the_guide_are_read(tmp_path: Path) -> None:

@@ -16,7 +16,15 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import DatasetError, ParameterError
 from gauge_envs.tools.video import prompts, video_tasks
-from gauge_envs.tools.video.prompts import COMMIT, NOTE, REPOSITORY, SOURCE, InputFile, fetch_inputs, input_files
+from gauge_envs.tools.video.prompts import (
+    COMMIT,
+    NOTE,
+    REPOSITORY,
+    SOURCE,
+    InputFile,
+    fetch_inputs,
+    input_files,
+)
 
 TABLE = input_files()
 
@@ -110,16 +118,26 @@ def repository(folder: Path) -> Path:
 def test_the_table_has_a_frame_and_a_prompt_of_every_task() -> None:
     expected = [task.id + end for end in (".png", ".txt") for task in video_tasks()]
     assert [file.file for file in TABLE] == [*expected, "negative_prompt.txt"]
-    assert len({file.sha256 for file in TABLE}) == len(TABLE), "two tasks have the same input"
-    assert [file.file for file in TABLE if file.source is None] == ["SlopeSlider-2-plastic.txt"]
+    assert len({file.sha256 for file in TABLE}) == len(TABLE), (
+        "two tasks have the same input"
+    )
+    assert [file.file for file in TABLE if file.source is None] == [
+        "SlopeSlider-2-plastic.txt"
+    ]
     assert SOURCE.startswith("https://") and SOURCE.endswith(COMMIT)
 
 
-def test_all_files_are_fetched_once_and_then_kept(server: Server, tmp_path: Path) -> None:
+def test_all_files_are_fetched_once_and_then_kept(
+    server: Server, tmp_path: Path
+) -> None:
     out = tmp_path / "new" / "inputs"
     seen: list[str] = []
     written = fetch_inputs(out, source=server.address + "/", advance=seen.append)
-    assert {path.name for path in written} == names(out) == {file.file for file in TABLE} | {NOTE}
+    assert (
+        {path.name for path in written}
+        == names(out)
+        == {file.file for file in TABLE} | {NOTE}
+    )
     assert seen == [file.file for file in TABLE]
     assert all((out / file.file).read_bytes() == content(file) for file in TABLE)
     assert sorted(server.asked) == sorted(server.answers)
@@ -128,9 +146,13 @@ def test_all_files_are_fetched_once_and_then_kept(server: Server, tmp_path: Path
     assert server.asked == []
 
 
-def test_the_plastic_prompt_is_made_from_the_wooden_one_and_the_note_says_so(server: Server, tmp_path: Path) -> None:
+def test_the_plastic_prompt_is_made_from_the_wooden_one_and_the_note_says_so(
+    server: Server, tmp_path: Path
+) -> None:
     fetch_inputs(tmp_path, source=server.address)
-    assert (tmp_path / "SlopeSlider-2-plastic.txt").read_text(encoding="utf-8") == PLASTIC
+    assert (tmp_path / "SlopeSlider-2-plastic.txt").read_text(
+        encoding="utf-8"
+    ) == PLASTIC
     assert "input/text prompts/slope slider/prompt(plastic).txt" not in server.asked
     note = " ".join((tmp_path / NOTE).read_text(encoding="utf-8").split())
     assert "`SlopeSlider-2-plastic.txt` is not the file of the repository" in note
@@ -141,7 +163,9 @@ def test_a_prompt_that_does_not_become_the_plastic_one_is_refused(
     server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(prompts, "PLASTIC_CHANGES", prompts.PLASTIC_CHANGES[:2])
-    with pytest.raises(DatasetError, match=r"SlopeSlider-2-plastic\.txt, made from .* expected"):
+    with pytest.raises(
+        DatasetError, match=r"SlopeSlider-2-plastic\.txt, made from .* expected"
+    ):
         fetch_inputs(tmp_path, source=server.address)
     assert not {"SlopeSlider-2-plastic.txt", NOTE} & names(tmp_path)
 
@@ -160,7 +184,12 @@ def test_a_wrong_answer_is_no_file_and_the_same_call_continues(
     server: Server, tmp_path: Path, fault: str, message: str
 ) -> None:
     whole = server.answers[FRAME_SOURCE]
-    wrong = {"altered": whole[:-1] + b"!", "shorter": whole[:-1], "longer": whole * 100, "cut": whole}
+    wrong = {
+        "altered": whole[:-1] + b"!",
+        "shorter": whole[:-1],
+        "longer": whole * 100,
+        "cut": whole,
+    }
     if fault == "missing":
         del server.answers[FRAME_SOURCE]
     else:
@@ -170,7 +199,10 @@ def test_a_wrong_answer_is_no_file_and_the_same_call_continues(
     with pytest.raises(DatasetError, match=message) as caught:
         fetch_inputs(tmp_path, source=server.address)
     text = str(caught.value)
-    assert f"{server.address}/input/first%20frames/832x480/slope%20slider/frame%28metal%29.png" in text
+    assert (
+        f"{server.address}/input/first%20frames/832x480/slope%20slider/frame%28metal%29.png"
+        in text
+    )
     assert f"git clone {REPOSITORY}" in text and COMMIT in text
     before = names(tmp_path)
     assert before == {"SlopeSlider-2-wood.png", "SlopeSlider-2-plastic.png"}
@@ -180,7 +212,9 @@ def test_a_wrong_answer_is_no_file_and_the_same_call_continues(
     fetch_inputs(tmp_path, source=server.address)
     assert names(tmp_path) == {file.file for file in TABLE} | {NOTE}
     assert sorted(server.asked) == sorted(
-        file.source for file in TABLE if file.source is not None and file.file not in before
+        file.source
+        for file in TABLE
+        if file.source is not None and file.file not in before
     )
 
 
@@ -188,13 +222,21 @@ def test_a_refused_connection_names_the_address_and_what_to_do(tmp_path: Path) -
     address = closed_address()
     out = tmp_path / "inputs"
     command = ["video", "prompts", address, "--out", str(out)]
-    result = CliRunner(env={"COLUMNS": "200", "no_proxy": "127.0.0.1"}).invoke(app, command)
+    result = CliRunner(env={"COLUMNS": "200", "no_proxy": "127.0.0.1"}).invoke(
+        app, command
+    )
     assert result.exit_code == 2
-    assert address in result.stderr and "refused" in result.stderr and f"git clone {REPOSITORY}" in result.stderr
+    assert (
+        address in result.stderr
+        and "refused" in result.stderr
+        and f"git clone {REPOSITORY}" in result.stderr
+    )
     assert not out.exists()
 
 
-def test_a_server_that_never_answers_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_that_never_answers_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(prompts, "TIMEOUT_S", 0.2)
     monkeypatch.setenv("no_proxy", "127.0.0.1")
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -203,7 +245,9 @@ def test_a_server_that_never_answers_is_given_up(tmp_path: Path, monkeypatch: py
             fetch_inputs(tmp_path, source=address)
 
 
-@pytest.mark.parametrize("address", ["http://[::1", "http://127.0.0.1:port", "https://"])
+@pytest.mark.parametrize(
+    "address", ["http://[::1", "http://127.0.0.1:port", "https://"]
+)
 def test_an_impossible_address_gets_a_message(tmp_path: Path, address: str) -> None:
     with pytest.raises(DatasetError, match="cannot be downloaded"):
         fetch_inputs(tmp_path, source=address)
@@ -212,36 +256,53 @@ def test_an_impossible_address_gets_a_message(tmp_path: Path, address: str) -> N
 def test_the_command_reads_a_folder_and_reports(server: Server, tmp_path: Path) -> None:
     source, out = repository(tmp_path / "clone"), tmp_path / "inputs"
     for written, kept in ((20, 0), (0, 20)):
-        result = CliRunner().invoke(app, ["video", "prompts", str(source), "--out", str(out)])
+        result = CliRunner().invoke(
+            app, ["video", "prompts", str(source), "--out", str(out)]
+        )
         assert result.exit_code == 0
         assert result.stdout.strip() == str(out)
         assert f"{written} files written, {kept} kept" in result.stderr
     assert server.asked == []
 
 
-def test_a_folder_that_lacks_a_file_or_holds_another_is_named(server: Server, tmp_path: Path) -> None:
+def test_a_folder_that_lacks_a_file_or_holds_another_is_named(
+    server: Server, tmp_path: Path
+) -> None:
     source = repository(tmp_path / "clone")
     (source / FRAME_SOURCE).write_bytes(b"another")
-    with pytest.raises(DatasetError, match=r"frame\(metal\)\.png: has 7 bytes, expected"):
+    with pytest.raises(
+        DatasetError, match=r"frame\(metal\)\.png: has 7 bytes, expected"
+    ):
         fetch_inputs(tmp_path / "inputs", source=str(source))
     (source / FRAME_SOURCE).unlink()
-    with pytest.raises(DatasetError, match=r"frame\(metal\)\.png: cannot be read: No such file"):
+    with pytest.raises(
+        DatasetError, match=r"frame\(metal\)\.png: cannot be read: No such file"
+    ):
         fetch_inputs(tmp_path / "inputs", source=str(source))
     assert FRAME not in names(tmp_path / "inputs")
 
 
-@pytest.mark.parametrize(("source", "message"), [("ftp://host/x", "https://"), ("nowhere", "is no folder")])
-def test_a_source_of_another_kind_is_refused(tmp_path: Path, source: str, message: str) -> None:
+@pytest.mark.parametrize(
+    ("source", "message"), [("ftp://host/x", "https://"), ("nowhere", "is no folder")]
+)
+def test_a_source_of_another_kind_is_refused(
+    tmp_path: Path, source: str, message: str
+) -> None:
     with pytest.raises(ParameterError, match=message):
         fetch_inputs(tmp_path, source=source)
 
 
 @pytest.mark.parametrize("name", ["Pendulum-metal.txt", NOTE])
-def test_a_file_of_the_user_is_never_replaced(server: Server, tmp_path: Path, name: str) -> None:
+def test_a_file_of_the_user_is_never_replaced(
+    server: Server, tmp_path: Path, name: str
+) -> None:
     (tmp_path / name).write_text("mine", encoding="utf-8")
     with pytest.raises(DatasetError, match=rf"{name} .*: move it away"):
         fetch_inputs(tmp_path, source=server.address)
-    assert names(tmp_path) == {name} and (tmp_path / name).read_text(encoding="utf-8") == "mine"
+    assert (
+        names(tmp_path) == {name}
+        and (tmp_path / name).read_text(encoding="utf-8") == "mine"
+    )
     assert server.asked == []
 
 

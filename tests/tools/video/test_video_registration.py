@@ -22,7 +22,10 @@ from gauge_envs.tools.video.frames import (  # noqa: E402
     read_picture,
     stretched,
 )
-from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline  # noqa: E402
+from gauge_envs.tools.video.registration import (  # noqa: E402
+    registration_by_first_frame,
+    registration_by_outline,
+)
 
 TASKS = [task.id for task in video_tasks()]
 
@@ -45,7 +48,9 @@ def laid_out(picture: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
         return np.asarray(cv2.resize(picture, (832, 464), interpolation=cv2.INTER_AREA))
     sizes = {"crop": (752, 560), "pad": (1080, 1920)}
     scale_x, scale_y, x, y = LAYOUTS[method]
-    matrix = np.array([[1 / scale_x, 0.0, -x / scale_x], [0.0, 1 / scale_y, -y / scale_y]])
+    matrix = np.array(
+        [[1 / scale_x, 0.0, -x / scale_x], [0.0, 1 / scale_y, -y / scale_y]]
+    )
     matrix[:, 2] += 0.5 * np.diag(matrix[:, :2]) - 0.5
     return np.asarray(cv2.warpAffine(picture, matrix, sizes[method]))
 
@@ -57,7 +62,9 @@ def numbers(one: Registration) -> tuple[float, float, float, float]:
 @pytest.mark.parametrize("method", LAYOUTS)
 @pytest.mark.parametrize("task", TASKS)
 def test_the_outline_tells_how_a_picture_was_laid_out(task: str, method: str) -> None:
-    found = registration_by_outline(laid_out(first_picture(task), method), video_task(task))
+    found = registration_by_outline(
+        laid_out(first_picture(task), method), video_task(task)
+    )
     if found.problem:
         # The ball of the pendulum is near the middle, where a slight stretch and a slight crop look alike.
         assert (task, method) == ("Pendulum-metal", "stretch")
@@ -67,11 +74,26 @@ def test_the_outline_tells_how_a_picture_was_laid_out(task: str, method: str) ->
     assert numbers(found) == pytest.approx(LAYOUTS[method], abs=1e-3)
 
 
-@pytest.mark.parametrize("task", ["BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal", "Turntable-2-metal"])
-def test_an_object_at_another_place_is_doubtful_without_the_first_frame(task: str) -> None:
+@pytest.mark.parametrize(
+    "task",
+    [
+        "BouncingBall-rubber",
+        "NewtonsCradle-metal",
+        "Pendulum-metal",
+        "Turntable-2-metal",
+    ],
+)
+def test_an_object_at_another_place_is_doubtful_without_the_first_frame(
+    task: str,
+) -> None:
     picture = first_picture(task)
-    moved = np.ascontiguousarray(cv2.resize(picture, None, fx=1.2, fy=1.2)[10:500, 50:930])
-    assert "give that frame with --first-frame" in registration_by_outline(moved, video_task(task)).problem
+    moved = np.ascontiguousarray(
+        cv2.resize(picture, None, fx=1.2, fy=1.2)[10:500, 50:930]
+    )
+    assert (
+        "give that frame with --first-frame"
+        in registration_by_outline(moved, video_task(task)).problem
+    )
     found = registration_by_first_frame(moved, picture)
     assert found.method == "first frame"
     assert numbers(found)[:2] == pytest.approx((5 / 6, 5 / 6), rel=4e-3)
@@ -84,25 +106,43 @@ def test_a_larger_first_frame_registers_clips_of_its_size_and_of_others() -> Non
     for clip_of in (large, small):
         found = registration_by_first_frame(clip_of, large)
         width, height = clip_of.shape[1], clip_of.shape[0]
-        assert numbers(found) == pytest.approx((832 / width, 480 / height, 0.0, 0.0), abs=2e-3)
+        assert numbers(found) == pytest.approx(
+            (832 / width, 480 / height, 0.0, 0.0), abs=2e-3
+        )
 
 
 def test_another_first_frame_is_an_error_that_says_what_is_needed() -> None:
     with pytest.raises(VideoError, match=r"only \d+ of \d+ points .* \d+ are needed"):
-        registration_by_first_frame(first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood"))
-    with pytest.raises(VideoError, match=r"have 0 and \d+ points; 12 of each are needed"):
-        registration_by_first_frame(np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood"))
+        registration_by_first_frame(
+            first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood")
+        )
+    with pytest.raises(
+        VideoError, match=r"have 0 and \d+ points; 12 of each are needed"
+    ):
+        registration_by_first_frame(
+            np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood")
+        )
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
 def test_a_registration_puts_pixels_where_it_says(factor: float) -> None:
     picture = np.zeros((round(560 * factor), round(752 * factor), 3), np.uint8)
-    cv2.circle(picture, (round(300 * factor), round(200 * factor)), round(20 * factor), (255, 255, 255), -1)
+    cv2.circle(
+        picture,
+        (round(300 * factor), round(200 * factor)),
+        round(20 * factor),
+        (255, 255, 255),
+        -1,
+    )
     x, y = (np.array([300, 200]) * factor).round() + 0.5
     scale = 6 / 7 / factor
-    grid = Registration(scale_x=scale, scale_y=scale, offset_x_px=93.7, offset_y_px=2.0).applied(picture)
+    grid = Registration(
+        scale_x=scale, scale_y=scale, offset_x_px=93.7, offset_y_px=2.0
+    ).applied(picture)
     rows, columns = np.nonzero(grid[:, :, 0] > 127)
-    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x * scale + 93.7, y * scale + 2.0), abs=0.1)
+    assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(
+        (x * scale + 93.7, y * scale + 2.0), abs=0.1
+    )
 
 
 def test_the_plain_registration_is_the_scaling_of_both_axes() -> None:
@@ -134,6 +174,8 @@ def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
         "SlopeSlider-2-wood",
         "fps=30",
     ]
-    outcome = CliRunner().invoke(app, [*arguments, "--first-frame", str(tmp_path / "first.png")])
+    outcome = CliRunner().invoke(
+        app, [*arguments, "--first-frame", str(tmp_path / "first.png")]
+    )
     assert outcome.exit_code == 2
     assert "--first-frame need the video" in outcome.output

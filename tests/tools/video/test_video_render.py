@@ -25,12 +25,18 @@ pytestmark = needs_opengl
 GRAVITY = 9.80665
 
 
-def processed(one: Film, rng: np.random.Generator, *, noise: float = 3.0, quality: int = 80) -> list[np.ndarray]:
+def processed(
+    one: Film, rng: np.random.Generator, *, noise: float = 3.0, quality: int = 80
+) -> list[np.ndarray]:
     """Return the pictures with the grain of a camera and the marks of compression."""
     frames = []
     for picture in one.pictures:
-        grainy = np.clip(picture + rng.normal(0.0, noise, picture.shape[:2])[:, :, None], 0, 255).astype(np.uint8)
-        _, packed = cv2.imencode(".jpg", grainy[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+        grainy = np.clip(
+            picture + rng.normal(0.0, noise, picture.shape[:2])[:, :, None], 0, 255
+        ).astype(np.uint8)
+        _, packed = cv2.imencode(
+            ".jpg", grainy[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality]
+        )
         frames.append(cv2.imdecode(packed, cv2.IMREAD_COLOR)[:, :, ::-1])
     return frames
 
@@ -39,7 +45,9 @@ def pendulum_period_s(length_m: float, radius_m: float, amplitude_rad: float) ->
     """Return the period of a ball on a rigid massless rod, any amplitude."""
     inertia_ratio = length_m + 0.4 * radius_m**2 / length_m
     k = math.sin(0.5 * amplitude_rad)
-    integral, _ = quad(lambda x: 1.0 / math.sqrt(1.0 - (k * math.sin(x)) ** 2), 0.0, 0.5 * math.pi)
+    integral, _ = quad(
+        lambda x: 1.0 / math.sqrt(1.0 - (k * math.sin(x)) ** 2), 0.0, 0.5 * math.pi
+    )
     return 4.0 * math.sqrt(inertia_ratio / GRAVITY) * integral
 
 
@@ -49,9 +57,16 @@ def test_a_filmed_fall_has_gravity() -> None:
     result = score(list(one.pictures), one.fps, "BouncingBall-rubber")
     assert result.grade is Grade.VALID, result.reasons
     assert result.metrics["a_m_s2"] == pytest.approx(GRAVITY, rel=0.01)
-    assert np.median(np.abs(result.track.points_px - one.track.points_px)[:16], axis=0).max() < 0.1
+    assert (
+        np.median(
+            np.abs(result.track.points_px - one.track.points_px)[:16], axis=0
+        ).max()
+        < 0.1
+    )
     # A scale that is wrong by 5 % is seen.
-    small = [cv2.resize(picture[12:468, 21:811], (832, 480)) for picture in one.pictures]
+    small = [
+        cv2.resize(picture[12:468, 21:811], (832, 480)) for picture in one.pictures
+    ]
     wrong = score(small, one.fps, "BouncingBall-rubber").metrics["a_m_s2"]
     assert wrong is None or abs(wrong / GRAVITY - 1.0) > 0.03
 
@@ -62,14 +77,24 @@ def test_the_view_is_that_of_the_first_frame() -> None:
     offset = one.track.points_px[0] - np.array(one.task.pivot_px)
     wanted = np.subtract(one.task.centre_px, one.task.pivot_px)
     assert math.atan2(*offset) == pytest.approx(math.atan2(*wanted), abs=0.02)
-    assert np.linalg.norm(offset) * one.task.scale_m_per_px == pytest.approx(0.26854, rel=1e-3)
+    assert np.linalg.norm(offset) * one.task.scale_m_per_px == pytest.approx(
+        0.26854, rel=1e-3
+    )
     dark = np.argwhere(one.pictures[0].max(axis=2) < 60)
     assert np.abs(dark.mean(axis=0)[::-1] - one.track.points_px[0]).max() < 8.0
 
 
 def test_a_film_on_disk_comes_with_its_exact_track(tmp_path: Path) -> None:
     path = tmp_path / "slide.mp4"
-    arguments = ["video", "render", "SlopeSlider-2-wood", "--out", str(path), "fps=15", "seconds=0.5"]
+    arguments = [
+        "video",
+        "render",
+        "SlopeSlider-2-wood",
+        "--out",
+        str(path),
+        "fps=15",
+        "seconds=0.5",
+    ]
     outcome = CliRunner().invoke(app, arguments)
     assert outcome.exit_code == 0, outcome.output
     rows = (tmp_path / "slide.track.csv").read_text().splitlines()
@@ -90,11 +115,16 @@ def changes(task: str, rng: np.random.Generator) -> Mapping[str, float]:
         # Below, the cube leaves the board in time; above, its hops may lose their symmetry (docs/engines/mujoco.md).
         return {"cube.friction": float(rng.uniform(0.2, 0.4))}
     if task.startswith("BouncingBall"):
-        return {"ball.restitution": float(rng.uniform(0.3, 0.9)), "ball.mass_kg": float(rng.uniform(0.05, 0.3))}
+        return {
+            "ball.restitution": float(rng.uniform(0.3, 0.9)),
+            "ball.mass_kg": float(rng.uniform(0.05, 0.3)),
+        }
     if task.startswith("Newtons"):
         return {"ball-2.mass_kg": float(rng.uniform(0.02, 0.06))}
     if task.startswith("Pendulum"):
-        return {"ball.mass_kg": float(rng.uniform(0.1, 1.0))}  # the period of the closed form does not know it
+        return {
+            "ball.mass_kg": float(rng.uniform(0.1, 1.0))
+        }  # the period of the closed form does not know it
     return {"cube.friction": float(rng.uniform(0.3, 0.8))}
 
 
@@ -103,7 +133,10 @@ def truths(one: Film, parameters: Mapping[str, float]) -> dict[str, float]:
     task = one.task.id
     if task.startswith("SlopeSlider"):
         slope = math.radians(30.0)
-        return {"a_m_s2": GRAVITY * (math.sin(slope) - parameters["cube.friction"] * math.cos(slope))}
+        return {
+            "a_m_s2": GRAVITY
+            * (math.sin(slope) - parameters["cube.friction"] * math.cos(slope))
+        }
     if task.startswith("BouncingBall"):
         return {"a_m_s2": GRAVITY}
     if task.startswith("Pendulum"):
@@ -119,14 +152,25 @@ TOLERANCE = {"a_m_s2": 0.02, "pd_s": 0.01, "mte": 0.02, "de_n": 0.03}
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "task", ["SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal"]
+    "task",
+    [
+        "SlopeSlider-2-wood",
+        "BouncingBall-rubber",
+        "Turntable-2-metal",
+        "NewtonsCradle-metal",
+        "Pendulum-metal",
+    ],
 )
 def test_films_of_random_episodes(task: str) -> None:
     inside = count = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)
         parameters = changes(task, rng)
-        seconds = {"Pendulum-metal": 2.5, "NewtonsCradle-metal": 1.5, "Turntable-2-metal": 0.45}.get(task)
+        seconds = {
+            "Pendulum-metal": 2.5,
+            "NewtonsCradle-metal": 1.5,
+            "Turntable-2-metal": 0.45,
+        }.get(task)
         one = film(
             task,
             parameters=parameters,
@@ -135,10 +179,20 @@ def test_films_of_random_episodes(task: str) -> None:
         )
         # A file that states 24 frames per second, although they were filmed at 30, is scored with --fps 30.
         result = score(processed(one, rng), 30.0, task)
-        if task == "Pendulum-metal":  # the rod of the metadata is 8 mm shorter than that of the first frame
-            assert any("known first frame" in reason for reason in result.reasons), (seed, result.reasons)
-        elif task == "NewtonsCradle-metal":  # balls of other masses swing out beside the last one
-            assert all("second object" in reason for reason in result.reasons), (seed, result.reasons)
+        if (
+            task == "Pendulum-metal"
+        ):  # the rod of the metadata is 8 mm shorter than that of the first frame
+            assert any("known first frame" in reason for reason in result.reasons), (
+                seed,
+                result.reasons,
+            )
+        elif (
+            task == "NewtonsCradle-metal"
+        ):  # balls of other masses swing out beside the last one
+            assert all("second object" in reason for reason in result.reasons), (
+                seed,
+                result.reasons,
+            )
         else:
             assert result.grade is Grade.VALID, (seed, result.reasons)
         for name, truth in truths(one, parameters).items():
@@ -147,7 +201,12 @@ def test_films_of_random_episodes(task: str) -> None:
                 continue
             assert value is not None and interval is not None
             scale = truth if name in ("a_m_s2", "pd_s") else 1.0
-            assert abs(value - truth) <= TOLERANCE[name] * scale, (seed, name, value, truth)
+            assert abs(value - truth) <= TOLERANCE[name] * scale, (
+                seed,
+                name,
+                value,
+                truth,
+            )
             inside += interval[0] - 1e-12 <= truth <= interval[1] + 1e-12
             count += 1
     assert inside >= 0.9 * count, (inside, count)

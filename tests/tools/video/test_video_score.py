@@ -57,13 +57,23 @@ def scored(one: Clip) -> VideoScore:
     return score(one.frames, one.fps, one.task)
 
 
-@pytest.mark.parametrize("task", [pytest.param(one, marks=pytest.mark.slow) if one in SWINGS else one for one in FIVE])
+@pytest.mark.parametrize(
+    "task",
+    [
+        pytest.param(one, marks=pytest.mark.slow) if one in SWINGS else one
+        for one in FIVE
+    ],
+)
 def test_a_known_motion_is_recovered(task: str) -> None:
     one = known(task)
     result = scored(one)
     assert result.grade is Grade.VALID, result.reasons
     for name, truth in one.truth.items():
-        assert is_close(name, result.metrics[name], truth), (name, result.metrics[name], truth)
+        assert is_close(name, result.metrics[name], truth), (
+            name,
+            result.metrics[name],
+            truth,
+        )
 
 
 @pytest.mark.slow
@@ -74,9 +84,16 @@ def test_intervals_hold_the_truth(task: str) -> None:
         # The stated uncertainty of the scale is 0.65 % for cubes and balls alike.
         one = clip(task, np.random.default_rng(seed), calibration_sigma=0.0065)
         result = scored(one)
-        assert result.grade is (Grade.DOUBTFUL if video_task(one.task).doubt else Grade.VALID), (seed, result.reasons)
+        assert result.grade is (
+            Grade.DOUBTFUL if video_task(one.task).doubt else Grade.VALID
+        ), (seed, result.reasons)
         for name, truth in one.truth.items():
-            assert is_close(name, result.metrics[name], truth), (seed, name, result.metrics[name], truth)
+            assert is_close(name, result.metrics[name], truth), (
+                seed,
+                name,
+                result.metrics[name],
+                truth,
+            )
             # A fit of noisy places explains less than all of them, so R^2 has no true value of 1.
             interval = result.uncertainty[name]
             if name != "r2" and interval is not None:
@@ -115,15 +132,23 @@ def test_an_object_that_vanishes_is_named() -> None:
     assert any("is lost in" in reason for reason in result.reasons), result.reasons
 
 
-@pytest.mark.parametrize("move", [pytest.param("zoom", marks=pytest.mark.slow), "shake"])
+@pytest.mark.parametrize(
+    "move", [pytest.param("zoom", marks=pytest.mark.slow), "shake"]
+)
 def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
     one, rng = known("SlopeSlider-2-wood"), np.random.default_rng(2)
     height, width = one.frames[0].shape[:2]
     frames = [one.frames[0]]
     for number, frame in enumerate(one.frames[1:]):
-        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + (move == "zoom") * 0.0005 * number)
+        matrix = cv2.getRotationMatrix2D(
+            (width / 2, height / 2), 0.0, 1.0 + (move == "zoom") * 0.0005 * number
+        )
         matrix[:, 2] += (move == "shake") * rng.normal(0.0, 3.0, 2)
-        frames.append(cv2.warpAffine(frame, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
+        frames.append(
+            cv2.warpAffine(
+                frame, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE
+            )
+        )
     result = score(frames, one.fps, one.task)
     assert result.grade is Grade.VALID, result.reasons
     assert "camera" in result.reasons[0] and "this is subtracted" in result.reasons[0]
@@ -151,18 +176,27 @@ def test_a_second_object_is_named() -> None:
     assert any("a second object" in reason for reason in result.reasons), result.reasons
 
 
-def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(tmp_path: Path) -> None:
+def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(
+    tmp_path: Path,
+) -> None:
     one = known("SlopeSlider-2-wood")
     frames = [np.ascontiguousarray(frame[::-1, ::-1]) for frame in one.frames]
     cv2.imwrite(str(tmp_path / "own.png"), frames[0][:, :, ::-1])
     result = score(frames, one.fps, one.task, first_frame=tmp_path / "own.png")
     assert result.grade is Grade.INVALID
-    assert any("does not show the object of the task" in reason for reason in result.reasons), result.reasons
+    assert any(
+        "does not show the object of the task" in reason for reason in result.reasons
+    ), result.reasons
 
 
 def test_bars_that_a_model_fills_are_no_other_scene() -> None:
     one = known("BouncingBall-rubber", 5)
-    inner, grain = np.s_[:, 110:722], np.random.default_rng(1).integers(100, 200, one.frames[0].shape, dtype=np.uint8)
+    inner, grain = (
+        np.s_[:, 110:722],
+        np.random.default_rng(1).integers(
+            100, 200, one.frames[0].shape, dtype=np.uint8
+        ),
+    )
     watched = {}
     for name, bars in (("bars", np.zeros_like(grain)), ("scene", 255 - grain)):
         frames = [(bars if number == 0 else grain).copy() for number in range(9)]
@@ -212,9 +246,17 @@ def swung(task: str, angles: np.ndarray) -> Track:
     """A track of a swing at 24 frames per second; angles from the vertical [rad], NaN where the ball is not seen."""
     known = video_task(task)
     length = np.hypot(*np.subtract(known.rest_px or known.centre_px, known.pivot_px))
-    places = np.array(known.pivot_px) + length * np.column_stack([np.sin(angles), np.cos(angles)])
+    places = np.array(known.pivot_px) + length * np.column_stack(
+        [np.sin(angles), np.cos(angles)]
+    )
     ones = np.ones(len(angles))
-    return Track(frames=np.arange(len(angles)), fps=24.0, points_px=places, confidence=ones, size_ratio=ones)
+    return Track(
+        frames=np.arange(len(angles)),
+        fps=24.0,
+        points_px=places,
+        confidence=ones,
+        size_ratio=ones,
+    )
 
 
 def test_a_swing_whose_apex_is_hidden_is_named() -> None:
@@ -222,9 +264,13 @@ def test_a_swing_whose_apex_is_hidden_is_named() -> None:
     hidden = np.where((np.arange(11) < 3) | (np.arange(11) > 8), swing, np.nan)
     rest = np.full(12, np.nan)
     task = video_task("NewtonsCradle-metal")
-    whole = score_track(swung(task.id, np.r_[rest, swing, rest, 0.8 * swing, rest]), task)
+    whole = score_track(
+        swung(task.id, np.r_[rest, swing, rest, 0.8 * swing, rest]), task
+    )
     assert whole.grade is Grade.VALID, whole.reasons
-    half = score_track(swung(task.id, np.r_[rest, hidden, rest, 0.8 * swing, rest]), task)
+    half = score_track(
+        swung(task.id, np.r_[rest, hidden, rest, 0.8 * swing, rest]), task
+    )
     assert half.grade is Grade.DOUBTFUL and "its apex is not seen" in half.reasons[0]
 
 
@@ -242,9 +288,15 @@ def test_the_interval_of_a_period_holds_what_the_law_does_not_explain() -> None:
     swing = 0.25 * np.cos(2.0 * np.pi * times_s)
     widths = []
     for drift_rad in (0.0, 0.02):
-        result = score_track(swung(task.id, swing + drift_rad * np.sin(3.0 * times_s)), task)
+        result = score_track(
+            swung(task.id, swing + drift_rad * np.sin(3.0 * times_s)), task
+        )
         interval = result.uncertainty["pd_s"]
-        assert result.grade is Grade.VALID and interval is not None and interval[0] < 1.0 < interval[1]
+        assert (
+            result.grade is Grade.VALID
+            and interval is not None
+            and interval[0] < 1.0 < interval[1]
+        )
         widths.append(interval[1] - interval[0])
     assert widths[1] > 3.0 * widths[0]
 
@@ -253,13 +305,23 @@ def test_a_jump_that_friction_cannot_give_is_named() -> None:
     task = video_task("Turntable-2-metal")
     assert task.pivot_px is not None
     angles = 0.03 * np.arange(60)
-    places = np.array(task.pivot_px) - 130.0 * np.column_stack([np.cos(angles), np.sin(angles)])
-    track = Track(frames=np.arange(60), fps=24.0, points_px=places, confidence=np.ones(60), size_ratio=np.ones(60))
+    places = np.array(task.pivot_px) - 130.0 * np.column_stack(
+        [np.cos(angles), np.sin(angles)]
+    )
+    track = Track(
+        frames=np.arange(60),
+        fps=24.0,
+        points_px=places,
+        confidence=np.ones(60),
+        size_ratio=np.ones(60),
+    )
     assert score_track(track, task).grade is Grade.VALID
     assert score_track(track, task).metrics["form"] == pytest.approx(0.0, abs=1e-9)
     places[36:] += [39.0, 0.0]
     result = score_track(track, task)
-    assert result.grade is Grade.DOUBTFUL and "jumps" in result.reasons[0], result.reasons
+    assert result.grade is Grade.DOUBTFUL and "jumps" in result.reasons[0], (
+        result.reasons
+    )
 
 
 @pytest.mark.parametrize(
@@ -284,7 +346,9 @@ def test_a_damaged_track_is_an_error(text: str, message: str, tmp_path: Path) ->
 
 def written(one: Clip, path: Path) -> Path:
     height, width = one.frames[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), one.fps, (width, height))
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter_fourcc(*"mp4v"), one.fps, (width, height)
+    )
     for frame in one.frames:
         writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
     writer.release()
@@ -294,7 +358,16 @@ def written(one: Clip, path: Path) -> Path:
 def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
     one = known("SlopeSlider-2-metal", 11)
     path = written(one, tmp_path / "slide.mp4")
-    arguments = ["video", "score", str(path), "--id", one.task, "--json", "--out", str(tmp_path / "drawn")]
+    arguments = [
+        "video",
+        "score",
+        str(path),
+        "--id",
+        one.task,
+        "--json",
+        "--out",
+        str(tmp_path / "drawn"),
+    ]
     outcome = CliRunner().invoke(app, arguments)
     assert outcome.exit_code == 0, outcome.output
     line = json.loads(outcome.stdout)
@@ -316,14 +389,23 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> 
         (videos / model).mkdir(parents=True)
     written(one, videos / "seedance2" / "SlopeSlider-2-metal.mp4")
     (videos / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
-    ignored = ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm", "slow/notes.txt")
+    ignored = (
+        "slow/SlopeSlider-2-metal_v2.mp4",
+        "seed/a/SlopeSlider-2-metal.mp4",
+        "top.webm",
+        "slow/notes.txt",
+    )
     for other in ignored:
         (videos / other).parent.mkdir(parents=True, exist_ok=True)
         (videos / other).write_text("no video")
-    outcome = CliRunner().invoke(app, ["video", "report", str(videos), "--out", str(tmp_path / "page")])
+    outcome = CliRunner().invoke(
+        app, ["video", "report", str(videos), "--out", str(tmp_path / "page")]
+    )
     assert outcome.exit_code == 1
     for other in ignored:
-        assert f"{other}: left out: it is named otherwise" in "".join(outcome.stderr.split("\n"))
+        assert f"{other}: left out: it is named otherwise" in "".join(
+            outcome.stderr.split("\n")
+        )
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
     assert json.loads(line)["model"] == "seedance2"
@@ -337,7 +419,12 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> 
 
 
 def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
-    for name in ("a/Pendulum-metal/seed_3.mp4", "a/Pendulum-metal.mp4", "a/Pendulum-metal/other.mp4", "a/b/seed_1.mp4"):
+    for name in (
+        "a/Pendulum-metal/seed_3.mp4",
+        "a/Pendulum-metal.mp4",
+        "a/Pendulum-metal/other.mp4",
+        "a/b/seed_1.mp4",
+    ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     videos, others = find_videos(tmp_path)
@@ -347,26 +434,51 @@ def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
 
 
 def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path: Path) -> None:
-    one = score_track(read_track(slide_track(tmp_path / "track.csv", 1.7), fps=30.0), video_task("SlopeSlider-2-wood"))
+    one = score_track(
+        read_track(slide_track(tmp_path / "track.csv", 1.7), fps=30.0),
+        video_task("SlopeSlider-2-wood"),
+    )
     grades = [Grade.VALID] * 4 + [Grade.DOUBTFUL]
     seeds = [
         replace(one, grade=grade, metrics={**one.metrics, "a_m_s2": a})
         for grade, a in zip(grades, (1.0, 2.0, 3.0, 4.0, 90.0), strict=True)
     ]
-    clips = {Path(f"seed_{number}.mp4"): result for number, result in enumerate((*seeds, None))}
-    table = results_table({("mine", one.task): clips, ("single", one.task): {Path("one.mp4"): one}})
-    rows = [row for row in csv.DictReader(table.csv().splitlines()) if row["metric"] == "acceleration [m/s^2]"]
+    clips = {
+        Path(f"seed_{number}.mp4"): result
+        for number, result in enumerate((*seeds, None))
+    }
+    table = results_table(
+        {("mine", one.task): clips, ("single", one.task): {Path("one.mp4"): one}}
+    )
+    rows = [
+        row
+        for row in csv.DictReader(table.csv().splitlines())
+        if row["metric"] == "acceleration [m/s^2]"
+    ]
     row, single = rows[:2]
     # Student's t with 3 degrees of freedom is 3.182, and the standard deviation of 1, 2, 3, 4 is 1.291.
     half = 3.182446 * 1.2909944 / 2.0
     assert float(row["mean"]) == 2.5
-    assert (float(row["low"]), float(row["high"])) == pytest.approx((2.5 - half, 2.5 + half), rel=1e-6)
-    assert (float(row["spread"]), row["valid"], row["clips"]) == (pytest.approx(1.2909944), "4", "6")
+    assert (float(row["low"]), float(row["high"])) == pytest.approx(
+        (2.5 - half, 2.5 + half), rel=1e-6
+    )
+    assert (float(row["spread"]), row["valid"], row["clips"]) == (
+        pytest.approx(1.2909944),
+        "4",
+        "6",
+    )
     assert float(row["usable"]) == pytest.approx(4 / 6)
-    assert single["spread"] == "" and (float(single["low"]), float(single["high"])) == one.uncertainty["a_m_s2"]
+    assert (
+        single["spread"] == ""
+        and (float(single["low"]), float(single["high"])) == one.uncertainty["a_m_s2"]
+    )
     latex = table.latex().splitlines()
     assert latex[0] == r"\begin{tabular}{lllrrrrrrrr}" and latex[-1] == r"\end{tabular}"
-    assert r"67\%" in latex[2] and latex[2].count(" & ") == 10 and latex[2].endswith(r" \\")
+    assert (
+        r"67\%" in latex[2]
+        and latex[2].count(" & ") == 10
+        and latex[2].endswith(r" \\")
+    )
 
 
 def test_published_values_are_those_of_the_table() -> None:
@@ -401,7 +513,9 @@ def test_files_that_are_no_videos_are_errors(tmp_path: Path) -> None:
         ((12, 480, 832), 30.0, "shape"),
     ],
 )
-def test_frames_that_cannot_be_judged_are_errors(shape: tuple[int, ...], fps: float, message: str) -> None:
+def test_frames_that_cannot_be_judged_are_errors(
+    shape: tuple[int, ...], fps: float, message: str
+) -> None:
     with pytest.raises(VideoError, match=message):
         score(np.zeros(shape, dtype=np.uint8), fps, "SlopeSlider-2-wood")
 

@@ -14,7 +14,13 @@ from gauge_envs.backends.settings import Native, SteppedSettings, native_setting
 from gauge_envs.scene import ContactMode
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.closed_forms import ContactForm, MuJoCoContact
-from gauge_envs.tools.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
+from gauge_envs.tools.recipes.probes import (
+    BALL_COUNT,
+    DROP_M,
+    PLATE_CONTACTS,
+    Build,
+    creep_slope_rad,
+)
 
 DIGITS = 6
 """Digits of the numbers of a recipe: those that are simulated are those that are printed."""
@@ -132,7 +138,12 @@ class ContactSettings(BaseModel, ABC):
         if constraint is None:
             return None
         slope = creep_slope_rad(self.sliding_friction)
-        return constraint.form(contact_count=PLATE_CONTACTS, slope_rad=slope, drop_m=DROP_M, phase_count=BALL_COUNT)
+        return constraint.form(
+            contact_count=PLATE_CONTACTS,
+            slope_rad=slope,
+            drop_m=DROP_M,
+            phase_count=BALL_COUNT,
+        )
 
 
 Class = TypeVar("Class", bound=ContactSettings)
@@ -147,13 +158,26 @@ def stated_by(preset: SteppedSettings) -> Callable[[type[Class]], type[Class]]:
     settings = native_settings(type(preset))
 
     def decorate(cls: type[Class]) -> type[Class]:
-        natives = {name: settings[name] for name in cls.model_fields if name in settings and name != "timestep_s"}
+        natives = {
+            name: settings[name]
+            for name in cls.model_fields
+            if name in settings and name != "timestep_s"
+        }
         fields: dict[str, Any] = {}
         for name, setting in natives.items():
             if cls.model_fields[name].is_required():
                 field = type(preset).model_fields[setting]
-                fields[name] = Annotated[(field.annotation, *field.metadata, Native(name))], getattr(preset, setting)
-        made = create_model(cls.__name__, __base__=cls, __module__=cls.__module__, __doc__=cls.__doc__, **fields)
+                fields[name] = (
+                    Annotated[(field.annotation, *field.metadata, Native(name))],
+                    getattr(preset, setting),
+                )
+        made = create_model(
+            cls.__name__,
+            __base__=cls,
+            __module__=cls.__module__,
+            __doc__=cls.__doc__,
+            **fields,
+        )
         made.natives = natives
         return made
 
@@ -167,4 +191,8 @@ def _round(value: Any) -> Any:
 def _text(value: Any, separator: str) -> str:
     if isinstance(value, tuple):
         return separator.join(_text(one, separator) for one in value)
-    return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(int(value) if isinstance(value, bool) else value)
+    return (
+        f"{value:.{DIGITS}g}"
+        if isinstance(value, float)
+        else str(int(value) if isinstance(value, bool) else value)
+    )

@@ -80,7 +80,9 @@ def set_contact(plant):
         """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left."""
         step = aim.timestep_s
         depth_m = aim.aimed_depth_m(MARGIN)
-        hardness = 0.0 if depth_m is None else step * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
+        hardness = (
+            0.0 if depth_m is None else step * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
+        )
         if aim.rebound is None:
             rate, relaxation = max(RIGID_RATE, hardness), 1.0
             if aim.stiffness_n_per_m is not None:
@@ -89,10 +91,14 @@ def set_contact(plant):
         elif aim.damping_n_s_per_m is not None:
             rate, relaxation = hardness, 2.0 * damping_ratio_of(aim.rebound) / hardness
         else:
-            weight = GRAVITY_M_PER_S2 * step / math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
+            weight = (
+                GRAVITY_M_PER_S2 * step / math.sqrt(2.0 * GRAVITY_M_PER_S2 * DROP_M)
+            )
             given = hardness if aim.stiffness_n_per_m is not None else None
             least = max(hardness, math.pi * step / LONGEST_IMPACT_S)
-            rate, relaxation = _rebounding(aim.rebound, weight, least=least, given=given)
+            rate, relaxation = _rebounding(
+                aim.rebound, weight, least=least, given=given
+            )
         return cls.of(
             timestep_s=step,
             friction=aim.friction,
@@ -104,12 +110,15 @@ def set_contact(plant):
         """Return point contact with SAP; the stiffness is that of the mass."""
         return {
             "approximation": "sap",
-            "sustained_rate": self.timestep_s * math.sqrt(self.point_contact_stiffness / mass_kg),
+            "sustained_rate": self.timestep_s
+            * math.sqrt(self.point_contact_stiffness / mass_kg),
             "sustained_relaxation_steps": self.relaxation_time / self.timestep_s,
         }
 
 
-def _rebounding(restitution: float, weight: float, *, least: float, given: float | None) -> tuple[float, float]:
+def _rebounding(
+    restitution: float, weight: float, *, least: float, given: float | None
+) -> tuple[float, float]:
     """Return rate and relaxation time in steps for a restitution, from a repetition of Drake's scheme.
 
     Args:
@@ -118,7 +127,9 @@ def _rebounding(restitution: float, weight: float, *, least: float, given: float
         least: Smallest rate, which the allowed depth and the longest impact state.
         given: Rate that a stiffness states; None for the hardest one that rebounds enough.
     """
-    rates = [given] if given is not None else [max(float(rate), least) for rate in RATES]
+    rates = (
+        [given] if given is not None else [max(float(rate), least) for rate in RATES]
+    )
     # At equal restitution the first one is the hardest.
     means = [float(rebound("relaxation", rate, 0.0, weight).mean()) for rate in rates]
     enough = [index for index, mean in enumerate(means) if mean >= restitution]
@@ -127,7 +138,9 @@ def _rebounding(restitution: float, weight: float, *, least: float, given: float
     rate = rates[enough[0]]
 
     def excess(relaxation: float) -> float:
-        return float(rebound("relaxation", rate, relaxation, weight).mean()) - restitution
+        return (
+            float(rebound("relaxation", rate, relaxation, weight).mean()) - restitution
+        )
 
     if excess(MOST_RELAXATION_STEPS) > 0.0:
         return rate, MOST_RELAXATION_STEPS

@@ -90,7 +90,15 @@ def set_contact(scene):  # after scene.build()
 """
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
-    sol_params: tuple[float, float, float, float, float, float, float] = (0.01, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0)
+    sol_params: tuple[float, float, float, float, float, float, float] = (
+        0.01,
+        1.0,
+        0.9,
+        0.95,
+        0.001,
+        0.5,
+        2.0,
+    )
     friction_cone: str
     contact_resolution: str
     impratio: float
@@ -107,15 +115,21 @@ def set_contact(scene):  # after scene.build()
     @classmethod
     def _possible(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if not (value[0] > 0.0 and value[1] > 0.0):
-            raise ValueError("time constant and damping ratio must be positive: Genesis has no direct format")
+            raise ValueError(
+                "time constant and damping ratio must be positive: Genesis has no direct format"
+            )
         if value[5:] != (0.5, 2.0):
-            raise ValueError("midpoint and power must be those of Genesis, 0.5 and 2: others are not measured")
+            raise ValueError(
+                "midpoint and power must be those of Genesis, 0.5 and 2: others are not measured"
+            )
         return value
 
     @model_validator(mode="after")
     def _cone_fits(self) -> Self:
         if self.friction_cone == "pyramidal" and self.contact_resolution == "signorini":
-            raise ValueError("contact_resolution must be 'convex' with friction_cone 'pyramidal'")
+            raise ValueError(
+                "contact_resolution must be 'convex' with friction_cone 'pyramidal'"
+            )
         return self
 
     @classmethod
@@ -164,7 +178,9 @@ def set_contact(scene):  # after scene.build()
 
 def _spring(aim: Aim, stiffness_n_per_m: float) -> tuple[float, float, float] | None:
     """Return time constant, damping ratio and impedance of a stiffness, or None if steps do not resolve it."""
-    frequency = math.sqrt((1.0 - SOFT_IMPEDANCE) * stiffness_n_per_m / (PLATE_CONTACTS * aim.mass_kg))
+    frequency = math.sqrt(
+        (1.0 - SOFT_IMPEDANCE) * stiffness_n_per_m / (PLATE_CONTACTS * aim.mass_kg)
+    )
     if frequency * aim.timestep_s > RESOLVED_RATE:
         return None
     ratio = 1.0 if aim.rebound is None else max(damping_ratio_of(aim.rebound), 1e-3)
@@ -216,7 +232,9 @@ def _ratio(target: float, frequency: float, impedance: float, step: float) -> fl
     return float(brentq(excess, LEAST_RATIO, greatest, xtol=1e-5))
 
 
-def _rebounds(ratio: float, frequency: float, impedance: float, step: float) -> tuple[float, ...]:
+def _rebounds(
+    ratio: float, frequency: float, impedance: float, step: float
+) -> tuple[float, ...]:
     contact = MuJoCoContact(
         solref=(1.0 / (ratio * frequency), ratio),
         solimp=(impedance, impedance, 0.001, 0.5, 2.0),

@@ -56,11 +56,17 @@ class ConstraintSettings(ContactSettings):
     @field_validator("solimp", mode="before", check_fields=False)
     @classmethod
     def _with_shape(cls, value: Any) -> Any:
-        return (*value, 0.5, 2.0)[:5] if isinstance(value, list | tuple) and len(value) == 3 else value
+        return (
+            (*value, 0.5, 2.0)[:5]
+            if isinstance(value, list | tuple) and len(value) == 3
+            else value
+        )
 
     def texts(self) -> dict[str, str]:
         """Return the values of the fields, with the dimension of contacts."""
-        return super().texts() | {"condim": "6" if self.rolling_m else "4" if self.torsion_m else "3"}
+        return super().texts() | {
+            "condim": "6" if self.rolling_m else "4" if self.torsion_m else "3"
+        }
 
 
 @stated_by(PRESETS["out_of_box"])
@@ -120,7 +126,11 @@ class MuJoCoSettings(ConstraintSettings):
     def texts(self) -> dict[str, str]:
         """Return the values of the fields, with the attribute of the tangential directions where it is needed."""
         texts = super().texts()
-        tangential = f'\n        solreffriction="{texts["solreffriction"]}"' if any(self.solreffriction) else ""
+        tangential = (
+            f'\n        solreffriction="{texts["solreffriction"]}"'
+            if any(self.solreffriction)
+            else ""
+        )
         return texts | {"tangential": tangential}
 
     def constraint(self) -> MuJoCoContact:
@@ -139,7 +149,9 @@ class MuJoCoSettings(ConstraintSettings):
 def _in_force(solimp: Solimp) -> Solimp:
     """Return the impedance that MuJoCo makes of a stated one: function getsolparam in engine_core_constraint.c."""
     d0, dwidth, width_m, midpoint, power = solimp
-    d0, dwidth, midpoint = (min(max(one, LEAST_IMPEDANCE), MOST_IMPEDANCE) for one in (d0, dwidth, midpoint))
+    d0, dwidth, midpoint = (
+        min(max(one, LEAST_IMPEDANCE), MOST_IMPEDANCE) for one in (d0, dwidth, midpoint)
+    )
     return d0, dwidth, max(width_m, 0.0), midpoint, max(power, 1.0)
 
 
@@ -164,7 +176,11 @@ class MuJoCoWarpSettings(MuJoCoSettings):
 def contact_of(aim: Aim) -> dict[str, Any]:
     """Return `solref`, `solreffriction`, `solimp` and `impratio` for an aim."""
     if aim.stiffness_n_per_m is not None:
-        per_mass = (1.0 - SOFT_IMPEDANCE) * aim.stiffness_n_per_m / (PLATE_CONTACTS * aim.mass_kg)
+        per_mass = (
+            (1.0 - SOFT_IMPEDANCE)
+            * aim.stiffness_n_per_m
+            / (PLATE_CONTACTS * aim.mass_kg)
+        )
         if math.sqrt(per_mass) * aim.timestep_s <= RESOLVED_RATE:
             return _spring(aim, per_mass)
     if aim.rebound is None or aim.rebound <= 0.0:
@@ -190,7 +206,11 @@ def _hard(aim: Aim) -> dict[str, Any]:
     if (load := load_s2(aim)) is not None:
         # On n contacts the depth is (1 - d) g T^2 / n for a constant impedance d.
         impedance = _impedance(aim, impedance, 1.0 - load / time_s**2)
-    return {"solref": (time_s, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0), "impratio": 10.0}
+    return {
+        "solref": (time_s, 1.0),
+        "solimp": (impedance, impedance, 0.001, 0.5, 2.0),
+        "impratio": 10.0,
+    }
 
 
 def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
@@ -203,7 +223,11 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
     return {
         "solref": (-stiffness, -(1.0 + restitution) / step),
         # The same damping would reverse the tangential velocity too.
-        "solreffriction": (0.0, -next(share for most, share in TANGENTIAL_SHARES if restitution <= most) / step),
+        "solreffriction": (
+            0.0,
+            -next(share for most, share in TANGENTIAL_SHARES if restitution <= most)
+            / step,
+        ),
         "solimp": (impedance, impedance, 0.001, 0.5, 2.0),
         "impratio": 10.0,
     }
@@ -215,4 +239,8 @@ def _spring(aim: Aim, per_mass: float) -> dict[str, Any]:
     ratio = 1.0 if aim.rebound is None else damping_ratio_of(aim.rebound)
     # More damping than stops the body in a step turns into a rebound.
     damping = min(2.0 * ratio * math.sqrt(per_mass), 1.0 / aim.timestep_s)
-    return {"solref": (-per_mass, -damping), "solimp": (d, d, 0.001, 0.5, 2.0), "impratio": SOFT_IMPRATIO}
+    return {
+        "solref": (-per_mass, -damping),
+        "solimp": (d, d, 0.001, 0.5, 2.0),
+        "impratio": SOFT_IMPRATIO,
+    }

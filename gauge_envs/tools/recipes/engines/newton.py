@@ -11,7 +11,11 @@ from gauge_envs.backends.newton.settings import PRESETS
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.closed_forms import Solimp
 from gauge_envs.tools.recipes.engines.base import stated_by
-from gauge_envs.tools.recipes.engines.mujoco import ConstraintSettings, MuJoCoSettings, contact_of
+from gauge_envs.tools.recipes.engines.mujoco import (
+    ConstraintSettings,
+    MuJoCoSettings,
+    contact_of,
+)
 
 
 @stated_by(PRESETS["out_of_box"])
@@ -34,7 +38,8 @@ class NewtonSettings(ConstraintSettings):
     friction_field: ClassVar[str] = "mu"
     preset: ClassVar[str] = "rigid"
     limits: ClassVar[dict[str, str]] = {
-        name: text.replace("MuJoCo's", "the MuJoCo solver's") for name, text in MuJoCoSettings.limits.items()
+        name: text.replace("MuJoCo's", "the MuJoCo solver's")
+        for name, text in MuJoCoSettings.limits.items()
     } | {
         "restitution": "Newton's restitution has no effect in its MuJoCo solver: a rebound is the damping of a contact "
         "equation that is evaluated once a step"
@@ -82,7 +87,9 @@ timestep = {timestep_s}
         stiffness, damping = float(data["ke"]), float(data["kd"])
         if stiffness <= 0.0 or damping <= 0.0:
             raise ValueError("ke and kd must be positive")
-        return values | {"solref": (2.0 / damping, damping / (2.0 * math.sqrt(stiffness)))}
+        return values | {
+            "solref": (2.0 / damping, damping / (2.0 * math.sqrt(stiffness)))
+        }
 
     @classmethod
     def aimed(cls, aim: Aim) -> Self:
@@ -94,5 +101,10 @@ timestep = {timestep_s}
             share = (1.0 - width) / contact["impratio"] + width
             gain = -tangential[1] * width * aim.mass_kg / share
         return cls.of(
-            timestep_s=aim.timestep_s, integrator="implicitfast", cone="elliptic", mu=aim.friction, kf=gain, **contact
+            timestep_s=aim.timestep_s,
+            integrator="implicitfast",
+            cone="elliptic",
+            mu=aim.friction,
+            kf=gain,
+            **contact,
         )

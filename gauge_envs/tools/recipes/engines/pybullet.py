@@ -78,7 +78,9 @@ def set_contact(foot, floor, client=0):
             restitution=aim.rebound or 0.0,
             contactProcessingThreshold=0 if aim.rebound else "default",
             useMaximalCoordinates=True,
-            restitutionVelocityThreshold=THRESHOLD_STEPS * GRAVITY_M_PER_S2 * aim.timestep_s,
+            restitutionVelocityThreshold=THRESHOLD_STEPS
+            * GRAVITY_M_PER_S2
+            * aim.timestep_s,
             contactERP=0.2,
         )
 
@@ -94,8 +96,12 @@ def set_contact(foot, floor, client=0):
     def texts(self) -> dict[str, str]:
         """Return the values of the fields, with what depends on them."""
         return super().texts() | {
-            "split": ", splitImpulsePenetrationThreshold=0" if self.useSplitImpulse else "",
-            "threshold": ", contactProcessingThreshold=0" if self.contactProcessingThreshold == 0 else "",
+            "split": ", splitImpulsePenetrationThreshold=0"
+            if self.useSplitImpulse
+            else "",
+            "threshold": ", contactProcessingThreshold=0"
+            if self.contactProcessingThreshold == 0
+            else "",
             # Without rolling friction, Bullet ignores torsional friction.
             "rolling": f"{max(self.rolling_m, 1e-6 * self.torsion_m):.4g}",
         }

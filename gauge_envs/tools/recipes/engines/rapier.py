@@ -59,11 +59,18 @@ def with_contact(collider):  # both colliders; their bodies with .can_sleep(Fals
         given: dict[str, Any] = {}
         if (depth_m := aim.aimed_depth_m(MARGIN)) is not None:
             frequency = math.sqrt(GRAVITY_M_PER_S2 / depth_m) / (2.0 * math.pi)
-            given["natural_frequency"] = frequency if aim.stiffness_n_per_m is not None else max(frequency, 60.0)
+            given["natural_frequency"] = (
+                frequency if aim.stiffness_n_per_m is not None else max(frequency, 60.0)
+            )
             given["allowed_linear_error"] = 0.0
             if aim.damping_n_s_per_m is not None and aim.rebound is not None:
                 given["damping_ratio"] = max(damping_ratio_of(aim.rebound), 1e-3)
-        return cls.of(timestep_s=aim.timestep_s, friction=aim.friction, restitution=aim.rebound or 0.0, **given)
+        return cls.of(
+            timestep_s=aim.timestep_s,
+            friction=aim.friction,
+            restitution=aim.rebound or 0.0,
+            **given,
+        )
 
     def further(self, mass_kg: float) -> Mapping[str, Any]:
         """Return that bodies do not sleep."""

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 """Rows on what a target states, which need no rollout."""
 
-_TABLES = tomllib.loads((Path(__file__).parent / "phenomena.toml").read_text(encoding="utf-8"))
+_TABLES = tomllib.loads(
+    (Path(__file__).parent / "phenomena.toml").read_text(encoding="utf-8")
+)
 
 ROBOT_IDS = tuple(_TABLES["robot"])
 """Rows on the target's own model: its rollout, and what it states."""
@@ -53,29 +55,51 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     return replace(made, id=name)
 
 
-def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
+def phenomena(
+    only: Sequence[str] = (), *, include_deformables: bool = False
+) -> tuple[Phenomenon, ...]:
     """Return all phenomena in a fixed order, or those whose id matches one of the patterns.
 
     Args:
         only: Ids or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
-    return tuple(map(phenomenon, _matching(only, _known(include_deformables=include_deformables))))
+    return tuple(
+        map(
+            phenomenon, _matching(only, _known(include_deformables=include_deformables))
+        )
+    )
 
 
-def selection(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[str, ...]:
+def selection(
+    only: Sequence[str] = (), *, include_deformables: bool = False
+) -> tuple[str, ...]:
     """Return ids of rows in a fixed order: all, or those that match one of the patterns.
 
     Args:
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
-    patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
-    return _matching(patterns, (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS, *_known(include_deformables=include_deformables)))
+    patterns = [
+        part.strip() for text in only for part in text.split(",") if part.strip()
+    ]
+    return _matching(
+        patterns,
+        (
+            GRAVITY_ID,
+            CAPACITY_ID,
+            *ROBOT_IDS,
+            *_known(include_deformables=include_deformables),
+        ),
+    )
 
 
 def _matching(patterns: Sequence[str], known: tuple[str, ...]) -> tuple[str, ...]:
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("phenomenon", pattern, known)
-    return tuple(name for name in known if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns))
+    return tuple(
+        name
+        for name in known
+        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+    )

@@ -83,7 +83,10 @@ class Phenomenon:
             Need.SPACE: self.needs_space,
             Need.SERVO: any(isinstance(motor, Servo) for _, motor in scene.motors),
         }
-        return (Need.GRAVITY, *(need for need, is_needed in needed.items() if is_needed))
+        return (
+            Need.GRAVITY,
+            *(need for need, is_needed in needed.items() if is_needed),
+        )
 
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
@@ -96,7 +99,9 @@ PUBLISHED_TRIALS = 20
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
-    return toml_document(read_regular(data_folder("scoring") / "facts" / f"{name}.toml", MOST_TOML_BYTES))
+    return toml_document(
+        read_regular(data_folder("scoring") / "facts" / f"{name}.toml", MOST_TOML_BYTES)
+    )
 
 
 def recorded(recording: str, fact: str) -> dict[str, Any]:
@@ -104,7 +109,9 @@ def recorded(recording: str, fact: str) -> dict[str, Any]:
     return facts("recordings/recordings")[recording]["facts"][fact]
 
 
-def recorded_reality(recording: str, fact: str, *, trial: str = "one recorded trial", more: str = "") -> Reality:
+def recorded_reality(
+    recording: str, fact: str, *, trial: str = "one recorded trial", more: str = ""
+) -> Reality:
     """Return the reality of a measurement in a published recording.
 
     Args:
@@ -115,7 +122,9 @@ def recorded_reality(recording: str, fact: str, *, trial: str = "one recorded tr
     """
     found = recorded(recording, fact)
     source = f"{trial} ({RECORDINGS}){more}"
-    return Reality.measured(found["value"], scatter=found["sigma"], trial_count=1, source=source)
+    return Reality.measured(
+        found["value"], scatter=found["sigma"], trial_count=1, source=source
+    )
 
 
 def position_scatter_mm(variant: str) -> float:
@@ -124,11 +133,15 @@ def position_scatter_mm(variant: str) -> float:
     mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
     """
     baseline = published_baselines(variant)["rmse"]
-    assert baseline.std is not None, "every RMSE is published with its standard deviation"
+    assert baseline.std is not None, (
+        "every RMSE is published with its standard deviation"
+    )
     return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
 
 
-def acceleration(rollout: Rollout, displacement_mm: FloatArray, start_s: float, end_s: float) -> float:
+def acceleration(
+    rollout: Rollout, displacement_mm: FloatArray, start_s: float, end_s: float
+) -> float:
     """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
     part = rollout.between(start_s, end_s)
     return 1e-3 * acceleration_m_per_s2(rollout.times_s[part], displacement_mm[part])

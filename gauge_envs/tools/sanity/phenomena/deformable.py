@@ -49,19 +49,25 @@ HUNG = "TextileFlinging-satin"
 def _low_m(rollout: Rollout) -> FloatArray:
     """Return the mean position of the lowest row of markers of a hanging cloth [m], shape [sample_count, 3]."""
     heights = rollout.markers_m[0, :, 2]
-    return np.asarray(rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1))
+    return np.asarray(
+        rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1)
+    )
 
 
 def cloth_carry() -> Phenomenon:
     """Return the lag of a cube on a tablecloth, the one recorded experiment on cloth whose fabric is known."""
 
     def lag_mm(rollout: Rollout) -> FloatArray:
-        return np.asarray(1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0])
+        return np.asarray(
+            1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0]
+        )
 
     return Phenomenon(
         title="tablecloth: lag of the metal cube behind the pulling rod",
         quantity="lag",
-        scenario=Scenario(name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S),
+        scenario=Scenario(
+            name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S
+        ),
         unit="mm",
         reality=recorded_reality("tablecloth_pulling", "slip_of_cube_on_cloth_mm"),
         needs_friction=True,
@@ -85,7 +91,12 @@ def cloth_sag() -> Phenomenon:
     # The warp, x of the cloth, is vertical; the rod holds the upper edge.
     upper = cloth.pose.position_m[2] + 0.5 * cloth.size_m[0]
     depth = upper - min(z for _, _, z in scenario.scene.markers.positions_m)
-    law_mm = 1e3 * load * (cloth.size_m[0] * depth - 0.5 * depth**2) / cloth.stretch_stiffness_n_per_m
+    law_mm = (
+        1e3
+        * load
+        * (cloth.size_m[0] * depth - 0.5 * depth**2)
+        / cloth.stretch_stiffness_n_per_m
+    )
 
     def sag_mm(rollout: Rollout) -> FloatArray:
         height = _low_m(rollout)[:, 2]
@@ -102,8 +113,12 @@ def cloth_sag() -> Phenomenon:
             source=f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {cloth.stretch_stiffness_n_per_m:.1f} N/m",
             rationale=f"{SAG_TOLERANCE:.0%} of the sag: an effective stiffness that is off by as much",
         ),
-        value=lambda rollout: float(hann_mean(sag_mm(rollout)[rollout.between(HANGING_S, HANG_S)])),
-        trace=Trace(label="sag of the lowest markers [mm]", values=sag_mm, is_level=True),
+        value=lambda rollout: float(
+            hann_mean(sag_mm(rollout)[rollout.between(HANGING_S, HANG_S)])
+        ),
+        trace=Trace(
+            label="sag of the lowest markers [mm]", values=sag_mm, is_level=True
+        ),
     )
 
 
@@ -148,7 +163,9 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
 
     def change(rollout: Rollout) -> FloatArray:
         assert rollout.scene.markers is not None
-        area = face_areas_mm2(rollout.markers_m, rollout.scene.markers.faces).sum(axis=1)
+        area = face_areas_mm2(rollout.markers_m, rollout.scene.markers.faces).sum(
+            axis=1
+        )
         return np.asarray(100.0 * (area / area[0] - 1.0))
 
     return Phenomenon(
@@ -158,7 +175,8 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
         unit="%",
         reality=Reality.measured(
             100.0 * recorded(recording, "area_change_ratio")["value"],
-            scatter=100.0 * facts("recordings/recordings")[recording]["uncertainty"]["relative"],
+            scatter=100.0
+            * facts("recordings/recordings")[recording]["uncertainty"]["relative"],
             trial_count=1,
             source=f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
@@ -172,7 +190,9 @@ def beam() -> Phenomenon:
 
     def height_mm(rollout: Rollout) -> FloatArray:
         # The beam starts level, along y, from its pedestal.
-        reach = np.abs(rollout.markers_m[0, :, 1] - rollout.scene.body("base").pose.position_m[1])
+        reach = np.abs(
+            rollout.markers_m[0, :, 1] - rollout.scene.body("base").pose.position_m[1]
+        )
         tip = reach > reach.max() - TIP_M
         return np.asarray(1e3 * rollout.markers_m[:, tip, 2].mean(axis=1))
 
@@ -196,7 +216,9 @@ def _frequency_hz(times_s: FloatArray, height: FloatArray) -> float:
         return float("nan")
     # Apex of the parabola through three samples.
     before, at, after = height[extrema - 1], height[extrema], height[extrema + 1]
-    apex = times_s[extrema] + 0.5 * (before - after) / (before - 2.0 * at + after) * (times_s[1] - times_s[0])
+    apex = times_s[extrema] + 0.5 * (before - after) / (before - 2.0 * at + after) * (
+        times_s[1] - times_s[0]
+    )
     return float(0.5 * (len(apex) - 1) / (apex[-1] - apex[0]))
 
 
@@ -214,7 +236,9 @@ def rope_length() -> Phenomenon:
 
     def stretch_mm(rollout: Rollout) -> FloatArray:
         # Nodes are in their order along the rope.
-        lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(axis=1)
+        lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(
+            axis=1
+        )
         return np.asarray(1e3 * (lengths - lengths[0]))
 
     def largest_mm(rollout: Rollout) -> float:
@@ -224,9 +248,16 @@ def rope_length() -> Phenomenon:
     return Phenomenon(
         title="rope: largest change of its length while two balls fall into it",
         quantity="stretch",
-        scenario=Scenario(name="rope", variant="RopeWinding-rubber", seconds=JERK_S, nodes_of=("rope",)),
+        scenario=Scenario(
+            name="rope",
+            variant="RopeWinding-rubber",
+            seconds=JERK_S,
+            nodes_of=("rope",),
+        ),
         unit="mm",
-        reality=rigid_law("the rope does not visibly stretch", 2.0, "the length of 340 mm of the rope"),
+        reality=rigid_law(
+            "the rope does not visibly stretch", 2.0, "the length of 340 mm of the rope"
+        ),
         value=largest_mm,
         trace=Trace(label="stretch of the rope [mm]", values=stretch_mm, is_level=True),
     )

@@ -13,12 +13,27 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Contact,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
-from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SLIDE_S, creeping, real_friction, real_slides, sliding
+from gauge_envs.tools.sanity.phenomena.friction import (
+    HOLD_S,
+    SLIDE_S,
+    creeping,
+    real_friction,
+    real_slides,
+    sliding,
+)
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
@@ -61,7 +76,12 @@ AT_REST_M_PER_S = 0.01
 
 
 def foot_scene(
-    foot: FootGeometry, *, friction: float, slope_deg: float = 0.0, lift_m: float = 0.0, seconds: float = 1.0
+    foot: FootGeometry,
+    *,
+    friction: float,
+    slope_deg: float = 0.0,
+    lift_m: float = 0.0,
+    seconds: float = 1.0,
 ) -> Scene:
     """Return four copies of a foot in one rigid body, on an even ground that slopes along x.
 
@@ -90,26 +110,45 @@ def foot_scene(
                 mass_kg=0.0,
             ),
         ),
-        contacts=(Contact(first=(FOOT,), second=(GROUND,), friction=friction, restitution=0.0),),
+        contacts=(
+            Contact(
+                first=(FOOT,), second=(GROUND,), friction=friction, restitution=0.0
+            ),
+        ),
         duration_s=seconds,
     )
 
 
-def _replaced(_: Scene, *, foot: FootGeometry, friction: float, **options: float) -> Scene:
+def _replaced(
+    _: Scene, *, foot: FootGeometry, friction: float, **options: float
+) -> Scene:
     """Return the scene of a foot instead of a cube on a board; it can be sent to another process."""
     return foot_scene(foot, friction=friction, **options)
 
 
 def _scenario(
-    kind: str, foot: FootGeometry, *, seconds: float, slope_deg: float, lift_m: float = 0.0, steep: bool = True
+    kind: str,
+    foot: FootGeometry,
+    *,
+    seconds: float,
+    slope_deg: float,
+    lift_m: float = 0.0,
+    steep: bool = True,
 ) -> Scenario:
-    softening = {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
+    softening = (
+        {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
+    )
     return Scenario(
         name=f"foot-{kind}-{foot.digest}",
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
         change=partial(
-            _replaced, foot=foot, friction=_friction(foot), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
+            _replaced,
+            foot=foot,
+            friction=_friction(foot),
+            slope_deg=slope_deg,
+            lift_m=lift_m,
+            seconds=seconds,
         ),
         released="" if lift_m else FOOT,
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
@@ -121,7 +160,11 @@ def _friction(foot: FootGeometry) -> float:
 
 
 def _source(law: str, foot: FootGeometry) -> str:
-    whose = f"of the measured cube of {MATERIAL}" if foot.friction is None else "that the target states for its foot"
+    whose = (
+        f"of the measured cube of {MATERIAL}"
+        if foot.friction is None
+        else "that the target states for its foot"
+    )
     return f"{law}, with mu = {_friction(foot):.3g} {whose}; the foot is {foot.description}; {foot.assumption}"
 
 
@@ -160,16 +203,27 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot that is pushed a little more than its friction holds."""
     title = f"acceleration when pushed with {PUSH:g} times its friction"
-    return _sliding(foot, "push", title, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
+    return _sliding(
+        foot,
+        "push",
+        title,
+        float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))),
+    )
 
 
 def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot on a steep slope."""
-    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", SLIDE_DEG)
+    return _sliding(
+        foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", SLIDE_DEG
+    )
 
 
 def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phenomenon:
-    slope, friction, foot = np.radians(slope_deg), real_friction(MATERIAL), replace(own, friction=None)
+    slope, friction, foot = (
+        np.radians(slope_deg),
+        real_friction(MATERIAL),
+        replace(own, friction=None),
+    )
     real = Reality.law(
         GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),
         tolerance=real_slides(MATERIAL).tolerance,
@@ -177,7 +231,10 @@ def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phen
         rationale=f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
     scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
-    return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)
+    return replace(
+        sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real),
+        needs_foot=True,
+    )
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
@@ -186,9 +243,14 @@ def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phen
 def _landed(foot: FootGeometry, **attributes: Any) -> Phenomenon:
     """Return a row on a foot that was dropped."""
     return Phenomenon(
-        scenario=_scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M),
+        scenario=_scenario(
+            "landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M
+        ),
         needs_foot=True,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        trace=Trace(
+            label="height of the lowest sole [mm]",
+            values=lambda rollout: _lowest_mm(rollout, foot),
+        ),
         **attributes,
     )
 
@@ -243,7 +305,11 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         return float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
 
     def failure(rollout: Rollout) -> str:
-        return "it still moves at the end" if last_s(rollout) > rollout.times_s[-1] - STILL_S else ""
+        return (
+            "it still moves at the end"
+            if last_s(rollout) > rollout.times_s[-1] - STILL_S
+            else ""
+        )
 
     return _landed(
         foot,
@@ -256,6 +322,8 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
             source=_source("a foot that steps stays on the ground", foot),
             rationale="the stance of a trot; a foot that lands longer never rests before the next step",
         ),
-        value=lambda rollout: max(last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0),
+        value=lambda rollout: max(
+            last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0
+        ),
         failure=failure,
     )

@@ -50,7 +50,12 @@ STEADY_S = (2.3, 3.0)
 
 
 def _hold_scenario(material: str) -> Scenario:
-    return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S, released="cube")
+    return Scenario(
+        name=f"hold-{material}",
+        variant=f"SlopeSlider-1-{material}",
+        seconds=HOLD_S,
+        released="cube",
+    )
 
 
 def _on_board_mm(rollout: Rollout) -> FloatArray:
@@ -79,7 +84,11 @@ def creep_bound_mm_per_s(variant: str) -> float:
 
 
 def creeping(
-    title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], source: str, rationale: str
+    title: str,
+    scenario: Scenario,
+    downhill_mm: Callable[[Rollout], FloatArray],
+    source: str,
+    rationale: str,
 ) -> Phenomenon:
     """Return the creep of a body at rest on a slope.
 
@@ -107,7 +116,9 @@ def creeping(
         reality=Reality.law(0.0, tolerance=bound, source=source, rationale=rationale),
         needs_friction=True,
         value=speed_mm_per_s,
-        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
+        trace=Trace(
+            label="displacement downhill [mm]", values=downhill_mm, reality=reality
+        ),
     )
 
 
@@ -132,7 +143,9 @@ def rest_height(material: str) -> Phenomenon:
         unit="mm",
         reality=rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
         needs_friction=True,
-        value=lambda rollout: _gaps_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
+        value=lambda rollout: _gaps_mm(rollout)[
+            rollout.between(SETTLED_S, HOLD_S)
+        ].mean(),
         trace=Trace(label="gap [mm]", values=_gaps_mm, is_level=True),
     )
 
@@ -144,8 +157,12 @@ def thrown(material: str) -> Phenomenon:
         held,
         title="release: height to which a cube that touches its board is thrown, above where it settles",
         quantity="height",
-        scenario=replace(held.scenario, name=f"release-{material}", released="", seconds=HOLD_S),
-        reality=rigid_law("a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"),
+        scenario=replace(
+            held.scenario, name=f"release-{material}", released="", seconds=HOLD_S
+        ),
+        reality=rigid_law(
+            "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
+        ),
         value=lambda rollout: _gaps_mm(rollout).max() - max(_gaps_mm(rollout)[-1], 0.0),
     )
 
@@ -162,7 +179,12 @@ def _gaps_mm(rollout: Rollout) -> FloatArray:
 # --- sliding ---------------------------------------------------------------------------------------------------------
 
 
-def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], real: Reality) -> Phenomenon:
+def sliding(
+    title: str,
+    scenario: Scenario,
+    downhill_mm: Callable[[Rollout], FloatArray],
+    real: Reality,
+) -> Phenomenon:
     """Return the acceleration of a body that slides down a slope.
 
     Args:
@@ -182,8 +204,12 @@ def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], Flo
         unit="m/s^2",
         reality=real,
         needs_friction=True,
-        value=lambda rollout: acceleration(rollout, downhill_mm(rollout), STEADY_SLIDE_S, SLIDE_S),
-        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
+        value=lambda rollout: acceleration(
+            rollout, downhill_mm(rollout), STEADY_SLIDE_S, SLIDE_S
+        ),
+        trace=Trace(
+            label="displacement downhill [mm]", values=downhill_mm, reality=reality
+        ),
     )
 
 
@@ -191,7 +217,12 @@ def real_slides(material: str, source: str = "") -> Reality:
     """Return the acceleration of real cubes on 30 degrees."""
     trials = facts("slope_slider_30deg_summary")[material]
     found = trials["acceleration_m_s2"]
-    return Reality.measured(found["mean"], scatter=found["std"], trial_count=trials["trial_count"], source=source)
+    return Reality.measured(
+        found["mean"],
+        scatter=found["std"],
+        trial_count=trials["trial_count"],
+        source=source,
+    )
 
 
 def real_friction(material: str) -> float:
@@ -220,18 +251,27 @@ def _turned(scene: Scene) -> Scene:
     turn = Rotation.from_euler("z", TURN_DEG, degrees=True)
 
     def turned(pose: Pose) -> Pose:
-        return Pose.from_rotation(vector(turn.apply(pose.position_m)), turn * pose.rotation)
+        return Pose.from_rotation(
+            vector(turn.apply(pose.position_m)), turn * pose.rotation
+        )
 
-    return replace(scene, bodies=tuple(replace(body, pose=turned(body.pose)) for body in scene.bodies))
+    return replace(
+        scene,
+        bodies=tuple(replace(body, pose=turned(body.pose)) for body in scene.bodies),
+    )
 
 
 def turned_slide(material: str) -> Phenomenon:
     """Return the acceleration of a cube that slides in another direction."""
     straight = slide(material)
-    scenario = replace(straight.scenario, name=f"slide-turned-{material}", change=_turned)
+    scenario = replace(
+        straight.scenario, name=f"slide-turned-{material}", change=_turned
+    )
     friction = next(c.friction for c in scenario.scene.contacts if "board" in c.second)
     downhill = scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
-    law = scenario.scene.gravity_m_per_s2 * float(-downhill[2] - friction * np.hypot(*downhill[:2]))
+    law = scenario.scene.gravity_m_per_s2 * float(
+        -downhill[2] - friction * np.hypot(*downhill[:2])
+    )
     return replace(
         straight,
         title=f"isotropic friction, {material}: acceleration on 30 degrees, board turned by {TURN_DEG:.0f} degrees",
@@ -257,7 +297,12 @@ def _on_plate_mm(rollout: Rollout) -> FloatArray:
 
 def carry(material: str) -> Phenomenon:
     """Return the slip of a cube on a slow turntable."""
-    scenario = Scenario(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S, released="cube")
+    scenario = Scenario(
+        name=f"turn-{material}",
+        variant=f"Turntable-1-{material}",
+        seconds=TURN_S,
+        released="cube",
+    )
 
     def slip_mm(rollout: Rollout) -> FloatArray:
         place = _on_plate_mm(rollout)[:, :2]
@@ -284,7 +329,9 @@ def carry(material: str) -> Phenomenon:
 
 def slip() -> Phenomenon:
     """Return the slip of a cube when the turntable reverses."""
-    scenario = Scenario(name="stop", variant="Turntable-3-metal", seconds=TURN_S, released="cube")
+    scenario = Scenario(
+        name="stop", variant="Turntable-3-metal", seconds=TURN_S, released="cube"
+    )
     radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
 
     def slip_deg(rollout: Rollout) -> FloatArray:
@@ -299,7 +346,9 @@ def slip() -> Phenomenon:
         unit="deg",
         reality=Reality.measured(
             recorded("turntable", "slip_after_first_stop_deg")["value"],
-            scatter=float(np.degrees(position_scatter_mm(scenario.variant) / radius_mm)),
+            scatter=float(
+                np.degrees(position_scatter_mm(scenario.variant) / radius_mm)
+            ),
             trial_count=1,
             source=f"one recorded trial ({RECORDINGS}); scatter: of a position along the circle of {scenario.variant} "
             "(paper, Table 5)",

@@ -38,9 +38,13 @@ def _replaced(_: Scene, *, scene: Scene) -> Scene:
     return scene
 
 
-def _row(name: str, scene: Scene, value: Callable[[Rollout], float], **texts: Any) -> Phenomenon:
+def _row(
+    name: str, scene: Scene, value: Callable[[Rollout], float], **texts: Any
+) -> Phenomenon:
     change = partial(_replaced, scene=scene)
-    scenario = Scenario(name=name, variant="SlopeSlider-1-wood", seconds=scene.duration_s, change=change)
+    scenario = Scenario(
+        name=name, variant="SlopeSlider-1-wood", seconds=scene.duration_s, change=change
+    )
     return Phenomenon(scenario=scenario, value=value, needs_friction=True, **texts)
 
 
@@ -57,8 +61,15 @@ def held(id: str, quantity: str) -> Phenomenon:
     (known,), (scene, measure) = checks([id]), HANDS[id]
     name, law = (id, MIDDLE) if id == "grasp-torsion" else ("grasp", 0.0)
     source, allowed = f"{known.source}: {known.law}", known.tolerance
-    real = Reality.law(law, tolerance=allowed.width(law), source=source, rationale=allowed.rationale)
-    texts = {"title": known.title, "quantity": quantity, "unit": known.unit, "reality": real}
+    real = Reality.law(
+        law, tolerance=allowed.width(law), source=source, rationale=allowed.rationale
+    )
+    texts = {
+        "title": known.title,
+        "quantity": quantity,
+        "unit": known.unit,
+        "reality": real,
+    }
     return _row(name, scene, measure, **texts)
 
 
@@ -69,20 +80,44 @@ def servo() -> Phenomenon:
         settled = rollout.times_s > 0.5 * SQUEEZED.duration_s
         return -1e3 * float(rollout.displacement("jaw")[settled, 0].mean())
 
-    title, real = "jaw of a servo sinks into a cube", rigid_law("rigid bodies: no depth", 1.0, "a cube of 34 mm")
-    return _row("grasp-servo", SQUEEZED, depth_mm, title=title, quantity="depth", unit="mm", reality=real)
+    title, real = (
+        "jaw of a servo sinks into a cube",
+        rigid_law("rigid bodies: no depth", 1.0, "a cube of 34 mm"),
+    )
+    return _row(
+        "grasp-servo",
+        SQUEEZED,
+        depth_mm,
+        title=title,
+        quantity="depth",
+        unit="mm",
+        reality=real,
+    )
 
 
 def rolling() -> Phenomenon:
     """Return the torque against rolling over the normal force, from the energy that a ball loses on its path."""
-    source, reason = "hard rubber on steel: CDA3000, table 7.22", "the largest of the pairs of gauge list materials"
+    source, reason = (
+        "hard rubber on steel: CDA3000, table 7.22",
+        "the largest of the pairs of gauge list materials",
+    )
     law = Reality.law(0.0, tolerance=MOST_ROLLING_MM, source=source, rationale=reason)
     real = replace(law, limits=f"at most {MOST_ROLLING_MM:g}")
 
     def arm_mm(rollout: Rollout) -> float:
         lost = ROLLS_M_PER_S**2 - rollout.states["ball"][-1, 7] ** 2
-        return float(700.0 * RADIUS_M * lost / (G * rollout.displacement("ball")[-1, 0]))
+        return float(
+            700.0 * RADIUS_M * lost / (G * rollout.displacement("ball")[-1, 0])
+        )
 
     scene = turning_scene(0.5, ROLLS_M_PER_S, (0.0, ROLLS_M_PER_S / RADIUS_M, 0.0))
     title = "torque against rolling over the normal force"
-    return _row("roll", scene, arm_mm, title=title, quantity="rolling friction", unit="mm", reality=real)
+    return _row(
+        "roll",
+        scene,
+        arm_mm,
+        title=title,
+        quantity="rolling friction",
+        unit="mm",
+        reality=real,
+    )

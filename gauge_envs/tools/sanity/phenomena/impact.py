@@ -14,7 +14,12 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import PUBLISHED_TRIALS, Phenomenon, Trace, facts
+from gauge_envs.tools.sanity.phenomena.base import (
+    PUBLISHED_TRIALS,
+    Phenomenon,
+    Trace,
+    facts,
+)
 from gauge_envs.tools.sanity.scenario import Scenario
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -56,7 +61,11 @@ def _several_balls(scene: Scene) -> Scene:
     ball = scene.body("ball")
     x, y, z = ball.pose.position_m
     balls = tuple(
-        replace(ball, name=f"ball-{index}", pose=replace(ball.pose, position_m=(x + 0.2 * index, y, z + lift)))
+        replace(
+            ball,
+            name=f"ball-{index}",
+            pose=replace(ball.pose, position_m=(x + 0.2 * index, y, z + lift)),
+        )
         for index, lift in enumerate(LIFTS_M)
     )
     names = tuple(one.name for one in balls)
@@ -71,7 +80,9 @@ def _gap_mm(scene: Scene, name: str, height_m: FloatArray | float) -> FloatArray
     """Return the gap between a ball at a height [m] and the ground [mm], with the shape of the height."""
     ball, ground = scene.body(name), scene.body("ground")
     assert isinstance(ball.shape, Sphere)
-    return np.asarray(1e3 * (height_m - ground.pose.position_m[2] - ball.shape.radius_m))
+    return np.asarray(
+        1e3 * (height_m - ground.pose.position_m[2] - ball.shape.radius_m)
+    )
 
 
 def _height_mm(rollout: Rollout, name: str) -> FloatArray:
@@ -84,7 +95,9 @@ def _rebound_ratio(rollout: Rollout, name: str) -> float:
     heights_m = 1e-3 * _height_mm(rollout, name)
     drop_m = float(heights_m[0])
     gravity = rollout.scene.gravity_m_per_s2
-    bounce = first_bounce(rollout.times_s, heights_m, gravity_m_per_s2=gravity, released_m=drop_m)
+    bounce = first_bounce(
+        rollout.times_s, heights_m, gravity_m_per_s2=gravity, released_m=drop_m
+    )
     if bounce is None or 1e3 * bounce.restitution**2 * drop_m <= CLEAR_MM:
         return 0.0
     return bounce.restitution
@@ -102,7 +115,11 @@ def rebound() -> Phenomenon:
 
     def failure(rollout: Rollout) -> str:
         stuck = ratios(rollout).count(0.0)
-        return f"{stuck} of {len(names)} drops do not leave the ground again" if stuck else ""
+        return (
+            f"{stuck} of {len(names)} drops do not leave the ground again"
+            if stuck
+            else ""
+        )
 
     return Phenomenon(
         title="restitution: speed of a ball after an impact over that before",
@@ -124,16 +141,23 @@ def rebound() -> Phenomenon:
         is_impact=True,
         value=lambda rollout: float(np.mean(ratios(rollout))),
         failure=failure,
-        trace=Trace(label="height of the ball [mm]", values=lambda rollout: _height_mm(rollout, drawn)),
+        trace=Trace(
+            label="height of the ball [mm]",
+            values=lambda rollout: _height_mm(rollout, drawn),
+        ),
     )
 
 
 def slow_rebound() -> Phenomenon:
     """Return the same for a slower impact."""
     fast = rebound()
-    scenario = replace(fast.scenario, name="drop-slow", seconds=SLOW_DROP_S, change=_lowered_balls)
+    scenario = replace(
+        fast.scenario, name="drop-slow", seconds=SLOW_DROP_S, change=_lowered_balls
+    )
     balls, scene = scenario.scene.dynamic_bodies, scenario.scene
-    height_m = 1e-3 * float(np.mean([_gap_mm(scene, ball.name, ball.pose.position_m[2]) for ball in balls]))
+    height_m = 1e-3 * float(
+        np.mean([_gap_mm(scene, ball.name, ball.pose.position_m[2]) for ball in balls])
+    )
     speed = float(np.sqrt(2.0 * scene.gravity_m_per_s2 * height_m))
     return replace(
         fast,
@@ -167,30 +191,50 @@ SHARE_OF_SPEED = 0.1
 
 def _with_gaps(scene: Scene) -> Scene:
     """Return the scene with gaps between neighbours."""
-    shifts = {body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)}
+    shifts = {
+        body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)
+    }
 
-    def shifted(name: str, place_m: tuple[float, float, float]) -> tuple[float, float, float]:
+    def shifted(
+        name: str, place_m: tuple[float, float, float]
+    ) -> tuple[float, float, float]:
         x, y, z = place_m
         return x, y + shifts.get(name, 0.0), z
 
     return replace(
         scene,
         bodies=tuple(
-            replace(body, pose=replace(body.pose, position_m=shifted(body.name, body.pose.position_m)))
+            replace(
+                body,
+                pose=replace(
+                    body.pose, position_m=shifted(body.name, body.pose.position_m)
+                ),
+            )
             for body in scene.bodies
         ),
-        joints=tuple(replace(joint, anchor_m=shifted(joint.body, joint.anchor_m)) for joint in scene.joints),
+        joints=tuple(
+            replace(joint, anchor_m=shifted(joint.body, joint.anchor_m))
+            for joint in scene.joints
+        ),
     )
 
 
 def momentum() -> Phenomenon:
     """Return the momentum that passes through a row of balls."""
     scenario = Scenario(
-        name="cradle", variant="NewtonsCradle-metal", seconds=SWING_S, parameters="effective", change=_with_gaps
+        name="cradle",
+        variant="NewtonsCradle-metal",
+        seconds=SWING_S,
+        parameters="effective",
+        change=_with_gaps,
     )
     scene = scenario.scene
     names = [body.name for body in scene.dynamic_bodies]
-    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(scene, j)) for j in scene.joints if isinstance(j, Hinge)}
+    rest = {
+        j.body: 1e3 * (j.anchor_m[2] - _arm_m(scene, j))
+        for j in scene.joints
+        if isinstance(j, Hinge)
+    }
     drop = 1e3 * scene.body(names[0]).pose.position_m[2] - rest[names[0]]
     leaves_mm = SHARE_OF_SPEED**2 * drop
     real = published_baselines(scenario.variant)["mte"]
@@ -210,8 +254,12 @@ def momentum() -> Phenomenon:
 
     def failure(rollout: Rollout) -> str:
         after = rollout.times_s > PASSED_S
-        leaving = [name for name in names if rise_mm(rollout, name)[after].max() > leaves_mm]
-        others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
+        leaving = [
+            name for name in names if rise_mm(rollout, name)[after].max() > leaves_mm
+        ]
+        others = (
+            f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
+        )
         return "" if leaving == names[-1:] else others
 
     return Phenomenon(
@@ -229,9 +277,16 @@ def momentum() -> Phenomenon:
         ),
         value=efficiency,
         failure=failure,
-        trace=Trace(label="height of the last ball [mm]", values=lambda rollout: rise_mm(rollout, names[-1])),
+        trace=Trace(
+            label="height of the last ball [mm]",
+            values=lambda rollout: rise_mm(rollout, names[-1]),
+        ),
     )
 
 
 def _arm_m(scene: Scene, hinge: Hinge) -> float:
-    return float(np.linalg.norm(np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m))
+    return float(
+        np.linalg.norm(
+            np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
+        )
+    )

@@ -43,7 +43,9 @@ FALL_S = 10 / 30
 def seam() -> Phenomenon:
     """Return the acceleration of a tetrahedron down a seam."""
     scenario = Scenario(name="seam", variant="SlopeContact-wood", seconds=SEAM_S[1])
-    downwards = np.array(facts("recordings/recordings")["layouts"]["seam"]["coordinates"][0]["direction"])
+    downwards = np.array(
+        facts("recordings/recordings")["layouts"]["seam"]["coordinates"][0]["direction"]
+    )
     friction = next(c.friction for c in scenario.scene.contacts if "base" in c.second)
 
     def slid_mm(rollout: Rollout) -> FloatArray:
@@ -75,9 +77,13 @@ def point() -> Phenomenon:
     return Phenomenon(
         title="sharp edges: penetration of a falling tip into the base",
         quantity="depth",
-        scenario=Scenario(name="point", variant="NonsmoothContact-1-wood", seconds=FALL_S),
+        scenario=Scenario(
+            name="point", variant="NonsmoothContact-1-wood", seconds=FALL_S
+        ),
         unit="mm",
-        reality=rigid_law("rigid bodies do not overlap", 1.0, "the height of 75 mm of the pyramid"),
+        reality=rigid_law(
+            "rigid bodies do not overlap", 1.0, "the height of 75 mm of the pyramid"
+        ),
         value=lambda rollout: depth_mm(rollout).max(),
         trace=Trace(label="depth of the tip [mm]", values=depth_mm, is_level=True),
     )
@@ -88,12 +94,17 @@ def _depths_mm(rollout: Rollout, body: str, fixed: str) -> FloatArray:
     shape, solid = rollout.scene.body(body).shape, rollout.scene.body(fixed).shape
     assert isinstance(solid, ConvexUnion)
     rotations = rollout.rotation(body).as_matrix()
-    vertices = np.einsum("tij,vj->tvi", rotations, shape.corners_m) + rollout.position(body)[:, None]
+    vertices = (
+        np.einsum("tij,vj->tvi", rotations, shape.corners_m)
+        + rollout.position(body)[:, None]
+    )
     places = rollout.scene.body(fixed).pose.to_body(vertices.reshape(-1, 3))
     depth = np.zeros(len(places))
     for piece in solid.pieces_m:
         planes = ConvexHull(np.asarray(piece)).equations
-        depth = np.maximum(depth, -(places @ planes[:, :3].T + planes[:, 3]).max(axis=1))
+        depth = np.maximum(
+            depth, -(places @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+        )
     return np.asarray(1e3 * depth.reshape(vertices.shape[:2]).max(axis=1))
 
 
@@ -108,17 +119,25 @@ def _without_ball(scene: Scene) -> Scene:
         scene,
         bodies=tuple(body for body in scene.bodies if body.name != "ball"),
         joints=(),
-        contacts=tuple(contact for contact in scene.contacts if "ball" not in contact.first),
+        contacts=tuple(
+            contact for contact in scene.contacts if "ball" not in contact.first
+        ),
     )
 
 
-def _wall(title: str, quantity: str, extreme_mm: Callable[[FloatArray], FloatArray], of: str) -> Phenomenon:
+def _wall(
+    title: str, quantity: str, extreme_mm: Callable[[FloatArray], FloatArray], of: str
+) -> Phenomenon:
     """Return a row on a wall, by a function of the bricks' displacements [mm], shape [brick_count, sample_count, 3]."""
-    scenario = Scenario(name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball)
+    scenario = Scenario(
+        name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball
+    )
     bricks = [body.name for body in scenario.scene.dynamic_bodies]
 
     def values(rollout: Rollout) -> FloatArray:
-        return np.asarray(extreme_mm(1e3 * np.array([rollout.displacement(name) for name in bricks])))
+        return np.asarray(
+            extreme_mm(1e3 * np.array([rollout.displacement(name) for name in bricks]))
+        )
 
     return Phenomenon(
         title=f"stacking: {title}",
@@ -135,14 +154,21 @@ def _wall(title: str, quantity: str, extreme_mm: Callable[[FloatArray], FloatArr
 def wall_sag() -> Phenomenon:
     """Return the settling of a wall."""
     title = "settling of a wall of 118 bricks"
-    return _wall(title, "sag", lambda moved: -moved[..., 2].min(axis=0), "eleven layers of 15 mm")
+    return _wall(
+        title, "sag", lambda moved: -moved[..., 2].min(axis=0), "eleven layers of 15 mm"
+    )
 
 
 def wall_drift() -> Phenomenon:
     """Return the drift of the bricks of a wall."""
     title = f"drift of the bricks of a wall within {STAND_S:g} s"
     aside = "the length of 40 mm of a brick"
-    return _wall(title, "drift", lambda moved: np.linalg.norm(moved[..., :2], axis=-1).max(axis=0), aside)
+    return _wall(
+        title,
+        "drift",
+        lambda moved: np.linalg.norm(moved[..., :2], axis=-1).max(axis=0),
+        aside,
+    )
 
 
 # --- a pendulum ------------------------------------------------------------------------------------------------------
@@ -164,7 +190,9 @@ def _pendulum() -> tuple[Scenario, Hinge, RigidBody, FloatArray]:
     """Return the scenario of the pendulum, its hinge and ball, and the arm between them [m], shape [3]."""
     variant = "Pendulum-metal"
     seconds = (published_baselines(variant)["el"].frames - 1) / FRAME_RATE_HZ
-    scenario = Scenario(name="pendulum", variant=variant, seconds=seconds, interval_s=SAMPLE_INTERVAL_S)
+    scenario = Scenario(
+        name="pendulum", variant=variant, seconds=seconds, interval_s=SAMPLE_INTERVAL_S
+    )
     hinge = next(joint for joint in scenario.scene.joints if isinstance(joint, Hinge))
     ball = scenario.scene.body(hinge.body)
     return scenario, hinge, ball, np.asarray(ball.pose.position_m) - hinge.anchor_m
@@ -203,7 +231,9 @@ def period() -> Phenomenon:
             rationale=f"{PERIOD_TOLERANCE:.0%}, an error of one swing in a hundred; the recording resolves no less",
         ),
         value=measured_s,
-        trace=Trace(label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S),
+        trace=Trace(
+            label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S
+        ),
     )
 
 
@@ -222,5 +252,7 @@ def energy() -> Phenomenon:
             source="energy loss of real trials, published as 0.00 (paper, Table 5)",
             rationale="last printed digit of the published loss",
         ),
-        value=lambda rollout: energy_loss(1e3 * rollout.position(ball.name)[:, 2], rest_height_mm=rest_mm),
+        value=lambda rollout: energy_loss(
+            1e3 * rollout.position(ball.name)[:, 2], rest_height_mm=rest_mm
+        ),
     )

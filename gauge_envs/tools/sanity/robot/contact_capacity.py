@@ -36,7 +36,10 @@ def contact_capacity(model: mujoco.MjModel, limits: CapacityLimits) -> ContactCa
     if limits.njmax is None and limits.naconmax is None:
         return ContactCapacity(limits=limits, reason="the engine chooses the limits")
     if model.nhfield:
-        return ContactCapacity(limits=limits, reason="engines find different numbers of contacts on a height field")
+        return ContactCapacity(
+            limits=limits,
+            reason="engines find different numbers of contacts on a height field",
+        )
     return ContactCapacity(limits=limits, need=contact_need(model))
 
 
@@ -70,10 +73,15 @@ def _motions(model: mujoco.MjModel) -> Iterator[tuple[str, Iterator[mujoco.MjDat
     floating = [
         int(model.jnt_qposadr[joint])
         for joint in range(model.njnt)
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE and model.body_parentid[model.jnt_bodyid[joint]] == 0
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        and model.body_parentid[model.jnt_bodyid[joint]] == 0
     ]
     starts = [
-        (f"keyframe {model.key(number).name or number}", model.key_qpos[number], model.key_ctrl[number])
+        (
+            f"keyframe {model.key(number).name or number}",
+            model.key_qpos[number],
+            model.key_ctrl[number],
+        )
         for number in range(model.nkey)
     ] or [("the initial pose", model.qpos0, np.zeros(model.nu))]
     for number in range(DROP_COUNT):
@@ -84,15 +92,26 @@ def _motions(model: mujoco.MjModel) -> Iterator[tuple[str, Iterator[mujoco.MjDat
             data.qpos[address + 2] += DROP_HEIGHT_M
             if turned:
                 quaternion = generator.normal(size=4)
-                data.qpos[address + 3 : address + 7] = quaternion / np.linalg.norm(quaternion)
+                data.qpos[address + 3 : address + 7] = quaternion / np.linalg.norm(
+                    quaternion
+                )
         is_random = number >= DROP_COUNT // 2
         words = ["turned at random"] * turned + ["with random controls"] * is_random
-        yield ", ".join([f"a motion from {name}", *words]), _steps(model, data, generator if is_random else None)
+        yield (
+            ", ".join([f"a motion from {name}", *words]),
+            _steps(model, data, generator if is_random else None),
+        )
 
 
-def _steps(model: mujoco.MjModel, data: mujoco.MjData, controls: np.random.Generator | None) -> Iterator[mujoco.MjData]:
+def _steps(
+    model: mujoco.MjModel, data: mujoco.MjData, controls: np.random.Generator | None
+) -> Iterator[mujoco.MjData]:
     """Yield the data after each step of a motion, which random controls may drive; a motion that diverges ends."""
-    low, high = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange.T, np.array([[-1.0], [1.0]]))
+    low, high = np.where(
+        model.actuator_ctrllimited,
+        model.actuator_ctrlrange.T,
+        np.array([[-1.0], [1.0]]),
+    )
     every = max(1, round(CONTROL_S / model.opt.timestep))
     for step in range(_step_count(model)):
         if controls is not None and step % every == 0:

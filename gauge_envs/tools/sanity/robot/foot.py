@@ -80,14 +80,19 @@ class FootGeometry:
         parts = []
         for turn, sole in zip(self._turns, self.soles_m, strict=True):
             for part in self.parts:
-                pose = Pose.from_rotation(vector(turn.apply(part.pose.position_m) + sole), turn * part.pose.rotation)
+                pose = Pose.from_rotation(
+                    vector(turn.apply(part.pose.position_m) + sole),
+                    turn * part.pose.rotation,
+                )
                 parts.append(Part(shape=part.shape, pose=pose))
         return Compound(parts=tuple(parts))
 
     @cached_property
     def digest(self) -> str:
         """Short text that differs for different scenes."""
-        return hashlib.sha256(repr((self.parts, self.load_kg, self.softening, self.friction)).encode()).hexdigest()[:12]
+        return hashlib.sha256(
+            repr((self.parts, self.load_kg, self.softening, self.friction)).encode()
+        ).hexdigest()[:12]
 
     @property
     def description(self) -> str:
@@ -99,7 +104,9 @@ class FootGeometry:
     def assumption(self) -> str:
         """Text about what stands for the robot."""
         softer = (
-            "" if self.softening is None else f"; contacts {self.softening:.3g} times softer, as on the foot's link"
+            ""
+            if self.softening is None
+            else f"; contacts {self.softening:.3g} times softer, as on the foot's link"
         )
         return f"four copies in one rigid body, whose mass is spread evenly over their solids{softer}"
 

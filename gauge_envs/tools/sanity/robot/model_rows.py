@@ -12,14 +12,30 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
+from gauge_envs.tools.sanity.model import (
+    VISIBLE_WITHIN,
+    Cause,
+    PhenomenonResult,
+    Reality,
+    RealityKind,
+    Verdict,
+)
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, geom_name, support_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    SOLE_WITHIN,
+    Standing,
+    geom_name,
+    support_m,
+)
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
 
-UNIT_ERRORS = {1e3: "a density in g/cm^3 or a mass in tonnes", 1e-3: "a mass in grams", 1e6: "a mass in kt"}
+UNIT_ERRORS = {
+    1e3: "a density in g/cm^3 or a mass in tonnes",
+    1e-3: "a mass in grams",
+    1e6: "a mass in kt",
+}
 
 FULL_ACTION_RAD_PER_S = 3.0
 """Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
@@ -54,7 +70,9 @@ ROWS: dict[str, Callable[[Robot], Finding]] = {}
 """Function of each row, whose limits and words stand in `scoring/facts/robot_rows.toml`."""
 
 
-def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
+def row(
+    name: str,
+) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
     """Return a decorator that adds the function of a row."""
 
     def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
@@ -87,7 +105,13 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
     known = facts("robot_rows")[name]
     (low, high), value = known["interval"], found.value
     ratio = max(low / max(value, 1e-12), value / high) if np.isfinite(value) else np.inf
-    verdict = Verdict.INSIDE if ratio <= 1.0 + 1e-9 else Verdict.VISIBLE if ratio <= VISIBLE_WITHIN else Verdict.WRONG
+    verdict = (
+        Verdict.INSIDE
+        if ratio <= 1.0 + 1e-9
+        else Verdict.VISIBLE
+        if ratio <= VISIBLE_WITHIN
+        else Verdict.WRONG
+    )
     is_off = verdict is not Verdict.INSIDE and not found.declined
     return PhenomenonResult(
         phenomenon=name,
@@ -103,7 +127,9 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
         ),
         configured=None if found.declined or not np.isfinite(value) else float(value),
         verdict=Verdict.DECLINED if found.declined else verdict,
-        cause=Cause(settings=tuple(found.changes), line=found.advice) if found.advice and is_off else None,
+        cause=Cause(settings=tuple(found.changes), line=found.advice)
+        if found.advice and is_off
+        else None,
         remark=found.declined or found.remark,
         applies=not found.declined,
         consequence=known["consequence"] if is_off else "",
@@ -133,26 +159,46 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
     model, largest, points = robot.model, 0.0, []
     if not model.body_geomnum[body]:
         return (np.nan,) * 3
-    for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+    for geom in range(
+        model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]
+    ):
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-        points.append(model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T)
+        points.append(
+            model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T
+        )
         largest = max(largest, float(8.0 * half.prod()))
-    points += [model.body_pos[child][None] for child in robot.bodies if int(model.body_parentid[child]) == body]
-    points.append(model.jnt_pos[model.body_jntadr[body] : model.body_jntadr[body] + model.body_jntnum[body]])
+    points += [
+        model.body_pos[child][None]
+        for child in robot.bodies
+        if int(model.body_parentid[child]) == body
+    ]
+    points.append(
+        model.jnt_pos[
+            model.body_jntadr[body] : model.body_jntadr[body] + model.body_jntnum[body]
+        ]
+    )
     every = np.vstack(points)
     try:
         hull = float(ConvexHull(every).volume)
     except QhullError:
         hull = largest
-    return largest, hull, float(np.linalg.norm(every - model.body_ipos[body], axis=1).max())
+    return (
+        largest,
+        hull,
+        float(np.linalg.norm(every - model.body_ipos[body], axis=1).max()),
+    )
 
 
 @row("robot-density")
 def _density(robot: Robot) -> Finding:
-    model, worst, found = robot.model, 0.0, Finding(declined="the shape of no link is known")
+    model, worst, found = (
+        robot.model,
+        0.0,
+        Finding(declined="the shape of no link is known"),
+    )
     changes: dict[str, Any] = {}
     total_kg = float(model.body_mass[robot.bodies].sum())
     low, high = facts("robot_rows")["robot-density"]["interval"]
@@ -174,7 +220,9 @@ def _density(robot: Robot) -> Finding:
         if found.declined or ratio > worst:
             worst = ratio
             links = f"{body_name(robot, body)} and links like it"
-            advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
+            advice = (
+                f"multiply mass and inertia, or the density, of {links} by {factor:g}"
+            )
             found = Finding(value=density, remark=remark, advice=advice)
     return replace(found, changes=changes)
 
@@ -190,15 +238,24 @@ def _bound(robot: Robot) -> Finding:
         model = bare.compile()
     except ValueError:
         return Finding(declined="without them a body has no mass: MuJoCo needs them")
-    masses, stated_masses = robot.model.body_mass[robot.bodies], model.body_mass[robot.bodies]
+    masses, stated_masses = (
+        robot.model.body_mass[robot.bodies],
+        model.body_mass[robot.bodies],
+    )
     inertias = robot.model.body_inertia[robot.bodies].max(axis=1)
     stated_inertias = model.body_inertia[robot.bodies].max(axis=1)
     share = float((masses - stated_masses).sum() / stated_masses.sum())
     is_raised = inertias > 1.02 * stated_inertias
     raised = np.asarray(robot.bodies)[is_raised].tolist()
-    weight = float(stated_masses[is_raised].sum() / stated_masses.sum()) if raised else 0.0
+    weight = (
+        float(stated_masses[is_raised].sum() / stated_masses.sum()) if raised else 0.0
+    )
     names = ", ".join(body_name(robot, body) for body in raised[:3])
-    changes = {f"{key}[{b}]": getattr(model, key)[b] for b in robot.bodies for key in ("body_mass", "body_inertia")}
+    changes = {
+        f"{key}[{b}]": getattr(model, key)[b]
+        for b in robot.bodies
+        for key in ("body_mass", "body_inertia")
+    }
     remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
     return Finding(
         value=max(share, weight),
@@ -214,7 +271,10 @@ def _gravcomp(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
     lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
-    share = float((model.body_gravcomp * model.body_mass)[robot.bodies].sum() / model.body_mass[robot.bodies].sum())
+    share = float(
+        (model.body_gravcomp * model.body_mass)[robot.bodies].sum()
+        / model.body_mass[robot.bodies].sum()
+    )
     names = ", ".join(body_name(robot, body) for body in lifted)
     return Finding(
         value=abs(share),
@@ -251,12 +311,17 @@ def _inertia(robot: Robot) -> Finding:
 def _limbs(robot: Robot) -> list[list[int]]:
     """Return the bodies of each limb: those behind a body from which at least two limbs part."""
     model = robot.model
-    children = {body: [b for b in robot.bodies if int(model.body_parentid[b]) == body] for body in robot.bodies}
+    children = {
+        body: [b for b in robot.bodies if int(model.body_parentid[b]) == body]
+        for body in robot.bodies
+    }
     parting = {body for body, several in children.items() if len(several) > 1}
     limbs = []
     for leaf in (body for body, several in children.items() if not several):
         chain = [leaf]
-        while (parent := int(model.body_parentid[chain[-1]])) in children and parent not in parting:
+        while (
+            parent := int(model.body_parentid[chain[-1]])
+        ) in children and parent not in parting:
             chain.append(parent)
         limbs.append(chain)
     return limbs
@@ -274,13 +339,23 @@ def _feet(robot: Robot) -> Finding:
     for limb in _limbs(robot):
         geoms = [geom for body in limb for geom in _geoms(robot, body)]
         reach = min((lows[geom] for geom in geoms), default=np.inf)
-        if reach <= lowest + within and min(touching.get(geom, np.inf) for geom in geoms) > ground + within:
+        if (
+            reach <= lowest + within
+            and min(touching.get(geom, np.inf) for geom in geoms) > ground + within
+        ):
             lame.append(min(geoms, key=lambda geom: lows[geom]))
     if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
     floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
-    offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
-    changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
+    offers = {
+        "geom_contype": model.geom_conaffinity,
+        "geom_conaffinity": model.geom_contype,
+    }
+    changes = {
+        f"{key}[{geom}]": int(other[floor]) or 1
+        for geom in lame
+        for key, other in offers.items()
+    }
     names = ", ".join(geom_name(robot.model, geom) for geom in lame)
     return Finding(
         value=float(len(lame)),
@@ -300,18 +375,33 @@ def _friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
         return Finding(declined=NOT_STANDING)
     constants = robot.pairs.constants
-    grips = {row: 0.0 if constants[row, 0] == 1 else constants[row, 1] for row in robot.foot_rows}
-    row = min(grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one])
+    grips = {
+        row: 0.0 if constants[row, 0] == 1 else constants[row, 1]
+        for row in robot.foot_rows
+    }
+    row = min(
+        grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one]
+    )
     slippery = [one for one, grip in grips.items() if not 0.1 <= grip <= 2.0]
     changes: dict[str, Any] = {}
     for one in slippery:
         for geom in robot.pairs.geoms[one].tolist():
-            changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
-    names = " with ".join(geom_name(robot.model, int(geom)) for geom in robot.pairs.geoms[row])
-    rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
+            changes |= {
+                f"geom_condim[{geom}]": 3,
+                f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001]),
+            }
+    names = " with ".join(
+        geom_name(robot.model, int(geom)) for geom in robot.pairs.geoms[row]
+    )
+    rule = (
+        f"condim {constants[row, 0]:.0f}"
+        if constants[row, 0] == 1
+        else "max of both, priority or explicit pair"
+    )
     return Finding(
         value=float(grips[row]),
-        remark=f"{names}: {rule}" + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
+        remark=f"{names}: {rule}"
+        + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
         advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
         changes=changes,
     )
@@ -324,12 +414,18 @@ def _floor_friction(robot: Robot) -> Finding:
     model, found = robot.model, Finding(value=1.0)
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
-    explicit = {tuple(sorted(p)) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    explicit = {
+        tuple(sorted(p))
+        for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    }
     for row in robot.foot_rows:
         pair = tuple(robot.pairs.geoms[row].tolist())
         stated = [float(model.geom_friction[geom, 0]) for geom in pair]
         alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
-        met, least = float(robot.pairs.constants[row, COLUMNS["friction"].start]), max(min(stated), 1e-3)
+        met, least = (
+            float(robot.pairs.constants[row, COLUMNS["friction"].start]),
+            max(min(stated), 1e-3),
+        )
         is_stated = abs(min(stated) - common) > 1e-9
         if pair not in explicit and alike and is_stated and met / least > found.value:
             geom = pair[int(np.argmin(stated))]
@@ -348,7 +444,11 @@ def _floor_tilt(robot: Robot) -> Finding:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     is_colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    is_plane = is_colliding & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)) & ~can_move(model)
+    is_plane = (
+        is_colliding
+        & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE))
+        & ~can_move(model)
+    )
     planes = np.flatnonzero(is_plane).tolist()
     if not planes or not gravity.any():
         return Finding(declined="the model has no plane, or no gravity")
@@ -363,7 +463,9 @@ def _floor_tilt(robot: Robot) -> Finding:
         value=angle if angle > 1e-4 else 0.0,
         remark=geom_name(robot.model, geom),
         advice=f'zaxis="0 0 1" for {geom_name(robot.model, geom)}',
-        changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
+        changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])}
+        if not model.geom_bodyid[geom]
+        else {},
     )
 
 
@@ -378,7 +480,9 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
         data.qpos[:] = robot.standing.stance.qpos
     mujoco.mj_forward(model, data)
     servo = servos(model)
-    data.ctrl[servo] = np.where(model.actuator_gainprm[servo, 0] != 0.0, data.actuator_length[servo], 0.0)
+    data.ctrl[servo] = np.where(
+        model.actuator_gainprm[servo, 0] != 0.0, data.actuator_length[servo], 0.0
+    )
     if robot.standing is not None and robot.standing.stance.ctrl is not None:
         data.ctrl[:] = robot.standing.stance.ctrl
     mujoco.mj_forward(model, data)
@@ -405,12 +509,20 @@ def torque_limits(model: mujoco.MjModel) -> NDArray[np.float64]:
         largest = np.inf
         if model.actuator_forcelimited[actuator]:
             largest = float(np.abs(model.actuator_forcerange[actuator]).max())
-        elif model.actuator_ctrllimited[actuator] and not model.actuator_biasprm[actuator].any():
-            largest = float(abs(model.actuator_gainprm[actuator, 0]) * np.abs(model.actuator_ctrlrange[actuator]).max())
+        elif (
+            model.actuator_ctrllimited[actuator]
+            and not model.actuator_biasprm[actuator].any()
+        ):
+            largest = float(
+                abs(model.actuator_gainprm[actuator, 0])
+                * np.abs(model.actuator_ctrlrange[actuator]).max()
+            )
         dof = int(model.jnt_dofadr[joint])
         limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
         if model.jnt_actfrclimited[joint]:
-            limits[dof] = min(limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max()))
+            limits[dof] = min(
+                limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max())
+            )
     return limits
 
 
@@ -444,36 +556,62 @@ def growth(robot: Robot, model: mujoco.MjModel) -> float:
 
     for column, change in enumerate(1e-5 * np.eye(2 * nv)):
         matrix[:, column] = (stepped(change) - stepped(-change)) / 2e-5
-    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
+    return (
+        float(np.abs(np.linalg.eigvals(matrix)).max())
+        if np.isfinite(matrix).all()
+        else np.inf
+    )
 
 
 def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
     """Return a copy of a model with some features switched off."""
     bare = copy.copy(model)
     for feature in features:
-        bare.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
+        bare.opt.disableflags |= int(
+            getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}")
+        )
     return bare
 
 
 @row("robot-servo")
 def _servo(robot: Robot) -> Finding:
     model = robot.model
-    if not model.nv or not (servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()):
+    if not model.nv or not (
+        servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()
+    ):
         return Finding(declined="no joint has a servo, damping or stiffness")
     value = growth(robot, model)
     if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
         return Finding(value=value)
-    arrays = [(key, a) for key in ("gainprm", "biasprm") for a in np.flatnonzero(servos(model))]
+    arrays = [
+        (key, a)
+        for key in ("gainprm", "biasprm")
+        for a in np.flatnonzero(servos(model))
+    ]
     is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option = {"integrator": "implicitfast"} if is_explicit else {}
     for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
-        scaled = {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
+        scaled = {
+            f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share
+            for key, a in arrays
+        }
         if growth(robot, robot.changed(option | scaled)[0]) <= 1.0 + 1e-3:
-            texts = {'<option integrator="implicitfast"/>': is_explicit, f"kp and kv times {share:g}": share < 1.0}
-            advice = " and ".join(text for text, is_needed in texts.items() if is_needed)
+            texts = {
+                '<option integrator="implicitfast"/>': is_explicit,
+                f"kp and kv times {share:g}": share < 1.0,
+            }
+            advice = " and ".join(
+                text for text, is_needed in texts.items() if is_needed
+            )
             remark = f"step {model.opt.timestep:g} s"
-            return Finding(value=value, advice=advice, changes=option | scaled, remark=remark)
-    return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
+            return Finding(
+                value=value, advice=advice, changes=option | scaled, remark=remark
+            )
+    return Finding(
+        value=value,
+        remark=f"step {model.opt.timestep:g} s",
+        advice="a shorter step, or more armature",
+    )
 
 
 @row("robot-torque")
@@ -485,10 +623,17 @@ def _torque(robot: Robot) -> Finding:
     if not limits_nm:
         return Finding(declined="no joint states the limit of its torque")
     weights_nm = {dof: abs(float(data.qfrc_bias[dof])) for dof in limits_nm}
-    ratios = {dof: min(limit / max(weights_nm[dof], 1e-3), 1e6) for dof, limit in limits_nm.items()}
+    ratios = {
+        dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
+        for dof, limit in limits_nm.items()
+    }
     weakest = min(ratios, key=lambda dof: ratios[dof])
     # Twice what a foot carries, at the height of the robot.
-    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(standing.feet)
+    load_n = (
+        float(model.body_mass[robot.bodies].sum())
+        * GRAVITY_M_PER_S2
+        / len(standing.feet)
+    )
     fair_nm = 2.0 * load_n * standing.height_m
     limited = np.flatnonzero(model.actuator_forcelimited).tolist()
     joint = joint_name(robot, weakest)
@@ -496,14 +641,19 @@ def _torque(robot: Robot) -> Finding:
         value=ratios[weakest],
         remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
         advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
-        changes={f"actuator_forcerange[{actuator}]": np.array([-fair_nm, fair_nm]) for actuator in limited},
+        changes={
+            f"actuator_forcerange[{actuator}]": np.array([-fair_nm, fair_nm])
+            for actuator in limited
+        },
     )
 
 
 def stiffness(model: mujoco.MjModel, dof: int) -> float:
     """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
     actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
-    return float(-model.actuator_biasprm[actuators, 1] @ model.actuator_gear[actuators, 0] ** 2)
+    return float(
+        -model.actuator_biasprm[actuators, 1] @ model.actuator_gear[actuators, 0] ** 2
+    )
 
 
 @row("robot-action")
@@ -511,9 +661,15 @@ def _action(robot: Robot) -> Finding:
     scale, model = robot.action_rad, robot.model
     if scale is None:
         return Finding(declined="the task states no scale of its actions")
-    shares = {dof: scale * stiffness(model, dof) / limit for dof, limit in driven_dofs(robot) if np.isfinite(limit)}
+    shares = {
+        dof: scale * stiffness(model, dof) / limit
+        for dof, limit in driven_dofs(robot)
+        if np.isfinite(limit)
+    }
     if not any(shares.values()):
-        return Finding(declined="no servo of a robot that stands states the limit of its torque")
+        return Finding(
+            declined="no servo of a robot that stands states the limit of its torque"
+        )
     # A scale in other units moves all joints; single ones, such as necks, have weak motors.
     dof = sorted(shares, key=lambda one: shares[one])[len(shares) // 2]
     return Finding(
@@ -527,10 +683,15 @@ def _action(robot: Robot) -> Finding:
 def _delay(robot: Robot) -> Finding:
     if robot.delay_s is None:
         return Finding(declined="the task states no delay")
-    return Finding(value=1e3 * robot.delay_s, advice="delays of at most 50 ms from the observation to the torque")
+    return Finding(
+        value=1e3 * robot.delay_s,
+        advice="delays of at most 50 ms from the observation to the torque",
+    )
 
 
-def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
+def _drag(
+    robot: Robot, name: str, share: Callable[[int, float], float], spare: float
+) -> Finding:
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
     standing_of(robot)
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
@@ -542,27 +703,43 @@ def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: 
         if limit > 0.0:
             limits[dof] = limit
     if not limits:
-        return Finding(declined="no joint of a robot that stands states the limit of its torque")
-    fair = {d: float(values[d]) / max(spare * share(d, limit), 1.0) for d, limit in limits.items()}
+        return Finding(
+            declined="no joint of a robot that stands states the limit of its torque"
+        )
+    fair = {
+        d: float(values[d]) / max(spare * share(d, limit), 1.0)
+        for d, limit in limits.items()
+    }
     worst = max(limits, key=lambda dof: share(dof, limits[dof]))
     return Finding(
         value=share(worst, limits[worst]),
         remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it',
-        changes={f"dof_{name}[{dof}]": value for dof, value in fair.items() if value < values[dof]},
+        changes={
+            f"dof_{name}[{dof}]": value
+            for dof, value in fair.items()
+            if value < values[dof]
+        },
     )
 
 
 @row("robot-damping")
 def _damping(robot: Robot) -> Finding:
     damping = robot.model.dof_damping
-    return _drag(robot, "damping", lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit, 4.0)
+    return _drag(
+        robot,
+        "damping",
+        lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit,
+        4.0,
+    )
 
 
 @row("robot-frictionloss")
 def _frictionloss(robot: Robot) -> Finding:
     loss = robot.model.dof_frictionloss
-    return _drag(robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0)
+    return _drag(
+        robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0
+    )
 
 
 @row("robot-armature")

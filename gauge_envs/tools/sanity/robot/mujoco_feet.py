@@ -9,9 +9,25 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.model_settings import COLUMNS, ContactPairs, PairKind, can_move, contact_settings
+from gauge_envs.backends.mujoco.model_settings import (
+    COLUMNS,
+    ContactPairs,
+    PairKind,
+    can_move,
+    contact_settings,
+)
 from gauge_envs.errors import TargetError
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Box,
+    Capsule,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Part,
+    Pose,
+    Sphere,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
@@ -91,7 +107,9 @@ class Standing:
     feet: Mapping[int, list[int]]
 
 
-def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, float, float]) -> Standing:
+def find_standing(
+    model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, float, float]
+) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
@@ -116,20 +134,37 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, f
         robots &= {first_moving_body(model, body) for body in moved}
     standing = [body for body in robots if _can_fall(model, stance, body, joints)]
     if not standing:
-        raise NoFootError("no robot of the model stands on the ground under its own weight")
+        raise NoFootError(
+            "no robot of the model stands on the ground under its own weight"
+        )
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    support = {geom: support_m(model, stance, geom) for geom in touching if robot_of[geom] == robot}
+    support = {
+        geom: support_m(model, stance, geom)
+        for geom in touching
+        if robot_of[geom] == robot
+    }
     lowest = {geom: float(point[2]) for geom, point in support.items()}
     robot_geoms = [geom for geom, body in enumerate(robot_of) if body == robot]
-    top = float((stance.positions_m[robot_geoms, 2] + model.geom_rbound[robot_geoms]).max())
+    top = float(
+        (stance.positions_m[robot_geoms, 2] + model.geom_rbound[robot_geoms]).max()
+    )
     height = max(top - min(lowest.values()), 1e-3)
-    standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
+    standing_geoms = {
+        g: z
+        for g, z in lowest.items()
+        if z <= min(lowest.values()) + STANDS_WITHIN * height
+    }
     feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
-    return Standing(body=robot, stance=stance, height_m=height, support_m=support, feet=feet)
+    return Standing(
+        body=robot, stance=stance, height_m=height, support_m=support, feet=feet
+    )
 
 
 def read_foot(
-    model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], standing: Standing
+    model: mujoco.MjModel,
+    pairs: ContactPairs,
+    groups: Sequence[ContactGroup],
+    standing: Standing,
 ) -> FootGeometry:
     """Return the lowest foot of a robot.
 
@@ -140,18 +175,31 @@ def read_foot(
         standing: The robot.
     """
     feet, support = standing.feet, standing.support_m
-    body = min(feet, key=lambda one: (min(float(support[geom][2]) for geom in feet[one]), one))
+    body = min(
+        feet, key=lambda one: (min(float(support[geom][2]) for geom in feet[one]), one)
+    )
     mass = float(model.body_subtreemass[standing.body])
-    rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & set(feet[body])]
+    rows = [
+        row
+        for row in ground_rows(pairs)
+        if set(pairs.geoms[row].tolist()) & set(feet[body])
+    ]
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
         geoms=_geoms_text(model, feet[body], body),
-        parts=_parts(model, standing.stance, {geom: support[geom] for geom in feet[body]}),
+        parts=_parts(
+            model, standing.stance, {geom: support[geom] for geom in feet[body]}
+        ),
         load_kg=mass / len(feet),
         robot_mass_kg=mass,
         foot_count=len(feet),
         pose=standing.stance.label,
-        sets=_sets(model, pairs, groups, {geom for several in feet.values() for geom in several}),
+        sets=_sets(
+            model,
+            pairs,
+            groups,
+            {geom for several in feet.values() for geom in several},
+        ),
         softening=float(model.body_invweight0[body, 0]) * COPIES * mass / len(feet),
         friction=float(pairs.constants[rows, COLUMNS["friction"].start].min()),
     )
@@ -171,7 +219,11 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 def shortened(names: list[str]) -> list[str]:
     """Return names of geoms; of many, the number of the last ones."""
-    return names if len(names) <= MOST_GEOMS else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    return (
+        names
+        if len(names) <= MOST_GEOMS
+        else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    )
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------
@@ -188,12 +240,17 @@ def stance_of(model: mujoco.MjModel, up: NDArray[np.float64]) -> Stance:
         label, ctrl = f"keyframe {known}", data.ctrl.copy()
     for joint in np.flatnonzero(model.jnt_limited):
         # A comparison of an enumerator with NumPy's integers depends on the order, so both become Python's.
-        if int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+        if int(model.jnt_type[joint]) in (
+            int(mujoco.mjtJoint.mjJNT_HINGE),
+            int(mujoco.mjtJoint.mjJNT_SLIDE),
+        ):
             place = model.jnt_qposadr[joint]
             data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
     mujoco.mj_kinematics(model, data)
     if not (np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()):
-        raise TargetError("the poses of the model's geoms are not finite: it states a NaN or an infinite number")
+        raise TargetError(
+            "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
+        )
     turn = Rotation.identity()
     if up[2] < 1.0:
         turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
@@ -217,15 +274,23 @@ def first_moving_body(model: mujoco.MjModel, body: int) -> int:
     return int(first)
 
 
-def _can_fall(model: mujoco.MjModel, stance: Stance, body: int, driven_joints: set[int]) -> bool:
+def _can_fall(
+    model: mujoco.MjModel, stance: Stance, body: int, driven_joints: set[int]
+) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
-    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+    for joint in range(
+        model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]
+    ):
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             return True
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
             falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
-            if abs(stance.joint_axes[joint, 2]) > UPRIGHT and joint not in driven_joints and falls:
+            if (
+                abs(stance.joint_axes[joint, 2]) > UPRIGHT
+                and joint not in driven_joints
+                and falls
+            ):
                 return True
     return False
 
@@ -240,7 +305,11 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> NDArray[np.fl
         point = size[0] * down + [0.0, 0.0, size[1] * np.sign(down[2])]
     elif kind == "CYLINDER":
         aside = np.array([down[0], down[1], 0.0])
-        point = size[0] * aside / max(float(np.linalg.norm(aside)), FLAT) + [0.0, 0.0, size[1] * np.sign(down[2])]
+        point = size[0] * aside / max(float(np.linalg.norm(aside)), FLAT) + [
+            0.0,
+            0.0,
+            size[1] * np.sign(down[2]),
+        ]
     elif kind == "ELLIPSOID":
         point = size**2 * down / np.linalg.norm(size * down)
     elif kind == "BOX":
@@ -248,11 +317,15 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> NDArray[np.fl
     elif kind == "MESH":
         vertices = _vertices_m(model, geom)
         depths = vertices @ down
-        point = vertices[depths > depths.max() - FLAT * float(model.geom_rbound[geom])].mean(axis=0)
+        point = vertices[
+            depths > depths.max() - FLAT * float(model.geom_rbound[geom])
+        ].mean(axis=0)
     return np.asarray(stance.positions_m[geom] + stance.rotations[geom].apply(point))
 
 
-def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) -> dict[int, list[int]]:
+def _feet(
+    model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float
+) -> dict[int, list[int]]:
     """Return the geoms of each foot that lie as low as its lowest one, within a height.
 
     A body that carries another one that stands is no foot.
@@ -265,7 +338,11 @@ def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) ->
         while body := int(model.body_parentid[body]):
             carrying.add(body)
     return {
-        body: [geom for geom in geoms if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m]
+        body: [
+            geom
+            for geom in geoms
+            if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m
+        ]
         for body, geoms in bodies.items()
         if body not in carrying
     }
@@ -274,13 +351,17 @@ def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) ->
 # --- solids ----------------------------------------------------------------------------------------------------------
 
 
-def _parts(model: mujoco.MjModel, stance: Stance, support_m: dict[int, NDArray[np.float64]]) -> tuple[Part, ...]:
+def _parts(
+    model: mujoco.MjModel, stance: Stance, support_m: dict[int, NDArray[np.float64]]
+) -> tuple[Part, ...]:
     """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
     origin = min(support_m.values(), key=lambda point: float(point[2]))
     return tuple(
         Part(
             shape=_solid(model, geom),
-            pose=Pose.from_rotation(vector(stance.positions_m[geom] - origin), stance.rotations[geom]),
+            pose=Pose.from_rotation(
+                vector(stance.positions_m[geom] - origin), stance.rotations[geom]
+            ),
         )
         for geom in support_m
     )
@@ -291,12 +372,16 @@ def _solid(model: mujoco.MjModel, geom: int) -> Solid:
     if kind in SOLIDS:
         return SOLIDS[kind][1](*model.geom_size[geom].tolist())
     if kind != "MESH":
-        raise NoFootError(f"the foot is a geom of type {kind.lower()}, which the scenes cannot have")
+        raise NoFootError(
+            f"the foot is a geom of type {kind.lower()}, which the scenes cannot have"
+        )
     vertices = _vertices_m(model, geom)
     try:
         hull = vertices[ConvexHull(vertices).vertices]
     except QhullError:
-        raise NoFootError("the foot is a flat mesh, which the scenes cannot have") from None
+        raise NoFootError(
+            "the foot is a flat mesh, which the scenes cannot have"
+        ) from None
     return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
 
 
@@ -315,13 +400,20 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
 def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
     owner = model.body(body).name or f"body {body}"
     names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
-    known = {"MESH": "hull of a mesh"} | {kind: name for kind, (name, _) in SOLIDS.items()}
+    known = {"MESH": "hull of a mesh"} | {
+        kind: name for kind, (name, _) in SOLIDS.items()
+    }
     kinds = [known.get(_kind(model, geom), "geom") for geom in geoms]
-    return ", ".join(shortened([f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]))
+    return ", ".join(
+        shortened([f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)])
+    )
 
 
 def _sets(
-    model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], feet: set[int]
+    model: mujoco.MjModel,
+    pairs: ContactPairs,
+    groups: Sequence[ContactGroup],
+    feet: set[int],
 ) -> tuple[str, ...]:
     """Return the names of the judged sets of contact constants that feet have on the ground."""
     rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]

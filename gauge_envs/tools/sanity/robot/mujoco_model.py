@@ -28,7 +28,13 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    NoFootError,
+    find_standing,
+    geom_name,
+    read_foot,
+    shortened,
+)
 from gauge_envs.tools.sanity.robot.robot import Robot, grasp_kinds, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
@@ -78,12 +84,23 @@ def mujoco_configuration(
         has_robot: Whether masses, joints and actuators of the model are those of the target.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
-    used = None if not len(pairs.geoms) and pair is None else _used_constants(model, pairs, pair)
-    groups = () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
-    contact = default_contact_settings() if used is None else contact_settings(model, used)
+    used = (
+        None
+        if not len(pairs.geoms) and pair is None
+        else _used_constants(model, pairs, pair)
+    )
+    groups = (
+        () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
+    )
+    contact = (
+        default_contact_settings() if used is None else contact_settings(model, used)
+    )
     settings = options | contact
     check_settings("mujoco", settings)
-    origin = next((group.geoms for group in groups if group.is_used), "MuJoCo's defaults: nothing collides")
+    origin = next(
+        (group.geoms for group in groups if group.is_used),
+        "MuJoCo's defaults: nothing collides",
+    )
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
@@ -96,9 +113,17 @@ def mujoco_configuration(
         foot = None
         inapplicable[Need.FOOT] = str(error)
     if Need.CONTACT not in inapplicable and has_robot and never_touches(robot):
-        inapplicable[Need.CONTACT] = "the robot is fixed to the world and touches nothing in 200 random poses"
-    if (normal := robot.plane_normal) is not None and has_robot and np.abs(normal).max() > ALONG_AN_AXIS:
-        inapplicable[Need.SPACE] = "the robot moves in a plane along an axis of the world, where slide-* judges it"
+        inapplicable[Need.CONTACT] = (
+            "the robot is fixed to the world and touches nothing in 200 random poses"
+        )
+    if (
+        (normal := robot.plane_normal) is not None
+        and has_robot
+        and np.abs(normal).max() > ALONG_AN_AXIS
+    ):
+        inapplicable[Need.SPACE] = (
+            "the robot moves in a plane along an axis of the world, where slide-* judges it"
+        )
     return TrainingConfiguration(
         name=name,
         source=source,
@@ -118,10 +143,15 @@ def mujoco_configuration(
     )
 
 
-def _inapplicable(model: mujoco.MjModel, groups: tuple[ContactGroup, ...]) -> dict[Need, str]:
+def _inapplicable(
+    model: mujoco.MjModel, groups: tuple[ContactGroup, ...]
+) -> dict[Need, str]:
     """Return what phenomena need and the model has not, with the reason."""
     reasons = {}
-    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY or not model.opt.gravity.any():
+    if (
+        model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+        or not model.opt.gravity.any()
+    ):
         reasons[Need.GRAVITY] = "the model has no gravity"
     if not groups:
         reasons[Need.CONTACT] = "no two geoms of the model can collide"
@@ -132,7 +162,9 @@ def _inapplicable(model: mujoco.MjModel, groups: tuple[ContactGroup, ...]) -> di
 
 def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
     """Return the coordinate axis nearest to the normal of the first plane of the world; z when there is none."""
-    planes = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model))
+    planes = np.flatnonzero(
+        (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model)
+    )
     axis = np.array([0.0, 0.0, 1.0])
     if len(planes):
         normal = np.zeros(3)
@@ -146,22 +178,32 @@ def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
 # --- which constants count -------------------------------------------------------------------------------------------
 
 
-def _used_constants(model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str, str] | None) -> NDArray[np.float64]:
+def _used_constants(
+    model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str, str] | None
+) -> NDArray[np.float64]:
     """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
     if pair is not None:
         wanted = sorted(_geom_id(model, name) for name in pair)
         rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
         if not len(rows):
-            raise TargetError(f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can")
+            raise TargetError(
+                f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can"
+            )
         return pairs.constants[rows[0]]
     rows = np.flatnonzero(pairs.kinds == pairs.kinds.min())
     effective = effective_constants(model, pairs.constants[rows])
-    _, first, counts = np.unique(effective, axis=0, return_index=True, return_counts=True)
+    _, first, counts = np.unique(
+        effective, axis=0, return_index=True, return_counts=True
+    )
     return pairs.constants[rows[first[counts.argmax()]]]
 
 
 def _groups(
-    model: mujoco.MjModel, pairs: ContactPairs, used: NDArray[np.float64], *, all_on_ground: bool
+    model: mujoco.MjModel,
+    pairs: ContactPairs,
+    used: NDArray[np.float64],
+    *,
+    all_on_ground: bool,
 ) -> tuple[ContactGroup, ...]:
     """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
 
@@ -175,9 +217,19 @@ def _groups(
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
         kind = PairKind(int(pairs.kinds[rows[0]]))
-        is_used = bool((effective_constants(model, constants) == effective_constants(model, used)).all())
-        several = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
-        named = {name: values if len(values) > 1 else values[0] for name, values in several.items()}
+        is_used = bool(
+            (
+                effective_constants(model, constants)
+                == effective_constants(model, used)
+            ).all()
+        )
+        several = {
+            name: constants[columns].tolist() for name, columns in COLUMNS.items()
+        }
+        named = {
+            name: values if len(values) > 1 else values[0]
+            for name, values in several.items()
+        }
         group = ContactGroup(
             geoms=_geoms_text(model, pairs.geoms[rows], kind),
             pair_count=len(rows),
@@ -199,16 +251,25 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
     notes = []
     if option.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
         notes.append("the model switches gravity off; rows that need it are declined")
-    elif np.abs(option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
+    elif (
+        np.abs(option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])).max()
+        > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2
+    ):
         gravity = f"({', '.join(f'{g:g}' for g in option.gravity)})"
         if not option.gravity[:2].any():
             gravity = f"{0.0 - float(option.gravity[2]):g}"
-        notes.append(f"gravity of the model is {gravity} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2")
+        notes.append(
+            f"gravity of the model is {gravity} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2"
+        )
     off = [name for name, bit in REQUIRED_FEATURES.items() if option.disableflags & bit]
     if off:
-        notes.append(f"the model switches off {', '.join(off)}; the experiments need it")
+        notes.append(
+            f"the model switches off {', '.join(off)}; the experiments need it"
+        )
     if option.density or option.viscosity or option.wind.any():
-        notes.append("the model's medium (density, viscosity, wind) is not carried over; the experiments have none")
+        notes.append(
+            "the model's medium (density, viscosity, wind) is not carried over; the experiments have none"
+        )
     return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
 
 
@@ -219,19 +280,36 @@ def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
     others = [group for group in groups if not group.is_used]
     notes = []
     for group in others[:MOST_GROUPS]:
-        changed = [name for name in COLUMNS if name != "friction" and group.constants[name] != used[name]]
-        if group.constants["friction"][2:] != used["friction"][2:] and group.constants["condim"] > 3:
+        changed = [
+            name
+            for name in COLUMNS
+            if name != "friction" and group.constants[name] != used[name]
+        ]
+        if (
+            group.constants["friction"][2:] != used["friction"][2:]
+            and group.constants["condim"] > 3
+        ):
             changed.append("friction")
-        differences = ", ".join(f"{name} {_constant_text(group.constants[name])}" for name in changed)
+        differences = ", ".join(
+            f"{name} {_constant_text(group.constants[name])}" for name in changed
+        )
         noun = "pair" if group.pair_count == 1 else "pairs"
-        notes.append(f"not used: {group.geoms} ({group.pair_count} {noun}) with {differences}")
+        notes.append(
+            f"not used: {group.geoms} ({group.pair_count} {noun}) with {differences}"
+        )
     if len(others) > MOST_GROUPS:
-        notes.append(f"not used: {len(others) - MOST_GROUPS} more groups of contacts with other constants")
+        notes.append(
+            f"not used: {len(others) - MOST_GROUPS} more groups of contacts with other constants"
+        )
     return notes
 
 
 def _constant_text(value: Any) -> str:
-    return " ".join(f"{number:g}" for number in value) if isinstance(value, list) else f"{value:g}"
+    return (
+        " ".join(f"{number:g}" for number in value)
+        if isinstance(value, list)
+        else f"{value:g}"
+    )
 
 
 # --- names -----------------------------------------------------------------------------------------------------------

@@ -11,10 +11,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.model import CONES, DISABLE_FLAGS, ENABLE_FLAGS, INTEGRATORS, SAME_NAME_OPTIONS, SOLVERS
+from gauge_envs.backends.mujoco.model import (
+    CONES,
+    DISABLE_FLAGS,
+    ENABLE_FLAGS,
+    INTEGRATORS,
+    SAME_NAME_OPTIONS,
+    SOLVERS,
+)
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, stance_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    Standing,
+    first_moving_body,
+    ground_rows,
+    stance_of,
+)
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -58,16 +70,32 @@ class Robot:
     @cached_property
     def bodies(self) -> list[int]:
         """Bodies of the robot that stands; without one, all bodies that move."""
-        roots = [first_moving_body(self.model, body) for body in range(self.model.nbody)]
+        roots = [
+            first_moving_body(self.model, body) for body in range(self.model.nbody)
+        ]
         if self.standing is not None:
-            return [body for body, root in enumerate(roots) if root == self.standing.body]
-        return [body for body in range(1, self.model.nbody) if self.model.body_dofnum[roots[body]]]
+            return [
+                body for body, root in enumerate(roots) if root == self.standing.body
+            ]
+        return [
+            body
+            for body in range(1, self.model.nbody)
+            if self.model.body_dofnum[roots[body]]
+        ]
 
     @cached_property
     def foot_rows(self) -> list[int]:
         """Rows of `pairs` in which a foot meets the ground."""
-        feet = set() if self.standing is None else {geom for geoms in self.standing.feet.values() for geom in geoms}
-        return [int(row) for row in ground_rows(self.pairs) if feet & set(self.pairs.geoms[row].tolist())]
+        feet = (
+            set()
+            if self.standing is None
+            else {geom for geoms in self.standing.feet.values() for geom in geoms}
+        )
+        return [
+            int(row)
+            for row in ground_rows(self.pairs)
+            if feet & set(self.pairs.geoms[row].tolist())
+        ]
 
     @property
     def is_floating(self) -> bool:
@@ -81,15 +109,34 @@ class Robot:
     def plane_normal(self) -> NDArray[np.float64] | None:
         """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
         model, bodies = self.model, set(self.bodies)
-        joints = [joint for joint in range(model.njnt) if int(model.jnt_bodyid[joint]) in bodies]
+        joints = [
+            joint
+            for joint in range(model.njnt)
+            if int(model.jnt_bodyid[joint]) in bodies
+        ]
         axes = stance_of(model, np.asarray(self.up)).joint_axes
-        turning = [axes[j] for j in joints if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_HINGE)]
-        sliding = [axes[j] for j in joints if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)]
+        turning = [
+            axes[j]
+            for j in joints
+            if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        ]
+        sliding = [
+            axes[j]
+            for j in joints
+            if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
+        ]
         if not turning or len(turning) + len(sliding) < len(joints):
             return None
         normal = np.asarray(turning[0])
-        is_planar = all(abs(axis @ normal) > 0.999 for axis in turning) and abs(normal[2]) < 1e-3
-        return normal if is_planar and all(abs(axis @ normal) < 1e-3 for axis in sliding) else None
+        is_planar = (
+            all(abs(axis @ normal) > 0.999 for axis in turning)
+            and abs(normal[2]) < 1e-3
+        )
+        return (
+            normal
+            if is_planar and all(abs(axis @ normal) < 1e-3 for axis in sliding)
+            else None
+        )
 
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class.
@@ -99,29 +146,44 @@ class Robot:
         field = GEOM_FIELDS[name]
         if self.spec is None:
             values = getattr(self.model, f"geom_{field}").reshape(self.model.ngeom, -1)
-            _, several, counts = np.unique(values, axis=0, return_inverse=True, return_counts=True)
-            return [int(geom) for geom in np.flatnonzero(several.ravel() == counts.argmax())]
+            _, several, counts = np.unique(
+                values, axis=0, return_inverse=True, return_counts=True
+            )
+            return [
+                int(geom) for geom in np.flatnonzero(several.ravel() == counts.argmax())
+            ]
         default = np.atleast_1d(getattr(self.spec.default.geom, field))
         return [
             geom.id
             for geom in self.spec.geoms
             if geom.id >= 0
             and np.array_equal(np.atleast_1d(getattr(geom, field)), default)
-            and np.array_equal(np.atleast_1d(getattr(geom.classname.geom, field)), default)
+            and np.array_equal(
+                np.atleast_1d(getattr(geom.classname.geom, field)), default
+            )
         ]
 
     @cached_property
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
-        rows = [*ground_rows(self.pairs), *np.flatnonzero(grasp_kinds(self.model, self.pairs))]
+        rows = [
+            *ground_rows(self.pairs),
+            *np.flatnonzero(grasp_kinds(self.model, self.pairs)),
+        ]
         return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def needs_default(self, name: str, value: Any) -> bool:
         """Return whether a default changes a geom on the ground."""
         array = getattr(self.model, f"geom_{GEOM_FIELDS[name]}")
-        return any(not np.array_equal(array[g], value) for g in self.reached_by_default(name) if g in self.grounded)
+        return any(
+            not np.array_equal(array[g], value)
+            for g in self.reached_by_default(name)
+            if g in self.grounded
+        )
 
-    def changed(self, changes: Mapping[str, Any]) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
+    def changed(
+        self, changes: Mapping[str, Any]
+    ) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
         """Return a copy of the model with changes, and the geoms on the ground that state attributes of their own.
 
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
@@ -133,10 +195,14 @@ class Robot:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
                 reached = self.reached_by_default(name)
                 others = self.grounded - set(reached)
-                stating[name] = sorted(geom for geom in others if not np.array_equal(array[geom], value))
+                stating[name] = sorted(
+                    geom for geom in others if not np.array_equal(array[geom], value)
+                )
                 # The margins and gaps of two geoms add up.
                 array[[*reached, *stating[name]]] = (
-                    value if name not in ("contact_margin_m", "contact_gap_m") else value / 2
+                    value
+                    if name not in ("contact_margin_m", "contact_gap_m")
+                    else value / 2
                 )
             elif found := ELEMENT.fullmatch(name):
                 getattr(model, found[1])[int(found[2])] = value
@@ -150,13 +216,21 @@ class Robot:
 
     def _colliding(self, changes: Mapping[str, Any]) -> mujoco.MjModel:
         """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
-        found = {name: ELEMENT.fullmatch(name) for name in changes if name.startswith("geom_con")}
+        found = {
+            name: ELEMENT.fullmatch(name)
+            for name in changes
+            if name.startswith("geom_con")
+        }
         if self.spec is None or not found:
             return copy.copy(self.model)
         spec = self.spec.copy()
         for geom, original in zip(spec.geoms, self.spec.geoms, strict=True):
             for name, match in found.items():
-                if match is not None and int(match[2]) == original.id and match[1] != "geom_condim":
+                if (
+                    match is not None
+                    and int(match[2]) == original.id
+                    and match[1] != "geom_condim"
+                ):
                     setattr(geom, match[1].removeprefix("geom_"), changes[name])
         return spec.compile()
 
@@ -174,10 +248,14 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         setattr(option, name, value)
     elif name in DISABLE_FLAGS:
         bit = int(DISABLE_FLAGS[name])
-        option.disableflags = option.disableflags & ~bit if value else option.disableflags | bit
+        option.disableflags = (
+            option.disableflags & ~bit if value else option.disableflags | bit
+        )
     elif name in ENABLE_FLAGS:
         bit = int(ENABLE_FLAGS[name])
-        option.enableflags = option.enableflags | bit if value else option.enableflags & ~bit
+        option.enableflags = (
+            option.enableflags | bit if value else option.enableflags & ~bit
+        )
     elif name == "o_friction" and value is None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
@@ -185,19 +263,34 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
     roots = model.body_rootid
-    motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
+    motors = model.actuator_trnid[
+        model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0
+    ]
     driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
-    free = np.isin(roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]) & ~driven
+    free = (
+        np.isin(
+            roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
+        )
+        & ~driven
+    )
     bodies = model.geom_bodyid[pairs.geoms]
-    round_geoms = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)])
+    round_geoms = np.isin(
+        model.geom_type,
+        [int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)],
+    )
     at_point = (driven[bodies] & round_geoms[pairs.geoms]).any(axis=1)
-    kinds: NDArray[np.int_] = (driven[bodies].any(axis=1) & free[bodies].any(axis=1)) * (1 + at_point)
+    kinds: NDArray[np.int_] = (
+        driven[bodies].any(axis=1) & free[bodies].any(axis=1)
+    ) * (1 + at_point)
     return kinds
 
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:
     """Return whether no two geoms of a robot that is fixed to the world touch in random poses within joint limits."""
-    if robot.standing is not None or (robot.model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
+    if (
+        robot.standing is not None
+        or (robot.model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any()
+    ):
         return False
     return not any(data.ncon for data in random_poses(robot.model, poses))
 

@@ -39,7 +39,9 @@ SLOPE_DEG, SLOPE_PUSH = 10.0, 0.7
 LEAST_FEET = 3
 """Feet on which a robot stands without a policy."""
 
-NO_SERVO = "no servos hold the robot: its torques come from a policy, or its servos from code"
+NO_SERVO = (
+    "no servos hold the robot: its torques come from a policy, or its servos from code"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +83,9 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         slope_rad = np.radians(slope_deg)
         across = [0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0]
         along = np.cross(across, up)
-        model.opt.gravity[:] = gravity_m_per_s2 * (np.sin(slope_rad) * along - np.cos(slope_rad) * up)
+        model.opt.gravity[:] = gravity_m_per_s2 * (
+            np.sin(slope_rad) * along - np.cos(slope_rad) * up
+        )
     ground_m = min(float(point[2]) for point in standing.support_m.values())
     start_height_m = float(data.xpos[standing.body] @ up) - ground_m
     soles = [geoms[0] for geoms in standing.feet.values()]
@@ -93,7 +97,10 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     share = 1.0 / (steps - first_late)
     for step in range(steps):
         mujoco.mj_step(model, data)
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
+        if (
+            data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
+            or not np.isfinite(data.qpos).all()
+        ):
             return HoldMotion(diverged_s=(step + 1) * float(model.opt.timestep))
         if step == first_late:
             soles_before_m = data.geom_xpos[soles]
@@ -103,7 +110,9 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
                 loads_n[body] = loads_n.get(body, 0.0) + share * load_n
     limits_nm = torque_limits(model)
     is_limited = (limits_nm > 0.0) & np.isfinite(limits_nm)
-    saturations = np.divide(torques_nm, limits_nm, out=np.zeros(model.nv), where=is_limited)
+    saturations = np.divide(
+        torques_nm, limits_nm, out=np.zeros(model.nv), where=is_limited
+    )
     dof = int(saturations.argmax()) if model.nv else 0
     weight_n = float(model.body_mass[robot.bodies].sum()) * gravity_m_per_s2
     end_height_m = float(data.xpos[standing.body] @ up) - ground_m
@@ -121,9 +130,14 @@ def _ground_loads_n(robot: Robot, data: mujoco.MjData) -> Iterator[tuple[int, fl
     """Yield the body and the normal force [N] of each contact between a robot and the ground."""
     model, force = robot.model, np.zeros(6)
     for number in range(data.ncon):
-        first, second = (int(model.geom_bodyid[geom]) for geom in data.contact[number].geom)
+        first, second = (
+            int(model.geom_bodyid[geom]) for geom in data.contact[number].geom
+        )
         for body, other in ((first, second), (second, first)):
-            is_ground = other not in robot.bodies and not model.body_dofnum[first_moving_body(model, other)]
+            is_ground = (
+                other not in robot.bodies
+                and not model.body_dofnum[first_moving_body(model, other)]
+            )
             if body in robot.bodies and is_ground:
                 mujoco.mj_contactForce(model, data, number, force)
                 yield body, float(force[0])
@@ -142,7 +156,11 @@ def _finite_hold(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
 
 def _advisory(robot: Robot) -> str:
     count = 0 if robot.standing is None else len(robot.standing.feet)
-    return "" if count >= LEAST_FEET else f"a robot with {count} feet balances with a policy alone"
+    return (
+        ""
+        if count >= LEAST_FEET
+        else f"a robot with {count} feet balances with a policy alone"
+    )
 
 
 @row("robot-holds")
@@ -155,22 +173,35 @@ def _finite(robot: Robot) -> Finding:
 
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
-    return Finding(value=max(_finite_hold(robot).height_ratio, 1e-3), advisory=_advisory(robot))
+    return Finding(
+        value=max(_finite_hold(robot).height_ratio, 1e-3), advisory=_advisory(robot)
+    )
 
 
 @row("robot-loads")
 def _loads(robot: Robot) -> Finding:
     shares, feet = _finite_hold(robot).load_shares, set(standing_of(robot).feet)
     idle = [body for body in feet if shares.get(body, 0.0) < 0.01]
-    others = [body for body, share in shares.items() if body not in feet and share > 0.1]
-    text = ", ".join(f"{body_name(robot, body)} {share:.0%}" for body, share in sorted(shares.items()))
-    return Finding(value=float(len(idle) + len(others)), remark=text, advisory=_advisory(robot))
+    others = [
+        body for body, share in shares.items() if body not in feet and share > 0.1
+    ]
+    text = ", ".join(
+        f"{body_name(robot, body)} {share:.0%}"
+        for body, share in sorted(shares.items())
+    )
+    return Finding(
+        value=float(len(idle) + len(others)), remark=text, advisory=_advisory(robot)
+    )
 
 
 @row("robot-saturation")
 def _saturation(robot: Robot) -> Finding:
     motion = _finite_hold(robot)
-    return Finding(value=motion.saturation, remark=motion.saturated_joint, advisory=_advisory(robot))
+    return Finding(
+        value=motion.saturation,
+        remark=motion.saturated_joint,
+        advisory=_advisory(robot),
+    )
 
 
 @row("robot-slip")
@@ -182,7 +213,10 @@ def _slip(robot: Robot) -> Finding:
     motion = _finite_hold(robot, slope_deg)
     if not 0.7 < motion.height_ratio < 1.3:
         return Finding(declined="the robot falls on the slope")
-    return Finding(value=motion.slip_mm_per_s, remark=f"{slope_deg:.3g} degrees, friction {friction:.3g}")
+    return Finding(
+        value=motion.slip_mm_per_s,
+        remark=f"{slope_deg:.3g} degrees, friction {friction:.3g}",
+    )
 
 
 @row("robot-overlap")
@@ -193,7 +227,11 @@ def _overlap(robot: Robot) -> Finding:
     for number in range(data.ncon):
         contact = data.contact[number]
         pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-        if set(pair) <= set(robot.bodies) and contact.exclude == 0 and -contact.dist > deepest_m:
+        if (
+            set(pair) <= set(robot.bodies)
+            and contact.exclude == 0
+            and -contact.dist > deepest_m
+        ):
             deepest_m = -float(contact.dist)
             names = " and ".join(body_name(robot, body) for body in pair)
     advice = f"exclude the pair {names}, or make its geoms smaller" if names else ""
@@ -203,18 +241,30 @@ def _overlap(robot: Robot) -> Finding:
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
     standing_of(robot)
-    bare = without(robot.model, "contact", "actuation", "limit", "frictionloss", "damper", "equality")
+    bare = without(
+        robot.model,
+        "contact",
+        "actuation",
+        "limit",
+        "frictionloss",
+        "damper",
+        "equality",
+    )
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data, values = start(robot, bare), []
     moving = slice(6 if robot.is_floating else 0, None)
-    data.qvel[moving] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[moving]
+    data.qvel[moving] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[
+        moving
+    ]
     for _ in range(max(1, round(FREE_S / bare.opt.timestep))):
         mujoco.mj_step(bare, data)
         values.append(data.energy.copy())
     energies = np.asarray(values)
     largest = float(energies[:, 1].max())
     gained = float((energies.sum(axis=1) - energies[0].sum()).max())
-    return Finding(value=gained / max(largest, 1e-9) if np.isfinite(energies).all() else np.inf)
+    return Finding(
+        value=gained / max(largest, 1e-9) if np.isfinite(energies).all() else np.inf
+    )
 
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
@@ -227,12 +277,16 @@ STEP_RAD, STEP_S, FAIR_S = 0.3, 0.2, 0.0075
 def _weights(robot: Robot) -> NDArray[np.float64]:
     """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
     poses = random_poses(robot.model, 64)
-    return np.asarray(np.max([np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0))
+    return np.asarray(
+        np.max([np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0)
+    )
 
 
 @row("robot-dry")
 def _dry(robot: Robot) -> Finding:
-    bare = without(robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring")
+    bare = without(
+        robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring"
+    )
     bare.opt.density = bare.opt.viscosity = 0.0
     data, loads, shares, losses = start(robot, bare), _weights(robot), {}, {}
     data.qacc[:] = 0.0
@@ -242,19 +296,29 @@ def _dry(robot: Robot) -> Finding:
             data.qvel[:] = rate * (np.arange(bare.nv) == dof)
             mujoco.mj_inverse(bare, data)
             torques.append(float(data.qfrc_inverse[dof]))
-        dry, viscous = max(2.0 * torques[0] - torques[1], 0.0), max((torques[1] - torques[0]) / 3.0, 0.0)
+        dry, viscous = (
+            max(2.0 * torques[0] - torques[1], 0.0),
+            max((torques[1] - torques[0]) / 3.0, 0.0),
+        )
         shares[dof] = dry / max(dry + viscous, 1e-12)
         # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
         losses[dof] = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
     if not shares:
         return Finding(declined="no hinge of the robot is driven")
-    worst, few = min(shares, key=lambda dof: shares[dof]), [dof for dof in shares if shares[dof] < 0.01]
+    worst, few = (
+        min(shares, key=lambda dof: shares[dof]),
+        [dof for dof in shares if shares[dof] < 0.01],
+    )
     name = joint_name(robot, worst)
     bits = {
         "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
         "frictionloss": mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
     }
-    off = "".join(f'<flag {key}="enable"/> and ' for key, bit in bits.items() if robot.model.opt.disableflags & bit)
+    off = "".join(
+        f'<flag {key}="enable"/> and '
+        for key, bit in bits.items()
+        if robot.model.opt.disableflags & bit
+    )
     return Finding(
         value=shares[worst],
         remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
@@ -265,17 +329,30 @@ def _dry(robot: Robot) -> Finding:
 
 @row("robot-lag")
 def _lag(robot: Robot) -> Finding:
-    model, found, changes = robot.model, Finding(declined=f"{NO_SERVO}, or have no room for a step"), {}
+    model, found, changes = (
+        robot.model,
+        Finding(declined=f"{NO_SERVO}, or have no room for a step"),
+        {},
+    )
     for dof, _ in driven_dofs(robot):
-        for actuator in np.flatnonzero(servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])):
+        for actuator in np.flatnonzero(
+            servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
+        ):
             half_s = _half_step_s(robot, int(actuator), dof)
             scale = half_s / FAIR_S
             if scale < 1.0:
-                changes[f"actuator_gainprm[{actuator}]"] = model.actuator_gainprm[actuator] * scale**2
+                changes[f"actuator_gainprm[{actuator}]"] = (
+                    model.actuator_gainprm[actuator] * scale**2
+                )
                 powers = np.array([0, 2, 1] + [0] * 7)
-                changes[f"actuator_biasprm[{actuator}]"] = model.actuator_biasprm[actuator] * scale**powers
+                changes[f"actuator_biasprm[{actuator}]"] = (
+                    model.actuator_biasprm[actuator] * scale**powers
+                )
             if 1e3 * half_s < (np.inf if found.declined else found.value):
-                gains, name = f"kp times {scale**2:.2g} and kv times {scale:.2g}", joint_name(robot, dof)
+                gains, name = (
+                    f"kp times {scale**2:.2g} and kv times {scale:.2g}",
+                    joint_name(robot, dof),
+                )
                 advice = f"{gains} for {name} and servos like it, or their forcerange"
                 found = Finding(value=1e3 * half_s, remark=name, advice=advice)
     return replace(found, changes=changes)
@@ -286,9 +363,18 @@ def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     alone = without(robot.model, "contact", "gravity", "limit")
     alone.dof_armature[np.arange(alone.nv) != dof] = 1e6
     data, place = start(robot, alone), int(alone.jnt_qposadr[alone.dof_jntid[dof]])
-    ratio = float(alone.actuator_biasprm[actuator, 1]) / float(alone.actuator_gainprm[actuator, 0] or np.nan)
-    size, before = abs(STEP_RAD * float(alone.actuator_gear[actuator, 0]) * ratio), float(data.ctrl[actuator])
-    low, high = alone.actuator_ctrlrange[actuator] if alone.actuator_ctrllimited[actuator] else (-np.inf, np.inf)
+    ratio = float(alone.actuator_biasprm[actuator, 1]) / float(
+        alone.actuator_gainprm[actuator, 0] or np.nan
+    )
+    size, before = (
+        abs(STEP_RAD * float(alone.actuator_gear[actuator, 0]) * ratio),
+        float(data.ctrl[actuator]),
+    )
+    low, high = (
+        alone.actuator_ctrlrange[actuator]
+        if alone.actuator_ctrllimited[actuator]
+        else (-np.inf, np.inf)
+    )
     if not size <= max(high - before, before - low):
         return np.inf
     data.ctrl[actuator] += size if high - before >= size else -size
@@ -302,10 +388,23 @@ def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
 
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
-    weights, gains = _weights(robot), {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)}
-    sags = {dof: 1e3 * float(weights[dof]) / gain for dof, gain in gains.items() if gain > 0.0 and weights[dof] > 0.0}
+    weights, gains = (
+        _weights(robot),
+        {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)},
+    )
+    sags = {
+        dof: 1e3 * float(weights[dof]) / gain
+        for dof, gain in gains.items()
+        if gain > 0.0 and weights[dof] > 0.0
+    }
     if not sags:
         return Finding(declined=f"{NO_SERVO}, or carry no weight")
     dof = max(sags, key=lambda one: sags[one])
-    remark = f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
-    return Finding(value=sags[dof], remark=remark, advisory="a controller that knows its load does not sag")
+    remark = (
+        f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
+    )
+    return Finding(
+        value=sags[dof],
+        remark=remark,
+        advisory="a controller that knows its load does not sag",
+    )

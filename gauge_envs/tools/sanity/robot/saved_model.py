@@ -32,12 +32,28 @@ Numbers = list[float]
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays by MuJoCo's names, shape [object_count, width]."""
 
-WIDTHS = ARRAYS | dict.fromkeys(("jnt_ref", "jnt_armature", "jnt_damping", "jnt_driven", "body_driven"), 1)
+WIDTHS = ARRAYS | dict.fromkeys(
+    ("jnt_ref", "jnt_armature", "jnt_damping", "jnt_driven", "body_driven"), 1
+)
 """Columns of each array."""
 
 INTEGERS = frozenset(
-    {"body_parentid", "body_mocapid", "body_driven", "jnt_driven", "jnt_type", "jnt_bodyid", "jnt_limited"}
-    | {"geom_bodyid", "geom_contype", "geom_conaffinity", "geom_condim", "geom_priority"}
+    {
+        "body_parentid",
+        "body_mocapid",
+        "body_driven",
+        "jnt_driven",
+        "jnt_type",
+        "jnt_bodyid",
+        "jnt_limited",
+    }
+    | {
+        "geom_bodyid",
+        "geom_contype",
+        "geom_conaffinity",
+        "geom_condim",
+        "geom_priority",
+    }
     | {"pair_dim", "pair_geom1", "pair_geom2", "exclude_signature"}
 )
 
@@ -82,7 +98,9 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
         spec.compiler.autolimits = False
-        spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        spec.compiler.inertiafromgeom = (
+            mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
+        )
         notes = _set_options(spec, data)
         bodies = _add_bodies(spec, data, arrays)
         _add_joints(spec, bodies, arrays)
@@ -92,12 +110,16 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
         model = spec.compile()
         for key, qpos in data.keyframes.items():
             if len(qpos) != model.nq:
-                raise ValueError(f"keyframes.{key} has {len(qpos)} numbers, expected {model.nq}")
+                raise ValueError(
+                    f"keyframes.{key} has {len(qpos)} numbers, expected {model.nq}"
+                )
     except (ValueError, IndexError, TypeError) as error:
         raise TargetError(f"{name}: data: {' '.join(str(error).split())}") from None
     for array in ("geom_bodyid", "geom_contype", "geom_condim", "body_parentid"):
         if not np.array_equal(getattr(model, array), arrays[array][:, 0]):
-            raise TargetError(f"{name}: data.arrays.{array}: the order of its objects is not that of MuJoCo")
+            raise TargetError(
+                f"{name}: data.arrays.{array}: the order of its objects is not that of MuJoCo"
+            )
     return model, notes
 
 
@@ -110,7 +132,9 @@ def _arrays(data: ModelData) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     for name, width in WIDTHS.items():
         if name not in data.arrays:
-            raise ValueError(f"arrays.{name} is missing: write the file again with the same version of gauge-envs")
+            raise ValueError(
+                f"arrays.{name} is missing: write the file again with the same version of gauge-envs"
+            )
         values: NDArray[Any] = np.array(data.arrays[name], dtype=np.float64)
         count = counts.setdefault(name.partition("_")[0], len(values) // width)
         if values.size != count * width or count > MOST_OBJECTS:
@@ -118,17 +142,34 @@ def _arrays(data: ModelData) -> dict[str, NDArray[Any]]:
                 f"arrays.{name} has {values.size} numbers: expected {width} for each of {count} objects, and at most "
                 f"{MOST_OBJECTS} objects"
             )
-        arrays[name] = (_integers(name, values) if name in INTEGERS else values).reshape(count, width)
-    if len(data.geom_names) != counts["geom"] or len(data.geom_hulls) != counts["geom"] or not counts["body"]:
-        raise ValueError("geom_names, geom_hulls and geom_types must be of the same length, and body_names not empty")
-    owners = {name: arrays[name] for name in ("jnt_bodyid", "geom_bodyid", "pair_geom1", "pair_geom2")}
-    owners["exclude_signature"] = np.array(np.divmod(arrays["exclude_signature"], 1 << 16))
+        arrays[name] = (
+            _integers(name, values) if name in INTEGERS else values
+        ).reshape(count, width)
+    if (
+        len(data.geom_names) != counts["geom"]
+        or len(data.geom_hulls) != counts["geom"]
+        or not counts["body"]
+    ):
+        raise ValueError(
+            "geom_names, geom_hulls and geom_types must be of the same length, and body_names not empty"
+        )
+    owners = {
+        name: arrays[name]
+        for name in ("jnt_bodyid", "geom_bodyid", "pair_geom1", "pair_geom2")
+    }
+    owners["exclude_signature"] = np.array(
+        np.divmod(arrays["exclude_signature"], 1 << 16)
+    )
     for name, ids in owners.items():
         count = counts["geom" if name.startswith("pair") else "body"]
         if ids.size and (ids.min() < 0 or ids.max() >= count):
             raise ValueError(f"arrays.{name} must hold numbers from 0 to {count - 1}")
     parents = arrays["body_parentid"][:, 0]
-    if parents[0] != 0 or (parents[1:] < 0).any() or (parents[1:] >= np.arange(1, len(parents))).any():
+    if (
+        parents[0] != 0
+        or (parents[1:] < 0).any()
+        or (parents[1:] >= np.arange(1, len(parents))).any()
+    ):
         raise ValueError("arrays.body_parentid: a body must follow its parent")
     return arrays
 
@@ -153,13 +194,17 @@ def _set_options(spec: mujoco.MjSpec, data: ModelData) -> list[str]:
             notes += _set_flags(spec, data, name, value)
             continue
         if name.startswith("_") or not hasattr(spec.option, name):
-            notes.append(f"the option {name} is unknown to the installed MuJoCo {mujoco.__version__}")
+            notes.append(
+                f"the option {name} is unknown to the installed MuJoCo {mujoco.__version__}"
+            )
             continue
         now = getattr(spec.option, name)
         if name in NAMED_OPTIONS:
             constants = getattr(mujoco, NAMED_OPTIONS[name]).__members__
             if value not in constants:
-                raise ValueError(f"options.{name}: the installed MuJoCo {mujoco.__version__} has no {str(value)!r}")
+                raise ValueError(
+                    f"options.{name}: the installed MuJoCo {mujoco.__version__} has no {str(value)!r}"
+                )
             setattr(spec.option, name, constants[str(value)])
         elif isinstance(now, np.ndarray):
             numbers = np.array(value, dtype=np.float64)
@@ -175,18 +220,29 @@ def _set_options(spec: mujoco.MjSpec, data: ModelData) -> list[str]:
     return notes
 
 
-def _set_flags(spec: mujoco.MjSpec, data: ModelData, name: str, value: Any) -> list[str]:
+def _set_flags(
+    spec: mujoco.MjSpec, data: ModelData, name: str, value: Any
+) -> list[str]:
     members = getattr(mujoco, FLAGS[name]).__members__
-    bits = {bit: int(constant) for bit, constant in members.items() if bit.startswith(("mjDSBL_", "mjENBL_"))}
+    bits = {
+        bit: int(constant)
+        for bit, constant in members.items()
+        if bit.startswith(("mjDSBL_", "mjENBL_"))
+    }
     if not isinstance(value, list) or not all(isinstance(flag, str) for flag in value):
         raise ValueError(f"options.{name}: expected a list of names")
     setattr(spec.option, name, sum(bits[flag] for flag in set(value) & set(bits)))
     unknown = (flag for flag in value if flag not in bits)
-    notes = [f"the flag {flag} is unknown to the installed MuJoCo {mujoco.__version__}" for flag in unknown]
+    notes = [
+        f"the flag {flag} is unknown to the installed MuJoCo {mujoco.__version__}"
+        for flag in unknown
+    ]
     absent = sorted(set(bits) - set(data.known_flags.get(name, bits)))
     if absent and name == "disableflags":
         flags = ", ".join(flag.removeprefix("mjDSBL_").lower() for flag in absent)
-        notes.append(f"the target's MuJoCo has no flag {flags}; here they are at their defaults")
+        notes.append(
+            f"the target's MuJoCo has no flag {flags}; here they are at their defaults"
+        )
     return notes
 
 
@@ -194,7 +250,10 @@ def _set_flags(spec: mujoco.MjSpec, data: ModelData, name: str, value: Any) -> l
 
 
 def _add_bodies(spec: mujoco.MjSpec, data: ModelData, arrays: Arrays) -> list[Any]:
-    excluded = [divmod(int(signature), 1 << 16) for signature in arrays["exclude_signature"][:, 0]]
+    excluded = [
+        divmod(int(signature), 1 << 16)
+        for signature in arrays["exclude_signature"][:, 0]
+    ]
     # An excluded pair refers to bodies by name.
     named = {body for pair in excluded for body in pair}
     bodies = [spec.worldbody]
@@ -216,11 +275,17 @@ def _add_bodies(spec: mujoco.MjSpec, data: ModelData, arrays: Arrays) -> list[An
 def _add_joints(spec: mujoco.MjSpec, bodies: list[Any], arrays: Arrays) -> None:
     """Add joints, and an actuator without its gains for each joint and body that the original moves."""
     for index, body in enumerate(arrays["jnt_bodyid"][:, 0]):
-        joint = bodies[int(body)].add_joint(type=mujoco.mjtJoint(int(arrays["jnt_type"][index, 0])))
+        joint = bodies[int(body)].add_joint(
+            type=mujoco.mjtJoint(int(arrays["jnt_type"][index, 0]))
+        )
         for field in ("pos", "axis", "range"):
             setattr(joint, field, arrays[f"jnt_{field}"][index])
         is_limited = bool(arrays["jnt_limited"][index, 0])
-        joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE if is_limited else mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.limited = (
+            mujoco.mjtLimited.mjLIMITED_TRUE
+            if is_limited
+            else mujoco.mjtLimited.mjLIMITED_FALSE
+        )
         joint.name = f"joint {index}"
         joint.armature = arrays["jnt_armature"][index, 0]
         # MuJoCo 4 has coefficients of a polynomial in the velocity, earlier versions one number.
@@ -236,19 +301,27 @@ def _add_joints(spec: mujoco.MjSpec, bodies: list[Any], arrays: Arrays) -> None:
         spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_SITE, target=site.name)
 
 
-def _add_geoms(spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, arrays: Arrays) -> None:
+def _add_geoms(
+    spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, arrays: Arrays
+) -> None:
     """Add geoms and explicit pairs of them."""
     if sum(map(len, data.hulls.values())) > 3 * MOST_VERTICES:
         raise ValueError(f"hulls: more than {MOST_VERTICES} vertices")
     for number, vertices in data.hulls.items():
         if len(vertices) % 3:
-            raise ValueError(f"hulls.{number}: expected three coordinates for each vertex")
+            raise ValueError(
+                f"hulls.{number}: expected three coordinates for each vertex"
+            )
         spec.add_mesh(name=number, uservert=vertices)
     # An explicit pair refers to geoms by name.
     paired = data.arrays["pair_geom1"] + data.arrays["pair_geom2"]
     names = []
     for index, owner in enumerate(arrays["geom_bodyid"][:, 0].tolist()):
-        substitute = f"geom {index} of {data.body_names[owner] or 'an unnamed body'}" if index in paired else ""
+        substitute = (
+            f"geom {index} of {data.body_names[owner] or 'an unnamed body'}"
+            if index in paired
+            else ""
+        )
         names.append(data.geom_names[index] or substitute)
         geom = bodies[owner].add_geom(name=names[index])
         for field in ("pos", "quat", "size"):
@@ -258,11 +331,16 @@ def _add_geoms(spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, arrays: 
     add_pairs(spec, arrays, names)
 
 
-def _set_type(spec: mujoco.MjSpec, geom: Any, data: ModelData, index: int, reach_m: float) -> None:
+def _set_type(
+    spec: mujoco.MjSpec, geom: Any, data: ModelData, index: int, reach_m: float
+) -> None:
     """Give a geom its type, with its hull or a level height field."""
     kind = data.geom_types[index]
     if kind in MESHES and data.geom_hulls[index] >= 0:
-        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, str(data.geom_hulls[index])
+        geom.type, geom.meshname = (
+            mujoco.mjtGeom.mjGEOM_MESH,
+            str(data.geom_hulls[index]),
+        )
     elif kind in MESHES:
         # A mesh that touches nothing counts by its size alone.
         geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [reach_m or 1.0, 0.0, 0.0]
@@ -273,7 +351,9 @@ def _set_type(spec: mujoco.MjSpec, geom: Any, data: ModelData, index: int, reach
     elif kind in mujoco.mjtGeom.__members__:
         geom.type = getattr(mujoco.mjtGeom, kind)
     else:
-        raise ValueError(f"geom_types: the installed MuJoCo {mujoco.__version__} has no {kind!r}")
+        raise ValueError(
+            f"geom_types: the installed MuJoCo {mujoco.__version__} has no {kind!r}"
+        )
 
 
 def add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:
@@ -286,12 +366,20 @@ def add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:
     """
     columns = (arrays[name][:, 0] for name in ("pair_geom1", "pair_geom2", "pair_dim"))
     for index, (first, second, dim) in enumerate(zip(*columns, strict=True)):
-        pair = spec.add_pair(geomname1=names[int(first)], geomname2=names[int(second)], condim=int(dim))
+        pair = spec.add_pair(
+            geomname1=names[int(first)], geomname2=names[int(second)], condim=int(dim)
+        )
         write_fields(pair, arrays, "pair", PAIR_FIELDS, index)
 
 
-def write_fields(part: Any, arrays: Arrays, kind: str, fields: tuple[str, ...], index: int) -> None:
+def write_fields(
+    part: Any, arrays: Arrays, kind: str, fields: tuple[str, ...], index: int
+) -> None:
     """Set attributes of a geom or pair from a row of each of their arrays."""
     for field in fields:
         values = arrays[f"{kind}_{field}"][index]
-        setattr(part, field, values if len(values) > 1 else type(getattr(part, field))(values[0]))
+        setattr(
+            part,
+            field,
+            values if len(values) > 1 else type(getattr(part, field))(values[0]),
+        )

@@ -20,7 +20,17 @@ if TYPE_CHECKING:
 __all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
 
 STACKS = (
-    *("mjcf", "newton", "maniskill", "batched", "mujoco_env", "genesis", "probe", "settings", "isaac_gym"),
+    *(
+        "mjcf",
+        "newton",
+        "maniskill",
+        "batched",
+        "mujoco_env",
+        "genesis",
+        "probe",
+        "settings",
+        "isaac_gym",
+    ),
     # It takes every YAML file.
     "isaac_lab",
     # It takes every text.
@@ -29,7 +39,9 @@ STACKS = (
 """Modules of the stacks; the first reader that matches a target reads it."""
 
 
-def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | None = None) -> TrainingConfiguration:
+def configuration(
+    target: Target | TrainingConfiguration, *, pair: GeomPair | None = None
+) -> TrainingConfiguration:
     """Return the training configuration of a target.
 
     Args:
@@ -60,9 +72,13 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         return target
     reader = reader_of(target)
     if reader is None:
-        raise TargetError(f"{type(target).__name__} cannot be checked; give {accepted()}")
+        raise TargetError(
+            f"{type(target).__name__} cannot be checked; give {accepted()}"
+        )
     if pair is not None and not reader.has_geoms:
-        raise TargetError(f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none")
+        raise TargetError(
+            f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none"
+        )
     try:
         return reader.read(target, pair) if reader.has_geoms else reader.read(target)
     except NotATargetError as error:
@@ -76,13 +92,20 @@ def reader_of(target: Any) -> Reader | None:
 
 def accepted() -> str:
     """Return what can be checked, as a list in words."""
-    *first, last = (reader.accepts for reader in _readers(("gymnasium_env", *STACKS[:-1])))
+    *first, last = (
+        reader.accepts for reader in _readers(("gymnasium_env", *STACKS[:-1]))
+    )
     return f"{', '.join(first)}, or {last}"
 
 
 def dialect(name: str) -> Dialect:
     """Return a dialect by the name that a `TrainingConfiguration` states as its language."""
-    return next(one for stack in STACKS for one in getattr(_stack(stack), "DIALECTS", ()) if one.name == name)
+    return next(
+        one
+        for stack in STACKS
+        for one in getattr(_stack(stack), "DIALECTS", ())
+        if one.name == name
+    )
 
 
 def _readers(stacks: Sequence[str] = ()) -> Iterator[Reader]:

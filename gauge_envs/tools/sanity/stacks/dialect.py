@@ -134,8 +134,14 @@ class Dialect:
 
     def setting(self, name: str, value: Any) -> Setting:
         """Return where a setting with a value stands; None is to be left out, which stands alone."""
-        known = self._by_name.get(name) or Setting(name, "", name, Kind(text=self.other_text), self.other)
-        return replace(known, place="", pattern=self.absent) if value is None and self.absent else known
+        known = self._by_name.get(name) or Setting(
+            name, "", name, Kind(text=self.other_text), self.other
+        )
+        return (
+            replace(known, place="", pattern=self.absent)
+            if value is None and self.absent
+            else known
+        )
 
     def writes(self, name: str) -> bool:
         """Return whether a target can state a setting; others are not changed in the search for causes and cures."""
@@ -147,7 +153,11 @@ class Dialect:
 
     def value_text(self, name: str, value: Any) -> str:
         """Return the value of a setting alone, as the target writes it."""
-        return self.default if value is None else self._text(self.setting(name, value), value).strip('"')
+        return (
+            self.default
+            if value is None
+            else self._text(self.setting(name, value), value).strip('"')
+        )
 
     def paste_text(self, changes: Mapping[str, Any], *, geoms: str = "") -> str:
         """Return changes of settings as text that can be pasted into the target.
@@ -164,12 +174,20 @@ class Dialect:
                 if place.within:
                     grouped.setdefault(place.within, []).append(text)
                 else:
-                    parts.append(f"{text} for {geoms}" if geoms and place.has_geoms else text)
-        return self.joint.join([*alone, *parts] if self.comes_last else [*parts, *alone])
+                    parts.append(
+                        f"{text} for {geoms}" if geoms and place.has_geoms else text
+                    )
+        return self.joint.join(
+            [*alone, *parts] if self.comes_last else [*parts, *alone]
+        )
 
     def gravity_text(self, gravity_m_per_s2: tuple[float, float, float]) -> str:
         """Return a gravity [m/s^2], shape [3], as text that can be pasted into the target."""
-        return self.gravity.format(self.gravity_joint.join(number_text(round(g, 2) + 0.0) for g in gravity_m_per_s2))
+        return self.gravity.format(
+            self.gravity_joint.join(
+                number_text(round(g, 2) + 0.0) for g in gravity_m_per_s2
+            )
+        )
 
     def read(self, tables: Mapping[str, Table]) -> Iterator[tuple[str, Any, str]]:
         """Yield name, value and key of the settings of some places; for an absent key, the documented default.
@@ -180,17 +198,25 @@ class Dialect:
         for one in self.settings:
             table = tables.get(one.place)
             if table is not None:
-                key = next((key for key in (one.key, *one.others) if key in table), one.key)
+                key = next(
+                    (key for key in (one.key, *one.others) if key in table), one.key
+                )
                 value = one.kind.read(table, key)
                 yield one.name, one.default if value is None else value, table.name(key)
 
     def _entry(self, one: Setting, value: Any) -> str:
-        return (one.pattern or self.pattern).format(place=one.place, key=one.key, value=self._text(one, value))
+        return (one.pattern or self.pattern).format(
+            place=one.place, key=one.key, value=self._text(one, value)
+        )
 
     def _text(self, one: Setting, value: Any) -> str:
-        return number_text(value) if value is None else (one.kind.text or self.text)(value)
+        return (
+            number_text(value) if value is None else (one.kind.text or self.text)(value)
+        )
 
-    def _grouped(self, changes: Mapping[str, Any]) -> tuple[dict[str, list[str]], list[str]]:
+    def _grouped(
+        self, changes: Mapping[str, Any]
+    ) -> tuple[dict[str, list[str]], list[str]]:
         """Return assignments by their place, and those that stand alone."""
         grouped: dict[str, list[str]] = {}
         alone = []
@@ -204,5 +230,7 @@ class Dialect:
         return grouped, alone
 
 
-TOML = Dialect(name="toml", text=toml_text, joint=", ", absent="no {key}", gravity="gravity = [{}]")
+TOML = Dialect(
+    name="toml", text=toml_text, joint=", ", absent="no {key}", gravity="gravity = [{}]"
+)
 """Lines of a settings file, which has one set of contact constants: `cone = "elliptic"`."""

@@ -41,7 +41,9 @@ TUPLE, SLICE = f"{PYTHON}tuple", f"{PYTHON}object/apply:builtins.slice"
 _Loader: Any = type("_Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
 """Loader of plain values and tuples, and of slices as None."""
 
-_Loader.add_constructor(TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True)))
+_Loader.add_constructor(
+    TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True))
+)
 _Loader.add_constructor(SLICE, lambda loader, node: None)
 
 
@@ -52,10 +54,14 @@ def file_content(path: Path, most_bytes: int) -> bytes:
     except FileNotFoundError:
         raise TargetError(f"{path}: there is no such file") from None
     except OSError as error:
-        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise TargetError(
+            f"{path}: cannot be read: {error.strerror or error}"
+        ) from None
 
 
-def file_value(path: Path, parse: Callable[[bytes], Any], most_bytes: int = MEGABYTE) -> Any:
+def file_value(
+    path: Path, parse: Callable[[bytes], Any], most_bytes: int = MEGABYTE
+) -> Any:
     """Return the value of a file that a user names, by a function that raises `ValueError` for what it cannot parse."""
     content = file_content(path, most_bytes)
     try:
@@ -71,7 +77,11 @@ def read_yaml(path: Path) -> Any:
 
 def yaml_document(content: bytes | str) -> Any:
     """Return the value of a YAML document; raise `ValueError` where it is too large, or has a tag that runs code."""
-    raw = content.encode("utf-8", errors="surrogatepass") if isinstance(content, str) else content
+    raw = (
+        content.encode("utf-8", errors="surrogatepass")
+        if isinstance(content, str)
+        else content
+    )
     if len(raw) > MOST_YAML_BYTES:
         raise ValueError(f"it has {len(raw)} bytes, the limit is {MOST_YAML_BYTES}")
     text = raw.decode("utf-8")
@@ -79,7 +89,9 @@ def yaml_document(content: bytes | str) -> Any:
         _check(yaml.parse(text, Loader=_Loader))
         return yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
-        raise ValueError(f"it is no YAML: {printable(' '.join(str(error).split()))}") from None
+        raise ValueError(
+            f"it is no YAML: {printable(' '.join(str(error).split()))}"
+        ) from None
     except RecursionError:
         raise ValueError("its tables and lists are nested too deeply") from None
     except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
@@ -107,22 +119,38 @@ def _check(events: Iterable[Any]) -> None:
             _check_tag(event.tag, line)
             count += 1
             sizes[str(anchor)] = 1
-        if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_DIGITS and NUMBER.fullmatch(event.value):
-            raise ValueError(f"line {line}: a number of more than {MOST_DIGITS} characters")
+        if (
+            isinstance(event, yaml.ScalarEvent)
+            and len(event.value) > MOST_DIGITS
+            and NUMBER.fullmatch(event.value)
+        ):
+            raise ValueError(
+                f"line {line}: a number of more than {MOST_DIGITS} characters"
+            )
         if isinstance(event, yaml.CollectionStartEvent):
             open_values.append((anchor, count - 1))
         if len(open_values) > MOST_DEPTH:
-            raise ValueError(f"line {line}: tables and lists are nested more than {MOST_DEPTH} deep")
+            raise ValueError(
+                f"line {line}: tables and lists are nested more than {MOST_DEPTH} deep"
+            )
         if count > MOST_NODES:
-            raise ValueError(f"line {line}: it has more than {MOST_NODES} values, where aliases count in full")
+            raise ValueError(
+                f"line {line}: it has more than {MOST_NODES} values, where aliases count in full"
+            )
 
 
 def _check_tag(tag: str | None, line: int) -> None:
-    if tag is None or tag in (TUPLE, SLICE) or (tag.startswith(PLAIN) and not tag.startswith(PYTHON)):
+    if (
+        tag is None
+        or tag in (TUPLE, SLICE)
+        or (tag.startswith(PLAIN) and not tag.startswith(PYTHON))
+    ):
         return
     shown = printable(tag.replace(PLAIN, "!!"))
     reason = "would run code" if tag.startswith(PYTHON) else "is unknown"
-    raise ValueError(f"line {line}: the tag {shown} {reason}; only !!python/tuple is data: remove the value or its tag")
+    raise ValueError(
+        f"line {line}: the tag {shown} {reason}; only !!python/tuple is data: remove the value or its tag"
+    )
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
@@ -146,10 +174,19 @@ class Table:
         root: The whole file, in which references are looked up; the table itself if None.
     """
 
-    def __init__(self, values: Any, *, source: str, path: str = "", root: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        values: Any,
+        *,
+        source: str,
+        path: str = "",
+        root: Mapping[str, Any] | None = None,
+    ) -> None:
         self.source, self.path = source, path
         if not isinstance(values, Mapping):
-            raise TargetError(f"{source}: {path or 'the file'} is {_kind(values)}, and a table is expected")
+            raise TargetError(
+                f"{source}: {path or 'the file'} is {_kind(values)}, and a table is expected"
+            )
         self.values: Mapping[str, Any] = values
         self._root = values if root is None else root
 
@@ -167,11 +204,17 @@ class Table:
     def table(self, key: str) -> Table | None:
         """Return a table."""
         value = self.value(key)
-        return None if value is None else Table(value, source=self.source, path=self.name(key), root=self._root)
+        return (
+            None
+            if value is None
+            else Table(value, source=self.source, path=self.name(key), root=self._root)
+        )
 
     def part(self, key: str) -> Table:
         """Return a table; an empty one when it is absent."""
-        return self.table(key) or Table({}, source=self.source, path=self.name(key), root=self._root)
+        return self.table(key) or Table(
+            {}, source=self.source, path=self.name(key), root=self._root
+        )
 
     def number(self, key: str) -> float | None:
         """Return a number, which may be infinite."""
@@ -206,14 +249,20 @@ class Table:
         value = self.value(key)
         if value is None or (isinstance(value, str) and value in known):
             return value
-        raise TargetError(f"{self.source}: {self.name(key)} is {_kind(value)}: choose one of {', '.join(known)}")
+        raise TargetError(
+            f"{self.source}: {self.name(key)} is {_kind(value)}: choose one of {', '.join(known)}"
+        )
 
     def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
         """Return a list of some numbers."""
         value = self.value(key)
         if value is None:
             return None
-        if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != count:
+        if (
+            not isinstance(value, Sequence)
+            or isinstance(value, str)
+            or len(value) != count
+        ):
             raise self._wrong(key, value, f"a list of {count} numbers")
         return tuple(self._number(one, key) for one in value)
 
@@ -249,7 +298,9 @@ class Table:
         return value
 
     def _wrong(self, key: str, value: Any, expected: str) -> TargetError:
-        return TargetError(f"{self.source}: {self.name(key)} is {_kind(value)}, and {expected} is expected")
+        return TargetError(
+            f"{self.source}: {self.name(key)} is {_kind(value)}, and {expected} is expected"
+        )
 
 
 def _at(values: Any, key: str) -> Any:

@@ -12,7 +12,13 @@ from gauge_envs.files import MEGABYTE, json_document
 from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    python_text,
+)
 from gauge_envs.tools.sanity.stacks.documents import Table, file_value
 from gauge_envs.tools.sanity.stacks.reader import Reader, named_content
 
@@ -22,7 +28,11 @@ def _choice(*names: str) -> Kind:
 
     def read(table: Table, key: str) -> str | None:
         value = table.value(key)
-        return value if value is None or isinstance(value, str) else dict(enumerate(names)).get(table.whole(key) or 0)
+        return (
+            value
+            if value is None or isinstance(value, str)
+            else dict(enumerate(names)).get(table.whole(key) or 0)
+        )
 
     return Kind(read, str)
 
@@ -31,11 +41,16 @@ VALUE, SWITCH = Kind(Table.value), Kind(lambda table, key: bool(table.value(key)
 
 INTEGRATORS = _choice("Euler", "implicitfast", "approximate_implicitfast")
 
-CONSTANT, CONSTANTS = "sol_params[:, {key}] = {value}", "sol_params[:, {key}] = torch.tensor({value})"
+CONSTANT, CONSTANTS = (
+    "sol_params[:, {key}] = {value}",
+    "sol_params[:, {key}] = torch.tensor({value})",
+)
 """Assignments of one column and of several columns of the solver's constants."""
 
 
-def _option(name: str, kind: Kind = VALUE, *, key: str = "", default: Any = None) -> Setting:
+def _option(
+    name: str, kind: Kind = VALUE, *, key: str = "", default: Any = None
+) -> Setting:
     """Return an argument of `RigidOptions` with the documented default of Genesis 1.4.5."""
     pattern = "{key}=gs.{key}.{value}" if kind.text is str else ""
     return Setting(name, "rigid", key or name, kind, pattern, default=default)
@@ -104,9 +119,14 @@ def options_settings(options: Mapping[str, Any], precision: int) -> dict[str, An
         options: Options by the names of `gs.Scene`'s arguments without `_options`: `sim`, `rigid`.
         precision: Bits of floating-point numbers.
     """
-    simulation, rigid = (Table(options.get(part) or {}, source="options", path=part) for part in ("sim", "rigid"))
+    simulation, rigid = (
+        Table(options.get(part) or {}, source="options", path=part)
+        for part in ("sim", "rigid")
+    )
     # The rigid solver inherits the simulation's step, which substeps divide, or has a shorter one of its own.
-    shared_s = (simulation.number("dt") or DEFAULT_STEP_S) / (simulation.number("substeps") or 1)
+    shared_s = (simulation.number("dt") or DEFAULT_STEP_S) / (
+        simulation.number("substeps") or 1
+    )
     step_s = min(rigid.number("dt") or shared_s, shared_s)
     read = {name: value for name, value, _ in GENESIS.read({"rigid": rigid})}
     is_elliptic = read["friction_cone"] == "elliptic"
@@ -116,9 +136,19 @@ def options_settings(options: Mapping[str, Any], precision: int) -> dict[str, An
     read["tolerance"] = read["tolerance"] or (1e-5 if precision == 32 else 1e-8)
     read["impratio"] = read["impratio"] or (100.0 if is_elliptic else 1.0)
     is_stated = "constraint_timeconst" in rigid.values
-    timeconst_s = (rigid.number("constraint_timeconst") or 0.0) if is_stated else DEFAULT_TIMECONST_S
+    timeconst_s = (
+        (rigid.number("constraint_timeconst") or 0.0)
+        if is_stated
+        else DEFAULT_TIMECONST_S
+    )
     contact = _contact_settings(timeconst_s, 1.0, DEFAULT_IMPEDANCE, step_s)
-    return {"preset": "out_of_box", "precision": precision, "timestep_s": step_s, **read, **contact}
+    return {
+        "preset": "out_of_box",
+        "precision": precision,
+        "timestep_s": step_s,
+        **read,
+        **contact,
+    }
 
 
 def _contact_settings(
@@ -152,14 +182,17 @@ def _configuration(
     if rigid.get("enable_mujoco_compatibility"):
         notes += ("enable_mujoco_compatibility is not carried over",)
     if rigid.get("use_hibernation"):
-        notes += ("use_hibernation is not carried over; the experiments' bodies do not sleep",)
+        notes += (
+            "use_hibernation is not carried over; the experiments' bodies do not sleep",
+        )
     check_settings("genesis", settings | contact)
     return TrainingConfiguration(
         name=name,
         source=source,
         backend="genesis",
         settings=settings | contact,
-        origins=dict.fromkeys(settings, "options") | dict.fromkeys(contact, "sol_params of the geoms"),
+        origins=dict.fromkeys(settings, "options")
+        | dict.fromkeys(contact, "sol_params of the geoms"),
         contact_groups=groups,
         notes=notes,
         inapplicable=inapplicable,
@@ -180,17 +213,37 @@ def _read_scene(scene: Any) -> TrainingConfiguration:
 
     precision = 64 if gs.tc_float.itemsize == 8 else 32
     options = {
-        "sim": {name: getattr(scene.options.sim, name) for name in ("dt", "substeps", "gravity")},
+        "sim": {
+            name: getattr(scene.options.sim, name)
+            for name in ("dt", "substeps", "gravity")
+        },
         "rigid": {name: getattr(scene.options.rigid, name) for name in SCENE_OPTIONS},
     }
-    groups, notes = _groups(scene, options_settings(options, precision)) if scene.is_built else ((), ())
-    return _configuration(options, name="gs.Scene", source="gs.Scene", precision=precision, groups=groups, notes=notes)
+    groups, notes = (
+        _groups(scene, options_settings(options, precision))
+        if scene.is_built
+        else ((), ())
+    )
+    return _configuration(
+        options,
+        name="gs.Scene",
+        source="gs.Scene",
+        precision=precision,
+        groups=groups,
+        notes=notes,
+    )
 
 
-def _groups(scene: Any, settings: Mapping[str, Any]) -> tuple[tuple[ContactGroup, ...], tuple[str, ...]]:
+def _groups(
+    scene: Any, settings: Mapping[str, Any]
+) -> tuple[tuple[ContactGroup, ...], tuple[str, ...]]:
     """Return the constants with which moving geoms meet the ground, or any geom without a ground."""
-    geoms = [geom for geom in scene.rigid_solver.geoms if geom.contype or geom.conaffinity]
-    values = scene.rigid_solver.get_sol_params().cpu().numpy().astype(float).reshape(-1, 7)
+    geoms = [
+        geom for geom in scene.rigid_solver.geoms if geom.contype or geom.conaffinity
+    ]
+    values = (
+        scene.rigid_solver.get_sol_params().cpu().numpy().astype(float).reshape(-1, 7)
+    )
     constants = {geom: values[geom.idx] for geom in geoms}
     ground = [geom for geom in geoms if geom.link.is_fixed]
     moving = [geom for geom in geoms if not geom.link.is_fixed]
@@ -199,7 +252,9 @@ def _groups(scene: Any, settings: Mapping[str, Any]) -> tuple[tuple[ContactGroup
         for other in ground or moving:
             if one is not other:
                 mixed = 0.5 * (constants[one] + constants[other])
-                counted.setdefault(tuple(mixed.round(9).tolist()), []).append(one.link.name)
+                counted.setdefault(tuple(mixed.round(9).tolist()), []).append(
+                    one.link.name
+                )
     groups = []
     for mixed, names in sorted(counted.items(), key=lambda item: -len(item[1])):
         first, *others = dict.fromkeys(names)
@@ -209,11 +264,17 @@ def _groups(scene: Any, settings: Mapping[str, Any]) -> tuple[tuple[ContactGroup
             pair_count=len(names),
             constants={"solref": list(mixed[:2]), "solimp": list(mixed[2:])},
             is_used=True,
-            settings=_contact_settings(mixed[0], mixed[1], mixed[2:5], settings["timestep_s"]),
+            settings=_contact_settings(
+                mixed[0], mixed[1], mixed[2:5], settings["timestep_s"]
+            ),
         )
         groups.append(group)
     shapes = {mixed[5:] for mixed in counted}
-    notes = () if shapes <= {DEFAULT_SHAPE} else ("midpoint and power of the impedance are not carried over",)
+    notes = (
+        ()
+        if shapes <= {DEFAULT_SHAPE}
+        else ("midpoint and power of the impedance are not carried over",)
+    )
     return tuple(groups), notes
 
 
@@ -225,19 +286,37 @@ def _is_options_file(target: Any) -> bool:
         values = json_document(named_content(target, (".json",), MEGABYTE))
     except ValueError:
         return False
-    return isinstance(values, dict) and all(isinstance(values.get(part), dict) for part in ("sim", "rigid"))
+    return isinstance(values, dict) and all(
+        isinstance(values.get(part), dict) for part in ("sim", "rigid")
+    )
 
 
 def _read_options(target: Any) -> TrainingConfiguration:
     path = Path(target)
     note = "options state no precision: judged in single precision, Genesis's default"
     values = file_value(path, json_document)
-    return _configuration(values, name=path.name, source=f"options file {path}", precision=32, notes=(note,))
+    return _configuration(
+        values,
+        name=path.name,
+        source=f"options file {path}",
+        precision=32,
+        notes=(note,),
+    )
 
 
 DIALECTS = (GENESIS,)
 
 READERS = (
-    Reader("a gs.Scene", lambda target: is_of(target, "genesis", "Scene"), _read_scene, has_geoms=False),
-    Reader("saved options of a Genesis scene (options.json)", _is_options_file, _read_options, has_geoms=False),
+    Reader(
+        "a gs.Scene",
+        lambda target: is_of(target, "genesis", "Scene"),
+        _read_scene,
+        has_geoms=False,
+    ),
+    Reader(
+        "saved options of a Genesis scene (options.json)",
+        _is_options_file,
+        _read_options,
+        has_geoms=False,
+    ),
 )

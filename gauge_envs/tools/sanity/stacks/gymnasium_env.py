@@ -18,14 +18,23 @@ from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.mjcf import model_name
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | VectorEnv[Any, Any, Any] | Mapping[str, Any]
+Target: TypeAlias = (
+    str
+    | Path
+    | mujoco.MjModel
+    | gymnasium.Env
+    | VectorEnv[Any, Any, Any]
+    | Mapping[str, Any]
+)
 """A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
 
 VECTOR_KEYS = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
 """Arguments of `gymnasium.make_vec` that a single environment does not take."""
 
 
-def _read_vector(vector: VectorEnv[Any, Any, Any], pair: GeomPair | None) -> TrainingConfiguration:
+def _read_vector(
+    vector: VectorEnv[Any, Any, Any], pair: GeomPair | None
+) -> TrainingConfiguration:
     """Return the configuration of the first environment of a vector; it is made anew where it is in another process."""
     inner: Any = vector.unwrapped
     several = getattr(inner, "envs", None)
@@ -34,31 +43,47 @@ def _read_vector(vector: VectorEnv[Any, Any, Any], pair: GeomPair | None) -> Tra
     spec = vector.spec
     if spec is None:
         kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
-        raise NotATargetError(f"{kind} shows neither its environments nor a spec of them")
-    single = {name: value for name, value in spec.kwargs.items() if name not in VECTOR_KEYS}
+        raise NotATargetError(
+            f"{kind} shows neither its environments nor a spec of them"
+        )
+    single = {
+        name: value for name, value in spec.kwargs.items() if name not in VECTOR_KEYS
+    }
     return _read_id(spec.id, pair, single)
 
 
-def _read_id(name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None) -> TrainingConfiguration:
+def _read_id(
+    name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None
+) -> TrainingConfiguration:
     suite_ids = {variant.name: variant.id for variant in variants()}
     try:
         env = gymnasium.make(suite_ids.get(name, name), **(kwargs or {}))
     except Exception as error:  # Other environments raise exceptions of any kind.
         cause = " ".join(str(error).split())
-        raise NotATargetError(f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})") from error
+        raise NotATargetError(
+            f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})"
+        ) from error
     try:
         return _read_env(env, name, pair)
     finally:
         env.close()
 
 
-def _read_env(env: gymnasium.Env, name: str, pair: GeomPair | None) -> TrainingConfiguration:
+def _read_env(
+    env: gymnasium.Env, name: str, pair: GeomPair | None
+) -> TrainingConfiguration:
     inner: Any = env.unwrapped
     simulation = getattr(inner, "simulation", None)
     if isinstance(simulation, Simulation):
         if pair is not None:
-            raise TargetError(f"{name}: an environment of this suite has no geoms to choose from")
-        settings = {key: value for key, value in simulation.settings.items() if key != "drive_interval_s"}
+            raise TargetError(
+                f"{name}: an environment of this suite has no geoms to choose from"
+            )
+        settings = {
+            key: value
+            for key, value in simulation.settings.items()
+            if key != "drive_interval_s"
+        }
         return TrainingConfiguration(
             name=name,
             source="environment of this suite",

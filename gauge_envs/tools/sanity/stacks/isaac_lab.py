@@ -13,7 +13,16 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import UNREAD, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import FLAG, NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    FLAG,
+    NUMBER,
+    WHOLE,
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    number_text,
+)
 from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
 from gauge_envs.tools.sanity.stacks.physx import (
     COEFFICIENTS,
@@ -35,7 +44,10 @@ COLLIDER = f"{SPAWN}.collision_props"
 ASSET_ITERATIONS = {"position": 16, "velocity": 1}
 """Counts of iterations of Isaac Sim's schema, for an actor that states none."""
 
-FRICTION_SCALE = {"friction_offset_threshold": 0.04, "friction_correlation_distance": 0.025}
+FRICTION_SCALE = {
+    "friction_offset_threshold": 0.04,
+    "friction_correlation_distance": 0.025,
+}
 """Attributes of PhysxCfg that follow from PhysX's length scale, and their ratio to it."""
 
 SAME_LENGTH = 1e-6
@@ -53,13 +65,19 @@ class IsaacLab(Dialect):
     def _entry(self, one: Setting, value: Any) -> str:
         if one.name != "tolerance_length_m":
             return super()._entry(one, value)
-        lines = {key: number_text(ratio * value) for key, ratio in FRICTION_SCALE.items()}
-        return "; ".join(f"self.{one.place}.{key} = {text}" for key, text in lines.items())
+        lines = {
+            key: number_text(ratio * value) for key, ratio in FRICTION_SCALE.items()
+        }
+        return "; ".join(
+            f"self.{one.place}.{key} = {text}" for key, text in lines.items()
+        )
 
 
 def _of_actor(name: str, key: str, kind: Kind = NUMBER) -> Setting:
     """Return a property of the robot's articulation, which its rigid bodies state where it has none."""
-    return Setting(name, SPAWN, f"articulation_props.{key}", kind, others=(f"rigid_props.{key}",))
+    return Setting(
+        name, SPAWN, f"articulation_props.{key}", kind, others=(f"rigid_props.{key}",)
+    )
 
 
 def _dialect(name: str, physx: str) -> IsaacLab:
@@ -77,18 +95,45 @@ def _dialect(name: str, physx: str) -> IsaacLab:
             _of_actor("velocity_iterations", "solver_velocity_iteration_count", WHOLE),
             Setting("linear_damping_per_s", SPAWN, "rigid_props.linear_damping"),
             Setting("angular_damping_per_s", SPAWN, "rigid_props.angular_damping"),
-            Setting("max_linear_velocity_m_per_s", SPAWN, "rigid_props.max_linear_velocity"),
-            Setting("max_depenetration_velocity_m_per_s", SPAWN, "rigid_props.max_depenetration_velocity"),
+            Setting(
+                "max_linear_velocity_m_per_s", SPAWN, "rigid_props.max_linear_velocity"
+            ),
+            Setting(
+                "max_depenetration_velocity_m_per_s",
+                SPAWN,
+                "rigid_props.max_depenetration_velocity",
+            ),
             _of_actor("sleep_threshold_m2_per_s2", "sleep_threshold"),
-            Setting("contact_offset_m", COLLIDER, "contact_offset", pattern="{key}={value}"),
+            Setting(
+                "contact_offset_m", COLLIDER, "contact_offset", pattern="{key}={value}"
+            ),
             Setting("rest_offset_m", COLLIDER, "rest_offset", pattern="{key}={value}"),
-            Setting("patch_radius_m", COLLIDER, "torsional_patch_radius", pattern="{key}={value}"),
-            Setting("min_patch_radius_m", COLLIDER, "min_torsional_patch_radius", pattern="{key}={value}"),
-            Setting("max_angular_velocity_rad_per_s", SPAWN, "rigid_props.max_angular_velocity", DEGREES),
+            Setting(
+                "patch_radius_m",
+                COLLIDER,
+                "torsional_patch_radius",
+                pattern="{key}={value}",
+            ),
+            Setting(
+                "min_patch_radius_m",
+                COLLIDER,
+                "min_torsional_patch_radius",
+                pattern="{key}={value}",
+            ),
+            Setting(
+                "max_angular_velocity_rad_per_s",
+                SPAWN,
+                "rigid_props.max_angular_velocity",
+                DEGREES,
+            ),
         ),
         pattern="self.{place}.{key} = {value}",
         other="self.{key} = {value}",
-        places={COLLIDER: Place(form=f"self.{COLLIDER} = sim_utils.CollisionPropertiesCfg({{}})")},
+        places={
+            COLLIDER: Place(
+                form=f"self.{COLLIDER} = sim_utils.CollisionPropertiesCfg({{}})"
+            )
+        },
         comes_last=True,
         joint="; ",
         text=number_text,
@@ -111,7 +156,10 @@ DEFAULT = Material.constant("body", "no material: Isaac Sim's default", friction
 """Material of a body for which neither the file nor an asset states one."""
 
 DEFAULT_GROUND = Material.constant(
-    "ground", "no material: Isaac Sim's default ground plane", friction=0.5, restitution=0.8
+    "ground",
+    "no material: Isaac Sim's default ground plane",
+    friction=0.5,
+    restitution=0.8,
 )
 """Material that Isaac Sim's default ground plane brings along."""
 
@@ -124,7 +172,11 @@ NOT_CARRIED_OVER = {
 
 KNOWN_PHYSX = (
     *(one.key for one in DIALECTS[0].settings if one.place == PHYSX["isaac_lab"]),
-    *(f"{end}_{kind}_iteration_count" for kind in ASSET_ITERATIONS for end in ("min", "max")),
+    *(
+        f"{end}_{kind}_iteration_count"
+        for kind in ASSET_ITERATIONS
+        for end in ("min", "max")
+    ),
     *(*FRICTION_SCALE, *NOT_CARRIED_OVER),
 )
 """Keys of `sim.physx` that are read, beside sizes of buffers."""
@@ -132,14 +184,19 @@ KNOWN_PHYSX = (
 BUFFERS = ("gpu_", "use_gpu", "class_type", "enable_scene_query_support")
 """Starts of keys of `sim.physx` that do not change the physics."""
 
-ISAAC_LAB_3_MARKS = ("physics.bounce_threshold_velocity", "physics.min_position_iteration_count")
+ISAAC_LAB_3_MARKS = (
+    "physics.bounce_threshold_velocity",
+    "physics.min_position_iteration_count",
+)
 """Keys of `sim` that show settings of PhysX where Isaac Lab 3 has them."""
 
 OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 """Keys of `sim` with settings of other engines."""
 
 
-def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -> TrainingConfiguration:
+def isaac_lab_configuration(
+    cfg: Mapping[str, Any], *, name: str, source: str
+) -> TrainingConfiguration:
     """Return the training configuration of an environment of Isaac Lab.
 
     Args:
@@ -185,27 +242,45 @@ def _physx(sim: Table) -> Table:
         physx = sim.table("physics")
     if physx is None:
         others = [key for key in OTHER_ENGINES if key in sim]
-        reason = f"there is {sim.name(others[0])} instead" if others else "it states no solver"
+        reason = (
+            f"there is {sim.name(others[0])} instead"
+            if others
+            else "it states no solver"
+        )
         raise TargetError(
             f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
         )
     return physx
 
 
-def _take_scene(sim: Table, physx: Table, dialect: Dialect, values: PhysxValues) -> None:
+def _take_scene(
+    sim: Table, physx: Table, dialect: Dialect, values: PhysxValues
+) -> None:
     """Take what is stated for the whole scene: the step, the solver and the length scale of friction."""
     for name, value, origin in dialect.read({"sim": sim, PHYSX[dialect.name]: physx}):
         if name == "tolerance_length_m":
-            values.take(name, _length_m(physx, values), f"{origin} over {FRICTION_SCALE['friction_offset_threshold']}")
+            values.take(
+                name,
+                _length_m(physx, values),
+                f"{origin} over {FRICTION_SCALE['friction_offset_threshold']}",
+            )
         else:
             values.take(name, value, origin)
     for key, effect in NOT_CARRIED_OVER.items():
         if physx.flag(key):
-            values.notes.append(f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}")
-    unknown = [key for key in physx.values if key not in KNOWN_PHYSX and not str(key).startswith(BUFFERS)]
+            values.notes.append(
+                f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}"
+            )
+    unknown = [
+        key
+        for key in physx.values
+        if key not in KNOWN_PHYSX and not str(key).startswith(BUFFERS)
+    ]
     if unknown:
         keys = ", ".join(physx.name(str(key))[:80] for key in unknown[:4])
-        values.notes.append(f"{UNREAD}: {keys}; Isaac Lab ignores keys that its PhysxCfg lacks")
+        values.notes.append(
+            f"{UNREAD}: {keys}; Isaac Lab ignores keys that its PhysxCfg lacks"
+        )
     if str(sim.value("device") or "").startswith("cuda"):
         values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
 
@@ -232,29 +307,43 @@ def _robot(table: Table) -> Table | None:
     for key in ("scene.robot", "robot", "robot_cfg"):
         if isinstance(table.value(key), Mapping):
             return table.table(key)
-    found = (key for key, value in scene.values.items() if isinstance(value, Mapping) and "actuators" in value)
+    found = (
+        key
+        for key, value in scene.values.items()
+        if isinstance(value, Mapping) and "actuators" in value
+    )
     first = next(found, None)
     return None if first is None else scene.table(str(first))
 
 
-def _take_actor(physx: Table, robot: Table | None, dialect: Dialect, values: PhysxValues) -> None:
+def _take_actor(
+    physx: Table, robot: Table | None, dialect: Dialect, values: PhysxValues
+) -> None:
     """Take what the robot states for itself: iterations, damping, limits and offsets."""
     spawn = None if robot is None else robot.table("spawn")
     if spawn is None:
-        values.notes.append("no robot is found: what bodies state for themselves is that of Isaac Sim's schema")
+        values.notes.append(
+            "no robot is found: what bodies state for themselves is that of Isaac Sim's schema"
+        )
         spawn = Table({}, source=physx.source, path=SPAWN)
     places = {SPAWN: spawn, COLLIDER: spawn.table("collision_props")}
-    for name, value, origin in dialect.read({place: table for place, table in places.items() if table is not None}):
+    for name, value, origin in dialect.read(
+        {place: table for place, table in places.items() if table is not None}
+    ):
         kind = name.removesuffix("_iterations")
         if kind in ASSET_ITERATIONS:
             values.take(name, *_iterations(physx, kind, value, origin, values))
         else:
             values.take(name, value, origin)
     if spawn.flag("rigid_props.disable_gravity"):
-        values.notes.append(f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it")
+        values.notes.append(
+            f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it"
+        )
 
 
-def _iterations(physx: Table, kind: str, stated: int | None, origin: str, values: PhysxValues) -> tuple[int, str]:
+def _iterations(
+    physx: Table, kind: str, stated: int | None, origin: str, values: PhysxValues
+) -> tuple[int, str]:
     """Return the robot's count of iterations, clamped into the range of the scene, and its origin."""
     count = ASSET_ITERATIONS[kind] if stated is None else stated
     least, most = f"min_{kind}_iteration_count", f"max_{kind}_iteration_count"
@@ -266,32 +355,54 @@ def _iterations(physx: Table, kind: str, stated: int | None, origin: str, values
     used = min(max(count, 0 if low is None else low), 255 if high is None else high)
     if stated is None:
         origin = "Isaac Sim's schema"
-        values.notes.append(f"the robot states no count of {kind} iterations, so its asset decides; {used} is used")
+        values.notes.append(
+            f"the robot states no count of {kind} iterations, so its asset decides; {used} is used"
+        )
     return used, origin if used == count else f"{origin}, clamped to {physx.path}"
 
 
-def _inapplicable(table: Table, physx: Table, ground: Material, foot: Material) -> dict[Need, str]:
+def _inapplicable(
+    table: Table, physx: Table, ground: Material, foot: Material
+) -> dict[Need, str]:
     """Return what the engine cannot represent and what then cannot be judged."""
-    for key in ("scene.terrain.physics_material", "terrain.physics_material", "sim.physics_material"):
+    for key in (
+        "scene.terrain.physics_material",
+        "terrain.physics_material",
+        "sim.physics_material",
+    ):
         material = table.table(key)
         is_used = material is not None and material.path in (ground.origin, foot.origin)
-        if material is not None and is_used and (material.number("compliant_contact_stiffness") or 0.0) > 0.0:
+        if (
+            material is not None
+            and is_used
+            and (material.number("compliant_contact_stiffness") or 0.0) > 0.0
+        ):
             name = material.name("compliant_contact_stiffness")
-            return {Need.CONTACT: f"{name} makes contacts springs, which SAPIEN does not expose"}
+            return {
+                Need.CONTACT: f"{name} makes contacts springs, which SAPIEN does not expose"
+            }
     last = "solve_articulation_contact_last"
-    return {Need.SERVO: f"SAPIEN does not expose {physx.name(last)}"} if physx.flag(last) else {}
+    return (
+        {Need.SERVO: f"SAPIEN does not expose {physx.name(last)}"}
+        if physx.flag(last)
+        else {}
+    )
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def _materials(table: Table, sim: Table, robot: Table | None, values: PhysxValues) -> tuple[Material, Material]:
+def _materials(
+    table: Table, sim: Table, robot: Table | None, values: PhysxValues
+) -> tuple[Material, Material]:
     """Return the materials of the ground and of the robot, before they are combined."""
     default = stated_material(sim.table("physics_material"), "body", DEFAULT)
     ground = _ground(table, replace(default, body="ground"), values)
     own = None if robot is None else robot.table("spawn.physics_material")
     if own is None:
-        values.notes.append("a material that the robot's asset itself binds is not seen")
+        values.notes.append(
+            "a material that the robot's asset itself binds is not seen"
+        )
     foot = stated_material(own, "robot", default if own is None else DEFAULT)
     return ground, _randomized(table, foot, values)
 
@@ -301,24 +412,32 @@ def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
     if terrain is not None:
         material, kind = terrain.table("physics_material"), terrain.text("terrain_type")
         if kind == "usd":
-            values.notes.append(f"{terrain.name('usd_path')} decides the material of the ground, which is not seen")
+            values.notes.append(
+                f"{terrain.name('usd_path')} decides the material of the ground, which is not seen"
+            )
             return default
         if material is None:
             return DEFAULT_GROUND if kind == "plane" else default
         return stated_material(material, "ground", DEFAULT)
     plane = _ground_plane(table.part("scene"))
     if plane is None:
-        values.notes.append("no ground is found in the file: the default material of the simulation is used for it")
+        values.notes.append(
+            "no ground is found in the file: the default material of the simulation is used for it"
+        )
         return default
     material = plane.table("physics_material")
-    return stated_material(material, "ground", DEFAULT_GROUND if material is None else DEFAULT)
+    return stated_material(
+        material, "ground", DEFAULT_GROUND if material is None else DEFAULT
+    )
 
 
 def _ground_plane(scene: Table) -> Table | None:
     """Return what makes the first ground plane of a scene; None when there is none."""
     for key in scene.values:
         spawn = scene.value(f"{key}.spawn") if "." not in str(key) else None
-        if isinstance(spawn, Mapping) and str(spawn.get("func", "")).endswith("spawn_ground_plane"):
+        if isinstance(spawn, Mapping) and str(spawn.get("func", "")).endswith(
+            "spawn_ground_plane"
+        ):
             return scene.table(f"{key}.spawn")
     return None
 
@@ -327,15 +446,28 @@ def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
     """Return the robot's material with the ranges that an event draws from, if there is one."""
     events = table.part("events")
     for key, value in events.values.items():
-        if not isinstance(value, Mapping) or "static_friction_range" not in (params := events.part(f"{key}.params")):
+        if not isinstance(value, Mapping) or "static_friction_range" not in (
+            params := events.part(f"{key}.params")
+        ):
             continue
-        term, asset, bodies = events.name(str(key)), params.text("asset_cfg.name"), params.value("asset_cfg.body_names")
+        term, asset, bodies = (
+            events.name(str(key)),
+            params.text("asset_cfg.name"),
+            params.value("asset_cfg.body_names"),
+        )
         if asset not in (None, "robot"):
-            values.notes.append(f"{term} changes the material of {asset!r}, which is not used")
+            values.notes.append(
+                f"{term} changes the material of {asset!r}, which is not used"
+            )
             continue
         if bodies not in (None, ".*", [".*"], (".*",)):
-            values.notes.append(f"{term} changes {bodies!r} only; they are taken for the feet")
-        ranges = {key: drawn_range(params, f"{key}_range") or foot.ranges[key] for key in COEFFICIENTS}
+            values.notes.append(
+                f"{term} changes {bodies!r} only; they are taken for the feet"
+            )
+        ranges = {
+            key: drawn_range(params, f"{key}_range") or foot.ranges[key]
+            for key in COEFFICIENTS
+        }
         return replace(foot, body="robot", origin=term, ranges=ranges)
     return foot
 
@@ -346,26 +478,45 @@ def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
 def _file(target: Path) -> Path:
     """Return the file of a target: itself, or the first one of a training run's folder."""
     with suppress(OSError):
-        return next((target / name for name in RUN_FILES if (target / name).is_file()), target)
+        return next(
+            (target / name for name in RUN_FILES if (target / name).is_file()), target
+        )
     return target
 
 
 def _matches(target: Any) -> bool:
     if isinstance(target, Mapping):
-        return isinstance(target.get("sim"), Mapping) or isinstance(target.get("env"), Mapping)
-    return isinstance(target, str | Path) and has_suffix(".yaml", ".yml")(_file(Path(target)))
+        return isinstance(target.get("sim"), Mapping) or isinstance(
+            target.get("env"), Mapping
+        )
+    return isinstance(target, str | Path) and has_suffix(".yaml", ".yml")(
+        _file(Path(target))
+    )
 
 
 def _read(target: Any) -> TrainingConfiguration:
     if isinstance(target, Mapping):
-        return isaac_lab_configuration(target, name="Isaac Lab", source="configuration of Isaac Lab")
+        return isaac_lab_configuration(
+            target, name="Isaac Lab", source="configuration of Isaac Lab"
+        )
     path = _file(Path(target))
     # Every run calls its file the same; its folder tells runs apart.
-    run = path.parent.parent.name if f"{path.parent.name}/{path.name}" in RUN_FILES else ""
-    return isaac_lab_configuration(read_yaml(path), name=run or path.name, source=f"Isaac Lab, file {path}")
+    run = (
+        path.parent.parent.name
+        if f"{path.parent.name}/{path.name}" in RUN_FILES
+        else ""
+    )
+    return isaac_lab_configuration(
+        read_yaml(path), name=run or path.name, source=f"Isaac Lab, file {path}"
+    )
 
 
 READERS = (
     # It takes every YAML file that another reader does not take.
-    Reader("the params/env.yaml of a training run with Isaac Lab", _matches, _read, has_geoms=False),
+    Reader(
+        "the params/env.yaml of a training run with Isaac Lab",
+        _matches,
+        _read,
+        has_geoms=False,
+    ),
 )

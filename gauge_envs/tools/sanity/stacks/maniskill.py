@@ -10,22 +10,40 @@ from typing import Any
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.gauge_probe import plain
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    FLAG,
+    WHOLE,
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    number_text,
+)
 from gauge_envs.tools.sanity.stacks.documents import Table
-from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material
+from gauge_envs.tools.sanity.stacks.physx import (
+    SOLVERS,
+    Material,
+    PhysxValues,
+    combined,
+    stated_material,
+)
 from gauge_envs.tools.sanity.stacks.reader import Reader
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
 
-MATERIAL = Material.constant("body", "sim_config.default_materials_config", friction=0.3)
+MATERIAL = Material.constant(
+    "body", "sim_config.default_materials_config", friction=0.3
+)
 """Default material of ManiSkill 3."""
 
 
 def _step_s(table: Table, key: str) -> float:
     rate = table.number(key)
     if rate is None or not 0.0 < rate < float("inf"):
-        raise TargetError(f"{table.source}: there is no positive {table.name(key)}: give all fields of a SimConfig")
+        raise TargetError(
+            f"{table.source}: there is no positive {table.name(key)}: give all fields of a SimConfig"
+        )
     return 1.0 / rate
 
 
@@ -58,7 +76,9 @@ MANISKILL = Dialect(
         Setting("persistent_manifolds", SCENE, "enable_pcm", FLAG),
         Setting("continuous_detection", SCENE, "enable_ccd", FLAG),
         Setting("enhanced_determinism", SCENE, "enable_enhanced_determinism", FLAG),
-        Setting("friction_every_iteration", SCENE, "enable_friction_every_iteration", FLAG),
+        Setting(
+            "friction_every_iteration", SCENE, "enable_friction_every_iteration", FLAG
+        ),
         Setting("solver", SCENE, "enable_tgs", TGS),
         Setting("link_linear_damping_per_s", LINKS, "linear_damping", pattern=DAMPING),
         Setting("angular_damping_per_s", LINKS, "angular_damping", pattern=DAMPING),
@@ -75,7 +95,9 @@ MANISKILL = Dialect(
 )
 
 
-def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source: str) -> TrainingConfiguration:
+def maniskill_configuration(
+    sim_config: Mapping[str, Any], *, name: str, source: str
+) -> TrainingConfiguration:
     """Return the training configuration of a SimConfig.
 
     Args:
@@ -89,18 +111,24 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
     values.take_places({"sim_config": table, SCENE: scene})
     values.origins["timestep_s"] = "1 / sim_config.sim_freq"
     stated = table.table("default_materials_config")
-    ground, robot = (stated_material(stated, body, MATERIAL) for body in ("ground", "robot"))
+    ground, robot = (
+        stated_material(stated, body, MATERIAL) for body in ("ground", "robot")
+    )
     values.take_articulation()
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
         values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
-    values.notes.append("materials that a task gives its own objects, and friction of joints, are not seen")
+    values.notes.append(
+        "materials that a task gives its own objects, and friction of joints, are not seen"
+    )
     control = table.number("control_freq")
     return values.configuration(
         table,
         name=name,
         source=source,
         gravity_m_per_s2=scene.numbers("gravity", 3),
-        frame_skip=None if not control or control < 0.0 else round((table.number("sim_freq") or 0.0) / control),
+        frame_skip=None
+        if not control or control < 0.0
+        else round((table.number("sim_freq") or 0.0) / control),
         foot_contact=combined(ground, robot),
     )
 
@@ -111,21 +139,33 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
 def _is_sim_config(value: Any) -> bool:
     if isinstance(value, Mapping):
         return "sim_freq" in value and "scene_config" in value
-    return is_dataclass(value) and not isinstance(value, type) and hasattr(value, "sim_freq")
+    return (
+        is_dataclass(value)
+        and not isinstance(value, type)
+        and hasattr(value, "sim_freq")
+    )
 
 
 def _matches(target: Any) -> bool:
-    return _is_sim_config(target) or _is_sim_config(getattr(getattr(target, "unwrapped", None), "sim_config", None))
+    return _is_sim_config(target) or _is_sim_config(
+        getattr(getattr(target, "unwrapped", None), "sim_config", None)
+    )
 
 
 def _read(target: Any) -> TrainingConfiguration:
     if _is_sim_config(target):
-        return maniskill_configuration(plain(target), name="SimConfig", source="ManiSkill's SimConfig")
+        return maniskill_configuration(
+            plain(target), name="SimConfig", source="ManiSkill's SimConfig"
+        )
     spec = getattr(target, "spec", None)
     name = type(target.unwrapped).__name__ if spec is None else spec.id
-    return maniskill_configuration(plain(target.unwrapped.sim_config), name=name, source="environment of ManiSkill")
+    return maniskill_configuration(
+        plain(target.unwrapped.sim_config), name=name, source="environment of ManiSkill"
+    )
 
 
 DIALECTS = (MANISKILL,)
 
-READERS = (Reader("an env of ManiSkill, or its SimConfig", _matches, _read, has_geoms=False),)
+READERS = (
+    Reader("an env of ManiSkill, or its SimConfig", _matches, _read, has_geoms=False),
+)

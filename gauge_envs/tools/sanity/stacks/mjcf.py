@@ -10,13 +10,25 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.mujoco.model import DISABLE_FLAGS, ENABLE_FLAGS, SAME_NAME_OPTIONS
+from gauge_envs.backends.mujoco.model import (
+    DISABLE_FLAGS,
+    ENABLE_FLAGS,
+    SAME_NAME_OPTIONS,
+)
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, child_refusal
 from gauge_envs.tools.mjcf import PROBE
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.stacks.dialect import NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    NUMBER,
+    WHOLE,
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    number_text,
+)
 from gauge_envs.tools.sanity.stacks.documents import file_content
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
 
@@ -34,7 +46,10 @@ SWITCH = Kind(text=lambda is_on: "enable" if is_on else "disable")
 MODEL_SETTINGS = (
     Setting("timestep_s", "option", "timestep"),
     *(Setting(name, "option", name) for name in ("integrator", "cone", "solver")),
-    *(Setting(name, "option", name, WHOLE if name.endswith("iterations") else NUMBER) for name in SAME_NAME_OPTIONS),
+    *(
+        Setting(name, "option", name, WHOLE if name.endswith("iterations") else NUMBER)
+        for name in SAME_NAME_OPTIONS
+    ),
     *(Setting(name, "flag", name, SWITCH) for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)),
     Setting("contact_solref", "geom", "solref"),
     Setting("contact_solimp", "geom", "solimp"),
@@ -47,7 +62,11 @@ MODEL_SETTINGS = (
 
 def _attribute(value: Any) -> str:
     """Return a value of an attribute."""
-    return " ".join(map(number_text, value)) if isinstance(value, list | tuple) else number_text(value)
+    return (
+        " ".join(map(number_text, value))
+        if isinstance(value, list | tuple)
+        else number_text(value)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +76,9 @@ class Mjcf(Dialect):
     settings: tuple[Setting, ...] = MODEL_SETTINGS
     pattern: str = '{key}="{value}"'
     places: Mapping[str, Place] = field(
-        default_factory=lambda: dict.fromkeys(("config", "option", "flag", "geom"), Place(form="{}"))
+        default_factory=lambda: dict.fromkeys(
+            ("config", "option", "flag", "geom"), Place(form="{}")
+        )
     )
     text: Callable[[Any], str] = _attribute
     gravity: str = '<option gravity="{}"/>'
@@ -66,18 +87,32 @@ class Mjcf(Dialect):
 
     def setting(self, name: str, value: Any) -> Setting:
         """Return where a setting with a value stands; None is to be left out."""
-        return OVERRIDE if value is None and name == OVERRIDE.name else super().setting(name, value)
+        return (
+            OVERRIDE
+            if value is None and name == OVERRIDE.name
+            else super().setting(name, value)
+        )
 
     def paste_text(self, changes: Mapping[str, Any], *, geoms: str = "") -> str:
         """Return elements: `<option>` with its flags, and `<geom>` for some geoms or as the default of all."""
         grouped, alone = self._grouped(changes)
-        option, flags, geom = (" ".join(grouped.get(place, ())) for place in ("option", "flag", "geom"))
-        parts = [f"config_overrides={{{', '.join(grouped['config'])}}}"] if "config" in grouped else []
+        option, flags, geom = (
+            " ".join(grouped.get(place, ())) for place in ("option", "flag", "geom")
+        )
+        parts = (
+            [f"config_overrides={{{', '.join(grouped['config'])}}}"]
+            if "config" in grouped
+            else []
+        )
         if option or flags:
             head = f"<option {option}".rstrip()
             parts.append(f"{head}><flag {flags}/></option>" if flags else f"{head}/>")
         if geom:
-            parts.append(f"<geom {geom}/> for {geoms}" if geoms else f"<default><geom {geom}/></default>")
+            parts.append(
+                f"<geom {geom}/> for {geoms}"
+                if geoms
+                else f"<default><geom {geom}/></default>"
+            )
         return self.joint.join([*parts, *alone])
 
 
@@ -91,9 +126,17 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.compile()
     except ValueError as error:
-        hint = "; state files of package:// relative to this one" if "package:/" in str(error) else ""
-        raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}{hint}") from None
-    return mujoco_configuration(model, name=path.name, source=f"model file {path}", pair=pair, spec=spec)
+        hint = (
+            "; state files of package:// relative to this one"
+            if "package:/" in str(error)
+            else ""
+        )
+        raise TargetError(
+            f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}{hint}"
+        ) from None
+    return mujoco_configuration(
+        model, name=path.name, source=f"model file {path}", pair=pair, spec=spec
+    )
 
 
 def model_name(model: mujoco.MjModel) -> str:
@@ -107,7 +150,9 @@ READERS = (
     Reader(
         "a mujoco.MjModel",
         lambda target: isinstance(target, mujoco.MjModel),
-        lambda target, pair: mujoco_configuration(target, name=model_name(target), source="mujoco.MjModel", pair=pair),
+        lambda target, pair: mujoco_configuration(
+            target, name=model_name(target), source="mujoco.MjModel", pair=pair
+        ),
     ),
     Reader(
         "a model file (.xml, .mjcf, .urdf)",

@@ -28,7 +28,14 @@ from gauge_envs.tools.sanity.gauge_probe import (
 from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text
+from gauge_envs.tools.sanity.stacks.dialect import (
+    WHOLE,
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    python_text,
+)
 from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS, Mjcf
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
@@ -63,7 +70,10 @@ def _read_playground(target: Any, pair: GeomPair | None) -> TrainingConfiguratio
     if runs_on == "warp":
         engine, trains_on = "MJX on mujoco_warp", "mujoco_warp"
         stated = limits(env)
-        capacity = contact_capacity(model, CapacityLimits(njmax=stated.get("njmax"), naconmax=stated.get("naconmax")))
+        capacity = contact_capacity(
+            model,
+            CapacityLimits(njmax=stated.get("njmax"), naconmax=stated.get("naconmax")),
+        )
     elif isinstance(runs_on, str):
         engine = f"MJX's implementation {runs_on!r}"
     note = f"trains with {engine}, in single precision; the rows run MuJoCo's C engine"
@@ -93,7 +103,11 @@ def _argument(one: Setting) -> Setting:
     """Return the argument of mjlab's classes that states an attribute of a model."""
     key, kind = one.key, one.kind
     if one.place == "flag":
-        key, shown = ("enableflags", True) if one.name in ENABLE_FLAGS else ("disableflags", False)
+        key, shown = (
+            ("enableflags", True)
+            if one.name in ENABLE_FLAGS
+            else ("disableflags", False)
+        )
         kind = Kind(text=lambda is_on: f'("{one.key}",)' if is_on is shown else "()")
     elif key in NAMED_OPTIONS:
         kind = Kind(text=lambda name: python_text(name.lower()))
@@ -132,7 +146,10 @@ def _read_mjlab(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     if stated:
         worlds = 1 if "nconmax" in stated else None
         capacity = contact_capacity(
-            model, CapacityLimits(njmax=stated.get("njmax"), naconmax=stated.get("nconmax"), worlds=worlds)
+            model,
+            CapacityLimits(
+                njmax=stated.get("njmax"), naconmax=stated.get("nconmax"), worlds=worlds
+            ),
         )
     note = "trains on mujoco_warp, in single precision; the rows run MuJoCo's C engine"
     return replace(
@@ -162,7 +179,9 @@ def _delay_s(cfg: Any, step_s: float) -> float | None:
     if not observed_lags and not actuator_lags:
         return None
     steps_per_action = found(cfg, "decimation") or 1
-    return step_s * (max(observed_lags, default=0) * steps_per_action + max(actuator_lags, default=0))
+    return step_s * (
+        max(observed_lags, default=0) * steps_per_action + max(actuator_lags, default=0)
+    )
 
 
 # --- readers ---------------------------------------------------------------------------------------------------------
@@ -178,13 +197,23 @@ def _version(distribution: str) -> str:
 def _model(target: Any) -> mujoco.MjModel:
     model = mujoco_model(target)
     if not isinstance(model, mujoco.MjModel):
-        raise TargetError(f"{type(target).__name__} holds no compiled model: give the environment")
+        raise TargetError(
+            f"{type(target).__name__} holds no compiled model: give the environment"
+        )
     return model
 
 
 DIALECTS = (PLAYGROUND, MJLAB)
 
 READERS = (
-    Reader("an env of MuJoCo Playground", lambda target: is_of_package(target, PLAYGROUND_PACKAGE), _read_playground),
-    Reader("an env or a task configuration of mjlab", lambda target: is_of_package(target, MJLAB_PACKAGE), _read_mjlab),
+    Reader(
+        "an env of MuJoCo Playground",
+        lambda target: is_of_package(target, PLAYGROUND_PACKAGE),
+        _read_playground,
+    ),
+    Reader(
+        "an env or a task configuration of mjlab",
+        lambda target: is_of_package(target, MJLAB_PACKAGE),
+        _read_mjlab,
+    ),
 )

@@ -18,11 +18,22 @@ import numpy as np
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.gauge_probe import is_of
-from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
+from gauge_envs.tools.sanity.model import (
+    CapacityLimits,
+    ContactCapacity,
+    TrainingConfiguration,
+)
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text, rounded
+from gauge_envs.tools.sanity.stacks.dialect import (
+    Dialect,
+    Kind,
+    Place,
+    Setting,
+    python_text,
+    rounded,
+)
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
 JUDGED = "SolverMuJoCo"
@@ -52,7 +63,11 @@ def stiffness_and_damping(solref: tuple[float, float]) -> tuple[float, float] | 
 
 def _shape_text(solref: Any) -> str:
     found = stiffness_and_damping(solref)
-    return f"solref={python_text(solref)}" if found is None else f"ke={found[0]:.6g}, kd={found[1]:.6g}"
+    return (
+        f"solref={python_text(solref)}"
+        if found is None
+        else f"ke={found[0]:.6g}, kd={found[1]:.6g}"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +77,11 @@ class Newton(Dialect):
     def setting(self, name: str, value: Any) -> Setting:
         """Return where a setting with a value stands."""
         known = super().setting(name, value)
-        is_direct = name == "contact_solref" and value is not None and stiffness_and_damping(value) is None
+        is_direct = (
+            name == "contact_solref"
+            and value is not None
+            and stiffness_and_damping(value) is None
+        )
         return replace(known, place="direct") if is_direct else known
 
 
@@ -101,7 +120,11 @@ def is_newton(target: Any) -> bool:
 
 
 def newton_configuration(
-    target: Any, *, step_s: float | None = None, name: str = "", pair: GeomPair | None = None
+    target: Any,
+    *,
+    step_s: float | None = None,
+    name: str = "",
+    pair: GeomPair | None = None,
 ) -> TrainingConfiguration:
     """Return the configuration of a solver of Newton.
 
@@ -119,7 +142,9 @@ def newton_configuration(
     given = "" if solver is target else ", with the defaults of SolverMuJoCo"
     source = f"{type(target).__name__} of Newton {version('newton')}{given}"
     model = _compiled(solver)
-    read = mujoco_configuration(model, name=name or kind, source=source, pair=pair, has_robot=False)
+    read = mujoco_configuration(
+        model, name=name or kind, source=source, pair=pair, has_robot=False
+    )
     contact = _contact(solver, read.settings)
     settings = _options(solver, read.settings, step_s) | contact
     check_settings("newton", settings)
@@ -133,7 +158,10 @@ def newton_configuration(
         backend="newton",
         settings=settings,
         origins=origins,
-        contact_groups=tuple(replace(one, settings=_contact(solver, one.settings)) for one in read.contact_groups),
+        contact_groups=tuple(
+            replace(one, settings=_contact(solver, one.settings))
+            for one in read.contact_groups
+        ),
         notes=(*_notes(solver, settings), *read.notes),
         is_model=False,
         language=NEWTON.name,
@@ -169,10 +197,14 @@ def _compiled(solver: Any) -> mujoco.MjModel:
     return model
 
 
-def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict[str, Any]:
+def _options(
+    solver: Any, read: Mapping[str, Any], step_s: float | None
+) -> dict[str, Any]:
     """Return the settings of the Newton backend for the options of a solver."""
     kind = type(solver).__name__
-    known = (one for one in NEWTON.settings if one.place == "solver" and one.key in read)
+    known = (
+        one for one in NEWTON.settings if one.place == "solver" and one.key in read
+    )
     settings = {one.name: rounded(read[one.key]) for one in known}
     settings["integrator"] = settings["integrator"].lower()
     # MuJoCo Warp raises smaller ones.
@@ -181,29 +213,47 @@ def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict
     if step_s is not None:
         settings["timestep_s"] = step_s
     elif getattr(solver, "_step", 0) and getattr(solver, "mjw_model", None) is not None:
-        settings["timestep_s"] = rounded(float(solver.mjw_model.opt.timestep.numpy()[0]))
+        settings["timestep_s"] = rounded(
+            float(solver.mjw_model.opt.timestep.numpy()[0])
+        )
     if read["solver"] != "Newton":
-        raise TargetError(f"{kind}: solver {read['solver']} is not run, use solver='newton'")
+        raise TargetError(
+            f"{kind}: solver {read['solver']} is not run, use solver='newton'"
+        )
     if settings["integrator"] not in INTEGRATORS:
-        raise TargetError(f"{kind}: integrator {settings['integrator']} is not run, use 'implicitfast' or 'euler'")
+        raise TargetError(
+            f"{kind}: integrator {settings['integrator']} is not run, use 'implicitfast' or 'euler'"
+        )
     return settings
 
 
 def _contact(solver: Any, read: Mapping[str, Any]) -> dict[str, Any]:
     """Return the contact constants of the Newton backend for those of a pair of shapes."""
-    settings = {name: tuple(map(rounded, read[name])) for name in CONTACT if read.get(name) is not None}
+    settings = {
+        name: tuple(map(rounded, read[name]))
+        for name in CONTACT
+        if read.get(name) is not None
+    }
     # Newton applies the gain to its own contacts, with the elliptic cone.
     if not getattr(solver, "_use_mujoco_contacts", True) and solver.model.shape_count:
-        settings["contact_kf_n_s_per_m"] = rounded(float(solver.model.shape_material_kf.numpy().max()))
+        settings["contact_kf_n_s_per_m"] = rounded(
+            float(solver.model.shape_material_kf.numpy().max())
+        )
     return settings
 
 
-def _capacity(solver: Any, model: mujoco.MjModel, settings: Mapping[str, Any]) -> ContactCapacity | None:
+def _capacity(
+    solver: Any, model: mujoco.MjModel, settings: Mapping[str, Any]
+) -> ContactCapacity | None:
     """Return the limits of the solver's memory for the contacts of a world; None for MuJoCo's C engine."""
     data = getattr(solver, "mjw_data", None)
     if getattr(solver, "use_mujoco_cpu", False) or data is None:
         return None
-    limits = CapacityLimits(njmax=int(data.njmax), naconmax=int(data.naconmax) // max(1, int(data.nworld)), worlds=1)
+    limits = CapacityLimits(
+        njmax=int(data.njmax),
+        naconmax=int(data.naconmax) // max(1, int(data.nworld)),
+        worlds=1,
+    )
     if not settings["mujoco_contacts"]:
         reason = "Newton finds other contacts than MuJoCo, by which they are counted; see ObservableKind.OVERFLOW"
         return ContactCapacity(limits=limits, reason=reason)
@@ -214,14 +264,23 @@ def _capacity(solver: Any, model: mujoco.MjModel, settings: Mapping[str, Any]) -
 def _notes(solver: Any, settings: Mapping[str, Any]) -> list[str]:
     model, notes = solver.model, []
     if "timestep_s" not in settings:
-        notes.append("the step is not known before the solver runs: each scene has this package's step; give step_s")
+        notes.append(
+            "the step is not known before the solver runs: each scene has this package's step; give step_s"
+        )
     if getattr(solver, "use_mujoco_cpu", False):
-        notes.append("the solver runs MuJoCo's C engine; the check runs MuJoCo Warp with the same options")
+        notes.append(
+            "the solver runs MuJoCo's C engine; the check runs MuJoCo Warp with the same options"
+        )
     modes = getattr(getattr(model, "mujoco", None), "solref_mode", None)
     in_force = 0 if modes is None else int((modes.numpy() == FORCE_SPACE).sum())
     if in_force:
-        notes.append(f"ke and kd of {in_force} shapes are forces, and depend on the masses; they are judged as if not")
-    if "contact_kf_n_s_per_m" in settings and len(np.unique(model.shape_material_kf.numpy())) > 1:
+        notes.append(
+            f"ke and kd of {in_force} shapes are forces, and depend on the masses; they are judged as if not"
+        )
+    if (
+        "contact_kf_n_s_per_m" in settings
+        and len(np.unique(model.shape_material_kf.numpy())) > 1
+    ):
         notes.append("shapes have several friction gains kf; the largest is judged")
     if model.shape_count and model.shape_margin.numpy().any():
         notes.append("margins of shapes are not carried over")

@@ -12,7 +12,12 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.model import FootContact, Need, TrainingConfiguration, range_text
+from gauge_envs.tools.sanity.model import (
+    FootContact,
+    Need,
+    TrainingConfiguration,
+    range_text,
+)
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, number_text
 from gauge_envs.tools.sanity.stacks.documents import Table
@@ -34,7 +39,9 @@ SOLVERS = ("PGS", "TGS")
 def _solver_name(table: Table, key: str) -> str | None:
     number = table.whole(key)
     if number not in (None, 0, 1):
-        raise TargetError(f"{table.source}: {table.name(key)} is {number}: give 0 (PGS) or 1 (TGS)")
+        raise TargetError(
+            f"{table.source}: {table.name(key)} is {number}: give 0 (PGS) or 1 (TGS)"
+        )
     return None if number is None else SOLVERS[number]
 
 
@@ -68,7 +75,9 @@ class PhysxValues:
     def take(self, name: str, value: Any, origin: str) -> None:
         """Set a setting; None leaves it to the preset."""
         if value is not None:
-            self.settings[name] = min(value, LARGEST[name]) if name in LARGEST else value
+            self.settings[name] = (
+                min(value, LARGEST[name]) if name in LARGEST else value
+            )
             self.origins[name] = origin
 
     def take_places(self, tables: Mapping[str, Table]) -> None:
@@ -93,7 +102,11 @@ class PhysxValues:
     ) -> TrainingConfiguration:
         """Return the configuration, after a trial of its settings."""
         self.take_articulation()
-        self.take("sustained_restitution", any(foot_contact.restitution), "the stated restitution")
+        self.take(
+            "sustained_restitution",
+            any(foot_contact.restitution),
+            "the stated restitution",
+        )
         try:
             check_settings("physx", self.settings)
         except ParameterError as error:
@@ -163,15 +176,23 @@ class Material:
     restitution_mode: str = AVERAGE
 
     @classmethod
-    def constant(cls, body: str, origin: str, *, friction: float, restitution: float = 0.0) -> Material:
+    def constant(
+        cls, body: str, origin: str, *, friction: float, restitution: float = 0.0
+    ) -> Material:
         """Return a material with one coefficient of friction that is not randomized."""
         values = zip(COEFFICIENTS, (friction, friction, restitution), strict=True)
-        return cls(body=body, origin=origin, ranges={name: (value, value) for name, value in values})
+        return cls(
+            body=body,
+            origin=origin,
+            ranges={name: (value, value) for name, value in values},
+        )
 
     @property
     def text(self) -> str:
         """Body, friction and origin in words."""
-        return f"{self.body} {range_text(self.ranges['dynamic_friction'])} ({self.origin})"
+        return (
+            f"{self.body} {range_text(self.ranges['dynamic_friction'])} ({self.origin})"
+        )
 
 
 def stated_material(table: Table | None, body: str, default: Material) -> Material:
@@ -182,15 +203,19 @@ def stated_material(table: Table | None, body: str, default: Material) -> Materi
     for key in COEFFICIENTS:
         number = table.number(key)
         if number is not None and not 0.0 <= number < math.inf:
-            raise TargetError(f"{table.source}: {table.name(key)} is {number:g}: give 0 or more")
+            raise TargetError(
+                f"{table.source}: {table.name(key)} is {number:g}: give 0 or more"
+            )
         if number is not None:
             ranges[key] = number, number
     return Material(
         body=body,
         origin=table.path,
         ranges=ranges,
-        friction_mode=table.choice("friction_combine_mode", MODES) or default.friction_mode,
-        restitution_mode=table.choice("restitution_combine_mode", MODES) or default.restitution_mode,
+        friction_mode=table.choice("friction_combine_mode", MODES)
+        or default.friction_mode,
+        restitution_mode=table.choice("restitution_combine_mode", MODES)
+        or default.restitution_mode,
     )
 
 
@@ -201,7 +226,9 @@ def drawn_range(table: Table, key: str) -> Range | None:
         return None
     low, high = sorted(ends)
     if not 0.0 <= low <= high < math.inf:
-        raise TargetError(f"{table.source}: {table.name(key)} is {low:g} to {high:g}: give numbers of 0 or more")
+        raise TargetError(
+            f"{table.source}: {table.name(key)} is {low:g} to {high:g}: give numbers of 0 or more"
+        )
     return low, high
 
 

@@ -18,8 +18,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.gauge_probe import SUFFIX, VERSION
-from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_model import ABSENT_PARTS, mujoco_configuration
+from gauge_envs.tools.sanity.model import (
+    CapacityLimits,
+    ContactCapacity,
+    TrainingConfiguration,
+)
+from gauge_envs.tools.sanity.robot.mujoco_model import (
+    ABSENT_PARTS,
+    mujoco_configuration,
+)
 from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
@@ -46,7 +53,9 @@ MARGINS_TEXT = ".".join(map(str, MARGINS_SINCE))
 ENGINES = {"mjx": "MJX", "mujoco_warp": "MuJoCo Warp"}
 """Engines that run a model in training, by implementation."""
 
-NOT_COUNTED = "a probe file does not hold what moves the robot, so its contacts are not counted"
+NOT_COUNTED = (
+    "a probe file does not hold what moves the robot, so its contacts are not counted"
+)
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -67,7 +76,9 @@ class _ProbeFile(BaseModel):
     data: dict[str, Any]
 
 
-def _validated(kind: type[_Model], values: Any, where: str, *, strict: bool = False) -> _Model:
+def _validated(
+    kind: type[_Model], values: Any, where: str, *, strict: bool = False
+) -> _Model:
     try:
         return kind.model_validate(values, strict=strict)
     except ValidationError as error:
@@ -76,38 +87,66 @@ def _validated(kind: type[_Model], values: Any, where: str, *, strict: bool = Fa
 
 
 def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
-    file = _validated(_ProbeFile, file_value(path, json_document, MOST_PROBE_BYTES), str(path))
+    file = _validated(
+        _ProbeFile, file_value(path, json_document, MOST_PROBE_BYTES), str(path)
+    )
     if not 1 <= file.version <= VERSION:
         raise TargetError(
             f"{path}: version {file.version} of the format, this gauge-envs reads up to version {VERSION}: run `gauge "
             "sanity probe` again here, and its output where the policy is trained"
         )
     if file.kind != MUJOCO and file.kind not in STACKS:
-        raise TargetError(f"{path}: kind {file.kind!r} is not known; known are {', '.join((MUJOCO, *STACKS))}")
+        raise TargetError(
+            f"{path}: kind {file.kind!r} is not known; known are {', '.join((MUJOCO, *STACKS))}"
+        )
     if file.kind != MUJOCO and pair is not None:
-        raise TargetError(f"{path}: pairs of geoms are those of a MuJoCo model, and the target has none")
+        raise TargetError(
+            f"{path}: pairs of geoms are those of a MuJoCo model, and the target has none"
+        )
     try:
-        read = _read_mujoco(file, path, pair) if file.kind == MUJOCO else _read_stack(file, path)
+        read = (
+            _read_mujoco(file, path, pair)
+            if file.kind == MUJOCO
+            else _read_stack(file, path)
+        )
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
-    return replace(read, name=file.name, source=f"probe file {path.name}: {file.source}")
+    return replace(
+        read, name=file.name, source=f"probe file {path.name}: {file.source}"
+    )
 
 
-def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> TrainingConfiguration:
+def _read_mujoco(
+    file: _ProbeFile, path: Path, pair: GeomPair | None
+) -> TrainingConfiguration:
     data = _validated(ModelData, file.data, f"{path}: data", strict=True)
     model, notes = build_saved_model(data, str(path))
     trained = file.versions.get("mujoco")
     if trained is not None and trained != mujoco.__version__:
-        notes.append(f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {mujoco.__version__}")
+        notes.append(
+            f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {mujoco.__version__}"
+        )
     if data.implementation in ENGINES:
         engine = ENGINES[data.implementation]
-        notes.append(f"training runs on {engine}; the rows are measured with MuJoCo's C engine")
-    if _release(trained) < MARGINS_SINCE and any(data.arrays["geom_margin"] + data.arrays["geom_gap"]):
-        notes.append(f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training")
+        notes.append(
+            f"training runs on {engine}; the rows are measured with MuJoCo's C engine"
+        )
+    if _release(trained) < MARGINS_SINCE and any(
+        data.arrays["geom_margin"] + data.arrays["geom_gap"]
+    ):
+        notes.append(
+            f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training"
+        )
     notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
-    read = mujoco_configuration(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
-    limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
-    capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
+    read = mujoco_configuration(
+        model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip
+    )
+    limits = CapacityLimits(
+        njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax")
+    )
+    capacity = (
+        ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
+    )
     return replace(
         read,
         notes=(*read.notes, *notes),
@@ -135,7 +174,10 @@ def _read_stack(file: _ProbeFile, path: Path) -> TrainingConfiguration:
             raise TargetError(f"{path}: {error}") from None
     elif not isinstance(found, Mapping):
         raise TargetError(f"{path}: data.{key}: expected an object")
-    read = getattr(import_module(f"gauge_envs.tools.sanity.stacks.{stack}"), f"{stack}_configuration")
+    read = getattr(
+        import_module(f"gauge_envs.tools.sanity.stacks.{stack}"),
+        f"{stack}_configuration",
+    )
     return read(found, name=str(path), source=file.source)
 
 

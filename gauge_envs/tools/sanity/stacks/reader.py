@@ -47,4 +47,6 @@ def named_content(target: Any, suffixes: tuple[str, ...], most_bytes: int) -> by
 
 def has_suffix(*suffixes: str) -> Callable[[Any], bool]:
     """Return a function that returns whether a target is the name of a file with one of some suffixes."""
-    return lambda target: isinstance(target, str | Path) and Path(target).suffix.lower() in suffixes
+    return lambda target: (
+        isinstance(target, str | Path) and Path(target).suffix.lower() in suffixes
+    )

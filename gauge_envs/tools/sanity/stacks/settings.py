@@ -27,13 +27,17 @@ class _SettingsFile(BaseModel):
 
 def _read_file(target: Any) -> TrainingConfiguration:
     path = Path(target)
-    values = file_value(path, toml_document if path.suffix.lower() == ".toml" else json_document)
+    values = file_value(
+        path, toml_document if path.suffix.lower() == ".toml" else json_document
+    )
     try:
         file = _SettingsFile.model_validate(values)
     except ValidationError as error:
         key, reason = first_fault(error)
         keys = ", ".join(_SettingsFile.model_fields)
-        raise TargetError(f"{path}: {key or 'the file'}: {reason}; keys: {keys}") from None
+        raise TargetError(
+            f"{path}: {key or 'the file'}: {reason}; keys: {keys}"
+        ) from None
     settings = file.settings | ({} if file.preset is None else {"preset": file.preset})
     try:
         check_settings(file.backend, settings)
@@ -65,10 +69,18 @@ def _read_backend(target: Any) -> TrainingConfiguration:
 DIALECTS = (TOML,)
 
 READERS = (
-    Reader("a settings file (.toml, .json)", has_suffix(".toml", ".json"), _read_file, has_geoms=False),
+    Reader(
+        "a settings file (.toml, .json)",
+        has_suffix(".toml", ".json"),
+        _read_file,
+        has_geoms=False,
+    ),
     Reader(
         "a backend with or without a preset (mujoco:out_of_box)",
-        lambda target: isinstance(target, str | Path) and str(target).partition(":")[0] in backend_names(),
+        lambda target: (
+            isinstance(target, str | Path)
+            and str(target).partition(":")[0] in backend_names()
+        ),
         _read_backend,
         has_geoms=False,
     ),

@@ -14,7 +14,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gauge_envs.errors import MissingExtraError, PolicyError
-from gauge_envs.files import CHILD_MEMORY, MEGABYTE, child_command, os_errors, read_regular
+from gauge_envs.files import (
+    CHILD_MEMORY,
+    MEGABYTE,
+    child_command,
+    os_errors,
+    read_regular,
+)
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control import ControlEnv, Policy
 from gauge_envs.tools.transfer.policies import onnx_child
@@ -27,7 +33,11 @@ MOST_ONNX_CPU_S = 86400
 
 
 def load_policies(
-    sources: Sequence[str], env: ControlEnv, *, normalization: Sequence[Path] = (), trust: bool = False
+    sources: Sequence[str],
+    env: ControlEnv,
+    *,
+    normalization: Sequence[Path] = (),
+    trust: bool = False,
 ) -> dict[str, Policy]:
     """Return policies by their sources, in order; each is checked with the task.
 
@@ -52,7 +62,13 @@ def load_policies(
     }
 
 
-def load_policy(source: str, env: ControlEnv, *, normalization: Path | None = None, trust: bool = False) -> Policy:
+def load_policy(
+    source: str,
+    env: ControlEnv,
+    *,
+    normalization: Path | None = None,
+    trust: bool = False,
+) -> Policy:
     """Return a policy that fits a task.
 
     Args:
@@ -67,33 +83,53 @@ def load_policy(source: str, env: ControlEnv, *, normalization: Path | None = No
     (action_size,) = env.action_space.shape or ()
     suffix = Path(source).suffix.lower()
     if suffix == ".zip":
-        policy = load_sb3(Path(source), observation_size=observation_size, action_size=action_size, trust=trust)
+        policy = load_sb3(
+            Path(source),
+            observation_size=observation_size,
+            action_size=action_size,
+            trust=trust,
+        )
     elif suffix == ".onnx":
         policy = _onnx(Path(source), observation_size=observation_size)
     elif ":" in source:
         policy = _function(source, trust=trust)
     else:
-        raise PolicyError(f"{source}: expected a .zip of Stable-Baselines3, a .onnx, or module:function")
+        raise PolicyError(
+            f"{source}: expected a .zip of Stable-Baselines3, a .onnx, or module:function"
+        )
     if normalization is None:
         return checked_policy(source, policy, env)
-    normalize = _normalization(normalization, observation_size=observation_size, trust=trust)
-    return checked_policy(source, lambda observation: policy(normalize(observation)), env)
+    normalize = _normalization(
+        normalization, observation_size=observation_size, trust=trust
+    )
+    return checked_policy(
+        source, lambda observation: policy(normalize(observation)), env
+    )
 
 
 def _function(source: str, *, trust: bool) -> Policy:
     """Return a function of a module; the folder of the command is searched too."""
     if not trust:
-        raise PolicyError(f"{source}: importing a module runs its code: add --trust (trust=True) if you trust it")
+        raise PolicyError(
+            f"{source}: importing a module runs its code: add --trust (trust=True) if you trust it"
+        )
     name, _, attribute = source.partition(":")
     if "" not in sys.path:
         sys.path.insert(0, "")
     try:
         return getattr(importlib.import_module(name), attribute)
-    except (Exception, SystemExit) as error:  # A module may raise anything, and may be a script.
-        raise PolicyError(f"{source}: the import raised {type(error).__name__}: {error}") from error
+    except (
+        Exception,
+        SystemExit,
+    ) as error:  # A module may raise anything, and may be a script.
+        raise PolicyError(
+            f"{source}: the import raised {type(error).__name__}: {error}"
+        ) from error
 
 
-def _normalization(file: Path, *, observation_size: int, trust: bool) -> Callable[[FloatArray], FloatArray]:
+def _normalization(
+    file: Path, *, observation_size: int, trust: bool
+) -> Callable[[FloatArray], FloatArray]:
     """Return the function that normalizes observations as in the training; the file is a pickle of `VecNormalize`."""
     if not trust:
         raise PolicyError(
@@ -101,16 +137,26 @@ def _normalization(file: Path, *, observation_size: int, trust: bool) -> Callabl
             "you trust its author, or save policy and normalization as one ONNX network"
         )
     if find_spec("stable_baselines3") is None:
-        raise MissingExtraError("a file of VecNormalize", "rl", ModuleNotFoundError(name="stable_baselines3"))
+        raise MissingExtraError(
+            "a file of VecNormalize",
+            "rl",
+            ModuleNotFoundError(name="stable_baselines3"),
+        )
     try:
         saved = pickle.loads(file.read_bytes())
         shape = saved.observation_space.shape
     except OSError as error:
-        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
+        raise PolicyError(
+            f"{file}: cannot be read: {error.strerror or error}"
+        ) from error
     except Exception as error:  # A damaged pickle raises errors of many kinds.
-        raise PolicyError(f"{file}: expected a file of VecNormalize.save: {type(error).__name__}: {error}") from error
+        raise PolicyError(
+            f"{file}: expected a file of VecNormalize.save: {type(error).__name__}: {error}"
+        ) from error
     if shape != (observation_size,):
-        raise PolicyError(f"{file}: statistics of an observation of shape {shape}, the task has ({observation_size},)")
+        raise PolicyError(
+            f"{file}: statistics of an observation of shape {shape}, the task has ({observation_size},)"
+        )
     return saved.normalize_obs
 
 
@@ -120,12 +166,20 @@ def _onnx(file: Path, *, observation_size: int) -> Policy:
     The network runs in another process, which has limits of memory, and of time for each action.
     """
     if find_spec("onnxruntime") is None:
-        raise MissingExtraError("an ONNX policy", "onnx", ModuleNotFoundError(name="onnxruntime"))
+        raise MissingExtraError(
+            "an ONNX policy", "onnx", ModuleNotFoundError(name="onnxruntime")
+        )
     with os_errors(lambda cause: PolicyError(f"{file}: cannot be read: {cause}")):
         content = read_regular(file, MOST_ONNX_BYTES)
-    command, environment = child_command(Path(onnx_child.__file__), str(observation_size), cpu_s=MOST_ONNX_CPU_S)
+    command, environment = child_command(
+        Path(onnx_child.__file__), str(observation_size), cpu_s=MOST_ONNX_CPU_S
+    )
     child = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
     )
 
     def ask(message: bytes) -> FloatArray:
@@ -169,12 +223,21 @@ def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
             action = np.asarray(policy(observation), dtype=np.float32)
         except PolicyError:
             raise
-        except (Exception, SystemExit) as error:  # A policy of a stranger may raise anything.
-            raise PolicyError(f"{name}: the policy raised {type(error).__name__}: {error}") from error
+        except (
+            Exception,
+            SystemExit,
+        ) as error:  # A policy of a stranger may raise anything.
+            raise PolicyError(
+                f"{name}: the policy raised {type(error).__name__}: {error}"
+            ) from error
         if action.size != int(np.prod(space.shape)):
-            raise PolicyError(f"{name}: the action has shape {action.shape}, the task takes {space.shape}")
+            raise PolicyError(
+                f"{name}: the action has shape {action.shape}, the task takes {space.shape}"
+            )
         if not np.isfinite(action).all():
-            raise PolicyError(f"{name}: the action is {action.ravel().tolist()}, expected finite numbers")
+            raise PolicyError(
+                f"{name}: the action is {action.ravel().tolist()}, expected finite numbers"
+            )
         return np.clip(action.reshape(space.shape), space.low, space.high)
 
     act(np.zeros(env.observation_space.shape or ()))

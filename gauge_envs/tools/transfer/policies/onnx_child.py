@@ -43,7 +43,9 @@ def main(observation_size: int) -> None:
                 run = _network(content, observation_size)
                 content = np.zeros(observation_size).tobytes()
             answer = b"+" + run(np.frombuffer(content)).tobytes()
-        except Exception as error:  # The runtime has a class of its own for each kind of damage.
+        except (
+            Exception
+        ) as error:  # The runtime has a class of its own for each kind of damage.
             answer = f"-{error}"[:300].encode(errors="replace")
         write_message(target, answer)
 
@@ -66,19 +68,29 @@ def _network(content: bytes, observation_size: int) -> Any:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(
+            content, options, providers=["CPUExecutionProvider"]
+        )
     except Exception as error:
-        raise ValueError(f"it is no network that onnxruntime can load: {error}") from error
+        raise ValueError(
+            f"it is no network that onnxruntime can load: {error}"
+        ) from error
     inputs = session.get_inputs()
     if len(inputs) != 1:
-        raise ValueError(f"it has the inputs {', '.join(one.name for one in inputs)}, expected one, the observation")
+        raise ValueError(
+            f"it has the inputs {', '.join(one.name for one in inputs)}, expected one, the observation"
+        )
     entry = inputs[0]
     if entry.type not in NUMBERS:
-        raise ValueError(f"input {entry.name!r} has the type {entry.type}, expected {' or '.join(NUMBERS)}")
+        raise ValueError(
+            f"input {entry.name!r} has the type {entry.type}, expected {' or '.join(NUMBERS)}"
+        )
     # A dimension that is free has a name or None.
     stated = [size if isinstance(size, int) else None for size in entry.shape]
     shape = (1, observation_size)[-len(stated) :] if stated else ()
-    if len(shape) != len(stated) or any(size not in (None, one) for size, one in zip(stated, shape, strict=True)):
+    if len(shape) != len(stated) or any(
+        size not in (None, one) for size, one in zip(stated, shape, strict=True)
+    ):
         raise ValueError(
             f"input {entry.name!r} has shape {entry.shape}, the task's observation has {observation_size} entries"
         )
@@ -87,7 +99,9 @@ def _network(content: bytes, observation_size: int) -> Any:
     def run(observation: np.ndarray) -> np.ndarray:
         fed = observation.astype(NUMBERS[entry.type]).reshape(shape)
         try:
-            return np.asarray(session.run([output], {entry.name: fed})[0], dtype=np.float64)
+            return np.asarray(
+                session.run([output], {entry.name: fed})[0], dtype=np.float64
+            )
         except Exception as error:
             raise ValueError(f"onnxruntime cannot run the network: {error}") from error
 

@@ -28,7 +28,9 @@ ACTORS = {
 """Weights of the hidden layers of an actor: the weights of its last layer (None: the last of the hidden ones), the
 default activation, and whether a tanh ends it. They are those of PPO and A2C; SAC; TD3 and DDPG."""
 
-MODULES = re.compile(r"stable_baselines3\.(common|sac|td3)\.policies|sb3_contrib\.\w+\.policies")
+MODULES = re.compile(
+    r"stable_baselines3\.(common|sac|td3)\.policies|sb3_contrib\.\w+\.policies"
+)
 """Modules whose policies have these networks; a class of a user may compute something else from the same weights."""
 
 HARMLESS = {
@@ -45,7 +47,9 @@ class _NotPlainError(Exception):
     """The network cannot be built from weights; the message gives the reason."""
 
 
-def load_sb3(file: Path, *, observation_size: int, action_size: int, trust: bool = False) -> Policy:
+def load_sb3(
+    file: Path, *, observation_size: int, action_size: int, trust: bool = False
+) -> Policy:
     """Return the deterministic policy of a file that Stable-Baselines3 saved.
 
     Such a file holds pickles, and loading those runs any code that its author put there. The actor of an `MlpPolicy` is
@@ -76,15 +80,25 @@ def _parts(file: Path) -> tuple[dict[str, Any], bytes]:
             stated = json_document(_part(archive, "data", MOST_DATA_BYTES))
             weights = _part(archive, "policy.pth", MOST_BYTES)
         if not isinstance(stated, dict):
-            raise ValueError(f"data holds a {type(stated).__name__}, expected a JSON object")
+            raise ValueError(
+                f"data holds a {type(stated).__name__}, expected a JSON object"
+            )
         # PyTorch unpacks the parts of an archive within the archive.
         with zipfile.ZipFile(io.BytesIO(weights)) as inner:
             if sum(entry.file_size for entry in inner.infolist()) > MOST_BYTES:
-                raise ValueError(f"policy.pth unpacks to more than {MOST_BYTES // MEGABYTE} MB")
+                raise ValueError(
+                    f"policy.pth unpacks to more than {MOST_BYTES // MEGABYTE} MB"
+                )
     except OSError as error:
-        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # zipfile and zlib raise errors of many kinds for a damaged archive.
-        raise PolicyError(f"{file}: it is no policy of Stable-Baselines3: {error}") from error
+        raise PolicyError(
+            f"{file}: cannot be read: {error.strerror or error}"
+        ) from error
+    except (
+        Exception
+    ) as error:  # zipfile and zlib raise errors of many kinds for a damaged archive.
+        raise PolicyError(
+            f"{file}: it is no policy of Stable-Baselines3: {error}"
+        ) from error
     return stated, weights
 
 
@@ -94,12 +108,18 @@ def _part(archive: zipfile.ZipFile, name: str, most_bytes: int) -> bytes:
         raise ValueError("expected the parts data and policy.pth")
     size = archive.getinfo(name).file_size
     if size > most_bytes:
-        raise ValueError(f"{name} has {size / MEGABYTE:.6g} MB, the limit is {most_bytes / MEGABYTE:g} MB")
+        raise ValueError(
+            f"{name} has {size / MEGABYTE:.6g} MB, the limit is {most_bytes / MEGABYTE:g} MB"
+        )
     return archive.read(name)
 
 
 def _from_weights(
-    file: Path, stated: Mapping[str, Any], weights: bytes, observation_size: int, action_size: int
+    file: Path,
+    stated: Mapping[str, Any],
+    weights: bytes,
+    observation_size: int,
+    action_size: int,
 ) -> Policy:
     try:
         import torch
@@ -108,9 +128,12 @@ def _from_weights(
     try:
         tensors = torch.load(io.BytesIO(weights), map_location="cpu", weights_only=True)
     except Exception as error:  # PyTorch raises errors of many kinds for damaged files.
-        raise PolicyError(f"{file}: policy.pth holds no weights: {str(error)[:200]}") from error
+        raise PolicyError(
+            f"{file}: policy.pth holds no weights: {str(error)[:200]}"
+        ) from error
     if not isinstance(tensors, dict) or not all(
-        isinstance(key, str) and isinstance(one, torch.Tensor) for key, one in tensors.items()
+        isinstance(key, str) and isinstance(one, torch.Tensor)
+        for key, one in tensors.items()
     ):
         raise PolicyError(f"{file}: policy.pth holds no weights")
     hidden, (last, default, squashed) = _actor(tensors)
@@ -122,9 +145,13 @@ def _from_weights(
         raise PolicyError(f"{file}: its layers have more numbers than policy.pth holds")
     layers = [_linear(torch, tensors, prefix) for prefix in prefixes]
     sizes = [layers[0].in_features, layers[-1].out_features]
-    for size, expected, what in zip(sizes, (observation_size, action_size), ("observation", "action"), strict=True):
+    for size, expected, what in zip(
+        sizes, (observation_size, action_size), ("observation", "action"), strict=True
+    ):
         if size != expected:
-            raise PolicyError(f"{file}: the policy has {size} entries of the {what}, the task has {expected}")
+            raise PolicyError(
+                f"{file}: the policy has {size} entries of the {what}, the task has {expected}"
+            )
     modules: list[Any] = []
     for layer in layers[:-1]:
         modules += [layer, getattr(torch.nn, activation)()]
@@ -133,7 +160,9 @@ def _from_weights(
 
     def act(observation: NDArray[np.float64]) -> NDArray[np.floating]:
         with torch.no_grad():
-            given = torch.as_tensor(np.asarray(observation, dtype=np.float32)).reshape(1, -1)
+            given = torch.as_tensor(np.asarray(observation, dtype=np.float32)).reshape(
+                1, -1
+            )
             return np.asarray(network(given).numpy())[0]
 
     return act
@@ -145,19 +174,35 @@ def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool
         if not any(key.startswith(hidden) for key in tensors):
             continue
         own = hidden.partition(".")[0] + "."
-        known = (hidden, *filter(None, [rest[0]]), "actor.log_std", "log_std", "value_net.", "mlp_extractor.value_net.")
+        known = (
+            hidden,
+            *filter(None, [rest[0]]),
+            "actor.log_std",
+            "log_std",
+            "value_net.",
+            "mlp_extractor.value_net.",
+        )
         extra = [
-            key for key in tensors if key.startswith((own, "features", "pi_features")) and not key.startswith(known)
+            key
+            for key in tensors
+            if key.startswith((own, "features", "pi_features"))
+            and not key.startswith(known)
         ]
         if extra:
-            raise _NotPlainError(f"its actor has further weights ({', '.join(extra[:3])})")
+            raise _NotPlainError(
+                f"its actor has further weights ({', '.join(extra[:3])})"
+            )
         return hidden, rest
     raise _NotPlainError("its weights are not those of an MlpPolicy with hidden layers")
 
 
 def _hidden_layers(tensors: Mapping[str, Any], hidden: str) -> list[str]:
     """Return the prefixes of the hidden layers, in order."""
-    names = {key.removeprefix(hidden).partition(".")[0] for key in tensors if key.startswith(hidden)}
+    names = {
+        key.removeprefix(hidden).partition(".")[0]
+        for key in tensors
+        if key.startswith(hidden)
+    }
     if not all(re.fullmatch("[0-9]{1,4}", name) for name in names):
         raise _NotPlainError(f"its layers {hidden}* are not numbered")
     return [f"{hidden}{name}." for name in sorted(names, key=int)]
@@ -173,13 +218,17 @@ def _activation(stated: Mapping[str, Any], default: str) -> str:
         raise _NotPlainError("its policy_kwargs are not readable")
     if stated.get("use_sde") or str(kwargs.get("use_sde", False)) != "False":
         raise _NotPlainError("it explores with gSDE")
-    other = sorted(key for key in kwargs if not key.startswith(":") and key not in HARMLESS)
+    other = sorted(
+        key for key in kwargs if not key.startswith(":") and key not in HARMLESS
+    )
     if other:
         raise _NotPlainError(f"its policy_kwargs hold {', '.join(other)}")
     if "activation_fn" not in kwargs:
         return default
     name = str(kwargs["activation_fn"]).rpartition(".")[2].strip("'>")
-    if name not in ACTIVATIONS or "torch.nn.modules.activation" not in str(kwargs["activation_fn"]):
+    if name not in ACTIVATIONS or "torch.nn.modules.activation" not in str(
+        kwargs["activation_fn"]
+    ):
         raise _NotPlainError(f"its activation is {kwargs['activation_fn']}")
     return name
 
@@ -187,9 +236,17 @@ def _activation(stated: Mapping[str, Any], default: str) -> str:
 def _linear(torch: Any, tensors: Mapping[str, Any], prefix: str) -> Any:
     """Return a linear layer with the weights of a prefix."""
     weight, bias = tensors.get(f"{prefix}weight"), tensors.get(f"{prefix}bias")
-    if weight is None or bias is None or weight.ndim != 2 or bias.shape != weight.shape[:1]:
+    if (
+        weight is None
+        or bias is None
+        or weight.ndim != 2
+        or bias.shape != weight.shape[:1]
+    ):
         raise _NotPlainError(f"layer {prefix.rstrip('.')} is not linear")
-    if not all(one.is_floating_point() and one.layout is torch.strided and not one.is_meta for one in (weight, bias)):
+    if not all(
+        one.is_floating_point() and one.layout is torch.strided and not one.is_meta
+        for one in (weight, bias)
+    ):
         raise _NotPlainError(f"layer {prefix.rstrip('.')} holds no plain numbers")
     layer = torch.nn.Linear(weight.shape[1], weight.shape[0])
     layer.load_state_dict({"weight": weight, "bias": bias})
@@ -209,7 +266,9 @@ def _with_sb3(file: Path, stated: Mapping[str, Any], observation_size: int) -> P
         except Exception as error:  # The class of the algorithm is not in the file; the wrong one raises anything.
             reason = f"{type(error).__name__}: {str(error)[:120]}"
     else:
-        raise PolicyError(f"{file}: Stable-Baselines3 cannot load it as PPO, A2C, SAC, TD3 or DDPG: {reason}")
+        raise PolicyError(
+            f"{file}: Stable-Baselines3 cannot load it as PPO, A2C, SAC, TD3 or DDPG: {reason}"
+        )
     if model.observation_space.shape != (observation_size,):
         raise PolicyError(
             f"{file}: the policy has observations of shape {model.observation_space.shape}, "
