@@ -52,7 +52,10 @@ def test_an_engine_that_dies_costs_one_check(
     installed: Callable[..., None], name: str, cause: str
 ) -> None:
     installed(name)
-    rows, result = checked(name, "--limits", "10s")
+    # Only what hangs needs the clock; on a busy machine others may take as long to start.
+    rows, result = checked(
+        name, "--limits", "10s" if name == "contact-hang" else "isolate"
+    )
     assert [(row["check"], row["status"]) for row in rows] == list(
         zip(ONLY, ("pass", "error", "pass"), strict=True)
     )
