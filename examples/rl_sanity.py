@@ -48,11 +48,7 @@ class Training(StrEnum):
 
 
 SETTINGS: Mapping[Training, Mapping[str, Any]] = {
-    Training.OUT_OF_BOX: {
-        "preset": "out_of_box",
-        "timestep_s": 1 / 540,
-        "drive_interval_s": 1 / 180,
-    },
+    Training.OUT_OF_BOX: {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
     Training.CAREFUL: {"timestep_s": 1 / 1080},
 }
 
@@ -87,9 +83,7 @@ def make_task(task: str, **arguments: Any) -> ControlEnv:
     return env
 
 
-def train(
-    task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
-) -> Policy:
+def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool) -> Policy:
     """Train with PPO on observations of unit variance, and return the deterministic policy."""
 
     def seen(observation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -100,9 +94,7 @@ def train(
 
     def world() -> gym.Env:
         env = make_task(task, settings=settings)
-        return Monitor(
-            gym.wrappers.TransformObservation(env, seen, env.observation_space)
-        )
+        return Monitor(gym.wrappers.TransformObservation(env, seen, env.observation_space))
 
     # With networks this small, threads only add cost.
     torch.set_num_threads(1)
@@ -121,9 +113,7 @@ def train(
         device="cpu",
     )
     model.learn(steps, progress_bar=False)
-    return lambda observation: model.predict(
-        scaled.normalize_obs(seen(observation)), deterministic=True
-    )[0]
+    return lambda observation: model.predict(scaled.normalize_obs(seen(observation)), deterministic=True)[0]
 
 
 def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
@@ -134,20 +124,11 @@ def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
         "MuJoCo, default": {},
         "MuJoCo, half the step": {"settings": {"timestep_s": 1 / 18000}},
         "Newton, default": {"backend": "newton"},
-        "MuJoCo, friction - 2 sigma": {
-            "parameters": {"cube.friction": limit.value - 2 * limit.sigma}
-        },
-        "MuJoCo, friction + 2 sigma": {
-            "parameters": {"cube.friction": limit.value + 2 * limit.sigma}
-        },
+        "MuJoCo, friction - 2 sigma": {"parameters": {"cube.friction": limit.value - 2 * limit.sigma}},
+        "MuJoCo, friction + 2 sigma": {"parameters": {"cube.friction": limit.value + 2 * limit.sigma}},
     }
     done = []
-    for name, arguments in track(
-        worlds.items(),
-        description="replaying",
-        console=Console(stderr=True),
-        transient=True,
-    ):
+    for name, arguments in track(worlds.items(), description="replaying", console=Console(stderr=True), transient=True):
         try:
             env = make_task(task, **arguments)
         except MissingExtraError as error:
@@ -191,11 +172,7 @@ def table(runs: list[Replay]) -> Table:
     """Return a table with one row for each replay."""
     rows = Table(box=None, header_style="bold", pad_edge=False)
     for title in ("replay", "law allows", "used for 1 s", "ratio", "z", "cube"):
-        rows.add_column(
-            title,
-            justify="left" if title in ("replay", "cube") else "right",
-            no_wrap=True,
-        )
+        rows.add_column(title, justify="left" if title in ("replay", "cube") else "right", no_wrap=True)
     for run in runs:
         report = run.report
         rows.add_row(
@@ -204,76 +181,42 @@ def table(runs: list[Replay]) -> Table:
             f"{report.reached:.3f}",
             f"{report.ratio:.2f}",
             f"{report.z:+.1f}",
-            "[green]held[/]"
-            if run.held
-            else f"[red]{report.ending.value} after {report.time_s:.2f} s[/]",
+            "[green]held[/]" if run.held else f"[red]{report.ending.value} after {report.time_s:.2f} s[/]",
         )
     return rows
 
 
 def draw(runs: list[Replay], task: str, path: Path) -> None:
     """Draw the friction used and the motion of the cube over time, with a cross at each slip."""
-    figure, (above, below) = plt.subplots(
-        2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2), layout="constrained"
-    )
+    figure, (above, below) = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2), layout="constrained")
     limit = runs[1].report.limit
-    above.axhspan(
-        limit.value - 2 * limit.sigma,
-        limit.value + 2 * limit.sigma,
-        color="0.9",
-        label="law, +- 2 sigma",
-    )
+    above.axhspan(limit.value - 2 * limit.sigma, limit.value + 2 * limit.sigma, color="0.9", label="law, +- 2 sigma")
     above.axhline(limit.value, color="0.4", lw=1, label="law, calibrated friction")
     below.axhline(1e3 * SLIP_SPEED_M_PER_S, color="0.4", lw=1, label="counts as a slip")
     for number, run in enumerate(runs):
         _, _, used, slip, time_s = run.trajectory.T
         slip_mm_per_s = 1e3 * SLIP_SPEED_M_PER_S * slip
-        style = {
-            "color": f"C{number}",
-            "ls": ("-", "--", ":", "-.", "-", "--")[number % 6],
-            "lw": 1.6,
-        }
+        style = {"color": f"C{number}", "ls": ("-", "--", ":", "-.", "-", "--")[number % 6], "lw": 1.6}
         above.plot(time_s, used, label=run.name, **style)
         below.plot(time_s, slip_mm_per_s, **style)
         if not run.held:
             above.plot(time_s[-1], used[-1], "X", color=style["color"], ms=9, mec="w")
-            below.plot(
-                time_s[-1], slip_mm_per_s[-1], "X", color=style["color"], ms=9, mec="w"
-            )
-    above.set(
-        ylabel="friction used",
-        ylim=(0.0, 1.25 * limit.value),
-        title=f"{task}: a trained policy, replayed",
-    )
-    below.set(
-        ylabel="speed of the cube on its carrier [mm/s]",
-        xlabel="time [s]",
-        yscale="symlog",
-        ylim=(0.0, 100.0),
-    )
+            below.plot(time_s[-1], slip_mm_per_s[-1], "X", color=style["color"], ms=9, mec="w")
+    above.set(ylabel="friction used", ylim=(0.0, 1.25 * limit.value), title=f"{task}: a trained policy, replayed")
+    below.set(ylabel="speed of the cube on its carrier [mm/s]", xlabel="time [s]", yscale="symlog", ylim=(0.0, 100.0))
     figure.legend(fontsize=8, loc="outside lower center", ncols=3)
     figure.savefig(path, dpi=130)
     plt.close(figure)
 
 
 def main(
-    task: Annotated[
-        str, typer.Option(help="A control task with friction.")
-    ] = "Turntable-Limit-wood",
-    training: Annotated[
-        Training, typer.Option(help="Configuration to train in.")
-    ] = Training.OUT_OF_BOX,
+    task: Annotated[str, typer.Option(help="A control task with friction.")] = "Turntable-Limit-wood",
+    training: Annotated[Training, typer.Option(help="Configuration to train in.")] = Training.OUT_OF_BOX,
     hide_slip: Annotated[
-        bool,
-        typer.Option(
-            "--hide-slip",
-            help="Hide the creep of the cube from the policy, as a real sensor would.",
-        ),
+        bool, typer.Option("--hide-slip", help="Hide the creep of the cube from the policy, as a real sensor would.")
     ] = False,
     steps: Annotated[int, typer.Option(min=1, help="Steps of training.")] = 50_000,
-    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path(
-        "rl_sanity.png"
-    ),
+    out: Annotated[Path, typer.Option(help="Picture to write.")] = Path("rl_sanity.png"),
 ) -> None:
     """Train a policy, replay it in other simulators, and print a conclusion."""
     policy = train(task, SETTINGS[training], steps, hide_slip=hide_slip)
@@ -281,11 +224,7 @@ def main(
     # Without a terminal, rich would cut the table to 80 characters.
     console = Console(width=None if Console().is_terminal else 120)
     console.print(table(runs))
-    share = engine_limit(
-        make_task(task, settings=SETTINGS[training]),
-        bounds=(0.05, 1.5),
-        resolution=0.01,
-    )
+    share = engine_limit(make_task(task, settings=SETTINGS[training]), bounds=(0.05, 1.5), resolution=0.01)
     console.print(f"\n{verdict(runs, share)}")
     draw(runs, task, out)
     console.print(f"picture: {out}")

@@ -55,34 +55,19 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 WORLDS = 16
 """Number of worlds of a training."""
 
-FIRST_NOISE: Mapping[str, float] = {
-    "Carry": 0.22,
-    "Push": 0.22,
-    "Throw": 0.6,
-    "Fling": 0.6,
-}
+FIRST_NOISE: Mapping[str, float] = {"Carry": 0.22, "Push": 0.22, "Throw": 0.6, "Fling": 0.6}
 """First standard deviation of the actions: more would hide an arrival within 20 mm/s, less would not find the ball."""
 
 
-def trained(
-    task: str,
-    seed: int,
-    steps: int,
-    settings: Mapping[str, Any],
-    curve: Callable[[PPO], None],
-) -> PPO:
+def trained(task: str, seed: int, steps: int, settings: Mapping[str, Any], curve: Callable[[PPO], None]) -> PPO:
     """Train PPO and return it; its environment holds the statistics of the observations."""
     # With networks this small, threads only add cost.
     torch.set_num_threads(1)
     family = task.partition("-")[0]
     gamma, gae_lambda = DISCOUNTS[family]
     starts = scattered_starts(task, settings, WORLDS, seed=seed)
-    alike = [
-        make_control_env(task, settings=settings) for _ in range(WORLDS - len(starts))
-    ]
-    scaled = VecNormalize(
-        DummyVecEnv([partial(Monitor, env) for env in (*starts, *alike)]), gamma=gamma
-    )
+    alike = [make_control_env(task, settings=settings) for _ in range(WORLDS - len(starts))]
+    scaled = VecNormalize(DummyVecEnv([partial(Monitor, env) for env in (*starts, *alike)]), gamma=gamma)
     model = PPO(
         "MlpPolicy",
         scaled,
@@ -93,10 +78,7 @@ def trained(
         gae_lambda=gae_lambda,
         # The last rollout ends after the last step, where the rest of the training is negative.
         learning_rate=lambda left: 2e-3 * max(left, 0.0),
-        policy_kwargs={
-            "log_std_init": math.log(FIRST_NOISE[family]),
-            "net_arch": [64, 64],
-        },
+        policy_kwargs={"log_std_init": math.log(FIRST_NOISE[family]), "net_arch": [64, 64]},
         seed=seed,
         device="cpu",
     )
@@ -124,35 +106,22 @@ class Every(BaseCallback):
 def deterministic(model: PPO) -> Policy:
     """Return the policy without exploration."""
     scaled = model.get_vec_normalize_env()
-    return lambda observation: model.predict(
-        scaled.normalize_obs(observation), deterministic=True
-    )[0]
+    return lambda observation: model.predict(scaled.normalize_obs(observation), deterministic=True)[0]
 
 
-def scattered_starts(
-    task: str, settings: Mapping[str, Any], count: int, *, seed: int
-) -> list[ControlEnv]:
+def scattered_starts(task: str, settings: Mapping[str, Any], count: int, *, seed: int) -> list[ControlEnv]:
     """Return environments whose bodies start at places drawn from the measured uncertainty of the start.
 
     A task without such an uncertainty has one environment.
     """
     starts = start_overrides(make_control_env(task), count + 1, seed=seed)[1:] or [{}]
-    return [
-        make_control_env(task, settings=settings, parameters=start or "calibrated")
-        for start in starts
-    ]
+    return [make_control_env(task, settings=settings, parameters=start or "calibrated") for start in starts]
 
 
-def played(
-    envs: list[ControlEnv], policy: Policy | None = None
-) -> tuple[float, list[LimitReport]]:
+def played(envs: list[ControlEnv], policy: Policy | None = None) -> tuple[float, list[LimitReport]]:
     """Return the mean reward and the reports of a policy, or of the law's; each environment has a goal of its own."""
     runs = [
-        play_paid(
-            env,
-            policy or (lambda _, env=env: env.law_action(1.0)),
-            seed=UNSEEN + number,
-        )
+        play_paid(env, policy or (lambda _, env=env: env.law_action(1.0)), seed=UNSEEN + number)
         for number, env in enumerate(envs)
     ]
     return float(np.mean([paid for paid, _ in runs])), [report for _, report in runs]
@@ -166,52 +135,29 @@ def summary(reports: list[LimitReport]) -> str:
 
 
 def main(
-    task: Annotated[
-        str, typer.Option(help="A task of Carry, Push, Throw or Fling.")
-    ] = "Throw-Limit-rubber",
-    seed: Annotated[
-        int, typer.Option(min=0, max=UNSEEN - 1, help="Seed of the training.")
-    ] = 0,
-    steps: Annotated[
-        int, typer.Option(min=10, help="Steps of training, all worlds together.")
-    ] = 60_000,
+    task: Annotated[str, typer.Option(help="A task of Carry, Push, Throw or Fling.")] = "Throw-Limit-rubber",
+    seed: Annotated[int, typer.Option(min=0, max=UNSEEN - 1, help="Seed of the training.")] = 0,
+    steps: Annotated[int, typer.Option(min=10, help="Steps of training, all worlds together.")] = 60_000,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("trained"),
 ) -> None:
     """Train a policy, and compare it with the law's own on ten unseen starts."""
     settings = SETTINGS[task.partition("-")[0]]
-    envs, began_s = (
-        scattered_starts(task, settings, 10, seed=UNSEEN),
-        time.perf_counter(),
-    )
+    envs, began_s = scattered_starts(task, settings, 10, seed=UNSEEN), time.perf_counter()
     rows: list[tuple[float, ...]] = []
 
     def look(model: PPO) -> None:
         paid, reports = played(envs, deterministic(model))
         arrived = np.mean([report.ending is Ending.REACHED for report in reports])
         ratio = np.mean([report.ratio for report in reports])
-        rows.append(
-            (
-                model.num_timesteps,
-                time.perf_counter() - began_s,
-                time.process_time(),
-                arrived,
-                ratio,
-                paid,
-            )
-        )
-        print(
-            f"{model.num_timesteps:7d} steps, {rows[-1][1]:4.0f} s: {summary(reports)}",
-            flush=True,
-        )
+        rows.append((model.num_timesteps, time.perf_counter() - began_s, time.process_time(), arrived, ratio, paid))
+        print(f"{model.num_timesteps:7d} steps, {rows[-1][1]:4.0f} s: {summary(reports)}", flush=True)
 
     model = trained(task, seed, steps, settings, look)
     out.mkdir(parents=True, exist_ok=True)
     model.save(out / f"{task}-{seed}.zip")
     model.get_vec_normalize_env().save(str(out / f"{task}-{seed}.pkl"))
     with (out / f"{task}-{seed}.csv").open("w", newline="") as file:
-        csv.writer(file).writerows(
-            [("steps", "wall_s", "cpu_s", "success", "ratio", "reward"), *rows]
-        )
+        csv.writer(file).writerows([("steps", "wall_s", "cpu_s", "success", "ratio", "reward"), *rows])
     print(f"trained:  {summary(played(envs, deterministic(model))[1])}")
     print(f"the law:  {summary(played(envs)[1])}")
 

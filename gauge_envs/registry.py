@@ -1,4 +1,4 @@
-"""Who is here: engines, instruments, and the doors of packages. The core names no guest; it asks this module.
+"""Who is here: engines, instruments, and the doors of packages. The core imports no guest; it asks this module.
 
 An instrument is a package with a file `instrument.toml`, which states what it adds to the suite. Those of this package
 are the folders of `gauge_envs/tools`. Those of other packages are entry points of the group `gauge_envs.instruments`,

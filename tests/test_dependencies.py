@@ -69,6 +69,10 @@ EXTRAS = {
 }
 
 
+ELSEWHERE = {"tools/sanity/gauge_probe.py": {"mjlab"}}
+"""Imports of a program that runs in the Python of a training stack."""
+
+
 def imported(text: str) -> tuple[set[str], set[str]]:
     """Distributions that a file imports: all of them, and those that it imports as soon as it is imported itself."""
     everything, at_once = set(), set()
@@ -111,9 +115,12 @@ def files() -> Files:
 
 def test_every_import_is_of_a_declared_dependency(files: Files) -> None:
     allowed = BASE.union(*EXTRAS.values())
-    assert {
-        file: names - allowed for file, (names, _) in files.items() if names - allowed
-    } == {}
+    undeclared = {}
+    for file, (names, _) in files.items():
+        unknown = names - allowed - ELSEWHERE.get(file, set())
+        if unknown:
+            undeclared[file] = unknown
+    assert undeclared == {}
 
 
 def test_every_declared_dependency_is_imported_or_has_a_reason(files: Files) -> None:

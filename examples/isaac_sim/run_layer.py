@@ -93,9 +93,7 @@ def read_plan(stage: Any) -> Plan:
     layer = stage.GetRootLayer()
     stated = layer.customLayerData.get("gauge", {}).get("isaac_sim")
     if stated is None:
-        raise LayerError(
-            f"{layer.identifier}: not a layer of 'gauge data isaac-sim'; write one with that command"
-        )
+        raise LayerError(f"{layer.identifier}: not a layer of 'gauge data isaac-sim'; write one with that command")
     plan = Plan(
         steps_per_second=int(stated["steps_per_second"]),
         frame_count=int(stated["frame_count"]),
@@ -109,9 +107,7 @@ def read_plan(stage: Any) -> Plan:
 
 def has_deformable_bodies(stage: Any) -> bool:
     """Return whether a stage has cloth or foam."""
-    applied = (
-        prim.GetPrimTypeInfo().GetAppliedAPISchemas() for prim in stage.Traverse()
-    )
+    applied = (prim.GetPrimTypeInfo().GetAppliedAPISchemas() for prim in stage.Traverse())
     return any("OmniPhysicsDeformableBodyAPI" in names for names in applied)
 
 
@@ -123,20 +119,13 @@ def read_drivers(stage: Any, plan: Plan) -> list[Driver]:
     for prim in stage.Traverse():
         if not prim.HasAttribute("gauge:driver"):
             continue
-        translate, orient = (
-            prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient")
-        )
+        translate, orient = (prim.GetAttribute(f"xformOp:{name}") for name in ("translate", "orient"))
         turns = [orient.Get(code) for code in codes]
         drivers.append(
             Driver(
                 path=str(prim.GetPath()),
-                positions_m=np.array(
-                    [translate.Get(code) for code in codes], dtype=np.float64
-                ),
-                quaternions=np.array(
-                    [[turn.GetReal(), *turn.GetImaginary()] for turn in turns],
-                    dtype=np.float64,
-                ),
+                positions_m=np.array([translate.Get(code) for code in codes], dtype=np.float64),
+                quaternions=np.array([[turn.GetReal(), *turn.GetImaginary()] for turn in turns], dtype=np.float64),
             )
         )
     return drivers
@@ -156,12 +145,8 @@ def place(stage: Any, driver: Driver, step: int) -> None:
     from pxr import Gf
 
     prim = stage.GetPrimAtPath(driver.path)
-    prim.GetAttribute("xformOp:translate").Set(
-        Gf.Vec3d(*driver.positions_m[step].tolist())
-    )
-    prim.GetAttribute("xformOp:orient").Set(
-        Gf.Quatd(*driver.quaternions[step].tolist())
-    )
+    prim.GetAttribute("xformOp:translate").Set(Gf.Vec3d(*driver.positions_m[step].tolist()))
+    prim.GetAttribute("xformOp:orient").Set(Gf.Quatd(*driver.quaternions[step].tolist()))
 
 
 # --- recorded points -------------------------------------------------------------------------------------------------
@@ -173,33 +158,19 @@ def reader(stage: Any, plan: Plan) -> Callable[[], FloatArray]:
 
     def to_world(path: str, points: FloatArray) -> FloatArray:
         xform = UsdGeom.Xformable(stage.GetPrimAtPath(path))
-        matrix = np.array(
-            xform.ComputeLocalToWorldTransform(Usd.TimeCode.Default()), dtype=np.float64
-        )
+        matrix = np.array(xform.ComputeLocalToWorldTransform(Usd.TimeCode.Default()), dtype=np.float64)
         return points @ matrix[:3, :3] + matrix[3, :3]
 
     if plan.recorded:
-        return lambda: np.concatenate(
-            [to_world(path, np.zeros((1, 3))) for path in plan.recorded]
-        )
+        return lambda: np.concatenate([to_world(path, np.zeros((1, 3))) for path in plan.recorded])
     markers = stage.GetPrimAtPath("/World/Markers")
-    bodies = [
-        str(path) for path in markers.GetRelationship("gauge:bodies").GetTargets()
-    ]
+    bodies = [str(path) for path in markers.GetRelationship("gauge:bodies").GetTargets()]
     nodes = np.array(markers.GetAttribute("gauge:isaac:nodes").Get(), dtype=np.int64)
-    weights = np.array(
-        markers.GetAttribute("gauge:isaac:weights").Get(), dtype=np.float64
-    )
+    weights = np.array(markers.GetAttribute("gauge:isaac:weights").Get(), dtype=np.float64)
 
     def marker_positions() -> FloatArray:
         meshes = [
-            to_world(
-                path,
-                np.array(
-                    stage.GetPrimAtPath(path).GetAttribute("points").Get(),
-                    dtype=np.float64,
-                ),
-            )
+            to_world(path, np.array(stage.GetPrimAtPath(path).GetAttribute("points").Get(), dtype=np.float64))
             for path in bodies
         ]
         return np.einsum("mk,mkc->mc", weights, np.concatenate(meshes)[nodes])
@@ -221,12 +192,7 @@ def generalized(stage: Any, observable: str, points_m: FloatArray) -> FloatArray
     if observable in ("position", "marker_position"):
         return 1e3 * points_m.reshape(len(points_m), -1)
     markers = stage.GetPrimAtPath("/World/Markers")
-    rows = {
-        name: np.array(
-            markers.GetAttribute(f"gauge:{name}").Get() or [], dtype=np.int64
-        )
-        for name in ROW_NAMES
-    }
+    rows = {name: np.array(markers.GetAttribute(f"gauge:{name}").Get() or [], dtype=np.int64) for name in ROW_NAMES}
     if observable == "face_area":
         return face_areas(points_m, rows["faces"])
     if observable == "line_curvature":
@@ -254,10 +220,7 @@ def turning_angles(points_m: FloatArray, lines: NDArray[np.int64]) -> FloatArray
 
 
 def curvatures(
-    points_m: FloatArray,
-    faces: NDArray[np.int64],
-    corner: NDArray[np.int64],
-    edge: NDArray[np.int64],
+    points_m: FloatArray, faces: NDArray[np.int64], corner: NDArray[np.int64], edge: NDArray[np.int64]
 ) -> FloatArray:
     """Return the angle deficit at each marker [rad], shape [frame_count, marker_count]."""
     full = np.full(points_m.shape[1], 2.0 * np.pi)
@@ -265,13 +228,8 @@ def curvatures(
     full[corner] = 0.5 * np.pi
     deficit = np.tile(full, (len(points_m), 1))
     for place_in_face in range(3):
-        here, following, previous = (
-            faces[:, (place_in_face + shift) % 3] for shift in range(3)
-        )
-        angles = angles_between(
-            points_m[:, following] - points_m[:, here],
-            points_m[:, previous] - points_m[:, here],
-        )
+        here, following, previous = (faces[:, (place_in_face + shift) % 3] for shift in range(3))
+        angles = angles_between(points_m[:, following] - points_m[:, here], points_m[:, previous] - points_m[:, here])
         for column, marker in enumerate(here):
             deficit[:, marker] -= angles[:, column]
     return deficit
@@ -279,9 +237,7 @@ def curvatures(
 
 def angles_between(one: FloatArray, other: FloatArray) -> FloatArray:
     """Return the angles between vectors in [0, pi], shape of the vectors without the last axis."""
-    return np.arctan2(
-        np.linalg.norm(np.cross(one, other), axis=-1), (one * other).sum(axis=-1)
-    )
+    return np.arctan2(np.linalg.norm(np.cross(one, other), axis=-1), (one * other).sum(axis=-1))
 
 
 # --- simulation ------------------------------------------------------------------------------------------------------
@@ -368,9 +324,7 @@ def record(simulation: IsaacSim, plan: Plan, record_hz: int) -> FloatArray:
             samples.append(read())
             if not np.isfinite(samples[-1]).all():
                 time_s = (step + 1) / plan.steps_per_second
-                raise DivergedError(
-                    f"at {time_s:.4f} s a recorded point is not finite; no file is written"
-                )
+                raise DivergedError(f"at {time_s:.4f} s a recorded point is not finite; no file is written")
             simulation.show()
     return np.stack(samples)
 
@@ -379,29 +333,17 @@ def write_csv(path: Path, plan: Plan, values: FloatArray, record_hz: int) -> Non
     """Write g(t) as the CSV that `gauge score` reads."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["time_s", *(f"{name} [{plan.unit}]" for name in plan.coordinates)]
-        )
+        writer.writerow(["time_s", *(f"{name} [{plan.unit}]" for name in plan.coordinates)])
         for sample, row in enumerate(values.tolist()):
-            writer.writerow(
-                [f"{sample / record_hz:.9f}", *(f"{value:.9g}" for value in row)]
-            )
+            writer.writerow([f"{sample / record_hz:.9f}", *(f"{value:.9g}" for value in row)])
 
 
 def main(arguments: Sequence[str]) -> int:
     """Simulate a layer and write its trajectory; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("layer", type=Path, help="layer of 'gauge data isaac-sim'")
-    parser.add_argument(
-        "--out", type=Path, help="CSV to write; by default beside the layer"
-    )
-    parser.add_argument(
-        "--record-hz",
-        type=int,
-        choices=RECORD_HZ,
-        default=FRAME_RATE_HZ,
-        help="samples per second",
-    )
+    parser.add_argument("--out", type=Path, help="CSV to write; by default beside the layer")
+    parser.add_argument("--record-hz", type=int, choices=RECORD_HZ, default=FRAME_RATE_HZ, help="samples per second")
     parser.add_argument("--gui", action="store_true", help="show the window")
     chosen = parser.parse_args(arguments)
     out = chosen.out or chosen.layer.with_suffix(".csv")
@@ -419,12 +361,7 @@ def main(arguments: Sequence[str]) -> int:
         if (points_m == points_m[0]).all():
             note = "warning: no recorded point moved; Isaac Sim may not have written its results to the stage"
             print(note, file=sys.stderr)
-        write_csv(
-            out,
-            plan,
-            generalized(simulation.stage, plan.observable, points_m),
-            chosen.record_hz,
-        )
+        write_csv(out, plan, generalized(simulation.stage, plan.observable, points_m), chosen.record_hz)
         print(out)
     except (LayerError, DivergedError) as error:
         print(f"error: {error}", file=sys.stderr)

@@ -21,27 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend, Simulation, Support
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
-from gauge_envs.scene import (
-    Contact,
-    ContactMode,
-    Motion,
-    Plane,
-    Pose,
-    RigidBody,
-    Scene,
-    Sphere,
-)
+from gauge_envs.scene import Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
 
 __all__ = ["BackendPoint", "SettingsPoint", "SimulationPoint"]
 
 Array = NDArray[np.float64]
 
-POSITION, QUATERNION, LINEAR, TWIST = (
-    slice(0, 3),
-    slice(3, 7),
-    slice(7, 10),
-    slice(7, 13),
-)
+POSITION, QUATERNION, LINEAR, TWIST = slice(0, 3), slice(3, 7), slice(7, 10), slice(7, 13)
 """Where position, orientation, linear velocity, and linear with angular velocity stand in the state of a body."""
 
 PLACE = [0, 1, 2, 7, 8, 9]
@@ -82,40 +68,23 @@ class BackendPoint(Backend):
         subjects: dict[str, list[str]] = {}
         for subject, reason in _lacking(scene):
             subjects.setdefault(reason, []).append(subject)
-        return Support(
-            tuple(f"{_first_of(names)} {reason}" for reason, names in subjects.items())
-        )
+        return Support(tuple(f"{_first_of(names)} {reason}" for reason, names in subjects.items()))
 
-    def resolved_settings(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> dict[str, Any]:
+    def resolved_settings(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Settings that `build` would use; a sweep finds a wrong one with it before anything runs."""
-        return resolve_settings(
-            "point", PRESETS, preset="default", changes=settings
-        ).model_dump(mode="json")
+        return resolve_settings("point", PRESETS, preset="default", changes=settings).model_dump(mode="json")
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> SimulationPoint:
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationPoint:
         """Build a scene; settings are the fields of `SettingsPoint`."""
-        return SimulationPoint(
-            scene,
-            resolve_settings("point", PRESETS, preset="default", changes=settings),
-        )
+        return SimulationPoint(scene, resolve_settings("point", PRESETS, preset="default", changes=settings))
 
 
 def _lacking(scene: Scene) -> Iterator[tuple[str, str]]:
     """What of a scene the engine cannot do: what it is about, and the reason."""
     for deformable in scene.deformables:
-        yield (
-            repr(deformable.name),
-            f"is a {type(deformable).__name__}, and only rigid bodies are simulated",
-        )
+        yield repr(deformable.name), f"is a {type(deformable).__name__}, and only rigid bodies are simulated"
     for joint in scene.joints:
-        yield (
-            repr(joint.body),
-            f"hangs on a {type(joint).__name__}, and there are no joints",
-        )
+        yield repr(joint.body), f"hangs on a {type(joint).__name__}, and there are no joints"
     rigid = {body.name: body for body in scene.bodies}
     for body in scene.dynamic_bodies:
         if any(body.angular_velocity_rad_per_s) and not isinstance(body.shape, Sphere):
@@ -141,21 +110,11 @@ def _untouchable(scene: Scene, ball: RigidBody, other: RigidBody) -> str | None:
     """Why a ball cannot touch a body; None where it can."""
     if not isinstance(other.shape, Plane):
         return "may touch, and balls touch only planes"
-    shifted = {
-        d.body
-        for d in scene.drivers
-        if all(motion.kind == "translate" for motion in d.motions)
-    }
+    shifted = {d.body for d in scene.drivers if all(motion.kind == "translate" for motion in d.motions)}
     if other.motion is Motion.KINEMATIC and other.name not in shifted:
         return "may touch, and planes that balls touch can be shifted, not turned"
-    overlap_m = _radius_m(ball) - float(
-        other.pose.to_body(np.asarray(ball.pose.position_m))[2]
-    )
-    return (
-        f"overlap by {1e3 * overlap_m:.3g} mm at the start"
-        if overlap_m > LARGEST_OVERLAP_M
-        else None
-    )
+    overlap_m = _radius_m(ball) - float(other.pose.to_body(np.asarray(ball.pose.position_m))[2])
+    return f"overlap by {1e3 * overlap_m:.3g} mm at the start" if overlap_m > LARGEST_OVERLAP_M else None
 
 
 def _first_of(names: Sequence[str]) -> str:
@@ -192,15 +151,8 @@ class SimulationPoint(Simulation):
             row[:7] = *body.pose.position_m, *body.pose.quaternion
             row[TWIST] = *body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2, 0.0, 0.0, 0.0])
-        self._driven = [
-            self._rows[body.name]
-            for body in scene.bodies
-            if body.motion is Motion.KINEMATIC
-        ]
-        self._falling = [
-            (self._rows[body.name], self._contact(scene, body))
-            for body in scene.dynamic_bodies
-        ]
+        self._driven = [self._rows[body.name] for body in scene.bodies if body.motion is Motion.KINEMATIC]
+        self._falling = [(self._rows[body.name], self._contact(scene, body)) for body in scene.dynamic_bodies]
         self.reset(seed=0)
 
     def _contact(self, scene: Scene, ball: RigidBody) -> _PlaneContact | None:
@@ -213,9 +165,7 @@ class SimulationPoint(Simulation):
             normal=scene.body(name).pose.rotation.apply([0.0, 0.0, 1.0]),
             radius_m=_radius_m(ball),
             friction=contact.friction,
-            restitution=contact.restitution
-            if contact.mode is ContactMode.IMPACT
-            else 0.0,
+            restitution=contact.restitution if contact.mode is ContactMode.IMPACT else 0.0,
             shortest_hop_s=self.settings["timestep_s"],
         )
 
@@ -224,9 +174,7 @@ class SimulationPoint(Simulation):
         self._states = self._start.copy()
         self._accelerations = np.zeros((len(self._start), 6))
 
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
+    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
         """Put a driven body where its interval starts; `advance` accelerates it."""
         row = self._rows[body]
         self._states[row] = *pose.position_m, *pose.quaternion, *velocity
@@ -250,9 +198,7 @@ class SimulationPoint(Simulation):
                 continue
             # In the frame of the plane the ball falls with gravity less the plane's acceleration.
             state[PLACE] -= before[contact.plane, PLACE]
-            contact.move(
-                state, self._gravity - self._accelerations[contact.plane], seconds
-            )
+            contact.move(state, self._gravity - self._accelerations[contact.plane], seconds)
             state[PLACE] += self._states[contact.plane, PLACE]
 
     def body_states(self, names: Sequence[str]) -> Array:
@@ -277,9 +223,7 @@ class SimulationPoint(Simulation):
 def _move(state: Array, acceleration: Array, seconds: float) -> None:
     """Accelerate a body uniformly: exact, and about a fixed axis exact in orientation too."""
     travel = (state[TWIST] + 0.5 * acceleration * seconds) * seconds
-    turned = Rotation.from_rotvec(travel[3:]) * Rotation.from_quat(
-        state[QUATERNION], scalar_first=True
-    )
+    turned = Rotation.from_rotvec(travel[3:]) * Rotation.from_quat(state[QUATERNION], scalar_first=True)
     state[POSITION] += travel[:3]
     state[QUATERNION] = turned.as_quat(scalar_first=True)
     state[TWIST] += acceleration * seconds
@@ -326,9 +270,7 @@ class _PlaneContact:
         """
         sinking = float(pull[:3] @ self.normal)
         gap_m = float(state[POSITION] @ self.normal) - self.radius_m
-        flight_s = min(
-            _time_to_touch(gap_m, float(state[LINEAR] @ self.normal), sinking), seconds
-        )
+        flight_s = min(_time_to_touch(gap_m, float(state[LINEAR] @ self.normal), sinking), seconds)
         _move(state, pull, flight_s)
         left_s = seconds - flight_s
         if left_s <= 0.0:
@@ -350,9 +292,5 @@ class _PlaneContact:
         # Impulses per mass. With the inertia 2/5 m r^2 an impulse J at the surface changes the slip by 7/2 J / m.
         push = (1.0 + restitution) * approach
         drag = -2.0 / 7.0 * slip
-        drag *= min(
-            1.0, self.friction * push / max(float(np.linalg.norm(drag)), 1e-300)
-        )
-        return twist + np.concatenate(
-            [push * self.normal + drag, 2.5 / self.radius_m**2 * np.cross(arm, drag)]
-        )
+        drag *= min(1.0, self.friction * push / max(float(np.linalg.norm(drag)), 1e-300))
+        return twist + np.concatenate([push * self.normal + drag, 2.5 / self.radius_m**2 * np.cross(arm, drag)])

@@ -133,7 +133,10 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         """Restore what `_state` returned."""
-        self.simulation.restore(state["simulation"])
+        try:
+            self.simulation.restore(state["simulation"])
+        except BackendError as error:
+            raise BackendError(f"{self._label}: {error}") from None
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the plain attributes and the state of the simulation; an engine's model does not pickle."""

@@ -75,7 +75,7 @@ def test_a_pickle_under_other_settings_in_force_is_refused(
         lambda self, one, settings=None: build(self, one, {"impratio": 5.0}),
     )
     with pytest.raises(
-        BackendError, match=r"impratio = 10\.0, here it is impratio = 5\.0"
+        BackendError, match=r"impratio = 10\.0, this one has impratio = 5\.0"
     ) as caught:
         pickle.loads(packed)
     assert "SlopeSlider-2-wood" in str(caught.value)

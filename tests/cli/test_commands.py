@@ -209,7 +209,6 @@ def test_the_version_is_shown() -> None:
         ("recipe --mass", "recipe mass_kg="),
         ("recipe --damping", "recipe damping_n_s_per_m="),
         ("transfer --sigmas", "transfer sigmas="),
-        ("transfer envelope --width", "transfer envelope width="),
         ("video film --recording-rate-hz", "video film recording_rate_hz="),
         ("video film --fps", "video film fps="),
         ("video render --seconds", "video render seconds="),
