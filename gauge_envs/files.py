@@ -352,35 +352,6 @@ def child_refusal(
     return f"loading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory, or the library crashes on it"
 
 
-@contextmanager
-def limited_memory(more_bytes: int) -> Iterator[None]:
-    """Let this process take only so much more memory, where Linux can limit it; more is a MemoryError.
-
-    A child that reads a damaged file first is no proof for its parent: a library that follows a wrong offset may find
-    other bytes there, and ask for any amount.
-
-    Args:
-        more_bytes: Memory beyond what the process has now.
-    """
-    state = Path("/proc/self/statm")
-    if not state.is_file():
-        yield
-        return
-    import resource
-
-    data_pages = int(state.read_text(encoding="ascii").split()[5])
-    used_bytes = data_pages * resource.getpagesize()
-    before, most = resource.getrlimit(resource.RLIMIT_DATA)
-    allowed = used_bytes + more_bytes
-    if before != resource.RLIM_INFINITY:
-        allowed = min(allowed, before)
-    resource.setrlimit(resource.RLIMIT_DATA, (allowed, most))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
-
-
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 

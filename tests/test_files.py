@@ -7,12 +7,11 @@ import os
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import first_fault
-from gauge_envs.files import MEGABYTE, csv_text, limited_memory, write_whole
+from gauge_envs.files import csv_text, write_whole
 
 
 def test_a_failed_write_leaves_the_old_content(
@@ -111,12 +110,3 @@ def test_csv_of_a_spreadsheet_is_read(content: bytes) -> None:
         ["frame", "mean.x"],
         ["0", "1.5"],
     ]
-
-
-@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="needs Linux")
-def test_a_limit_of_memory_holds_inside_and_not_after() -> None:
-    with limited_memory(100 * MEGABYTE):
-        assert np.ones(50 * MEGABYTE, np.uint8).all()
-        with pytest.raises(MemoryError):
-            np.ones(400 * MEGABYTE, np.uint8)
-    assert np.ones(400 * MEGABYTE, np.uint8).all()

@@ -17,7 +17,6 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.files import CHILD_MEMORY, MEGABYTE, limited_memory
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
@@ -132,14 +131,7 @@ def read_points(path: Path, place: str) -> FloatArray:
 def _opened(file: Path) -> Iterator[Source]:
     """Open a stage; convert errors of USD to AssetError while it is read."""
     try:
-        with limited_memory(CHILD_MEMORY):
-            yield Source(file)
-    except MemoryError:
-        raise AssetError(
-            file,
-            "",
-            f"reading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory",
-        ) from None
+        yield Source(file)
     except Tf.ErrorException as error:
         # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None

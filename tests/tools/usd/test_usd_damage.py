@@ -7,17 +7,14 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from pxr import Sdf, Usd
 
 from gauge_envs.errors import AssetError, GaugeError
-from gauge_envs.files import MEGABYTE
 from gauge_envs.scene import Scene
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.usd.source import Source
 
 NAMES = (
     "Turntable-1-wood",
@@ -201,16 +198,3 @@ def test_binary_layers_that_are_damaged(where: float, data: bytes) -> None:
         content = file.read_bytes()
     at = int(where * len(content))
     survives(content[:at] + data + content[at + len(data) :], ".usdc")
-
-
-@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="needs Linux")
-def test_a_reader_that_asks_for_all_memory_is_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "scene.usda"
-    file.write_text(layer_text("Pendulum-metal"), encoding="utf-8")
-    monkeypatch.setattr(Source, "prims", lambda _: np.ones(4000 * MEGABYTE, np.uint8))
-    with pytest.raises(
-        AssetError, match=r"scene\.usda: reading it needs more than 1000 MB of memory"
-    ):
-        from_usd(file)
