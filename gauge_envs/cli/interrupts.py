@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -91,14 +91,22 @@ def _is_import(frame: Any) -> bool:
     return frame is not None
 
 
-def _on_unraisable(unraisable: Any) -> None:
-    """Raise Ctrl-C again soon after a callback or a destructor dropped it."""
-    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+def _on_unraisable(
+    unraisable: Any,
+    default_hook: Callable[[Any], object] = sys.__unraisablehook__,
+    interrupt: type[KeyboardInterrupt] = KeyboardInterrupt,
+) -> None:
+    """Raise Ctrl-C again soon after a callback or a destructor dropped it.
+
+    At the end of the process, where Python 3.13 flushes stdout, the globals of this module are gone: what is needed then
+    are defaults of arguments.
+    """
+    if isinstance(unraisable.exc_value, interrupt):
         _State.is_in_hook = True
         _repeat_soon()
         _State.is_in_hook = False
     else:
-        sys.__unraisablehook__(unraisable)
+        default_hook(unraisable)
 
 
 def _repeat_soon() -> None:
