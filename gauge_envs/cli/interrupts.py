@@ -98,8 +98,8 @@ def _on_unraisable(
 ) -> None:
     """Raise Ctrl-C again soon after a callback or a destructor dropped it.
 
-    At the end of the process, where Python 3.13 flushes stdout, the globals of this module are gone: what is needed then
-    are defaults of arguments.
+    At the end of the process, where Python 3.13 flushes stdout, the globals of this module are gone: what is needed
+    then are defaults of arguments.
     """
     if isinstance(unraisable.exc_value, interrupt):
         _State.is_in_hook = True
