@@ -184,12 +184,13 @@ class DeformableBoundsOfWorlds:
         with np.errstate(invalid="ignore", over="ignore"):
             # Reductions over the last axis are several times as fast.
             axes = np.ascontiguousarray(nodes.transpose(0, 2, 1))
-            most, least = axes.max(axis=2), axes.min(axis=2)
-            extents_m = np.linalg.norm(most - least, axis=1)
+            upper_m, lower_m = axes.max(axis=2), axes.min(axis=2)
+            extents_m = np.linalg.norm(upper_m - lower_m, axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
             within = extents_m <= self._extents_m * (1.0 - 1e-9)
             return ~(
-                within & (np.maximum(most, -least).max(axis=1) <= self._distances_m)
+                within
+                & (np.maximum(upper_m, -lower_m).max(axis=1) <= self._distances_m)
             )
 
 

@@ -543,7 +543,7 @@ class BandErrors:
             stds.append(
                 (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
             )
-        own = _Source(
+        baseline_source = _Source(
             name="baseline",
             kind="baseline",
             evaluation="A",
@@ -556,7 +556,7 @@ class BandErrors:
             else 0.0
         )
         relative = relative or float(np.std(self.baseline))
-        stds.append((own, relative * size / baseline))
+        stds.append((baseline_source, relative * size / baseline))
         total = sum(std**2 for _, std in stds)
         entries = [
             BudgetEntry(
@@ -763,11 +763,13 @@ def _relative_influence(distances: FloatArray, residuals: FloatArray) -> FloatAr
         1.0,
     )
     least = max(LEAST_SCATTER / math.sqrt(directions) * mean / std, 1.0) ** 2
-    own = (distances / mean - 1.0) * math.sqrt(
+    deviations = (distances / mean - 1.0) * math.sqrt(
         (count - 1 + PRIOR_TRIALS * least) / (count - 1 + PRIOR_TRIALS)
     )
     units = products / np.maximum(lengths, 1e-150)
-    return np.asarray(own - units.mean(axis=1) / max(float(lengths.mean()), 1e-150))
+    return np.asarray(
+        deviations - units.mean(axis=1) / max(float(lengths.mean()), 1e-150)
+    )
 
 
 def widening(series: FloatArray) -> float:

@@ -117,11 +117,11 @@ def _aligned(
     least = -np.clip(
         ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS
     )
-    held = np.ascontiguousarray(projected)
+    samples = np.ascontiguousarray(projected)
     if (ends < len(projected) - 1).any():
-        # A world is held at its last sample.
+        # A world keeps its last sample.
         numbers = np.minimum(np.arange(len(projected))[:, None], ends)
-        held = np.nan_to_num(projected)[numbers, np.arange(projected.shape[1])]
+        samples = np.nan_to_num(projected)[numbers, np.arange(projected.shape[1])]
     mask, target = (
         known[:, None].astype(np.float64),
         np.where(known, mean, 0.0)[:, None],
@@ -129,7 +129,7 @@ def _aligned(
 
     def deviations(shift: int) -> FloatArray:
         """Return the deviations of worlds that are shifted by a number of samples, shape [frame_count, N, C]."""
-        return (held[np.clip(frames - shift, 0, len(held) - 1)] - target) * mask
+        return (samples[np.clip(frames - shift, 0, len(samples) - 1)] - target) * mask
 
     def product(one: FloatArray, other: FloatArray) -> FloatArray:
         return np.einsum("tnc,tnc->n", one, other)

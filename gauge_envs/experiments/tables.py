@@ -356,11 +356,11 @@ def hinge_terms(
         kind = Servo if motor.kind == "servo" else TorqueMotor
         if kind is Servo and "kp_n_m_per_rad" not in stated:
             raise ValueError("a servo needs the constant kp_n_m_per_rad")
-        own = {
+        motor_constants = {
             name: stated.pop(name)
             for name in kind.__dataclass_fields__.keys() & stated.keys()
         }
-        terms["motor"] = kind(command=motor.command, **own)
+        terms["motor"] = kind(command=motor.command, **motor_constants)
     if stated:
         raise ValueError(
             f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it"

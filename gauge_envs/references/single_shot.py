@@ -272,10 +272,10 @@ class SingleShot:
         # Lists of experiments need no spline, and the import takes a tenth of a second.
         from scipy.interpolate import CubicSpline
 
-        held = np.clip(times_s, 0.0, self.duration_s)
-        return CubicSpline(self.times_s, self.positions_m)(held), Slerp(
+        within_s = np.clip(times_s, 0.0, self.duration_s)
+        return CubicSpline(self.times_s, self.positions_m)(within_s), Slerp(
             self.times_s, self.rotations
-        )(held)
+        )(within_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,9 +117,9 @@ def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:
         pose: Pose of the body.
         normals: Normals of the faces at which it touches others, each of shape [3].
     """
-    own = face_normal(pose)
-    if not normals or (len(normals) == 1 and abs(own @ normals[0]) > PARALLEL):
-        return own[None]
+    normal = face_normal(pose)
+    if not normals or (len(normals) == 1 and abs(normal @ normals[0]) > PARALLEL):
+        return normal[None]
     if len(normals) == 1:
         return np.asarray(normals)
     _, sizes, directions = np.linalg.svd(np.asarray(normals))

@@ -134,14 +134,16 @@ def _motion(
     point_m: Vector = (0.0, 0.0, 0.0),
 ) -> DriverMotion:
     """Return a motion along an axis; a parallel motion of `like` determines its exact axis and the action's rate."""
-    own = DriverMotion(kind=kind, axis=vector(axis), profiles=(), point_m=point_m)
+    derived = DriverMotion(kind=kind, axis=vector(axis), profiles=(), point_m=point_m)
     for motion in like:
         if (
             motion.kind == kind
             and np.linalg.norm(np.cross(motion.axis, axis)) < SAME_POSE
         ):
-            return replace(own, axis=motion.axis, residual_rate=motion.residual_rate)
-    return own
+            return replace(
+                derived, axis=motion.axis, residual_rate=motion.residual_rate
+            )
+    return derived
 
 
 def _direction(vectors: FloatArray) -> FloatArray:

@@ -103,9 +103,11 @@ class Scene:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
         if self.body_hinges:
-            held = {joint.body for joint in self.joints if isinstance(joint, Tether)}
-            held |= {attachment.to for attachment in self.attachments}
-            fault = hinge_fault(self.body_hinges, self._by_name, held, self.hung)
+            suspended = {
+                joint.body for joint in self.joints if isinstance(joint, Tether)
+            }
+            suspended |= {attachment.to for attachment in self.attachments}
+            fault = hinge_fault(self.body_hinges, self._by_name, suspended, self.hung)
             if fault is not None:
                 raise ParameterError(fault)
 

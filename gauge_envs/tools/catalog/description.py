@@ -239,16 +239,16 @@ def _of_file(experiment: Any) -> dict[str, Any]:
 
 def _reference(experiment: Experiment) -> dict[str, Any]:
     """Return what an experiment is or could be scored against."""
-    own = experiment.reference
+    reference = experiment.reference
     band = (
         load_band(experiment.name, experiment.reference_source)
-        if own is None
-        else own.band
+        if reference is None
+        else reference.band
     )
-    law = law_for(experiment.name) if own is None else None
+    law = law_for(experiment.name) if reference is None else None
     used = reference_band(experiment)
     shown = band if used is None else used
-    unsolved = unsolved_scenes().get(experiment.name) if own is None else None
+    unsolved = unsolved_scenes().get(experiment.name) if reference is None else None
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
         "trial_count": shown and shown.trial_count,
@@ -301,8 +301,8 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
         note = "as the asset states it; rates in m/s or rad/s"
         return described | {"imported": False, "note": note, "motions": stated}
     variant, spec = experiment.variant, experiment.spec
-    own = spec.subtasks[variant.subtask].drivers if variant.subtask else None
-    source = (own if own is not None else spec.drivers)[index]
+    of_subtask = spec.subtasks[variant.subtask].drivers if variant.subtask else None
+    source = (of_subtask if of_subtask is not None else spec.drivers)[index]
     motions, note = (
         [motion.model_dump(exclude_none=True) for motion in source.motions],
         source.note,

@@ -86,15 +86,19 @@ class CarryLimit(LeastTimeLimit):
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""
-        most = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
+        limit_m_per_s2 = (
+            fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
+        )
         along = self.goal_m / self.DISTANCE_M
         across = np.array([-along[1], along[0]])
         left_m, speed = self.goal_m - self._moved_m, self._stage.rate_m_per_s
         # The little that brings a policy back to the line leaves the rest of the friction to the way.
         aside = acceleration_to_rest(
-            float(left_m @ across), float(speed @ across), 0.2 * most
+            float(left_m @ across), float(speed @ across), 0.2 * limit_m_per_s2
         )
         ahead = acceleration_to_rest(
-            float(left_m @ along), float(speed @ along), math.sqrt(most**2 - aside**2)
+            float(left_m @ along),
+            float(speed @ along),
+            math.sqrt(limit_m_per_s2**2 - aside**2),
         )
         return (ahead * along + aside * across) / self.ACCELERATION_M_PER_S2

@@ -119,9 +119,10 @@ class FlingLimit(ControlEnv):
     def _drive(self, command: FloatArray) -> None:
         """Accelerate the rod, by no more than the speed that is left."""
         self._rate_before = self._stage.rate_m_per_s[0]
-        most = self._left_m_per_s / SAMPLE_INTERVAL_S
+        limit_m_per_s2 = self._left_m_per_s / SAMPLE_INTERVAL_S
         self._stage.drive(
-            self.world, np.clip(command * self._most_m_per_s2, -most, most)
+            self.world,
+            np.clip(command * self._most_m_per_s2, -limit_m_per_s2, limit_m_per_s2),
         )
 
     def _places(self) -> FloatArray:

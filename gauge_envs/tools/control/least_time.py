@@ -218,15 +218,15 @@ class LeastTimeLimit(ControlEnv):
 
     def _time_to_go(self) -> float:
         """Return the time to go, over that at the start. Speed across the way takes its braking time in addition."""
-        most = self.limit.value * self.experiment.scene.gravity_m_per_s2
+        limit_m_per_s2 = self.limit.value * self.experiment.scene.gravity_m_per_s2
         way, left_m = self.goal_m - self._moved_m, self._left_m
         speed = float(self._cube_velocity @ way) / left_m if left_m > 0.0 else 0.0
         across = math.sqrt(
             max(float(self._cube_velocity @ self._cube_velocity) - speed**2, 0.0)
         )
         return (
-            self.time_to_go_s(left_m, speed, most) + across / most
-        ) / self.time_to_go_s(self.DISTANCE_M, 0.0, most)
+            self.time_to_go_s(left_m, speed, limit_m_per_s2) + across / limit_m_per_s2
+        ) / self.time_to_go_s(self.DISTANCE_M, 0.0, limit_m_per_s2)
 
     def _reached(self) -> float:
         if self._arrived_s == 0.0:

@@ -273,7 +273,7 @@ class ThrowLimit(ControlEnv):
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
         gravity = self.experiment.scene.gravity_m_per_s2
-        most, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S
+        limit_m_per_s2, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S
         place_m = 0.8 * STROKE_M
         square = self._ball_velocity[1] ** 2 + 2.0 * gravity * (
             self._height_m - place_m
@@ -286,7 +286,7 @@ class ThrowLimit(ControlEnv):
             - self._stage.offset_m[0]
         )
         across = acceleration_to_rest(
-            float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * most
+            float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * limit_m_per_s2
         )
         height_m, rate = (
             float(self._stage.offset_m[1]),
@@ -296,5 +296,7 @@ class ThrowLimit(ControlEnv):
         if place_m - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate) / FRAME_S
         else:
-            up = acceleration_to_rest(-STROKE_M + 0.005 - height_m, rate, 0.5 * most)
-        return np.array([across, up]) / most
+            up = acceleration_to_rest(
+                -STROKE_M + 0.005 - height_m, rate, 0.5 * limit_m_per_s2
+            )
+        return np.array([across, up]) / limit_m_per_s2
