@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.cli.output import Progress, echo
 
-
-def gauge(*arguments: Any) -> Any:
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, list(map(str, arguments)))
+Gauge = Callable[..., Any]
 
 
 @pytest.fixture
@@ -30,7 +27,7 @@ def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_check")
 @pytest.mark.parametrize("suffix", [".json", ".html"])
 def test_a_matrix_has_its_place_before_its_checks_run(
-    suffix: str, tmp_path: Path
+    gauge: Gauge, suffix: str, tmp_path: Path
 ) -> None:
     folder, pipe, file = (
         tmp_path / f"a{suffix}",
@@ -63,7 +60,7 @@ def test_a_matrix_has_its_place_before_its_checks_run(
     ],
 )
 def test_worlds_of_a_transfer_are_checked_before_they_run(
-    options: list[str], reason: str
+    gauge: Gauge, options: list[str], reason: str
 ) -> None:
     common = [
         "numpy:mean",
@@ -87,7 +84,7 @@ def test_a_name_of_a_file_reaches_the_terminal_as_text(
 
 
 @pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
-def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
+def test_a_law_uses_a_finite_share_of_its_limit(gauge: Gauge, fraction: str) -> None:
     result = gauge(
         "transfer",
         "envelope",

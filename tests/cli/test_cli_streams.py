@@ -10,16 +10,15 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from forks import Case, run_forks
 from hostile import install
 from places import ROOT
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ResultFileError
 from gauge_envs.runs import batch
 
@@ -137,20 +136,6 @@ def test_a_run_goes_on_after_an_engine_that_crashes(outcomes: Outcomes) -> None:
     assert done.returncode == 1
 
 
-def test_progress_has_a_line_for_each_episode_without_a_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
-    lines = [
-        line
-        for line in result.stderr.splitlines()
-        if line.startswith(("1/3 ", "2/3 ", "3/3 "))
-    ]
-    assert lines[0] == "1/3 SlopeSlider-2-wood on mujoco: finished"
-    assert len(lines) == 3
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", ["fabrics", "list", "run"])
 def test_a_full_device_is_an_error_without_a_traceback(
@@ -168,7 +153,7 @@ def test_a_closed_pipe_ends_the_command_quietly(outcomes: Outcomes) -> None:
 
 
 def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write, count = batch.write_result, 0
 
@@ -181,9 +166,8 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
             )
         write(*arguments)
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(batch, "write_result", full_after_one)
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
+    result = gauge("run", "SlopeSlider-2-*")
     assert result.exit_code == 2
     assert "No space left on device" in result.stderr
     assert "1 finished; results in results; --resume continues" in " ".join(
@@ -193,14 +177,13 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
 
 
 def test_an_engine_that_exits_ends_no_command_without_a_word(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def exits(*_: object, **__: object) -> None:
         raise SystemExit(0)
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("gauge_envs.tools.catalog.overview.stored_rows", exits)
-    result = CliRunner().invoke(app, ["list"])
+    result = gauge("list")
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import inspect
 import subprocess
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 from places import ROOT
 from rich.text import Text
-from typer.main import get_command
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app, load_command
+from gauge_envs.cli.app import load_command
 from gauge_envs.cli.arguments import (
     parsed_jitter,
     parsed_limits,
@@ -24,17 +23,12 @@ from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.registry import command_lines, instruments_by
 
-MOST_ENTRIES = 16
-MOST_OPTIONS = 130
 MOST_HELP_COST = 8.0
 """CPU time of `gauge --help` over that of `import typer`."""
 
 NAMES = list(instruments_by("commands"))
-ROOT_COMMAND: Any = get_command(app)
 
-
-def gauge(*arguments: str) -> Any:
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, list(arguments))
+Gauge = Callable[..., Any]
 
 
 def options(command: Any) -> list[str]:
@@ -50,41 +44,6 @@ def options(command: Any) -> list[str]:
 
 
 # --- its size ---
-
-
-def test_a_person_can_hold_it() -> None:
-    assert len(ROOT_COMMAND.list_commands(None)) <= MOST_ENTRIES
-    counted = {name: options(load_command(name)) for name in NAMES} | {
-        "": options(ROOT_COMMAND)
-    }
-    assert sum(map(len, counted.values())) <= MOST_OPTIONS, counted
-
-
-def test_every_result_is_printed_in_all_formats() -> None:
-    silent = {name for name in NAMES if "--format" not in options(load_command(name))}
-    writers = {
-        "plot",
-        "report",
-        "sanity probe",
-        "data download",
-        "data scenes",
-        "data isaac-sim",
-    }
-    assert silent == writers | {
-        name for name in NAMES if name.startswith("video") and name != "video score"
-    }
-
-
-def test_json_is_short_for_a_format() -> None:
-    assert (
-        gauge("list", "SlopeSlider-2-wood", "--json").stdout
-        == gauge("list", "SlopeSlider-2-wood", "--format", "json").stdout
-    )
-    both = gauge("list", "--json", "--format", "wide")
-    assert (
-        both.exit_code == 2
-        and "--json is --format json: give one of them" in both.stderr
-    )
 
 
 # --- its help ---
@@ -107,7 +66,7 @@ def test_every_kind_has_its_function(kinds: str, verb: str) -> None:
     )
 
 
-def test_the_help_names_all_commands() -> None:
+def test_the_help_names_all_commands(gauge: Gauge) -> None:
     shown = gauge("--help").stdout
     assert all(name in shown for name in command_lines() if " " not in name)
     for name in command_lines():
@@ -189,134 +148,11 @@ def test_the_help_loads_no_tool() -> None:
     assert done.stderr == "[]\n"
 
 
-def test_the_version_is_shown() -> None:
+def test_the_version_is_shown(gauge: Gauge) -> None:
     assert gauge("--version").stdout.startswith("gauge-envs 0.")
 
 
 # --- wrong spellings ---
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("run --seed", "run seed="),
-        ("run --jitter-mm", "run jitter="),
-        ("run --marker-proxy", "run marker_proxy="),
-        ("sweep --variant", "sweep variants="),
-        ("sweep --backend", "sweep backends="),
-        ("compare --metric", "compare metric="),
-        ("diagnose --measured-only", "diagnose measured_only="),
-        ("recipe --mass", "recipe mass_kg="),
-        ("recipe --damping", "recipe damping_n_s_per_m="),
-        ("transfer --sigmas", "transfer sigmas="),
-        ("video film --recording-rate-hz", "video film recording_rate_hz="),
-        ("video film --fps", "video film fps="),
-        ("video render --seconds", "video render seconds="),
-        ("video score --size", "video score size="),
-    ],
-)
-def test_an_option_that_is_a_detail_now_is_answered(old: str, new: str) -> None:
-    result = gauge(*old.split(), "1")
-    assert result.exit_code == 2
-    assert result.stderr == f"error: `gauge {old}` is `gauge {new}...`\n"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["lits"], "unknown command 'lits'; did you mean list"),
-        (
-            ["backend", "chek"],
-            "unknown command 'backend chek'; did you mean backend check",
-        ),
-        (["list", "phenomna"], "unknown experiment 'phenomna'"),
-        (
-            ["list", "phenomena", "slde-wood"],
-            "unknown phenomenon 'slde-wood'; did you mean slide-wood",
-        ),
-        (
-            ["list", "backends", "mujoko"],
-            "unknown backend 'mujoko'; did you mean mujoco",
-        ),
-        (["list", "materials", "satn"], "unknown material 'satn'; did you mean satin"),
-        (
-            ["run", "SlopeSlider-2-wood", "sed=3"],
-            "unknown detail 'sed'; did you mean seed",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "timestep_s=1"],
-            "other values have options: --help",
-        ),
-        (["run", "SlopeSlider-2-wood", "seed=x"], "seed: "),
-        (["run", "SlopeSlider-2-wood", "repeats=0"], "repeats: "),
-        (
-            ["run", "SlopeSlider-2-wood", "jitter=1"],
-            "jitter '1': expected numbers with units, as 1mm,0.5deg",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--use", "import"],
-            "unknown word of --use 'import'; did you mean imported",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--limits", "60"],
-            "--limits '60': expected numbers with units, as 3600s,4GB",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--set", "iteration=3"],
-            "unknown setting; did you mean iterations",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--set", "preset=dampped"],
-            "unknown MuJoCo preset 'dampped'",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--parameters", "cube.frction=1"],
-            "no constant 'frction'; did you mean friction",
-        ),
-        (
-            ["run", "SlopeSlider-2-wood", "--parameters", "cbe.friction=1"],
-            "names no body of the scene",
-        ),
-        (
-            ["plot", "--kind", "costs"],
-            "unknown kind of picture 'costs'; did you mean cost",
-        ),
-        (
-            ["plot", "--id", "SlopeSlider-2-wood"],
-            "--id and --use go with --kind diagnose",
-        ),
-        (["sanity"], "no target is given: name one"),
-        (
-            ["sanity", "HalfCheetah-v5", "--limits", "4GB"],
-            "expected a time alone, as 60s",
-        ),
-        (
-            ["sanity", "HalfCheetah-v5", "--out", "page.pdf"],
-            "expected a suffix of .html, .md, .json",
-        ),
-        (
-            ["sanity", "HalfCheetah-v5", "--out", "a.md", "--out", "b.md"],
-            "a.md has the same suffix",
-        ),
-        (
-            ["recipe", "friktion=0.3"],
-            "unknown detail 'friktion'; did you mean friction",
-        ),
-        (
-            ["recipe", "satin", "wood-on-wood"],
-            "expected one pair of materials or one fabric",
-        ),
-        (["transfer", "envelope"], "ID [NAME=VALUE]"),
-        (["diagnose", "measured_only=maybe"], "measured_only: "),
-    ],
-)
-def test_a_wrong_spelling_is_answered_by_the_nearest(
-    arguments: list[str], message: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = gauge(*arguments)
-    assert result.exit_code == 2
-    assert message in " ".join(result.stderr.split())
 
 
 # --- texts of options ---
