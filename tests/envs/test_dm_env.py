@@ -14,7 +14,7 @@ from gymnasium.wrappers import FlattenObservation, TimeLimit
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv
-from gauge_envs.errors import ActionError, ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError, UnknownNameError
 
 dm_env = pytest.importorskip("dm_env", reason="extra 'dm' is not installed")
 
@@ -167,13 +167,6 @@ def test_wrapped_environments_keep_what_the_wrapper_does() -> None:
     bare = DmEnvironment(GaugeEnv(RIGID))
     run_to_end(bare)
     assert bare.score.grade == "trials"
-
-
-def test_wrong_actions() -> None:
-    env = load(DRIVEN)
-    env.reset()
-    with pytest.raises(ActionError):
-        env.step(np.array([2.0]))
 
 
 def test_without_dm_env_the_extra_is_named() -> None:

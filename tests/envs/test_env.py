@@ -22,12 +22,7 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import reward_terms
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import (
-    ActionError,
     EpisodeError,
-    ParameterError,
-    TaskFileError,
-    UnknownNameError,
-    UnsupportedSceneError,
 )
 from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.references.models import unsolved_scenes
@@ -151,19 +146,6 @@ def test_material_points_start_at_the_markers(name: str) -> None:
         )
     assert not over
     assert np.isfinite(observation["markers"]).all()
-
-
-def test_unknown_marker_proxy() -> None:
-    with pytest.raises(ParameterError, match="'material' or 'node'"):
-        gauge_envs.GaugeEnv("FoamStretching-soft", marker_proxy="nearest")
-
-
-def test_too_fine_a_cloth_for_its_contact_thickness() -> None:
-    with pytest.raises(
-        ParameterError,
-        match=r"a thickness of 4 mm, but its cells of 3\.33 mm must be larger",
-    ):
-        gymnasium.make("GAUGE/Funnel-satin", settings={"cell_m": 1 / 300})
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(SHORT))
@@ -402,98 +384,6 @@ def test_nan_terminates() -> None:
 # --- misuse ---
 
 
-def test_unknown_id_backend_material_and_parameters() -> None:
-    with pytest.raises(gymnasium.error.NameNotFound):
-        gymnasium.make("GAUGE/SlopeSlid-2-wood")
-    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
-        gauge_envs.GaugeEnv("SlopeSlider-2-wod")
-    with pytest.raises(UnknownNameError, match="mujoco"):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", backend="mujocoo")
-    with pytest.raises(ParameterError, match="calibrated"):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters="fitted")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        ({"cubes.friction": 0.3}, "cubes"),
-        ({"cube.frict": 0.3}, "frict"),
-        ({"cube.friction": -0.3}, "friction"),
-        ({"cube.mass_kg": 0.0}, "mass_kg"),
-        ({"cube.position_m": (0.0, 0.0)}, "position_m"),
-        ({"cube.restitution": float("nan")}, "restitution"),
-    ],
-)
-def test_impossible_overrides_are_named(overrides: dict, message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters=overrides)
-
-
-@pytest.mark.parametrize(
-    "action", [1, -1, "0", None, 0.5, np.array([0.0, 0.0]), np.nan]
-)
-def test_wrong_action_where_nothing_is_driven(action: object) -> None:
-    env = gymnasium.make("GAUGE/SlopeSlider-2-wood").unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ActionError):
-        env.step(action)
-
-
-@pytest.mark.parametrize(
-    "action",
-    [
-        np.array([np.nan]),
-        np.array([1.5]),
-        np.zeros(2),
-        0.0,
-        "left",
-        None,
-        np.array([np.inf]),
-    ],
-)
-def test_wrong_action_where_a_body_is_driven(action: object) -> None:
-    env = gymnasium.make("GAUGE/Turntable-1-wood").unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ActionError):
-        env.step(action)
-    assert env.step(np.zeros(1))[4]["frame"] == 1
-
-
-def test_step_before_reset_and_after_the_end() -> None:
-    env = gauge_envs.GaugeEnv("SlopeContact-wood")
-    with pytest.raises(EpisodeError, match="reset"):
-        env.step(0)
-    with pytest.raises(EpisodeError):
-        env.trajectory()
-    env.reset(seed=0)
-    for _ in range(9):
-        env.step(0)
-    with pytest.raises(EpisodeError, match="over"):
-        env.step(0)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        gymnasium.make("GAUGE/SlopeContact-wood").step(0)
-
-
-def test_unknown_reset_option_and_render_mode() -> None:
-    env = gymnasium.make("GAUGE/SlopeContact-wood")
-    with pytest.raises(ParameterError, match="jitterr"):
-        env.reset(options={"jitterr": True})
-    with pytest.raises(ParameterError, match="rgb_array"):
-        gauge_envs.GaugeEnv("SlopeContact-wood", render_mode="human")
-
-
-@pytest.mark.usefixtures("rigid_only")
-@pytest.mark.parametrize(
-    "name", ["Funnel-satin", "FoamTwisting-soft", "RopeWinding-rubber"]
-)
-def test_an_unsupported_id_says_so_at_make(name: str) -> None:
-    with pytest.raises(
-        UnsupportedSceneError,
-        match=r"deformable body.*no other backend of this package can",
-    ):
-        gymnasium.make(f"GAUGE/{name}")
-
-
 def test_spec_rebuilds_the_run() -> None:
     env = gymnasium.make(
         "GAUGE/SlopeSlider-2-wood",
@@ -503,13 +393,6 @@ def test_spec_rebuilds_the_run() -> None:
     again = gymnasium.make(env.spec)
     assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
     assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings
-
-
-def test_a_damaged_task_file_is_named(tmp_path) -> None:
-    path = tmp_path / "broken.toml"
-    path.write_text("family = ")
-    with pytest.raises(TaskFileError, match=r"broken\.toml"):
-        gauge_envs.load_task(path)
 
 
 def test_signatures_list_the_arguments_of_environments() -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from test_at_once import Together, zeros
+from test_at_once import zeros
+from together import Together
 
 from gauge_envs.backends.base import Recording, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
