@@ -10,9 +10,7 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from forks import Case, run_forks
@@ -58,7 +56,7 @@ FRAME_OF_THE_COMMAND = r'File ".*gauge_(command\.py|envs/)'
 
 
 @pytest.fixture(autouse=True, scope="module")
-def interrupts_reach_children() -> Iterator[None]:
+def interrupts_reach_children():
     """A shell starts background jobs with SIGINT ignored, which children would inherit."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -68,7 +66,7 @@ def interrupts_reach_children() -> Iterator[None]:
 Outcomes = dict[str, subprocess.CompletedProcess[str]]
 
 
-def environment() -> dict[str, str]:
+def environment():
     """Environment of a process that imports this package, and whose output is buffered."""
     kept = {
         name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"
@@ -77,7 +75,7 @@ def environment() -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
+def outcomes(tmp_path_factory):
     """Outcomes of commands with streams of their own, that get Ctrl-C, or with a hostile backend installed.
 
     A hostile backend answers in a process of its own.
@@ -115,9 +113,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
 
 
 @pytest.mark.parametrize("command", ["run", "list"])
-def test_what_engines_print_never_reaches_json(
-    outcomes: Outcomes, command: str
-) -> None:
+def test_what_engines_print_never_reaches_json(outcomes, command):
     done = outcomes[f"hostile: {command}"]
     ids = {json.loads(line)["id"] for line in done.stdout.splitlines()}
     assert ids == {
@@ -127,7 +123,7 @@ def test_what_engines_print_never_reaches_json(
     assert "a line of C code" in done.stderr
 
 
-def test_a_run_goes_on_after_an_engine_that_crashes(outcomes: Outcomes) -> None:
+def test_a_run_goes_on_after_an_engine_that_crashes(outcomes):
     done = outcomes["hostile: run"]
     failed, finished = map(json.loads, done.stdout.splitlines())
     assert (failed["outcome"], finished["outcome"]) == ("failed", "finished")
@@ -138,26 +134,22 @@ def test_a_run_goes_on_after_an_engine_that_crashes(outcomes: Outcomes) -> None:
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", ["fabrics", "list", "run"])
-def test_a_full_device_is_an_error_without_a_traceback(
-    outcomes: Outcomes, command: str
-) -> None:
+def test_a_full_device_is_an_error_without_a_traceback(outcomes, command):
     done = outcomes[f"full: {command}"]
     assert done.returncode == 2
     assert "error: the output cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_closed_pipe_ends_the_command_quietly(outcomes: Outcomes) -> None:
+def test_a_closed_pipe_ends_the_command_quietly(outcomes):
     assert "Traceback" not in outcomes["pipe"].stderr
     assert outcomes["pipe"].returncode == 1
 
 
-def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
-    gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_shows_what_is_done_and_how_to_go_on(gauge, monkeypatch):
     write, count = batch.write_result, 0
 
-    def full_after_one(*arguments: object) -> None:
+    def full_after_one(*arguments):
         nonlocal count
         count += 1
         if count > 1:
@@ -176,10 +168,8 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
     assert "SlopeSlider-2-wood" in result.stderr
 
 
-def test_an_engine_that_exits_ends_no_command_without_a_word(
-    gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def exits(*_: object, **__: object) -> None:
+def test_an_engine_that_exits_ends_no_command_without_a_word(gauge, monkeypatch):
+    def exits(*_, **__):
         raise SystemExit(0)
 
     monkeypatch.setattr("gauge_envs.tools.catalog.overview.stored_rows", exits)
@@ -188,7 +178,7 @@ def test_an_engine_that_exits_ends_no_command_without_a_word(
     assert "an engine or a library ended the command" in result.stderr
 
 
-def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
+def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path):
     code = (
         "import os, signal, sys\n"
         "class Finder:\n"
@@ -250,7 +240,7 @@ finally:
 """A command of which a fork gets Ctrl-C at every 20,000th call or return of a function: the clock has no part in it."""
 
 
-def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
+def test_ctrl_c_is_quiet_at_every_moment(tmp_path):
     """Until the first line of the command runs, Python itself handles the signal."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MOMENTS],
@@ -273,13 +263,13 @@ def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", DROPPED)
-def test_ctrl_c_counts_where_a_library_drops_it(outcomes: Outcomes, how: str) -> None:
+def test_ctrl_c_counts_where_a_library_drops_it(outcomes, how):
     done = outcomes[f"Ctrl-C: {how}"]
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
 @pytest.mark.parametrize("closed", CLOSED)
-def test_a_command_runs_without_its_streams(closed: str, outcomes: Outcomes) -> None:
+def test_a_command_runs_without_its_streams(closed, outcomes):
     done = outcomes[f"closed: {closed}"]
     assert done.returncode == 0 and "Traceback" not in done.stderr
     assert (NAME in done.stdout) == ("stdout" not in closed)

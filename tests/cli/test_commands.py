@@ -31,7 +31,7 @@ NAMES = list(instruments_by("commands"))
 Gauge = Callable[..., Any]
 
 
-def options(command: Any) -> list[str]:
+def options(command):
     """The options of a command; with `--format` goes `--json`, which is short for one of its values."""
     found = [
         max(one.opts, key=len)
@@ -50,7 +50,7 @@ def options(command: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_line_in_the_table_is_that_of_the_function(name: str) -> None:
+def test_the_line_in_the_table_is_that_of_the_function(name):
     """The help of a group shows it without an import of the instrument."""
     text = inspect.cleandoc(instruments_by("commands")[name].function(name).__doc__)
     assert text.partition("\n\n")[0].replace("\n", " ") == command_lines()[name]
@@ -59,14 +59,14 @@ def test_the_line_in_the_table_is_that_of_the_function(name: str) -> None:
 @pytest.mark.parametrize(
     ("kinds", "verb"), [("listings", "list"), ("pictures", "draw")]
 )
-def test_every_kind_has_its_function(kinds: str, verb: str) -> None:
+def test_every_kind_has_its_function(kinds, verb):
     assert all(
         callable(instrument.function(f"{verb} {kind}"))
         for kind, instrument in instruments_by(kinds).items()
     )
 
 
-def test_the_help_names_all_commands(gauge: Gauge) -> None:
+def test_the_help_names_all_commands(gauge):
     shown = gauge("--help").stdout
     assert all(name in shown for name in command_lines() if " " not in name)
     for name in command_lines():
@@ -74,7 +74,7 @@ def test_the_help_names_all_commands(gauge: Gauge) -> None:
         assert not below or below in gauge(entry, "--help").stdout
 
 
-def test_help_loses_no_text() -> None:
+def test_help_loses_no_text():
     """The help is Rich markup, in which `[mm]` is a tag and is not shown."""
     texts = {
         text
@@ -110,7 +110,7 @@ sys.setprofile(counted)
 """Start of a program whose calls and returns of functions are counted: they cost the same on every machine."""
 
 
-def calls(code: str) -> int:
+def calls(code):
     """Return how many calls and returns a new process that runs code has."""
     done = subprocess.run(
         [sys.executable, "-c", COUNTED + code],
@@ -122,7 +122,7 @@ def calls(code: str) -> int:
     return int(done.stderr.splitlines()[-1])
 
 
-def test_the_help_and_a_typo_are_quick() -> None:
+def test_the_help_and_a_typo_are_quick():
     least = calls("import typer")
     for word in ("--help", "lits"):
         command = (
@@ -131,7 +131,7 @@ def test_the_help_and_a_typo_are_quick() -> None:
         assert calls(command) < MOST_HELP_COST * least
 
 
-def test_the_help_loads_no_tool() -> None:
+def test_the_help_loads_no_tool():
     code = (
         "import atexit, sys; sys.argv = ['gauge', '--help']; from gauge_command import main\n"
         "heavy = ('gauge_envs.tools.run', 'scipy', 'pydantic', 'mujoco', 'matplotlib', 'rich.progress')\n"
@@ -148,7 +148,7 @@ def test_the_help_loads_no_tool() -> None:
     assert done.stderr == "[]\n"
 
 
-def test_the_version_is_shown(gauge: Gauge) -> None:
+def test_the_version_is_shown(gauge):
     assert gauge("--version").stdout.startswith("gauge-envs 0.")
 
 
@@ -158,7 +158,7 @@ def test_the_version_is_shown(gauge: Gauge) -> None:
 # --- texts of options ---
 
 
-def test_limits_are_a_time_a_memory_and_a_process() -> None:
+def test_limits_are_a_time_a_memory_and_a_process():
     assert parsed_limits("") == (False, None, None)
     assert parsed_limits("isolate") == (True, None, None)
     assert parsed_limits("90.5s") == (True, 90.5, None)
@@ -169,12 +169,12 @@ def test_limits_are_a_time_a_memory_and_a_process() -> None:
             parsed_limits(text)
 
 
-def test_a_jitter_has_the_names_of_the_api() -> None:
+def test_a_jitter_has_the_names_of_the_api():
     assert parsed_jitter("1mm") == {"position_m": 1e-3}
     assert parsed_jitter("0.5deg,2mm").keys() == {"position_m", "angle_rad"}
 
 
-def test_data_of_a_command_are_those_that_it_can_use() -> None:
+def test_data_of_a_command_are_those_that_it_can_use():
     assert parsed_use("", "reference", "use_withheld") == {
         "reference": DataSource.BUNDLED,
         "use_withheld": False,
@@ -187,7 +187,7 @@ def test_data_of_a_command_are_those_that_it_can_use() -> None:
         parsed_use("imported-drivers", "use_withheld")
 
 
-def test_a_file_may_look_like_a_detail() -> None:
+def test_a_file_may_look_like_a_detail():
     assert split_details(["results", "seed=3", "./seed=4"], seed=int) == (
         ["results", "./seed=4"],
         {"seed": 3},

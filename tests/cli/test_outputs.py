@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import approval
@@ -46,18 +45,18 @@ EPISODES = {
 @pytest.mark.usefixtures("rigid_only")
 @pytest.mark.parametrize(("name", "command"), [*STATIC.items(), *EPISODES.items()])
 def test_an_output_is_the_approved_one(
-    gauge: Gauge,
-    approved: Approved,
-    tmp_path: Path,
-    name: str,
-    command: str,
-) -> None:
+    gauge,
+    approved,
+    tmp_path,
+    name,
+    command,
+):
     write_csv(tmp_path / "slide.csv", SLIDE)
     result = gauge(*shlex.split(command))
     approved(f"cli/{name}", approval.readable(result))
 
 
-def test_the_help_of_every_command(approved: Approved) -> None:
+def test_the_help_of_every_command(approved):
     """The words of the commands themselves; how they are set is Typer's matter."""
     lines = []
     for name in instruments_by("commands"):
@@ -129,9 +128,7 @@ video score --size 1
 """Requests that cannot be met, each a line; what a library adds to a message is in no approved text."""
 
 
-def test_what_cannot_be_met_is_refused_in_the_approved_words(
-    gauge: Gauge, approved: Approved, tmp_path: Path
-) -> None:
+def test_what_cannot_be_met_is_refused_in_the_approved_words(gauge, approved, tmp_path):
     (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n", encoding="utf-8")
     commands = REFUSED.strip().splitlines()
     approved("cli/refused", approval.refused_commands(gauge, *commands))
@@ -150,9 +147,7 @@ def test_what_cannot_be_met_is_refused_in_the_approved_words(
         ("transfer envelope", "ID [NAME=VALUE]"),
     ],
 )
-def test_a_refusal_with_words_of_a_library_names_the_place(
-    gauge: Gauge, command: str, place: str
-) -> None:
+def test_a_refusal_with_words_of_a_library_names_the_place(gauge, command, place):
     result = gauge(*shlex.split(command))
     assert (result.exit_code, result.stdout) == (2, "")
     assert place in result.stderr

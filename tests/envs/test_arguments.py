@@ -6,7 +6,6 @@ import copy
 import gc
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -23,7 +22,7 @@ ID = f"GAUGE/{NAME}"
 # --- after close ---
 
 
-def test_jitter_builds_the_scene_anew_without_closing_the_environment() -> None:
+def test_jitter_builds_the_scene_anew_without_closing_the_environment():
     env = gymnasium.make(ID)
     for options in ({"jitter": True}, {"jitter": True}, {}):
         env.reset(seed=1, options=options)
@@ -34,7 +33,7 @@ def test_jitter_builds_the_scene_anew_without_closing_the_environment() -> None:
         envs.step([0, 0])
 
 
-def test_a_copy_of_a_closed_environment_is_closed() -> None:
+def test_a_copy_of_a_closed_environment_is_closed():
     env = GaugeEnv(NAME)
     env.reset(seed=0)
     env.close()
@@ -45,7 +44,7 @@ def test_a_copy_of_a_closed_environment_is_closed() -> None:
 # --- threads and memory ---
 
 
-def rollout(name: str) -> list[Any]:
+def rollout(name):
     """Frames of an episode."""
     env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True)
     env.reset(seed=0)
@@ -60,7 +59,7 @@ def rollout(name: str) -> list[Any]:
     return frames
 
 
-def test_eight_threads_with_an_environment_each_give_the_bits_of_one() -> None:
+def test_eight_threads_with_an_environment_each_give_the_bits_of_one():
     names = [
         "SlopeSlider-2-wood",
         "SlopeSlider-3-metal",
@@ -72,7 +71,7 @@ def test_eight_threads_with_an_environment_each_give_the_bits_of_one() -> None:
         assert list(pool.map(rollout, names * 2)) == alone * 2
 
 
-def resident_mb() -> float:
+def resident_mb():
     """Resident memory of this process [MB]."""
     gc.collect()
     pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -81,15 +80,15 @@ def resident_mb() -> float:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs /proc")
-def test_resets_and_new_environments_take_no_more_memory() -> None:
+def test_resets_and_new_environments_take_no_more_memory():
     env = GaugeEnv(NAME)
 
-    def resets(count: int) -> None:
+    def resets(count):
         for seed in range(count):
             env.reset(seed=seed)
             env.step(0)
 
-    def environments(count: int) -> None:
+    def environments(count):
         for number in range(count):
             one = gauge_envs.GaugeEnv(NAME if number % 2 else "Turntable-1-wood")
             one.reset(seed=0)

@@ -7,7 +7,6 @@ import threading
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import VectorEnv
 from worlds import measured
 
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -16,7 +15,7 @@ from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.lockstep import EpisodesOneByOne
 
 
-def zeros(envs: VectorEnv) -> np.ndarray:
+def zeros(envs):
     return np.zeros(envs.num_envs, dtype=np.int64)
 
 
@@ -24,14 +23,12 @@ def zeros(envs: VectorEnv) -> np.ndarray:
     "name",
     ["GAUGE/SlopeSlider-3-metal", "GAUGE/FoamShearing-soft", "GAUGE/Push-Limit-wood"],
 )
-def test_worlds_in_threads_have_the_bits_of_one_thread(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_worlds_in_threads_have_the_bits_of_one_thread(name, monkeypatch):
     """And the threads are used."""
     steps, used = {}, set()
     advance = SimulationMuJoCo._step
 
-    def noted(self: SimulationMuJoCo, count: int) -> None:
+    def noted(self, count):
         used.add(threading.get_ident())
         advance(self, count)
 
@@ -62,7 +59,7 @@ def test_worlds_in_threads_have_the_bits_of_one_thread(
 
 
 @pytest.mark.slow
-def test_newton_reads_all_worlds_with_the_values_of_each() -> None:
+def test_newton_reads_all_worlds_with_the_values_of_each():
     pytest.importorskip("newton")
     envs = gymnasium.make_vec(
         "GAUGE/NonsmoothContact-1-wood", num_envs=3, backend="newton"
@@ -82,13 +79,13 @@ def test_newton_reads_all_worlds_with_the_values_of_each() -> None:
     assert envs.worlds.body_states(every).shape == (3, len(every), 13)
 
 
-def test_driven_and_soft_experiments_run_in_a_loop(together: None) -> None:
+def test_driven_and_soft_experiments_run_in_a_loop(together):
     for name in ("SlopeSlider-3-metal", "StickStack-soft"):
         envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=1).unwrapped
         assert isinstance(envs._lockstep, EpisodesOneByOne)
 
 
-def test_scores_as_arrays_are_those_of_each_world(together: None) -> None:
+def test_scores_as_arrays_are_those_of_each_world(together):
     envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=3, score_arrays=True)
     envs.reset(seed=1, options={"jitter": True})
     for _ in range(18):
@@ -107,7 +104,7 @@ def test_scores_as_arrays_are_those_of_each_world(together: None) -> None:
         )
 
 
-def test_separate_simulations_give_the_same_arrays() -> None:
+def test_separate_simulations_give_the_same_arrays():
     envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=2, score_arrays=True)
     envs.reset(seed=1)
     for _ in range(18):
@@ -117,7 +114,7 @@ def test_separate_simulations_give_the_same_arrays() -> None:
     )
 
 
-def test_worlds_that_diverged_have_no_scores(together: None) -> None:
+def test_worlds_that_diverged_have_no_scores(together):
     envs = gymnasium.make_vec(
         "GAUGE/BouncingBall-rubber", num_envs=2, score_arrays=True
     )
@@ -131,7 +128,7 @@ def test_worlds_that_diverged_have_no_scores(together: None) -> None:
     assert np.isnan(infos["rmse"][0])
 
 
-def test_records_are_parts_of_shared_arrays(together: None) -> None:
+def test_records_are_parts_of_shared_arrays(together):
     envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=2).unwrapped
     envs.reset(seed=0)
     envs.step(zeros(envs))
@@ -142,7 +139,7 @@ def test_records_are_parts_of_shared_arrays(together: None) -> None:
     assert np.array_equal(samples[1, :7], envs.episodes[1].trajectory().samples)
 
 
-def test_the_benchmark_of_worlds_times_each_part() -> None:
+def test_the_benchmark_of_worlds_times_each_part():
     row = measured("mujoco", 2, {}, repeats=1)
     assert row.worlds == 2
     assert min(row.engine_us, row.host_us, row.run_on_us, row.scoring_us) > 0.0

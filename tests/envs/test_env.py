@@ -5,14 +5,12 @@ from __future__ import annotations
 import inspect
 import statistics
 import warnings
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Unpack, get_type_hints
 
 import gymnasium
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from gymnasium.utils.env_checker import check_env
 from places import RIGID
 
@@ -36,9 +34,9 @@ SHORT = tuple(
 )
 
 
-def one_of_a_kind(names: Iterable[str]) -> list[ParameterSet]:
+def one_of_a_kind(names):
     """Parameters of which the default run has the first material of each experiment, and `-m slow` the others."""
-    seen: set[str] = set()
+    seen = set()
     found = []
     for name in names:
         kind = name.rpartition("-")[0]
@@ -47,7 +45,7 @@ def one_of_a_kind(names: Iterable[str]) -> list[ParameterSet]:
     return found
 
 
-def test_75_ids_in_22_families_are_registered() -> None:
+def test_75_ids_in_22_families_are_registered():
     # What an experiment file states runs as GAUGE/Asset; control tasks and experiments beyond the benchmark are extra.
     beyond = {variant.id for variant in gauge_envs.beyond_variants()}
     extra = {"GAUGE/Asset", *(task.id for task in control_tasks()), *beyond}
@@ -65,7 +63,7 @@ def test_75_ids_in_22_families_are_registered() -> None:
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(RIGID))
-def test_gymnasiums_checker_passes(name: str) -> None:
+def test_gymnasiums_checker_passes(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -77,7 +75,7 @@ def test_gymnasiums_checker_passes(name: str) -> None:
 @pytest.mark.parametrize(
     "name", one_of_a_kind(v.name for v in gauge_envs.variants() if v.name not in RIGID)
 )
-def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
+def test_every_deformable_id_steps_inside_its_spaces(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, _ = env.reset(seed=0)
     action = (
@@ -102,14 +100,14 @@ def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
     assert (reward == 0.0) == (info["reference"] in ("none", "end"))
 
 
-def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
+def test_curvature_of_a_hanging_cloth_is_nothing():
     env = gymnasium.make("GAUGE/TextileFlinging-satin")
     observation, _ = env.reset(seed=0)
     assert np.linalg.norm(observation["observable"]) < 0.01
 
 
 @pytest.mark.parametrize("proxy", ["node", "material"])
-def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
+def test_foam_markers_follow_the_grip(proxy, rollout):
     # The law needs no fine mesh.
     env, trajectory, _ = rollout(
         "FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05}
@@ -134,7 +132,7 @@ def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
         "TextileBending-satin",
     ],
 )
-def test_material_points_start_at_the_markers(name: str) -> None:
+def test_material_points_start_at_the_markers(name):
     env = gymnasium.make(f"GAUGE/{name}", marker_proxy="material")
     observation, _ = env.reset(seed=0)
     markers = env.unwrapped.experiment.scene.markers.positions_m
@@ -149,9 +147,7 @@ def test_material_points_start_at_the_markers(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(SHORT))
-def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(
-    name: str, rollout
-) -> None:
+def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(name, rollout):
     # Neither depends on the step.
     settings = {"timestep_s": 1 / 900}
     env, trajectory, info = rollout(name, settings=settings)
@@ -174,7 +170,7 @@ def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(
         "Pendulum-metal",
     ],
 )
-def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
+def test_reset_repeats_the_trajectory_of_the_long_ones(name):
     env = gymnasium.make(f"GAUGE/{name}")
     trajectories = []
     for _ in range(2):
@@ -186,7 +182,7 @@ def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RIGID)
-def test_episode_starts_from_the_published_pose(name: str) -> None:
+def test_episode_starts_from_the_published_pose(name):
     env = gymnasium.make(f"GAUGE/{name}")
     observation, info = env.reset(seed=0)
     scene = env.unwrapped.experiment.scene
@@ -199,7 +195,7 @@ def test_episode_starts_from_the_published_pose(name: str) -> None:
     assert info["reference"] == (band.grade if band else "none")
 
 
-def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
+def test_reward_is_minus_the_mean_abs_z(rollout):
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
     env.reset(seed=0)
     rewards = [env.step(0)[1] for _ in range(18)]
@@ -212,7 +208,7 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
     assert min(rewards) < -0.1
 
 
-def test_reward_is_zero_without_a_reference() -> None:
+def test_reward_is_zero_without_a_reference():
     env = gymnasium.make("GAUGE/RopeWinding-rubber")
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
@@ -221,8 +217,8 @@ def test_reward_is_zero_without_a_reference() -> None:
 
 @pytest.mark.parametrize("name", ["CantileverBeam-hard", "WallBreaking-wood"])
 def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_nothing_scored(
-    name: str,
-) -> None:
+    name,
+):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, info = env.reset(seed=0)
     assert (env.band, info["reference"]) == (None, "end")
@@ -253,7 +249,7 @@ def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_no
     )
 
 
-def test_observation_is_si_and_consistent_with_the_motion() -> None:
+def test_observation_is_si_and_consistent_with_the_motion():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     observation = [env.step(0)[0] for _ in range(5)][-1]
@@ -270,7 +266,7 @@ def test_observation_is_si_and_consistent_with_the_motion() -> None:
     )
 
 
-def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
+def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
     env = gymnasium.make("GAUGE/Turntable-1-wood")
     angles = []
     for action in (0.0, 1.0):
@@ -286,7 +282,7 @@ def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
     )
 
 
-def test_reset_forgets_earlier_actions() -> None:
+def test_reset_forgets_earlier_actions():
     env = gymnasium.make("GAUGE/Turntable-1-wood")
     runs = []
     for warm_up in (False, True):
@@ -301,7 +297,7 @@ def test_reset_forgets_earlier_actions() -> None:
     assert np.array_equal(*runs)
 
 
-def test_law_bands_carry_the_body() -> None:
+def test_law_bands_carry_the_body():
     env = gymnasium.make("GAUGE/Turntable-1-metal").unwrapped
     plate = env.experiment.scene.body("plate").pose.position_m
     arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
@@ -311,7 +307,7 @@ def test_law_bands_carry_the_body() -> None:
     assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_scores_against_real_trials(rollout) -> None:
+def test_scores_against_real_trials(rollout):
     limits = {"wood": (0.45, 0.95), "plastic": (0.92, 1.10), "metal": (0.80, 0.78)}
     for material, (rmse, dtw) in limits.items():
         score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
@@ -320,7 +316,7 @@ def test_scores_against_real_trials(rollout) -> None:
         assert score.dtw_normalized <= dtw
 
 
-def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
+def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
     calibrated = rollout("BouncingBall-rubber")[2]["score"]
     effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
     recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
@@ -333,7 +329,7 @@ def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
     assert (recorded.percentile_aligned, effective.percentile_aligned) == (0.0, 100.0)
 
 
-def test_slower_body_is_scored_as_slower(rollout) -> None:
+def test_slower_body_is_scored_as_slower(rollout):
     signed = [
         rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2][
             "score"
@@ -346,7 +342,7 @@ def test_slower_body_is_scored_as_slower(rollout) -> None:
 # --- divergence ---
 
 
-def test_a_finite_explosion_terminates_and_says_why() -> None:
+def test_a_finite_explosion_terminates_and_says_why():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     env.unwrapped.simulation.data.qvel[0] = 500.0
@@ -359,7 +355,7 @@ def test_a_finite_explosion_terminates_and_says_why() -> None:
         env.step(0)
 
 
-def test_energy_from_nowhere_terminates_below_the_speed_limit() -> None:
+def test_energy_from_nowhere_terminates_below_the_speed_limit():
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
     env.reset(seed=0)
     scene = env.unwrapped.experiment.scene
@@ -371,7 +367,7 @@ def test_energy_from_nowhere_terminates_below_the_speed_limit() -> None:
     assert "energy" in info["diverged"]
 
 
-def test_nan_terminates() -> None:
+def test_nan_terminates():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     simulation = env.unwrapped.simulation
@@ -384,7 +380,7 @@ def test_nan_terminates() -> None:
 # --- misuse ---
 
 
-def test_spec_rebuilds_the_run() -> None:
+def test_spec_rebuilds_the_run():
     env = gymnasium.make(
         "GAUGE/SlopeSlider-2-wood",
         parameters={"cube.friction": 0.2},
@@ -395,7 +391,7 @@ def test_spec_rebuilds_the_run() -> None:
     assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings
 
 
-def test_signatures_list_the_arguments_of_environments() -> None:
+def test_signatures_list_the_arguments_of_environments():
     declared = get_type_hints(EnvArguments)
     del declared["variant"]
     declared.pop("_", None)  # the mark of keyword-only fields

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import TimeLimit
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
@@ -35,13 +33,11 @@ COARSE = {"timestep_s": 1 / 900}
 """A step for what does not depend on it."""
 
 
-def zeros(envs: VectorEnv) -> Any:
+def zeros(envs):
     return np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
 
 
-def run_to_end(
-    envs: VectorEnv, actions: Callable[[], Any] | None = None
-) -> list[tuple]:
+def run_to_end(envs, actions=None):
     """Steps until every world's episode is over."""
     steps, over = [], np.zeros(envs.num_envs, dtype=bool)
     while not over.all():
@@ -50,7 +46,7 @@ def run_to_end(
     return steps
 
 
-def blow_up(envs: VectorEnv, number: int) -> None:
+def blow_up(envs, number):
     """Give a world's body a speed that nothing in the scene can give it."""
     envs.unwrapped.worlds.worlds[number].data.qvel[0] = 900.0
 
@@ -58,7 +54,7 @@ def blow_up(envs: VectorEnv, number: int) -> None:
 # --- native ---
 
 
-def test_make_vec_makes_the_native_one_by_default() -> None:
+def test_make_vec_makes_the_native_one_by_default():
     envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=2)
     assert isinstance(envs, ScoreEpisodes)
     assert isinstance(envs.unwrapped, GaugeVectorEnv)
@@ -67,7 +63,7 @@ def test_make_vec_makes_the_native_one_by_default() -> None:
     assert envs.unwrapped.spec.id == f"GAUGE/{RIGID}"
 
 
-def test_observations_are_in_the_batched_space() -> None:
+def test_observations_are_in_the_batched_space():
     envs = gymnasium.make_vec(f"GAUGE/{DRIVEN}", num_envs=3)
     observation, infos = envs.reset(seed=0)
     assert observation in envs.observation_space
@@ -77,7 +73,7 @@ def test_observations_are_in_the_batched_space() -> None:
     assert rewards.shape == (3,)
 
 
-def test_observations_are_not_overwritten_by_the_next_step() -> None:
+def test_observations_are_not_overwritten_by_the_next_step():
     envs = gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=2)
     first, _ = envs.reset(seed=0)
     kept = first["observable"].copy()
@@ -85,7 +81,7 @@ def test_observations_are_not_overwritten_by_the_next_step() -> None:
     assert np.array_equal(first["observable"], kept)
 
 
-def test_each_world_takes_its_own_seed_and_the_calibrated_start_comes_back() -> None:
+def test_each_world_takes_its_own_seed_and_the_calibrated_start_comes_back():
     envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=3)
     calibrated = envs.reset(seed=0)[0]["bodies"]
     together = envs.reset(seed=7, options={"jitter": True})[0]["bodies"]
@@ -95,7 +91,7 @@ def test_each_world_takes_its_own_seed_and_the_calibrated_start_comes_back() -> 
     assert np.array_equal(envs.reset(seed=7)[0]["bodies"], calibrated)
 
 
-def test_episode_statistics_of_a_divergence() -> None:
+def test_episode_statistics_of_a_divergence():
     envs = RecordEpisodeStatistics(
         gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=2)
     )
@@ -108,7 +104,7 @@ def test_episode_statistics_of_a_divergence() -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("name", [RIGID, SOFT])
-def test_pictures_are_those_of_single_environments(name: str) -> None:
+def test_pictures_are_those_of_single_environments(name):
     size = {"render_mode": "rgb_array", "width": 80, "height": 60}
     envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2, **size)
     env = gymnasium.make(f"GAUGE/{name}", **size)
@@ -131,7 +127,7 @@ def test_pictures_are_those_of_single_environments(name: str) -> None:
     assert gymnasium.make_vec(f"GAUGE/{name}", num_envs=2).render() is None
 
 
-def test_spec_of_a_vector_environment_rebuilds_it() -> None:
+def test_spec_of_a_vector_environment_rebuilds_it():
     envs = gymnasium.make_vec(
         f"GAUGE/{RIGID}", num_envs=3, parameters={"cube.friction": np.float64(0.2)}
     )
@@ -154,9 +150,7 @@ def test_spec_of_a_vector_environment_rebuilds_it() -> None:
         pytest.param(SOFT, "async", "NextStep", marks=pytest.mark.slow),
     ],
 )
-def test_scores_arrive_from_sub_environments(
-    name: str, mode: str, autoreset: str
-) -> None:
+def test_scores_arrive_from_sub_environments(name, mode, autoreset):
     count = 6 if (name, mode) == (RIGID, "sync") else 2
     envs = ScoreEpisodes(
         gymnasium.make_vec(
@@ -182,7 +176,7 @@ def test_scores_arrive_from_sub_environments(
 
 
 @pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
-def test_bare_sub_environments_are_scored(vector: type) -> None:
+def test_bare_sub_environments_are_scored(vector):
     envs = ScoreEpisodes(vector([lambda: GaugeEnv(RIGID)] * 2))
     envs.reset(seed=0)
     scores = run_to_end(envs)[-1][4]["score"]
@@ -197,7 +191,7 @@ def test_bare_sub_environments_are_scored(vector: type) -> None:
     envs.close()
 
 
-def test_episodes_that_are_cut_short_have_no_score() -> None:
+def test_episodes_that_are_cut_short_have_no_score():
     envs = ScoreEpisodes(SyncVectorEnv([lambda: TimeLimit(GaugeEnv(RIGID), 5)] * 2))
     envs.reset(seed=0)
     steps = run_to_end(envs)
@@ -205,7 +199,7 @@ def test_episodes_that_are_cut_short_have_no_score() -> None:
     assert "score" not in steps[-1][4]
 
 
-def test_six_ids_at_once_for_three_episodes() -> None:
+def test_six_ids_at_once_for_three_episodes():
     singles = {}
     for name in SIX:
         env = gymnasium.make(f"GAUGE/{name}", settings=COARSE)
@@ -222,7 +216,7 @@ def test_six_ids_at_once_for_three_episodes() -> None:
         observation_mode="different",
     )
     envs.reset(seed=0)
-    scores: dict[str, list[Score]] = {name: [] for name in SIX}
+    scores = {name: [] for name in SIX}
     while min(map(len, scores.values())) < 3:
         *_, infos = envs.step(zeros(envs))
         for number in np.flatnonzero(infos.get("_score", [])):
@@ -233,7 +227,7 @@ def test_six_ids_at_once_for_three_episodes() -> None:
     assert len({score.rmse for score in singles.values()} - {None}) == 6
 
 
-def test_no_warning_from_make_vec() -> None:
+def test_no_warning_from_make_vec():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         gymnasium.make_vec(f"GAUGE/{DRIVEN}", num_envs=2).close()
