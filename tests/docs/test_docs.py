@@ -1,4 +1,4 @@
-"""Documentation: links resolve, code and commands are real, every public name is described, the README stays short."""
+"""Documentation: links resolve, code and commands are real, every public name is described."""
 
 from __future__ import annotations
 
@@ -48,10 +48,6 @@ RUN_ELSEWHERE = {
 COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
 """Pages whose code needs a user's own environment or results, or an engine that may be absent."""
 
-README_WORDS = 900
-NOTE_WORDS = 600
-COMMANDS_WORDS = 1600
-
 
 def name_of(page):
     return str(page.relative_to(ROOT))
@@ -77,22 +73,14 @@ def prose(page):
     return re.sub(r"`[^`\n]*`", "", text)
 
 
-# --- the README ------------------------------------------------------------------------------------------------------
-
-
-def test_the_readme_is_short():
-    assert len(README.read_text(encoding="utf-8").split()) <= README_WORDS
-
-
 # --- studies ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of
 )
-def test_a_note_of_a_study_is_short_and_in_the_list(note):
+def test_a_note_of_a_study_has_its_parts_and_is_in_the_list(note):
     text = note.read_text(encoding="utf-8")
-    assert len(text.split()) <= NOTE_WORDS
     assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == [
         "Question",
         "Method",
@@ -111,7 +99,6 @@ def test_every_study_has_a_note():
         for folder in (ROOT / "studies").iterdir()
         if folder.is_dir() and folder.name != "__pycache__"
     ]
-    assert len(folders) > 15
     assert [
         folder.name for folder in folders if not (folder / "README.md").is_file()
     ] == []
@@ -330,13 +317,6 @@ def test_the_page_of_commands_lists_every_command_with_an_example():
     for name, example in rows:
         assert example.startswith(name)
         parse(shlex.split(example))
-
-
-def test_the_page_of_commands_is_short():
-    assert (
-        len((DOCS / "commands.md").read_text(encoding="utf-8").split())
-        <= COMMANDS_WORDS
-    )
 
 
 # --- public names ----------------------------------------------------------------------------------------------------
