@@ -43,7 +43,7 @@ CALLS = {
     "cos": "sin",
 }
 # Two arguments whose order matters.
-ORDERED = ("arctan2", "cross", "hypot", "subtract")
+ORDERED = ("arctan2", "cross", "subtract")
 # Fields of a node that say how it is written down, and statements that end in a message.
 NOT_DRAWN_FIELDS = ("annotation", "returns", "decorator_list", "bases")
 NOT_DRAWN = (ast.Raise, ast.Assert, ast.JoinedStr, ast.Import, ast.ImportFrom)

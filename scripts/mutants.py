@@ -8,7 +8,7 @@ Own code, because mutmut changes functions alone and draws no sample, and cosmic
 
 All runs in a copy of the repository below `.venv/mutants`. The first call runs every test once under coverage.py, which
 takes half an hour; later ones repeat the files of tests that changed. A mutant meets the tests that cover its line, at
-most 40 s of them as measured without it, those of its own room first and the fastest files first. The first failure
+most 20 s of them as measured without it, those of its own room first and the fastest files first. The first failure
 kills it, and so does three times the time. What no test covers has survived. A call that was interrupted goes on.
 """
 
@@ -52,7 +52,7 @@ ROOMS = (
     "tools/sanity",
     "tools/conformance",
 )
-SECONDS = 40.0
+SECONDS = 20.0
 # Files of tests in one process; all of a line's tests at once would collect half of the tests.
 CHUNK = 6
 OUTCOMES = ("killed", "equivalent", "survived", "uncovered")
