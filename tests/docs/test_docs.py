@@ -41,7 +41,6 @@ RUN_ELSEWHERE = {
     "adding_a_stack.md",
     "adding_an_engine.md",
     "assets.md",
-    "control.md",
     "ecosystem.md",
 }
 """Pages whose code other tests run, as it needs an example package or takes long."""
