@@ -33,7 +33,7 @@ TERMINAL = {
 MACHINE = (
     (r'"versions": \{[^{}]*\}', '"versions": {...}'),
     (r'"(wall_s|cpu_s|created|task_sha256)": ("[^"]*"|[-+\d.e]+)', r'"\1": ...'),
-    (r"gauge-envs \d+\.\d+[\w.+-]*", "gauge-envs VERSION"),
+    (r"\b(gauge-envs|gymnasium|mujoco|numpy|python) \d+(\.\w+)+", r"\1 VERSION"),
     (r" +$", ""),
 )
 """Patterns of what a machine adds to an output, with what stands in its place."""
