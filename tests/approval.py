@@ -11,9 +11,6 @@ import difflib
 import json
 import re
 import shlex
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
 import pytest
 from generated import same_text
@@ -39,7 +36,7 @@ MACHINE = (
 """Patterns of what a machine adds to an output, with what stands in its place."""
 
 
-def without_machine(text: str, folders: Mapping[str, Path]) -> str:
+def without_machine(text, folders):
     """Return a text in which names stand for folders and for all that depends on the machine."""
     for name, folder in folders.items():
         if folder != folder.parent:
@@ -49,7 +46,7 @@ def without_machine(text: str, folders: Mapping[str, Path]) -> str:
     return f"{text.strip()}\n"
 
 
-def difference(name: str, text: str, *, approve: bool) -> str:
+def difference(name, text, *, approve):
     """Return the lines in which a text differs from the approved one, or write it if it is to be approved."""
     file = FOLDER / f"{name}.txt"
     stored = file.read_text(encoding="utf-8") if file.is_file() else ""
@@ -69,7 +66,7 @@ def difference(name: str, text: str, *, approve: bool) -> str:
     return "\n".join(lines)
 
 
-def refused_commands(gauge: Callable[..., Any], *commands: str) -> str:
+def refused_commands(gauge, *commands):
     """Return what commands answer that cannot be met, each after its line; none prints a result."""
     answers = []
     for command in commands:
@@ -79,9 +76,7 @@ def refused_commands(gauge: Callable[..., Any], *commands: str) -> str:
     return "\n".join(answers)
 
 
-def refused_calls(
-    error: type[Exception], calls: Mapping[str, Callable[[], object]]
-) -> str:
+def refused_calls(error, calls):
     """Return the messages of calls that raise an error, each after its name."""
     messages = []
     for name, call in calls.items():
@@ -91,7 +86,7 @@ def refused_calls(
     return "\n".join(messages)
 
 
-def readable(result: Any) -> str:
+def readable(result):
     """Return the exit code and the streams of a command; JSON has an indent and four digits."""
     parts = [f"exit code {result.exit_code}"]
     for stream in (result.stdout, result.stderr):
@@ -100,7 +95,7 @@ def readable(result: Any) -> str:
     return "\n---\n".join(parts)
 
 
-def _readable_json(line: str) -> str:
+def _readable_json(line):
     if not line.startswith("{"):
         return line
     values = json.loads(line, parse_float=lambda text: float(f"{float(text):.4g}"))

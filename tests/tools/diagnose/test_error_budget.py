@@ -710,9 +710,10 @@ def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
 def test_the_output_is_the_approved_one(
     gauge, approved, tmp_path, ball, unscored, name, words
 ):
-    write_result(ball, tmp_path / "ball.json")
+    # The worst comes first, whatever the order of the files.
+    write_result(ball, tmp_path / "worst.json")
     write_result(unscored, tmp_path / "cradle.json")
-    write_result(run_episode(RunRequest(SLIDE)), tmp_path / "slide.json")
+    write_result(run_episode(RunRequest(SLIDE)), tmp_path / "near.json")
     result = gauge("diagnose", ".", *words.split())
     approved(f"diagnose/{name}", approval.readable(result))
 
