@@ -363,7 +363,7 @@ def test_nothing_to_compare():
 def real():
     """Results of MuJoCo of every grade, by variant."""
     return {
-        name: run_episode(RunRequest(name))
+        name: replace(run_episode(RunRequest(name)), wall_s=1.0)
         for name in (SLIDER, PLASTIC, HOLD, DRIVEN, SOLVED)
     }
 
