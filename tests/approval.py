@@ -27,6 +27,9 @@ TERMINAL = {
 }
 """Environment variables of a command, so that its output has no colours and one width."""
 
+ROUNDING = 1e-12
+"""Largest number that may be nothing but rounding."""
+
 MACHINE = (
     (r'"versions": \{[^{}]*\}', '"versions": {...}'),
     (r'"(wall_s|cpu_s|created|task_sha256)": ("[^"]*"|[-+\d.e]+)', r'"\1": ...'),
@@ -98,5 +101,12 @@ def readable(result):
 def _readable_json(line):
     if not line.startswith("{"):
         return line
-    values = json.loads(line, parse_float=lambda text: float(f"{float(text):.4g}"))
-    return json.dumps(values, indent=1, ensure_ascii=False)
+    return json.dumps(
+        json.loads(line, parse_float=_four_digits), indent=1, ensure_ascii=False
+    )
+
+
+def _four_digits(text):
+    """Round a number; what only rounding has left over is zero."""
+    number = float(text)
+    return float(f"{number:.4g}") if abs(number) > ROUNDING else 0.0

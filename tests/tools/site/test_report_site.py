@@ -94,12 +94,18 @@ def pages(site):
         "index",
         "experiment-SlopeSlider-2-wood",
         "experiment-NonsmoothContact-3-wood",
-        "experiment-SlopeSlider-3-wood",
     ],
 )
 def test_the_text_of_a_page_is_the_approved_one(site, approved, name):
     lines = [line.strip() for line in Page(site / f"{name}.html").texts]
-    approved(f"site/{name}", "\n".join(line for line in lines if line))
+    # How far a coarse step leads from a fine one depends on the processor.
+    stable = [line for line in lines if line and not re.fullmatch(r"[\d.]+ mm", line)]
+    approved(f"site/{name}", "\n".join(stable))
+
+
+def test_an_experiment_without_a_reference_shows_distances(site):
+    text = Page(site / "experiment-SlopeSlider-3-wood.html").text
+    assert "Distances between engines" in text
 
 
 def test_every_link_leads_to_a_file_of_the_site(site):
