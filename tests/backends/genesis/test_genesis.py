@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import load_experiment
 from gauge_envs.errors import (
     BackendError,
     ParameterError,
@@ -42,7 +39,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
 from gauge_envs.backends.genesis.engine import EngineLease, engine
 from gauge_envs.backends.genesis.model import forget_models
-from gauge_envs.backends.genesis.presets import settings_for
 from gauge_envs.backends.genesis.settings import PRESETS
 
 GENESIS = backend("genesis")
@@ -417,38 +413,6 @@ def lifted(pose: Pose) -> Pose:
     )
 
 
-def test_a_state_continues_bit_for_bit_after_pickling_and_in_another_simulation() -> (
-    None
-):
-    one, other = (
-        GENESIS.build(sliding_scene(), FAST),
-        GENESIS.build(sliding_scene(), FAST),
-    )
-    rollout(one, 0.05)
-    kept = pickle.dumps(one.state())
-    expected = rollout(one)
-    other.restore(pickle.loads(kept))
-    assert (rollout(other) == expected).all()
-    one.restore(pickle.loads(kept))
-    assert (rollout(one) == expected).all()
-    one.close()
-    other.close()
-
-
-def test_another_process_gives_the_same_bits() -> None:
-    code = (
-        "import sys, json; sys.path.insert(0, 'tests/backends/genesis')\n"
-        "from test_genesis import GENESIS, FAST, sliding_scene, rollout\n"
-        "print(json.dumps(rollout(GENESIS.build(sliding_scene(), FAST)).tolist()))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    simulation = GENESIS.build(sliding_scene(), FAST)
-    assert json.loads(done.stdout) == rollout(simulation).tolist()
-    simulation.close()
-
-
 def test_environments_of_one_genesis_scene_have_their_own_starts() -> None:
     scene = sliding_scene()
     moved = replace(
@@ -528,18 +492,6 @@ def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
     with pytest.raises(BackendError, match="one precision per process"):
         GENESIS.build(sliding_scene(), FAST | {"precision": 32})
     simulation.close()
-
-
-def test_a_scene_gets_its_preset_by_its_contents() -> None:
-    expected = {
-        "SlopeSlider-2-wood": "default",
-        "BouncingBall-rubber": "impact",
-        "Pendulum-metal": "contact_free",
-        "WallBreaking-wood": "stack",
-    }
-    assert {
-        name: settings_for(load_experiment(name).scene).preset for name in expected
-    } == expected
 
 
 def test_what_genesis_lacks_is_declined() -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +10,6 @@ pytest.importorskip("sapien")
 
 from straight import fitted_acceleration
 
-from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
 from gauge_envs.errors import UnsupportedSceneError
@@ -248,30 +244,6 @@ def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(
         * (1 + amplitude**2 / 16)
     )
     assert np.diff(crossings).mean() == pytest.approx(law, rel=tolerance)
-
-
-@pytest.mark.slow
-def test_another_process_gives_the_same_bits_and_prints_nothing() -> None:
-    code = (
-        "import sys, gauge_envs\n"
-        "from gauge_envs import load_experiment\n"
-        "from gauge_envs.backends import backend\n"
-        "scene = load_experiment('NonsmoothContact-3-plastic').scene\n"
-        "simulation = backend('physx').build(scene)\n"
-        "simulation.advance(0.4)\n"
-        "sys.stderr.write(simulation.body_states(['wedge']).tobytes().hex())\n"
-    )
-    runs = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        for _ in range(2)
-    ]
-    scene = load_experiment("NonsmoothContact-3-plastic").scene
-    other = PHYSX.build(load_experiment("WallBreaking-wood").scene)
-    simulation = PHYSX.build(scene)
-    simulation.advance(0.4)
-    expected = simulation.body_states(["wedge"]).tobytes().hex()
-    other.close()
-    assert [(run.stdout, run.stderr) for run in runs] == [("", expected)] * 2
 
 
 def test_thin_and_round_pieces_keep_their_vertices() -> None:
