@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -13,16 +12,9 @@ from gauge_envs import load_experiment
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
     Box,
-    Contact,
-    ContactMode,
     ConvexUnion,
     Cylinder,
-    Motion,
-    Pose,
-    RigidBody,
-    Scene,
     Sphere,
 )
 
@@ -32,23 +24,6 @@ from gauge_envs.backends import backend
 from gauge_envs.scene.meshes import mass_properties
 
 NEWTON = backend("newton")
-
-
-def solid(
-    name: str,
-    shape: object,
-    position_m: tuple,
-    *,
-    motion: Motion = Motion.DYNAMIC,
-    mass_kg: float = 0.1,
-):
-    return RigidBody(
-        name=name,
-        shape=shape,
-        motion=motion,
-        pose=Pose(position_m=position_m),
-        mass_kg=mass_kg,
-    )
 
 
 @pytest.mark.slow
@@ -69,102 +44,6 @@ def test_the_same_scene_in_two_engines_moves_alike() -> None:
             np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean())
             < 0.03 * moved
         )
-
-
-def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitution() -> (
-    None
-):
-    """Newton keeps constants with shapes; here three bodies touch with three, so that none has them all.
-
-    The cart brakes with (0.3 * 2 - 0.1) g, the load on it with 0.1 g. A ball rebounds from either with its own speed.
-    """
-    friction = {("cart", "floor"): 0.3, ("load", "cart"): 0.1, ("load", "floor"): 0.2}
-    restitution = {
-        ("first", "floor"): 0.8,
-        ("second", "floor"): 0.4,
-        ("first", "second"): 0.2,
-    }
-    solids = (
-        solid(
-            "floor", Box(size_m=(4.0, 4.0, 0.1)), (0.0, 0.0, -0.05), motion=Motion.FIXED
-        ),
-        replace(
-            solid("cart", Box(size_m=(0.4, 0.2, 0.05)), (0.0, 0.0, 0.025)),
-            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
-        ),
-        replace(
-            solid("load", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.075)),
-            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
-        ),
-        solid("first", Sphere(radius_m=0.02), (1.0, 1.0, 0.22)),
-        solid("second", Sphere(radius_m=0.02), (-1.0, 1.0, 0.22)),
-    )
-    contacts = [
-        Contact(first=(x,), second=(y,), friction=mu, restitution=0.0)
-        for (x, y), mu in friction.items()
-    ]
-    contacts += [
-        Contact(
-            first=(x,),
-            second=(y,),
-            friction=0.0,
-            restitution=e,
-            mode=ContactMode.IMPACT,
-        )
-        for (x, y), e in restitution.items()
-    ]
-    scene = Scene(bodies=solids, contacts=tuple(contacts), duration_s=0.5)
-    assert NEWTON.supports(scene)
-    simulation = NEWTON.build(scene)
-    simulation.advance(0.05)  # Until the boxes press with their weight.
-    before = simulation.body_states(["cart", "load"])[:, 7]
-    simulation.advance(0.1)
-    braked = before - simulation.body_states(["cart", "load"])[:, 7]
-    assert braked / (GRAVITY_M_PER_S2 * 0.1) == pytest.approx([0.5, 0.1], rel=0.02)
-    simulation.advance(0.1)
-    fallen = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.2)
-    rebounds = simulation.body_states(["first", "second"])[:, 9] + GRAVITY_M_PER_S2 * (
-        0.25 - fallen / GRAVITY_M_PER_S2
-    )
-    assert rebounds / fallen == pytest.approx([0.8, 0.4], abs=0.01)
-
-
-def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
-    """A board carries neither; the two bodies on it do (MuJoCo's maximum would give both the larger)."""
-    scene = Scene(
-        bodies=(
-            solid(
-                "board",
-                Box(size_m=(2.0, 1.0, 0.02)),
-                (0.0, 0.0, 0.5),
-                motion=Motion.KINEMATIC,
-                mass_kg=1.0,
-            ),
-            solid("slick", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.2, 0.535)),
-            solid("rough", Box(size_m=(0.05, 0.05, 0.05)), (0.0, -0.2, 0.535)),
-        ),
-        contacts=(
-            Contact(
-                first=("slick",), second=("board",), friction=0.05, restitution=0.0
-            ),
-            Contact(first=("rough",), second=("board",), friction=0.5, restitution=0.0),
-        ),
-        duration_s=1.0,
-    )
-    simulation = NEWTON.build(scene)
-    simulation.reset(0)
-    pose, speed = scene.body("board").pose, np.zeros(6)
-    for k in range(36):
-        t = k / 180
-        place = Pose(position_m=(0.5 * 2.0 * t * t, 0.0, pose.position_m[2]))
-        speed[0] = 2.0 * t
-        simulation.drive(
-            "board", place, speed, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        )
-        simulation.advance(1 / 180)
-    speeds = simulation.body_states(["slick", "rough"])[:, 7]
-    assert speeds[0] == pytest.approx(0.05 * GRAVITY_M_PER_S2 * 0.2, rel=0.03)
-    assert speeds[1] == pytest.approx(2.0 * 0.2, rel=0.03)
 
 
 @pytest.mark.parametrize(

@@ -102,52 +102,6 @@ def test_velocity_correction_of_penetrations_would_add_to_the_rebound() -> None:
     assert rebound(dropped_ball(Motion.FIXED, 0.5), split_impulse="none") > 0.55
 
 
-@pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
-def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
-    slope = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 30.0, 0.0))
-    frictions = {"smooth": 0.1, "rough": 0.3}
-    places = [
-        slope.to_world(np.array([-0.3, 0.2 * index, 0.035]))
-        for index in range(len(frictions))
-    ]
-    cubes = tuple(
-        replace(
-            solid(name, Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.0)),
-            pose=Pose(position_m=tuple(place.tolist()), quaternion=slope.quaternion),
-        )
-        for name, place in zip(frictions, places, strict=True)
-    )
-    board = replace(
-        solid("board", Box(size_m=(1.2, 0.6, 0.02)), (0, 0, 1), motion=motion),
-        pose=slope,
-    )
-    far = solid(
-        "far", Box(size_m=(0.1, 0.1, 0.1)), (9.0, 0.0, 0.0), motion=Motion.FIXED
-    )
-    contacts = tuple(
-        Contact(first=(name,), second=("board",), friction=value, restitution=0.0)
-        for name, value in frictions.items()
-    )
-    # No values of bodies have these three products.
-    contacts += (
-        Contact(first=tuple(frictions), second=("far",), friction=0.2, restitution=0.0),
-    )
-    simulation = ENGINE.build(
-        Scene(bodies=(*cubes, board, far), contacts=contacts, duration_s=1.0)
-    )
-    simulation.reset(0)
-    start = simulation.body_states(list(frictions))[:, :3]
-    simulation.advance(0.3)
-    moved = np.linalg.norm(
-        simulation.body_states(list(frictions))[:, :3] - start, axis=1
-    )
-    simulation.close()
-    for distance, friction in zip(moved, frictions.values(), strict=True):
-        assert distance == pytest.approx(
-            0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01
-        )
-
-
 def pushed_cube(friction: float) -> Scene:
     """A cube on a board, and a bar behind it that is driven."""
     bodies = (
