@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -38,7 +38,6 @@ from gauge_envs.backends.drake.model import (
     inner_radius_m,
 )
 from gauge_envs.backends.drake.settings import (
-    PRESETS,
     impact_speed_m_per_s,
     settings_for,
 )
@@ -415,18 +414,7 @@ def test_the_ball_bounces_with_its_restitution() -> None:
 # --- settings and support --------------------------------------------------------------------------------------------
 
 
-def test_a_scene_gets_its_preset_by_its_contents() -> None:
-    expected = {
-        "SlopeSlider-2-wood": "default",
-        "BouncingBall-rubber": "impact",
-        "NewtonsCradle-metal": "impact_chain",
-        "Pendulum-metal": "contact_free",
-        "WallBreaking-wood": "stack",
-        "CubeToss-acrylic": "corners",
-    }
-    assert {
-        name: settings_for(load_experiment(name).scene).preset for name in expected
-    } == expected
+def test_a_cylinder_gets_the_preset_of_what_rolls() -> None:
     cylinder = solid("can", Cylinder(radius_m=0.03, length_m=0.1), (0.0, 0.0, 0.05))
     contact = Contact(first=("can",), second=("ground",), friction=0.5, restitution=0.0)
     assert (
@@ -491,26 +479,6 @@ def test_the_impact_speed_is_that_of_the_scene() -> None:
     assert impact_speed_m_per_s(faster) == pytest.approx(
         np.sqrt(9.0 + 2.0 * G * fall_m)
     )
-
-
-def test_settings_are_checked_and_recorded() -> None:
-    scene = load_experiment("SlopeSlider-2-wood").scene
-    simulation = DRAKE.build(scene, {"preset": "out_of_box"})
-    assert (
-        simulation.settings["timestep_s"] == 1 / 180
-        and simulation.settings["approximation"] == "lagged"
-    )
-    assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
-    for wrong in (
-        {"approximation": "pgs"},
-        {"timestep_s": 0.004},
-        {"substeps": 2},
-        {"sustained_rate": 0.0},
-    ):
-        with pytest.raises(ParameterError):
-            DRAKE.build(scene, wrong)
-    with pytest.raises(UnknownNameError):
-        DRAKE.build(scene, {"preset": "fast"})
 
 
 @pytest.mark.skipif("tamsi" in APPROXIMATIONS, reason="this Drake has TAMSI")

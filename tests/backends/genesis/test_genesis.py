@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import (
     BackendError,
-    ParameterError,
-    UnknownNameError,
     UnsupportedSceneError,
 )
 from gauge_envs.scene import (
@@ -23,7 +21,6 @@ from gauge_envs.scene import (
     Contact,
     ContactMode,
     Cylinder,
-    Hinge,
     Motion,
     Plane,
     Pose,
@@ -468,25 +465,6 @@ def test_genesis_writes_nothing_to_stdout() -> None:
 # --- settings and support --------------------------------------------------------------------------------------------
 
 
-def test_settings_are_checked_and_recorded() -> None:
-    scene = sliding_scene()
-    simulation = GENESIS.build(scene, FAST)
-    assert simulation.settings["contact_resolution"] == "signorini"
-    assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
-    simulation.close()
-    for wrong in (
-        {"timestep_s": 0.004},
-        {"friction_cone": "pyramidal"},
-        {"constraint_solver": "CG"},
-        {"noslip_iterations": 5},
-        {"substeps": 2},
-    ):
-        with pytest.raises(ParameterError):
-            GENESIS.build(scene, wrong)
-    with pytest.raises(UnknownNameError):
-        GENESIS.build(scene, {"preset": "fast"})
-
-
 def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
     simulation = GENESIS.build(sliding_scene(), FAST)
     with pytest.raises(BackendError, match="one precision per process"):
@@ -496,11 +474,6 @@ def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
 
 def test_what_genesis_lacks_is_declined() -> None:
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)))
-    hinge = Hinge(body="cube", anchor_m=(0.0, 0.0, 0.1), axis=(0.0, 1.0, 0.0))
-    (reason,) = GENESIS.supports(
-        Scene(bodies=(cube,), joints=(hinge, hinge), duration_s=1.0)
-    ).missing
-    assert "2 hinges" in reason
     names = [f"can-{number}" for number in range(CONTACT_LIMIT + 1)]
     cans = tuple(solid(name, Cylinder(radius_m=0.03, length_m=0.1)) for name in names)
     contacts = tuple(touching(name, "ground") for name in names)

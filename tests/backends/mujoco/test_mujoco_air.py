@@ -12,7 +12,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import BackendError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -171,10 +170,3 @@ def test_without_air_the_model_steps_as_mujoco_alone() -> None:
         mujoco.mj_step(other.model, other.data, nstep=steps)
     assert np.array_equal(simulation.nodes("textile"), other.nodes("textile"))
     assert not simulation.data.qfrc_applied.any()
-
-
-def test_a_state_with_air_does_not_continue_without() -> None:
-    _, simulation, _ = fling()
-    _, still, _ = fling("calibrated")
-    with pytest.raises(BackendError, match="the state is from a simulation with scene"):
-        still.restore(simulation.state())

@@ -17,12 +17,9 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.newton.settings import settings_for
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
     Attachment,
     Box,
-    Cloth,
     Contact,
     Motion,
     Pose,
@@ -113,53 +110,12 @@ def test_stretched_foam_goes_as_in_mujoco() -> None:
 
 
 @pytest.mark.slow
-def test_a_result_says_what_it_was_made_with() -> None:
-    result = run_episode(RunRequest("FoamStretching-soft", backend="newton"))
-    assert result.outcome == "finished"
-    assert (result.settings["preset"], result.settings["solver"]) == (
-        "soft",
-        "SolverVBD",
-    )
-    assert result.versions["newton"] and result.versions["warp-lang"]
-    nylon = run_episode(RunRequest("TextileBending-nylon", backend="newton"))
-    assert nylon.outcome == "finished"
-    assert nylon.settings["timestep_s"] == 1 / 2880
-    assert nylon.settings_given == {}
-
-
-def strains(env: GaugeEnv) -> NDArray[np.float64]:
-    """Strains of the edges of a cloth's cells."""
-    cloth = env.experiment.scene.deformables[0]
-    assert isinstance(cloth, Cloth)
-    counts = [round(size / env.simulation.settings["cell_m"]) for size in cloth.size_m]
-    nodes = env.simulation.nodes(cloth.name).reshape(counts[0] + 1, counts[1] + 1, 3)
-    along = [
-        np.linalg.norm(np.diff(nodes, axis=axis), axis=-1).ravel()
-        * counts[axis]
-        / cloth.size_m[axis]
-        for axis in (0, 1)
-    ]
-    return np.concatenate(along) - 1.0
-
-
-@pytest.mark.slow
-def test_a_flung_cloth_keeps_to_its_rod_and_goes_as_in_mujoco() -> None:
+def test_a_flung_cloth_goes_as_in_mujoco() -> None:
     """The meshes are alike and the membranes' small-strain limits too; the rest is a step that is 3 times as short."""
     ours, theirs = (
         run("TextileFlinging-satin", 15, engine=one, proxy="material")
         for one in ("newton", "mujoco")
     )
-    scene = ours.experiment.scene
-    nodes = ours.simulation.nodes("textile")
-    assert np.isfinite(nodes).all()
-    [position] = ours.simulation.body_states(["rod"])[:, :3]
-    start = np.asarray(scene.body("rod").pose.position_m)
-    assert np.linalg.norm(position - start) > 0.05
-    edge = ours.episode.rest_nodes_m["textile"]
-    on_rod = np.abs(edge[:, 2] - start[2]) < 1e-6
-    assert on_rod.sum() == 17
-    assert 1e3 * np.abs(nodes[on_rod] - edge[on_rod] - (position - start)).max() < 1e-4
-    assert 0.003 < strains(ours).max() < 0.03
     paths, other = markers_mm(ours), markers_mm(theirs)
     assert distance_mm(paths, paths[:1])[-1] > 100.0
     assert distance_mm(paths, other).max() < 0.5
