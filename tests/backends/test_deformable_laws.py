@@ -35,7 +35,11 @@ from gauge_envs.scene import (
 from gauge_envs.tools.bench.parts import ball, contact, driven_box, fixed_box
 
 INTERVAL_S = 1 / 180
+SLOW_NEWTON = pytest.param("newton", marks=pytest.mark.slow)
 on_both = pytest.mark.parametrize("engine", ["mujoco", "newton"], indirect=True)
+slow_on_newton = pytest.mark.parametrize(
+    "engine", ["mujoco", SLOW_NEWTON], indirect=True
+)
 
 
 def built(engine: Backend, scene: Scene, **settings: dict[str, Any]) -> Simulation:
@@ -110,8 +114,7 @@ def test_a_ball_on_a_rope_swings_from_level_like_a_pendulum(engine: Backend) -> 
     assert np.linalg.norm(state[7:10]) == pytest.approx(reach_m * rate, rel=0.02)
 
 
-@on_both
-@pytest.mark.slow
+@slow_on_newton
 def test_a_rope_carries_a_ball_and_follows_a_driven_body(engine: Backend) -> None:
     """In Newton its springs bounce about the length that the load asks for."""
     scene = ball_on_rope((0.0, 0.0, -1.0))
@@ -134,8 +137,7 @@ def test_a_rope_carries_a_ball_and_follows_a_driven_body(engine: Backend) -> Non
     assert end == pytest.approx(low + np.array([0.0, 0.0, BALL_M]), abs=1e-4)
 
 
-@on_both
-@pytest.mark.slow
+@slow_on_newton
 def test_two_balls_hang_over_a_beam(engine: Backend) -> None:
     """The rope stays on the beam although it weighs a hundredth of what pulls on it."""
     scene = load_experiment("RopeWinding-rubber").scene
@@ -165,8 +167,7 @@ def test_two_balls_hang_over_a_beam(engine: Backend) -> None:
     assert -0.15 < energy < 1e-3
 
 
-@on_both
-@pytest.mark.slow
+@slow_on_newton
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_rope_slides_down_a_slope(engine: Backend, friction: float) -> None:
     slope = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 30.0, 0.0))
@@ -269,8 +270,7 @@ ROD = Rod(
 )
 
 
-@on_both
-@pytest.mark.slow
+@slow_on_newton
 def test_a_heavy_rod_hangs_like_an_elastica(engine: Backend) -> None:
     """A clamped rod under its own weight, whose end sinks by more than half of its length.
 
@@ -452,8 +452,7 @@ def test_large_motions_leave_the_middle_half_way(
     assert read()[0] == pytest.approx(0.5 * target, abs=2e-4)
 
 
-@on_both
-@pytest.mark.slow
+@slow_on_newton
 def test_bonded_blocks_of_unlike_stiffness_in_series(engine: Backend) -> None:
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), young_pa=3 * 86410.0)
     soft = block("soft", length_m=0.1, centre_m=(0, 0, 0.05))
