@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.tools.video import Track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
@@ -214,6 +215,18 @@ def _draw(
         cv2.polylines(picture, [inner[:3]], False, (60, 60, 90), 2, cv2.LINE_AA, SHIFT)
         return
     _disk(picture, place, 0.5 * task.size_px, (22, 22, 22))
+
+
+def track_of(places_px: NDArray[np.float64], fps: float) -> Track:
+    """A track of these places on the reference grid, one in each frame."""
+    ones = np.ones(len(places_px))
+    return Track(
+        frames=np.arange(len(places_px)),
+        fps=fps,
+        points_px=places_px,
+        confidence=ones,
+        size_ratio=ones,
+    )
 
 
 def _disk(

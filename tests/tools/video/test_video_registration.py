@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +11,11 @@ from numpy.typing import NDArray
 cv2 = pytest.importorskip("cv2")
 
 from clips import clip  # noqa: E402
-from typer.testing import CliRunner  # noqa: E402
 
-from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, score, video_task, video_tasks  # noqa: E402
 from gauge_envs.tools.video.frames import (  # noqa: E402
     Registration,
-    read_picture,
     stretched,
 )
 from gauge_envs.tools.video.registration import (  # noqa: E402
@@ -157,25 +153,3 @@ def test_a_cropped_clip_gives_the_true_acceleration() -> None:
     assert result.grade is Grade.VALID, result.reasons
     assert result.to_dict()["registration"]["method"] == "crop"
     assert result.metrics["a_m_s2"] == pytest.approx(one.truth["a_m_s2"], rel=0.02)
-
-
-def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "first.png").write_text("no picture")
-    with pytest.raises(VideoError, match="give the first frame as PNG or JPEG"):
-        read_picture(tmp_path / "first.png")
-    with pytest.raises(VideoError, match="there is no such file"):
-        read_picture(tmp_path / "none.png")
-    (tmp_path / "track.csv").write_text("frame,x,y\n0,1,1\n")
-    arguments = [
-        "video",
-        "score",
-        str(tmp_path / "track.csv"),
-        "--id",
-        "SlopeSlider-2-wood",
-        "fps=30",
-    ]
-    outcome = CliRunner().invoke(
-        app, [*arguments, "--first-frame", str(tmp_path / "first.png")]
-    )
-    assert outcome.exit_code == 2
-    assert "--first-frame need the video" in outcome.output

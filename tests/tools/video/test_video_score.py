@@ -13,11 +13,10 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import Clip, clip  # noqa: E402
+from clips import Clip, clip, track_of  # noqa: E402
 from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
-from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     Grade,
     Motion,
@@ -249,14 +248,7 @@ def swung(task: str, angles: np.ndarray) -> Track:
     places = np.array(known.pivot_px) + length * np.column_stack(
         [np.sin(angles), np.cos(angles)]
     )
-    ones = np.ones(len(angles))
-    return Track(
-        frames=np.arange(len(angles)),
-        fps=24.0,
-        points_px=places,
-        confidence=ones,
-        size_ratio=ones,
-    )
+    return track_of(places, 24.0)
 
 
 def test_a_swing_whose_apex_is_hidden_is_named() -> None:
@@ -308,13 +300,7 @@ def test_a_jump_that_friction_cannot_give_is_named() -> None:
     places = np.array(task.pivot_px) - 130.0 * np.column_stack(
         [np.cos(angles), np.sin(angles)]
     )
-    track = Track(
-        frames=np.arange(60),
-        fps=24.0,
-        points_px=places,
-        confidence=np.ones(60),
-        size_ratio=np.ones(60),
-    )
+    track = track_of(places, 24.0)
     assert score_track(track, task).grade is Grade.VALID
     assert score_track(track, task).metrics["form"] == pytest.approx(0.0, abs=1e-9)
     places[36:] += [39.0, 0.0]
@@ -322,23 +308,6 @@ def test_a_jump_that_friction_cannot_give_is_named() -> None:
     assert result.grade is Grade.DOUBTFUL and "jumps" in result.reasons[0], (
         result.reasons
     )
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("frame,x\n0,1\n", "no column y"),
-        ("frame,x,y\n0,1,abc\n", "line 2: y is 'abc'"),
-        ("frame,x,y\n0.5,1,1\n", "line 2: frame is '0.5'"),
-        ("frame,x,y\n3,1,1\n3,1,1\n", "frame 3 stands there twice"),
-        ("frame,x,y\n", "no row"),
-        ("frame,x,y\n0,inf,1\n", "line 2: x is 'inf'"),
-    ],
-)
-def test_a_damaged_track_is_an_error(text: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "track.csv").write_text(text)
-    with pytest.raises(VideoError, match=message):
-        read_track(tmp_path / "track.csv", fps=30.0)
 
 
 # --- files and the command -------------------------------------------------------------------------------------------
@@ -488,38 +457,3 @@ def test_published_values_are_those_of_the_table() -> None:
     assert published["wan22"]["NewtonsCradle-metal", "mte"] is None
     named = {key for values in published.values() for key in values}
     assert named == {(task.id, name) for task in video_tasks() for name in task.real}
-
-
-def test_files_that_are_no_videos_are_errors(tmp_path: Path) -> None:
-    (tmp_path / "text.mp4").write_text("no video\n" * 100)
-    with pytest.raises(VideoError, match=r"text.mp4: it is a text and no video"):
-        FileFrames(tmp_path / "text.mp4")
-    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
-    with pytest.raises(VideoError, match=r"list.mp4: it is a text and no video"):
-        FileFrames(tmp_path / "list.mp4")
-    (tmp_path / "zeros.mp4").write_bytes(bytes(1000))
-    with pytest.raises(VideoError, match=r"zeros.mp4: OpenCV cannot decode it"):
-        FileFrames(tmp_path / "zeros.mp4")
-    with pytest.raises(VideoError, match="there is no such file"):
-        FileFrames(tmp_path / "none.mp4")
-
-
-@pytest.mark.parametrize(
-    ("shape", "fps", "message"),
-    [
-        ((0, 480, 832, 3), 30.0, "no frame"),
-        ((5, 480, 832, 3), 30.0, "5 frames"),
-        ((12, 480, 832, 3), 1.0, "1 frames per second"),
-        ((12, 480, 832), 30.0, "shape"),
-    ],
-)
-def test_frames_that_cannot_be_judged_are_errors(
-    shape: tuple[int, ...], fps: float, message: str
-) -> None:
-    with pytest.raises(VideoError, match=message):
-        score(np.zeros(shape, dtype=np.uint8), fps, "SlopeSlider-2-wood")
-
-
-def test_an_unknown_task_is_an_error() -> None:
-    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
-        video_task("SlopeSlider-2-woof")
