@@ -8,6 +8,7 @@ spaces at the ends of lines.
 from __future__ import annotations
 
 import difflib
+import json
 import re
 import shlex
 from collections.abc import Callable, Mapping
@@ -31,7 +32,7 @@ TERMINAL = {
 
 MACHINE = (
     (r'"versions": \{[^{}]*\}', '"versions": {...}'),
-    (r'"(wall_s|real_time_factor)": [-+\d.e]+', r'"\1": ...'),
+    (r'"(wall_s|cpu_s|created|task_sha256)": ("[^"]*"|[-+\d.e]+)', r'"\1": ...'),
     (r"gauge-envs \d+\.\d+[\w.+-]*", "gauge-envs VERSION"),
     (r" +$", ""),
 )
@@ -88,3 +89,19 @@ def refused_calls(
             call()
         messages.append(f"{name}: {type(caught.value).__name__}: {caught.value}")
     return "\n".join(messages)
+
+
+def readable(result: Any) -> str:
+    """Return the exit code and the streams of a command; JSON has an indent and four digits."""
+    parts = [f"exit code {result.exit_code}"]
+    for stream in (result.stdout, result.stderr):
+        lines = [_readable_json(line) for line in stream.splitlines()]
+        parts.append("\n".join(lines))
+    return "\n---\n".join(parts)
+
+
+def _readable_json(line: str) -> str:
+    if not line.startswith("{"):
+        return line
+    values = json.loads(line, parse_float=lambda text: float(f"{float(text):.4g}"))
+    return json.dumps(values, indent=1, ensure_ascii=False)
