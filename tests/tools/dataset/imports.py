@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 from dataset_writer import write_trial
 
-from gauge_envs.evaluation.reference import Band, load_band
+from gauge_envs.evaluation.reference import load_band
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.tools.dataset.forms import Stated
-from gauge_envs.tools.dataset.importer import ImportedTrials, import_trials
+from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
 
 Content = dict[str, Any]
@@ -20,24 +18,20 @@ Change = Callable[[Content], Any]
 IMPORTED = {"drivers": "imported", "reference": "imported"}
 
 
-def imported(
-    root: Path, *only: str, stated: Stated | None = None
-) -> dict[str, ImportedTrials]:
+def imported(root, *only, stated=None):
     """Import a dataset."""
     found = import_trials(find_trials(root, only=only or ("*",)), stated=stated)
     return {one.variant.name: one for one in found}
 
 
-def import_contents(
-    root: Path, name: str, contents: Iterable[Mapping[str, Any] | bytes]
-) -> ImportedTrials:
+def import_contents(root, name, contents):
     """Write the trials of a variant and import them."""
     for number, content in enumerate(contents, start=1):
         write_trial(root, name, number, content)
     return imported(root)[name]
 
 
-def band_of(name: str) -> Band:
+def band_of(name):
     band = load_band(name, DataSource.IMPORTED)
     assert band is not None
     return band
@@ -46,13 +40,13 @@ def band_of(name: str) -> Band:
 MISSING = object()
 
 
-def put(place: str, value: Any = MISSING) -> Change:
+def put(place, value=MISSING):
     """Puts a value at a place such as `cube.x.4`, or takes away what is there."""
     *path, last = place.split(".")
     sample = last.isdecimal() and len(path) == 2
 
-    def change(content: Content) -> Content:
-        inner: Any = content
+    def change(content):
+        inner = content
         for key in path:
             inner = inner[key]
         key = int(last) if sample else last

@@ -1,13 +1,10 @@
 """Importing real trials: known statistics come back, whatever the folders spell, and bands and drivers are used."""
 
-from __future__ import annotations
-
 import json
 import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import build_bands
 import gymnasium
@@ -26,7 +23,7 @@ from dataset_writer import (
     write_trial,
 )
 from hypothesis import given, settings, strategies as st
-from imports import IMPORTED, Content, band_of, import_contents, imported
+from imports import IMPORTED, band_of, import_contents, imported
 from scipy.spatial.transform import Rotation
 
 import gauge_envs
@@ -39,7 +36,6 @@ from gauge_envs.errors import (
 )
 from gauge_envs.evaluation.deformation import deformation_reference
 from gauge_envs.evaluation.reference import band_grade, load_band
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.grades import BandGrade
@@ -49,7 +45,6 @@ from gauge_envs.references.user_data import DataSource, user_data_folder
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import (
     load_result,
     recorded_experiment,
@@ -85,11 +80,11 @@ IRREGULAR = (
 )
 
 
-def start_mm(experiment: Experiment, body: str) -> np.ndarray:
+def start_mm(experiment, body):
     return 1e3 * np.asarray(experiment.scene.body(body).pose.position_m)
 
 
-def assert_close(found: Any, expected: Any, tolerance: float = TOLERANCE) -> None:
+def assert_close(found, expected, tolerance=TOLERANCE):
     expected = np.broadcast_to(expected, np.shape(found))
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
 
@@ -98,7 +93,7 @@ def assert_close(found: Any, expected: Any, tolerance: float = TOLERANCE) -> Non
 
 
 @pytest.mark.parametrize("name", IRREGULAR)
-def test_known_statistics_come_back(name: str, tmp_path: Path) -> None:
+def test_known_statistics_come_back(name, tmp_path):
     experiment = write_synthetic(tmp_path, name).experiment
     one = imported(tmp_path)[name]
     assert (one.used, one.left_out, one.findings) == (len(AMOUNTS), 0, ())
@@ -126,7 +121,7 @@ def test_known_statistics_come_back(name: str, tmp_path: Path) -> None:
         assert spread.trial_count == len(AMOUNT)
 
 
-def face_areas(experiment: Experiment) -> np.ndarray:
+def face_areas(experiment):
     """Heron's formula, face by face."""
     markers = scaled_markers(experiment, 0.0)
     areas = []
@@ -137,7 +132,7 @@ def face_areas(experiment: Experiment) -> np.ndarray:
     return np.array(areas)
 
 
-def import_shapes(root: Path, name: str, shapes: list[np.ndarray]) -> None:
+def import_shapes(root, name, shapes):
     """Import trials of a variant whose markers keep one shape each [mm], shape [marker_count, 3]."""
     synthetic = synthetic_trials(name, [0.0] * len(shapes), frames_after=0)
     count = synthetic.experiment.frame_count
@@ -148,7 +143,7 @@ def import_shapes(root: Path, name: str, shapes: list[np.ndarray]) -> None:
     assert import_contents(root, name, synthetic.contents).used == len(shapes)
 
 
-def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
+def test_curvature_of_a_raised_marker(tmp_path):
     name = "TextileStretching-leather"
     markers = load_experiment(name).scene.markers
     rest = 1e3 * np.asarray(markers.positions_m)
@@ -174,7 +169,7 @@ def test_curvature_of_a_raised_marker(tmp_path: Path) -> None:
     assert_close(band.sigma[:, raised], np.std(expected, ddof=1))
 
 
-def test_curvature_of_a_folded_strip(tmp_path: Path) -> None:
+def test_curvature_of_a_folded_strip(tmp_path):
     name = "TextileBending-rayon"
     rest = 1e3 * np.asarray(load_experiment(name).scene.markers.positions_m)
     angles = np.array([0.3, 0.4, 0.6])
@@ -191,7 +186,7 @@ def test_curvature_of_a_folded_strip(tmp_path: Path) -> None:
     assert np.delete(band.sigma, columns, axis=1).max() < TOLERANCE
 
 
-def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path: Path) -> None:
+def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     amounts = np.array([*AMOUNTS, 2.0])
     synthetic = synthetic_trials(SLIDER, amounts)
     contents = synthetic.contents
@@ -215,7 +210,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path: Path) -> Non
     assert score.rmse is not None and score.mean_abs_z is not None
 
 
-def test_a_marker_out_of_sight_hides_its_faces_alone(tmp_path: Path) -> None:
+def test_a_marker_out_of_sight_hides_its_faces_alone(tmp_path):
     contents = synthetic_trials(STRETCH).contents
     hidden = min(contents[0]["foam"], key=int)  # the first marker of the metadata
     for key in "xyz":
@@ -229,7 +224,7 @@ def test_a_marker_out_of_sight_hides_its_faces_alone(tmp_path: Path) -> None:
     assert_close(band.mean[3], GROWTH.mean() * areas)
 
 
-def test_short_trials_count_where_no_length_is_published(tmp_path: Path) -> None:
+def test_short_trials_count_where_no_length_is_published(tmp_path):
     name = "TableclothPulling-wood"
     assert not published_baselines(name)
     contents = synthetic_trials(name, frames_after=0).contents
@@ -242,7 +237,7 @@ def test_short_trials_count_where_no_length_is_published(tmp_path: Path) -> None
     assert mean[49:51] == pytest.approx([y, y + AMOUNT[1:].mean()])
 
 
-def test_events_of_the_pendulum_have_baselines(tmp_path: Path) -> None:
+def test_events_of_the_pendulum_have_baselines(tmp_path):
     """Undamped swings of known period, all the same: 300 frames hold 9 periods of 10/9 s."""
     name = "Pendulum-metal"
     experiment = load_experiment(name)
@@ -265,7 +260,7 @@ def test_events_of_the_pendulum_have_baselines(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
+def test_all_75_experiments_are_found_in_their_folders(tmp_path):
     names = [variant.name for variant in gauge_envs.variants()]
     for number, name in enumerate(names):
         amount = 1.0 + 1e-3 * number
@@ -277,7 +272,7 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
     assert grades == {BandGrade.TRIALS}
 
 
-def test_published_baselines_come_out_of_the_importer(tmp_path: Path) -> None:
+def test_published_baselines_come_out_of_the_importer(tmp_path):
     """The bundled facts' trials in the dataset's layout: one coordinate was measured, the others are at the start."""
     scoring = data_folder("scoring")
     bundled = {name: bundled_band(name) for name in build_bands.reconstruct(scoring)}
@@ -311,7 +306,7 @@ def test_published_baselines_come_out_of_the_importer(tmp_path: Path) -> None:
 # --- what uses an import ---------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> None:
+def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
     name = DRIVEN_SLIDER
     synthetic = write_synthetic(tmp_path, name)
     write_revision(tmp_path, "9e0acb7" + 33 * "0")
@@ -319,7 +314,7 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> No
     grades = band_grade(name), band_grade(name, DataSource.IMPORTED)
     assert grades == (BandGrade.MODEL, BandGrade.TRIALS)
 
-    def shown(*words: str) -> dict[str, Any]:
+    def shown(*words):
         return json.loads(gauge(*words, "--json").stdout)
 
     row = shown("list", name)
@@ -350,7 +345,7 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> No
         assert any(word in gauge(*words).stdout for word in ("imported", "mocap"))
 
 
-def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
+def test_results_are_scored_on_the_import_and_say_so(tmp_path):
     before = run_episode(RunRequest(SLIDER))
     write_synthetic(tmp_path, SLIDER)
     imported(tmp_path)
@@ -364,10 +359,10 @@ def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
     assert after.score.rmse == pytest.approx(rmse, rel=1e-12)
 
 
-def test_resume_runs_again_what_was_scored_on_other_trials(tmp_path: Path) -> None:
+def test_resume_runs_again_what_was_scored_on_other_trials(tmp_path):
     out, notes = tmp_path / "results", []
 
-    def run(**options: str) -> Result:
+    def run(**options):
         requests = [RunRequest(SLIDER, **options)]
         return next(run_many(requests, out=out, resume=True, notify=notes.append))
 
@@ -399,7 +394,7 @@ DRIVEN = (
 
 
 @pytest.mark.parametrize("name", DRIVEN)
-def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
+def test_recorded_motion_becomes_the_driver(name, tmp_path):
     synthetic = write_synthetic(tmp_path, name)
     bundled = synthetic.experiment.scene.drivers
     records = imported(tmp_path)[name].record.drivers
@@ -430,7 +425,7 @@ def test_recorded_motion_becomes_the_driver(name: str, tmp_path: Path) -> None:
     seed=st.integers(0, 2**32 - 1),
 )
 @settings(max_examples=40, deadline=None)
-def test_any_driver_with_one_turn_is_inverted(kinds: str, seed: int) -> None:
+def test_any_driver_with_one_turn_is_inverted(kinds, seed):
     random = np.random.default_rng(seed)
     frames = 20
     times = tuple((np.arange(frames) / 30.0).tolist())
@@ -461,7 +456,7 @@ def test_any_driver_with_one_turn_is_inverted(kinds: str, seed: int) -> None:
     assert track.residual_mm.max() < 1e-9 and track.residual_rad.max() < 1e-7
 
 
-def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) -> None:
+def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path):
     """A plate at 12 rad/s, in trials that start 1 mm apart, wobble by 0.5 mm and tilt by 1 degree."""
     name = "Turntable-3-metal"
     synthetic = synthetic_trials(name, AMOUNTS[:2], frames_after=0)
@@ -484,14 +479,14 @@ def test_turns_are_counted_past_half_a_turn_and_noise_is_stated(tmp_path: Path) 
     assert_close(driver.motions[0].profiles[0].values, angles, 1e-3)
 
 
-def test_an_environment_drives_as_recorded_or_as_bundled(tmp_path: Path) -> None:
+def test_an_environment_drives_as_recorded_or_as_bundled(tmp_path):
     name = DRIVEN_SLIDER
     write_synthetic(tmp_path, name)
     imported(tmp_path)
 
     sources = []
 
-    def tilt(**options: str) -> float:
+    def tilt(**options):
         env = gymnasium.make(f"GAUGE/{name}", **options)
         _, info = env.reset(seed=0)
         sources.append((info["drivers"], info["reference_source"], info["reference"]))
@@ -524,15 +519,13 @@ def test_an_environment_drives_as_recorded_or_as_bundled(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("name", [DRIVEN_SLIDER, "SlopeSlider-2-wood"])
 @pytest.mark.parametrize("argument", ["drivers", "reference"])
-def test_what_was_not_imported_is_an_error_that_names_the_command(
-    name: str, argument: str
-) -> None:
+def test_what_was_not_imported_is_an_error_that_names_the_command(name, argument):
     words = f"{name}: {argument}='imported'.*gauge data import DIR"
     with pytest.raises(ParameterError, match=words):
         load_experiment(name, **{argument: "imported"})
 
 
-def test_trials_without_a_driver_still_make_a_band(tmp_path: Path) -> None:
+def test_trials_without_a_driver_still_make_a_band(tmp_path):
     name = "Turntable-1-wood"
     contents = synthetic_trials(name).contents
     del contents[0]["plate"]
@@ -549,7 +542,7 @@ def test_trials_without_a_driver_still_make_a_band(tmp_path: Path) -> None:
 # --- layout ----------------------------------------------------------------------------------------------------------
 
 
-def test_folders_are_read_whatever_they_spell(tmp_path: Path) -> None:
+def test_folders_are_read_whatever_they_spell(tmp_path):
     names = [
         "BouncingBall-rubber",
         "FoamCompressing-hard",
@@ -575,7 +568,7 @@ def test_folders_are_read_whatever_they_spell(tmp_path: Path) -> None:
     assert found == dict.fromkeys(names, 2)
 
 
-def test_trials_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_trials_are_in_the_order_of_their_numbers(tmp_path):
     contents = synthetic_trials(SLIDER, range(12)).contents
     record = import_contents(tmp_path, SLIDER, contents).record
     files = [f"{trial_folder(SLIDER)}/trial-{number}.json" for number in range(1, 13)]
@@ -599,9 +592,7 @@ RIGID = "data/rigid/slope slider/json"
         (f"{RIGID}/wood/task-1/task-2", "task-1, task-2, task-3"),
     ],
 )
-def test_folders_of_nothing_known_are_named(
-    folder: str, right: str, tmp_path: Path
-) -> None:
+def test_folders_of_nothing_known_are_named(folder, right, tmp_path):
     write_synthetic(tmp_path, "SlopeContact-wood")
     (tmp_path / folder).mkdir(parents=True)
     (tmp_path / folder / "trial-1.json").write_text("{}")
@@ -612,7 +603,7 @@ def test_folders_of_nothing_known_are_named(
     assert layout.count == 4
 
 
-def test_no_dataset_is_an_error(tmp_path: Path, gauge) -> None:
+def test_no_dataset_is_an_error(tmp_path, gauge):
     for wrong in (tmp_path / "missing", tmp_path):
         result = gauge("data", "import", wrong)
         assert result.exit_code == 2 and str(wrong) in result.stderr.replace("\n", "")
@@ -623,7 +614,7 @@ def test_no_dataset_is_an_error(tmp_path: Path, gauge) -> None:
         find_trials(tmp_path, only=["SlopeSlidr-2-wood"])
 
 
-def test_only_imports_what_was_asked_for(tmp_path: Path) -> None:
+def test_only_imports_what_was_asked_for(tmp_path):
     sliders = {SLIDER, "SlopeSlider-1-metal"}
     for name in (*sliders, "SlopeContact-wood"):
         write_synthetic(tmp_path, name)
@@ -635,14 +626,14 @@ def test_only_imports_what_was_asked_for(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Path:
+def store(tmp_path):
     """The folder of an import."""
     write_synthetic(tmp_path, SLIDER)
     imported(tmp_path)
     return user_data_folder() / "trials"
 
 
-def test_a_second_import_replaces_the_first(store: Path, tmp_path: Path) -> None:
+def test_a_second_import_replaces_the_first(store, tmp_path):
     first = load_imported(SLIDER)
     amounts = [0.0, 4.0, 5.0, 6.0]
     write_synthetic(tmp_path, SLIDER, amounts)
@@ -656,9 +647,7 @@ def test_a_second_import_replaces_the_first(store: Path, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("suffix", [".json", ".npz"])
 @pytest.mark.parametrize("content", [b"", b"{}", b"PK\x03\x04", None])
-def test_a_damaged_store_is_named(
-    suffix: str, content: bytes | None, store: Path, tmp_path: Path, gauge
-) -> None:
+def test_a_damaged_store_is_named(suffix, content, store, tmp_path, gauge):
     (file,) = store.glob(f"*{suffix}")
     if content is not None:
         file.write_bytes(content)
@@ -678,7 +667,7 @@ def test_a_damaged_store_is_named(
 
 
 @pytest.mark.parametrize("arrays", ["", "..", "../a.npz", "a\0.npz"])
-def test_a_damaged_name_of_arrays_is_named(arrays: str, store: Path) -> None:
+def test_a_damaged_name_of_arrays_is_named(arrays, store):
     (file,) = store.glob("*.json")
     file.write_text(json.dumps(json.loads(file.read_text()) | {"arrays": arrays}))
     words = "is no import of this version: arrays"
@@ -686,7 +675,7 @@ def test_a_damaged_name_of_arrays_is_named(arrays: str, store: Path) -> None:
         load_imported(SLIDER)
 
 
-def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
+def test_an_import_for_other_motions_is_named(tmp_path):
     name = "FoamShearing-soft"
     (driver,) = write_synthetic(tmp_path, name).experiment.scene.drivers
     imported(tmp_path)
@@ -696,8 +685,8 @@ def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
 
 
 def test_the_folder_follows_the_environment(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gauge_data_dir: Path, gauge
-) -> None:
+    monkeypatch, tmp_path, gauge_data_dir, gauge
+):
     assert user_data_folder() == gauge_data_dir
     write_synthetic(tmp_path, SLIDER)
     (tmp_path / "file").write_text("")
@@ -715,7 +704,7 @@ def test_the_folder_follows_the_environment(
 # --- statistics of deformation ----------------------------------------------------------------------------------------
 
 
-def stretching_trials(*, placed_m: float = 0.0) -> list[Content]:
+def stretching_trials(*, placed_m=0.0):
     """Trials whose markers stretch along z by 1e-3 (frame + amount); amounts take effect after frame 0."""
     experiment = load_experiment(STRETCH)
     rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
@@ -725,21 +714,21 @@ def stretching_trials(*, placed_m: float = 0.0) -> list[Content]:
         placed = rest + 1e3 * placed_m * noise
         stretch = elongation[:, None, None] * [0.0, 0.0, 1.0]
         moved = placed + stretch * (placed - placed[0])
-        assets: dict[str, Any] = {"foam": marker_asset(moved, range(len(rest)))}
+        assets = {"foam": marker_asset(moved, range(len(rest)))}
         for driver in experiment.scene.drivers:
             assets[driver.body] = driven_asset(experiment, driver.body, len(moved))
         contents.append(trial_content(assets))
     return contents
 
 
-def elongations(frame_count: int) -> np.ndarray:
+def elongations(frame_count):
     """Shape [frame_count, trial_count]."""
     frames = np.arange(frame_count)[:, None]
     return 1e-3 * (frames + np.where(frames > 0, AMOUNT, 0.0))
 
 
 @pytest.mark.parametrize("placed_m", [0.0, 0.0008])
-def test_statistics_of_deformation_come_back(placed_m: float, tmp_path: Path) -> None:
+def test_statistics_of_deformation_come_back(placed_m, tmp_path):
     """Whatever the places of the dots, and a trial without some of its markers counts."""
     contents = stretching_trials(placed_m=placed_m)
     for axis in "xyz":
@@ -761,7 +750,7 @@ def test_statistics_of_deformation_come_back(placed_m: float, tmp_path: Path) ->
             assert_close(found.sigma[:, column], values.std(axis=1, ddof=1), 1e-6)
 
 
-def test_imported_statistics_are_used_when_asked_for(tmp_path: Path) -> None:
+def test_imported_statistics_are_used_when_asked_for(tmp_path):
     import_contents(tmp_path, STRETCH, stretching_trials())
     bundled = deformation_reference(load_experiment(STRETCH))
     request = RunRequest(STRETCH, marker_proxy="material", reference="imported")
@@ -774,5 +763,5 @@ def test_imported_statistics_are_used_when_asked_for(tmp_path: Path) -> None:
     assert found.source.startswith("imported dataset")
 
 
-def test_rigid_imports_have_no_statistics(store: Path) -> None:
+def test_rigid_imports_have_no_statistics(store):
     assert load_imported(SLIDER).deformation is None

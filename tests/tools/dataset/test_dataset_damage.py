@@ -1,7 +1,5 @@
 """Damaged trial files: each is named, with its place and what would be right, and the others are used without it."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import io
@@ -10,9 +8,8 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,33 +24,33 @@ from dataset_writer import (
     write_trial,
 )
 from hypothesis import given, settings, strategies as st
-from imports import Change, Content, band_of, import_contents, imported, put
+from imports import band_of, import_contents, imported, put
 
 from gauge_envs import load_experiment
 from gauge_envs.references.imported import load_imported
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
-from gauge_envs.tools.dataset.trial import Trial, parse_trial
+from gauge_envs.tools.dataset.trial import parse_trial
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
 
 # --- hostile files ---------------------------------------------------------------------------------------------------
 
 
-def text(change: Callable[[str], str]) -> Change:
+def text(change):
     """Changes the file's text."""
     return lambda content: change(json.dumps(content)).encode()
 
 
-def raw(content: bytes) -> Change:
+def raw(content):
     return lambda _: content
 
 
-def cube(change: Callable[[list[Any]], list[Any]], keys: str = "xyz") -> Change:
+def cube(change, keys="xyz"):
     """Changes lists of the cube."""
 
-    def edit(content: Content) -> Content:
+    def edit(content):
         for key in keys.split() if " " in keys else keys:
             content["cube"][key] = change(content["cube"][key])
         return content
@@ -61,7 +58,7 @@ def cube(change: Callable[[list[Any]], list[Any]], keys: str = "xyz") -> Change:
     return edit
 
 
-def swapped_markers(content: Content) -> Content:
+def swapped_markers(content):
     foam = content["foam"]
     first, *_, last = sorted(foam, key=int)
     foam[first], foam[last] = foam[last], foam[first]
@@ -72,7 +69,7 @@ DEEP = b'{"a":' * 100_000 + b"1" + b"}" * 100_000
 LISTS = "x y z qx qy qz qw ex ey ez"
 
 # Variant, what is done to a trial, and the place, the fault and what would be right.
-DAMAGES: list[tuple[str, Change, str]] = [
+DAMAGES = [
     (SLIDER, raw(b" \n"), r"\(file\): it is empty; a JSON object"),
     (
         SLIDER,
@@ -146,9 +143,7 @@ DAMAGES: list[tuple[str, Change, str]] = [
 
 
 @pytest.mark.parametrize("name", [SLIDER, FOAM])
-def test_damaged_files_are_named_and_the_others_are_used(
-    name: str, tmp_path: Path
-) -> None:
+def test_damaged_files_are_named_and_the_others_are_used(name, tmp_path):
     write_synthetic(tmp_path, name)
     imported(tmp_path)
     undamaged = band_of(name)
@@ -170,20 +165,20 @@ def test_damaged_files_are_named_and_the_others_are_used(
     np.testing.assert_array_equal(band_of(name).sigma, undamaged.sigma)
 
 
-def fifo(file: Path) -> None:
+def fifo(file):
     os.mkfifo(file)
 
 
-def sparse(file: Path) -> None:
+def sparse(file):
     with file.open("wb") as stream:
         stream.truncate(10**12)
 
 
-def copied(file: Path) -> None:
+def copied(file):
     file.write_bytes(file.with_name("trial-2.json").read_bytes())
 
 
-def linked(file: Path) -> None:
+def linked(file):
     outside = file.parents[7] / "private.json"
     outside.write_bytes(file.with_name("trial-2.json").read_bytes())
     file.symlink_to(outside)
@@ -199,9 +194,7 @@ def linked(file: Path) -> None:
         (linked, "it links to a file outside of the dataset"),
     ],
 )
-def test_a_file_that_is_no_trial_of_its_own_is_left_out(
-    make: Callable[[Path], None], words: str, tmp_path: Path
-) -> None:
+def test_a_file_that_is_no_trial_of_its_own_is_left_out(make, words, tmp_path):
     root = tmp_path / "set"
     write_synthetic(root, SLIDER)
     make(root / trial_folder(SLIDER) / "trial-7.json")
@@ -211,7 +204,7 @@ def test_a_file_that_is_no_trial_of_its_own_is_left_out(
     assert finding.file.endswith("trial-7.json") and words in finding.problem
 
 
-def test_what_an_experiment_does_not_ask_for_may_be_damaged(tmp_path: Path) -> None:
+def test_what_an_experiment_does_not_ask_for_may_be_damaged(tmp_path):
     """A board that stands still may have one sample; a plate with a broken orientation costs the driver alone."""
     found = {}
     for name in (SLIDER, PLATE):
@@ -231,7 +224,7 @@ def test_what_an_experiment_does_not_ask_for_may_be_damaged(tmp_path: Path) -> N
     assert found[PLATE].record.drivers[0].trial_count == 3
 
 
-def test_recorded_bodies_are_equally_long(tmp_path: Path) -> None:
+def test_recorded_bodies_are_equally_long(tmp_path):
     contents = synthetic_trials("RopeWinding-rubber", [*AMOUNTS, 0.3]).contents
     ball = contents[-1]["ball-2"]
     contents[-1]["ball-2"] = {key: values[:-1] for key, values in ball.items()}
@@ -240,7 +233,7 @@ def test_recorded_bodies_are_equally_long(tmp_path: Path) -> None:
     assert "ball-2: it has 94 frames" in str(one.findings[0])
 
 
-def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
+def test_marker_sets_of_several_bodies_are_joined(tmp_path):
     """The beam's markers under its four blocks instead of all together; one file has a block that is shorter."""
     name = "CantileverBeam-soft"
     contents = synthetic_trials(name).contents
@@ -259,14 +252,14 @@ def test_marker_sets_of_several_bodies_are_joined(tmp_path: Path) -> None:
     np.testing.assert_allclose(band_of(name).mean[5], start.ravel(), rtol=0, atol=1e-9)
 
 
-def test_two_trials_are_needed(tmp_path: Path) -> None:
+def test_two_trials_are_needed(tmp_path):
     write_synthetic(tmp_path, SLIDER, [0.0])
     one = imported(tmp_path)[SLIDER]
     assert one.record is None and load_imported(SLIDER) is None
     assert "1 of its trials can be used; 2 or more are needed" in str(one.findings[0])
 
 
-def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path, gauge) -> None:
+def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     for name in (SLIDER, PLATE):
         write_synthetic(tmp_path, name)
     write_trial(tmp_path, SLIDER, 99, b"{")
@@ -283,7 +276,7 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path: Path, gauge) ->
     assert (fault["finding"]["key"], fault["finding"]["left_out"]) == ("(file)", True)
 
 
-def test_an_array_that_is_larger_than_its_file_is_refused() -> None:
+def test_an_array_that_is_larger_than_its_file_is_refused():
     header, bomb = io.BytesIO(), io.BytesIO()
     stated = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)}
     np.lib.format.write_array_header_1_0(header, stated)
@@ -296,7 +289,7 @@ def test_an_array_that_is_larger_than_its_file_is_refused() -> None:
 # --- fuzz ------------------------------------------------------------------------------------------------------------
 
 
-def read_all(content: bytes, name: str) -> Trial | None:
+def read_all(content, name):
     """What an import does with a file; the trial, where it can be used. Any other error than a named one is a bug."""
     experiment = load_experiment(name)
     try:
@@ -328,11 +321,11 @@ VALUES = st.recursive(
 
 
 @given(st.binary(max_size=60) | VALUES.map(lambda value: json.dumps(value).encode()))
-def test_any_bytes_are_a_trial_or_a_named_fault(content: bytes) -> None:
+def test_any_bytes_are_a_trial_or_a_named_fault(content):
     read_all(content, SLIDER)
 
 
-def small_trial(name: str) -> dict[str, Any]:
+def small_trial(name):
     """A trial of few markers' and frames' worth of numbers, quick to copy and to write."""
     (content,) = synthetic_trials(name, [0.3], frames_after=0).contents
     return content
@@ -341,7 +334,7 @@ def small_trial(name: str) -> dict[str, Any]:
 SMALL = {name: small_trial(name) for name in (SLIDER, PLATE, FOAM)}
 
 
-def places(value: Any, path: tuple = ()) -> list[tuple]:
+def places(value, path=()):
     """Paths to all that a file holds, samples of lists by the first and the last."""
     found = [path] if path else []
     if isinstance(value, Mapping):
@@ -357,14 +350,12 @@ PLACES = {name: places(content) for name, content in SMALL.items()}
 
 @given(data=st.data(), name=st.sampled_from(sorted(SMALL)))
 @settings(max_examples=300, deadline=None)
-def test_a_trial_with_changed_places_is_used_or_a_named_fault(
-    data: st.DataObject, name: str
-) -> None:
+def test_a_trial_with_changed_places_is_used_or_a_named_fault(data, name):
     content = copy.deepcopy(SMALL[name])
     for path in data.draw(
         st.lists(st.sampled_from(PLACES[name]), min_size=1, max_size=3)
     ):
-        place: Any = content
+        place = content
         try:
             for key in path[:-1]:
                 place = place[key]
@@ -382,9 +373,7 @@ def test_a_trial_with_changed_places_is_used_or_a_named_fault(
     flips=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=3),
 )
 @settings(max_examples=200, deadline=None)
-def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(
-    cut: int, flips: list[tuple[int, int]]
-) -> None:
+def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(cut, flips):
     content = bytearray(json.dumps(SMALL[SLIDER]).encode())
     for place, byte in flips:
         content[place % len(content)] = byte
@@ -400,9 +389,7 @@ def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(
     st.integers(2, 4),
 )
 @settings(max_examples=60, deadline=None)
-def test_what_is_written_is_what_is_read(
-    path: list[tuple[float, float, float]], markers: int
-) -> None:
+def test_what_is_written_is_what_is_read(path, markers):
     positions = np.array(path)
     content = {
         "FPS": 30,

@@ -1,12 +1,7 @@
 """Layouts and forms that the dataset may come in: the same trials give the same band, or the reason is named."""
 
-from __future__ import annotations
-
 import io
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +12,7 @@ from dataset_writer import (
     write_synthetic,
     write_trial,
 )
-from imports import Content, band_of, imported
+from imports import band_of, imported
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.tools.dataset.findings import TrialError
@@ -31,9 +26,9 @@ MILLIMETRES = Stated(unit="mm", rate_hz=30.0)
 RATE, UNIT = "# fps: 30\n", "# unit: mm\n"
 
 
-def columns(content: Content) -> dict[str, list[float]]:
+def columns(content):
     """Lists of all assets by dotted names: `cube.x`, `foam.17.x`."""
-    found: dict[str, list[float]] = {}
+    found = {}
     for name, asset in content.items():
         for key, entry in asset.items() if isinstance(asset, dict) else ():
             found |= (
@@ -44,9 +39,7 @@ def columns(content: Content) -> dict[str, list[float]]:
     return found
 
 
-def csv_text(
-    table: dict[str, list[Any]], comments: str = "", separator: str = ","
-) -> bytes:
+def csv_text(table, comments="", separator=","):
     rows = [
         separator.join(table),
         *(
@@ -57,19 +50,19 @@ def csv_text(
     return (comments + "\n".join(rows) + "\n").encode()
 
 
-def npz(**arrays: Any) -> bytes:
+def npz(**arrays):
     stream = io.BytesIO()
     np.savez(stream, **arrays)
     return stream.getvalue()
 
 
-def plain_csv(content: Content) -> bytes:
+def plain_csv(content):
     return csv_text(columns(content), RATE + UNIT)
 
 
-def renamed_csv(content: Content) -> bytes:
+def renamed_csv(content):
     """Metres, times, another order, case and spelling, and a column that nobody asked for."""
-    table: dict[str, list[Any]] = {"Confidence": [1.0] * len(content["cube"]["x"])}
+    table = {"Confidence": [1.0] * len(content["cube"]["x"])}
     for name, values in reversed(columns(content).items()):
         asset, _, key = name.rpartition(".")
         if key.startswith("q"):
@@ -84,9 +77,9 @@ def renamed_csv(content: Content) -> bytes:
     return csv_text(table, separator=";")
 
 
-def arrays(content: Content) -> bytes:
+def arrays(content):
     """Arrays by shape; nothing states unit or rate."""
-    found: dict[str, Any] = {}
+    found = {}
     for name, asset in content.items():
         if isinstance(asset, dict) and "x" in asset:
             found[name] = np.column_stack([asset[key] for key in "xyz"])
@@ -102,9 +95,9 @@ def arrays(content: Content) -> bytes:
     return npz(**found, frame=np.arange(len(next(iter(found.values())))))
 
 
-def nested_json(content: Content) -> bytes:
+def nested_json(content):
     """Assets one level down, rows in place of columns, another case of keys."""
-    bodies: dict[str, Any] = {}
+    bodies = {}
     for name, asset in content.items():
         if isinstance(asset, dict) and "x" in asset:
             rows = [
@@ -124,7 +117,7 @@ def nested_json(content: Content) -> bytes:
     ).encode()
 
 
-LAYOUTS: dict[str, tuple[str, Callable[[Content], bytes], Stated | None]] = {
+LAYOUTS = {
     "columns in place of objects": ("data/rigid/slope slider/csv/wood/task-3/trial-{}.csv", plain_csv, None),
     "other names, order, unit, times": ("trajectories/Slope_Slider/task_3/WOOD/trial {}/motion.csv", renamed_csv, None),
     "arrays by shape": ("mocap/wood/slope-slider/task-3/{}.npz", arrays, MILLIMETRES),
@@ -134,9 +127,7 @@ LAYOUTS: dict[str, tuple[str, Callable[[Content], bytes], Stated | None]] = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_same_trials_give_the_same_band_and_driver(
-    layout: str, tmp_path: Path
-) -> None:
+def test_the_same_trials_give_the_same_band_and_driver(layout, tmp_path):
     path, form, stated = LAYOUTS[layout]
     write_synthetic(tmp_path / "published", SLIDER)
     usual = imported(tmp_path / "published")[SLIDER]
@@ -156,7 +147,7 @@ def test_the_same_trials_give_the_same_band_and_driver(
 
 
 @pytest.mark.parametrize("form", [plain_csv, arrays, nested_json])
-def test_markers_are_read_in_every_form(form: Callable[[Content], bytes]) -> None:
+def test_markers_are_read_in_every_form(form):
     (content,) = synthetic_trials(FOAM, [0.3]).contents
     suffix = {plain_csv: ".csv", arrays: ".npz", nested_json: ".json"}[form]
     (usual,), (found,) = (
@@ -172,9 +163,7 @@ def test_markers_are_read_in_every_form(form: Callable[[Content], bytes]) -> Non
         np.testing.assert_array_equal(found[mine], usual[theirs])
 
 
-def test_what_lies_beside_the_trials_is_named_and_is_no_fault(
-    tmp_path: Path, gauge
-) -> None:
+def test_what_lies_beside_the_trials_is_named_and_is_no_fault(tmp_path, gauge):
     """As published this month: videos of world models and full trajectories beside the trials."""
     write_synthetic(tmp_path, SLIDER)
     contents = synthetic_trials(SLIDER).contents
@@ -210,7 +199,7 @@ def test_what_lies_beside_the_trials_is_named_and_is_no_fault(
     assert imported(tmp_path)[SLIDER].used == len(AMOUNTS)
 
 
-def test_a_folder_that_the_user_names_is_read(tmp_path: Path) -> None:
+def test_a_folder_that_the_user_names_is_read(tmp_path):
     folder = tmp_path / "slope slider" / "full trajectories"
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
         file = folder / "wood" / "task-3" / f"{number}.csv"
@@ -223,7 +212,7 @@ def test_a_folder_that_the_user_names_is_read(tmp_path: Path) -> None:
         assert imported(named)[SLIDER].used == len(AMOUNTS)
 
 
-def test_a_part_of_the_dataset_is_read(tmp_path: Path) -> None:
+def test_a_part_of_the_dataset_is_read(tmp_path):
     """One task without its other materials; a trial without the driver; samples that were not captured."""
     contents = synthetic_trials(SLIDER).contents
     del contents[0]["board"]
@@ -261,15 +250,13 @@ STATES = "unit=mm says that of files without one"
         (lambda c: b"PK\x03\x04 cut", ".npz", "it is not an NPZ file of numbers"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_told_is_an_error_that_says_what_to_do(
-    content: Callable[[Content], bytes], suffix: str, what: str
-) -> None:
+def test_what_cannot_be_told_is_an_error_that_says_what_to_do(content, suffix, what):
     (trial,) = synthetic_trials(SLIDER, [0.3]).contents
     with pytest.raises(TrialError, match=what):
         parse_trial(content(trial), suffix)
 
 
-def test_links_and_empty_tables_cost_nothing_but_their_files(tmp_path: Path) -> None:
+def test_links_and_empty_tables_cost_nothing_but_their_files(tmp_path):
     folder = tmp_path / trial_folder(SLIDER)
     folder.mkdir(parents=True)
     contents = synthetic_trials(SLIDER).contents
@@ -285,7 +272,7 @@ def test_links_and_empty_tables_cost_nothing_but_their_files(tmp_path: Path) -> 
     assert finding.problem == "it was never captured"
 
 
-def test_the_command_takes_unit_and_rate(tmp_path: Path, gauge) -> None:
+def test_the_command_takes_unit_and_rate(tmp_path, gauge):
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
         bodies = {key: content[key] for key in ("cube", "board")}
         write_trial(tmp_path, SLIDER, number, bodies)
@@ -294,7 +281,7 @@ def test_the_command_takes_unit_and_rate(tmp_path: Path, gauge) -> None:
     assert gauge("data", "import", tmp_path, "rate=30", "unit=mm").exit_code == 0
 
 
-def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not() -> None:
+def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not():
     lists = {"x": [1.0], "y": [2.0], "z": [3.0]}
     content = {
         "FPS": 30,

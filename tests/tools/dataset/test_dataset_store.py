@@ -1,7 +1,5 @@
 """The store of imports: two imports at once, killed imports, links and folders that lead elsewhere."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess
@@ -38,7 +36,7 @@ for _ in range(int(sys.argv[2])):
 """
 
 
-def importing(root: Path, rounds: int) -> subprocess.Popen[str]:
+def importing(root, rounds):
     """Start a process that imports a dataset; it is ready when it has printed a line."""
     command = [sys.executable, "-c", IMPORT, str(root), str(rounds)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -46,7 +44,7 @@ def importing(root: Path, rounds: int) -> subprocess.Popen[str]:
     return process
 
 
-def stored_files() -> list[str]:
+def stored_files():
     """Names of the files of the store, without its lock."""
     return sorted(
         file.name
@@ -56,7 +54,7 @@ def stored_files() -> list[str]:
 
 
 @pytest.mark.slow
-def test_of_two_imports_at_once_one_counts(tmp_path: Path) -> None:
+def test_of_two_imports_at_once_one_counts(tmp_path):
     means = []
     for number, amounts in enumerate(([0.0, 1.0], [4.0, 5.0])):
         write_synthetic(tmp_path / str(number), NAME, amounts)
@@ -74,16 +72,14 @@ def test_of_two_imports_at_once_one_counts(tmp_path: Path) -> None:
     assert len(stored_files()) == 2
 
 
-def test_an_import_waits_for_the_one_that_writes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_import_waits_for_the_one_that_writes(tmp_path, monkeypatch):
     """The second import starts between the two files of the first, where it would remove the first one's numbers."""
     for number, amounts in enumerate(([0.0, 1.0], [4.0, 5.0])):
         write_synthetic(tmp_path / str(number), NAME, amounts)
     second = threading.Thread(target=lambda: imported_trials(tmp_path / "1"))
     write_whole = imported.write_whole
 
-    def interrupted(file: Path, content: bytes) -> None:
+    def interrupted(file, content):
         if file.suffix == ".json" and second.ident is None:
             second.start()
             second.join(0.5)
@@ -96,9 +92,7 @@ def test_an_import_waits_for_the_one_that_writes(
     assert len(stored_files()) == 2
 
 
-def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(
-    tmp_path: Path,
-) -> None:
+def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(tmp_path):
     """`studies/robustness/killed_imports.py` kills a hundred imports; here a few show that the next one cleans up."""
     for name in NAMES:
         write_synthetic(tmp_path, name)
@@ -118,7 +112,7 @@ def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(
     assert stored_files() == expected
 
 
-def test_links_of_a_download_cache_are_read(tmp_path: Path) -> None:
+def test_links_of_a_download_cache_are_read(tmp_path):
     root = tmp_path / "snapshots" / "abc"
     write_synthetic(root, NAME)
     (tmp_path / "blobs").mkdir()
@@ -129,15 +123,13 @@ def test_links_of_a_download_cache_are_read(tmp_path: Path) -> None:
     assert (one.used, one.left_out) == (4, 0)
 
 
-def test_a_folder_that_cannot_be_read_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_that_cannot_be_read_is_reported(tmp_path, monkeypatch):
     write_synthetic(tmp_path, NAME)
     closed = tmp_path / trial_folder("SlopeSlider-1-metal")
     closed.mkdir(parents=True)
     scandir = os.scandir
 
-    def refused(path: str | Path = ".") -> object:
+    def refused(path="."):
         if Path(path) == closed:
             raise PermissionError(13, "Permission denied", str(path))
         return scandir(path)
@@ -151,7 +143,7 @@ def test_a_folder_that_cannot_be_read_is_reported(
     )
 
 
-def test_many_keys_take_little_time() -> None:
+def test_many_keys_take_little_time():
     """A search over all earlier keys would take half an hour."""
     keys = ",".join(f'"k{number}": 1' for number in range(200_000))
     content = f'{{"FPS": 30, {keys}, "k7": 1}}'.encode()
@@ -160,7 +152,7 @@ def test_many_keys_take_little_time() -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1])
-def test_a_trial_of_doubled_frames_is_noted(first: int, tmp_path: Path) -> None:
+def test_a_trial_of_doubled_frames_is_noted(first, tmp_path):
     contents = synthetic_trials(NAME, [*AMOUNTS, 0.3]).contents
     cube = contents[-1]["cube"]
     contents[-1]["cube"] = {
@@ -173,7 +165,7 @@ def test_a_trial_of_doubled_frames_is_noted(first: int, tmp_path: Path) -> None:
     assert finding.problem == "every frame occurs twice" and not finding.left_out
 
 
-def test_the_home_of_nobody_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_home_of_nobody_is_an_error(monkeypatch):
     monkeypatch.setenv("GAUGE_DATA_DIR", "~nosuchuser/x")
     with pytest.raises(
         DatasetError, match="GAUGE_DATA_DIR=~nosuchuser/x: the home folder is unknown"

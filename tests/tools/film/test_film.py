@@ -1,10 +1,7 @@
 """Films of results, decoded again: frames, clock, ghost and panels are those of the episodes."""
 
-from __future__ import annotations
-
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +28,7 @@ from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import ReplayError
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.film import (
@@ -42,7 +39,7 @@ from gauge_envs.tools.film.film import (
     save_strip,
 )
 from gauge_envs.tools.film.layout import _Scale
-from gauge_envs.tools.film.panel import SimulatedPanel, Take, score_line, take_of
+from gauge_envs.tools.film.panel import SimulatedPanel, score_line, take_of
 
 BALL = "BouncingBall-rubber"
 SIZE = {"width": 160, "height": 120}
@@ -51,7 +48,7 @@ GHOST_FRAME = 9
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Results of the ball on two engines, with different restitutions."""
     pytest.importorskip("rapier3d", reason="extra 'rapier' is not installed")
     path = tmp_path_factory.mktemp("results")
@@ -64,24 +61,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def results(folder: Path) -> dict[Path, Result]:
+def results(folder):
     return {file: load_result(file) for file in sorted(folder.glob("*.json"))}
 
 
 @pytest.fixture(scope="module")
-def take(results: dict[Path, Result]) -> Take:
+def take(results):
     file, result = next(iter(results.items()))
     return take_of(result, file)
 
 
-def picture_place() -> tuple[slice, slice]:
+def picture_place():
     """Rows and columns of the first picture in a frame."""
     scale = _Scale(SIZE["height"])
     top = scale.gap + 2 * scale.large_line + scale.small_line
     return slice(top, top + SIZE["height"]), slice(scale.gap, scale.gap + SIZE["width"])
 
 
-def decoded(file: Path) -> tuple[list[np.ndarray], float]:
+def decoded(file):
     """Frames of an MP4 and its rate."""
     imageio_ffmpeg = pytest.importorskip(
         "imageio_ffmpeg", reason="extra 'video' is not installed"
@@ -94,7 +91,7 @@ def decoded(file: Path) -> tuple[list[np.ndarray], float]:
     ], facts["fps"]
 
 
-def shown(file: Path) -> tuple[list[np.ndarray], float]:
+def shown(file):
     """Frames of a WebP or GIF, and its length [s]."""
     frames, length_ms = [], 0
     with Image.open(file) as image:
@@ -109,9 +106,7 @@ def shown(file: Path) -> tuple[list[np.ndarray], float]:
 
 
 @needs_opengl
-def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / "folder" / "ball.mp4"
     options = FilmOptions(**SIZE, fps=10, speed=0.5, hold_s=0.4)
@@ -140,9 +135,7 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
-def test_other_formats_have_the_length_of_the_film(
-    results: dict[Path, Result], tmp_path: Path, suffix: str
-) -> None:
+def test_other_formats_have_the_length_of_the_film(results, tmp_path, suffix):
     out = tmp_path / f"ball{suffix}"
     save_film(
         results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5)
@@ -154,9 +147,7 @@ def test_other_formats_have_the_length_of_the_film(
 
 
 @needs_opengl
-def test_a_strip_shows_the_poses_of_g_at_its_times(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_a_strip_shows_the_poses_of_g_at_its_times(results, tmp_path):
     save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
     sheet = np.asarray(Image.open(tmp_path / "ball.png"))
     file, result = next(iter(results.items()))
@@ -192,9 +183,7 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(
 
 @pytest.mark.slow
 @needs_opengl
-def test_the_same_results_give_the_same_pixels(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_the_same_results_give_the_same_pixels(results, tmp_path):
     sheets = []
     for name in ("one.png", "other.png"):
         save_strip(results, tmp_path / name, FilmOptions(**SIZE), count=2)
@@ -203,7 +192,7 @@ def test_the_same_results_give_the_same_pixels(
     assert np.abs(sheets[0] - sheets[1]).max() <= 2
 
 
-def test_slow_films_use_more_views_of_the_episode() -> None:
+def test_slow_films_use_more_views_of_the_episode():
     assert FilmOptions(fps=30.0).views_per_frame == 1
     assert FilmOptions(fps=30.0, speed=0.5).views_per_frame == 2
     assert FilmOptions(fps=30.0, speed=0.1).views_per_frame == 6
@@ -215,7 +204,7 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
 # --- ghost -----------------------------------------------------------------------------------------------------------
 
 
-def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
+def pixel(scene_point_m, take, width, height):
     """Column and row of a point, by a pinhole camera of its own."""
     view = experiment_view(
         take.experiment, aspect=width / height, reference=take.reference
@@ -242,7 +231,7 @@ def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.
     )
 
 
-def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
+def ghost_error_px(take, shift_m=0.0):
     """Distance of the drawn ghost from the projection of the mean of the band [pixels]."""
     assert take.reference is not None and take.band is not None
     width, height = 320, 240
@@ -266,19 +255,19 @@ def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
 
 
 @needs_opengl
-def test_the_ghost_is_where_the_mean_of_the_band_is(take: Take) -> None:
+def test_the_ghost_is_where_the_mean_of_the_band_is(take):
     assert ghost_error_px(take) < 1.5
     # A ghost that is drawn 20 mm too high is seen.
     assert ghost_error_px(take, shift_m=0.02) > 4.0
 
 
-def test_what_a_reference_is_in_words() -> None:
+def test_what_a_reference_is_in_words():
     assert reference_words(BandGrade.TRIALS, 20) == "the mean of 20 real trials"
     assert reference_words(BandGrade.TRIALS, 1) == "one real trial"
     assert reference_words(BandGrade.RECORDING, None) == "one recorded real trial"
 
 
-def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
+def test_a_line_of_scores_has_the_numbers_of_the_result(take):
     score = take.result.score
     assert score.rmse_aligned_normalized_95 is not None
     low, high = score.rmse_aligned_normalized_95
@@ -296,7 +285,7 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
 
 
 @needs_opengl
-def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
+def test_panels_differ_where_their_bodies_do(results):
     takes = [take_of(result, file) for file, result in results.items()]
     plain = [replace(one, reference=None) for one in takes]
     panels = [
@@ -328,11 +317,11 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
 
 @needs_opengl
 def test_a_result_without_its_engine_has_no_panel_and_a_reason(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, tmp_path, monkeypatch
+):
     versions_of = replay_module.versions_of
 
-    def without_rapier(name: str) -> dict[str, str]:
+    def without_rapier(name):
         if name == "rapier":
             raise MissingExtraError(
                 "backend 'rapier'",
@@ -361,7 +350,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) -> None:
+def test_results_of_several_experiments_need_an_id(results):
     other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
     mixed = {**results, Path("b.json"): other}
     with pytest.raises(
@@ -381,7 +370,7 @@ def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) 
         results_of_one_experiment({})
 
 
-def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
+def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path):
     (tmp_path / "a.json").write_text(
         json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8"
     )
@@ -404,9 +393,9 @@ def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
     ],
     ids=["width", "fps", "speed", "to_s", "columns"],
 )
-def test_impossible_options_are_named(changes: dict[str, float], message: str) -> None:
+def test_impossible_options_are_named(changes, message):
     with pytest.raises(ParameterError, match=message):
-        FilmOptions(**changes)  # type: ignore[arg-type]
+        FilmOptions(**changes)
 
 
 @pytest.mark.parametrize(
@@ -431,21 +420,13 @@ def test_impossible_options_are_named(changes: dict[str, float], message: str) -
     ids=["format", "span", "frames"],
 )
 @needs_opengl
-def test_films_that_cannot_be_made(
-    results: dict[Path, Result],
-    tmp_path: Path,
-    name: str,
-    options: FilmOptions,
-    message: str,
-) -> None:
+def test_films_that_cannot_be_made(results, tmp_path, name, options, message):
     with pytest.raises(ParameterError, match=message):
         save_film(results, tmp_path / name, replace(options, **SIZE))
     assert list(tmp_path.glob("a*")) == []
 
 
-def test_an_mp4_without_its_extra_names_it(
-    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(
         MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"
@@ -453,10 +434,8 @@ def test_an_mp4_without_its_extra_names_it(
         save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
 
 
-def test_without_opengl_there_is_an_error_and_no_film(
-    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(width: int, height: int) -> None:
+def test_without_opengl_there_is_an_error_and_no_film(results, tmp_path, monkeypatch):
+    def refuse(width, height):
         raise RenderError("no off-screen OpenGL")
 
     monkeypatch.setattr(renderer, "_graphics_context", refuse)
@@ -469,15 +448,13 @@ def test_without_opengl_there_is_an_error_and_no_film(
 @pytest.mark.parametrize(
     "suffix", [".mp4", pytest.param(".gif", marks=pytest.mark.slow)]
 )
-def test_an_interrupted_film_leaves_the_earlier_one(
-    results: dict[Path, Result], tmp_path: Path, suffix: str
-) -> None:
+def test_an_interrupted_film_leaves_the_earlier_one(results, tmp_path, suffix):
     if suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / f"ball{suffix}"
     out.write_bytes(b"earlier")
 
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(done, total):
         if done == 3:
             raise KeyboardInterrupt
 
@@ -488,17 +465,13 @@ def test_an_interrupted_film_leaves_the_earlier_one(
 
 
 @needs_opengl
-def test_a_folder_that_is_a_file_is_named(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_a_folder_that_is_a_file_is_named(results, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
         save_film(results, tmp_path / "file" / "a.gif", FilmOptions(**SIZE, fps=2))
 
 
-def test_too_many_panels_are_refused(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_too_many_panels_are_refused(results, tmp_path):
     many = {
         Path(f"{index}.json"): result
         for index in range(7)
@@ -515,14 +488,14 @@ def test_too_many_panels_are_refused(
 
 
 @pytest.fixture
-def clip(tmp_path: Path) -> Callable[..., Path]:
+def clip(tmp_path):
     """Writes a video of 30 frames, each brighter by 7 levels."""
     imageio_ffmpeg = pytest.importorskip(
         "imageio_ffmpeg", reason="extra 'video' is not installed"
     )
     pytest.importorskip("cv2", reason="extra 'video' is not installed")
 
-    def write(fps: float) -> Path:
+    def write(fps):
         file = tmp_path / "real.mp4"
         stream = imageio_ffmpeg.write_frames(
             str(file), (64, 32), fps=fps, macro_block_size=2, quality=9
@@ -548,12 +521,12 @@ def clip(tmp_path: Path) -> Callable[..., Path]:
     ids=["first", "start", "later", "after the end", "slow motion"],
 )
 def test_a_recording_is_on_the_clock_of_the_simulation(
-    clip: Callable[..., Path],
-    rate_hz: float | None,
-    start_s: float,
-    time_s: float,
-    index: int,
-) -> None:
+    clip,
+    rate_hz,
+    start_s,
+    time_s,
+    index,
+):
     from gauge_envs.tools.film.panel import RecordedPanel
 
     panel = RecordedPanel(
@@ -568,7 +541,7 @@ def test_a_recording_is_on_the_clock_of_the_simulation(
     assert picture[10, 60].tolist() == picture[110, 60].tolist() == [225, 228, 232]
 
 
-def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) -> None:
+def test_a_start_outside_of_the_recording_is_named(clip):
     from gauge_envs.tools.film.panel import RecordedPanel
 
     with pytest.raises(
@@ -577,7 +550,7 @@ def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) ->
         RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
 
 
-def test_options_of_a_recording_need_one(folder: Path) -> None:
+def test_options_of_a_recording_need_one(folder):
     run = CliRunner().invoke(app, ["video", "film", str(folder), "recording_start_s=1"])
     assert run.exit_code == 2
     assert "need recording=FILE" in run.stderr

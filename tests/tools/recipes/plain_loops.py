@@ -7,10 +7,9 @@ read friction and restitution from them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,15 +45,15 @@ class Foot:
     stepped: float = 1.0
 
     @property
-    def gravity(self) -> tuple[float, float, float]:
+    def gravity(self):
         return G * math.sin(self.slope_rad), 0.0, -G * math.cos(self.slope_rad)
 
     @property
-    def half_m(self) -> list[float]:
+    def half_m(self):
         return [0.5 * edge for edge in self.size_m or ()]
 
     @property
-    def steps(self) -> range:
+    def steps(self):
         return range(round(DURATION_S / self.step_s))
 
 
@@ -62,17 +61,17 @@ Loop = Callable[[str, Foot], Places]
 
 
 def slide(
-    loop: Loop,
-    snippet: str,
-    friction: float,
-    mass_kg: float,
-    step_s: float,
+    loop,
+    snippet,
+    friction,
+    mass_kg,
+    step_s,
     *,
-    beyond_deg: float = 10.0,
-    size_m: tuple[float, float, float] = PLATE,
-    tip: tuple[float, float] = (0.0, 0.0),
-    **options: Any,
-) -> float:
+    beyond_deg=10.0,
+    size_m=PLATE,
+    tip=(0.0, 0.0),
+    **options,
+):
     """Return friction over normal force of a box, from its mean accelerations along and off the slope after 0.1 s."""
     slope = math.atan(friction) + math.radians(beyond_deg)
     x, y, z = (0.5 * edge for edge in size_m)
@@ -92,15 +91,7 @@ def slide(
     return float((G * math.sin(slope) - along) / (G * math.cos(slope) + off))
 
 
-def rebound(
-    loop: Loop,
-    snippet: str,
-    mass_kg: float,
-    step_s: float,
-    *,
-    count: int = PHASES,
-    stepped: float = 1.0,
-) -> float:
+def rebound(loop, snippet, mass_kg, step_s, *, count=PHASES, stepped=1.0):
     """Return the mean restitution of drops: root of the second peak's height over the first one's."""
     found = []
     for phase in range(count):
@@ -118,9 +109,7 @@ def rebound(
     return float(np.mean(found))
 
 
-def stepped_places(
-    foot: Foot, step: Callable[[], object], place: Callable[[], Any]
-) -> Places:
+def stepped_places(foot, step, place):
     """Return the place before each step and after the last one, shape [count, 3]."""
     places = [np.array(place(), dtype=float)]
     for _ in foot.steps:
@@ -129,7 +118,7 @@ def stepped_places(
     return np.array(places)
 
 
-def mjcf(snippet: str, foot: Foot) -> Any:
+def mjcf(snippet, foot):
     """Return a model of MuJoCo: a box that cannot turn has three sliding joints."""
     import mujoco as mj
 
@@ -150,7 +139,7 @@ def mjcf(snippet: str, foot: Foot) -> Any:
     return model
 
 
-def mujoco(snippet: str, foot: Foot) -> Places:
+def mujoco(snippet, foot):
     """MuJoCo, from MJCF."""
     import mujoco as mj
 
@@ -158,14 +147,14 @@ def mujoco(snippet: str, foot: Foot) -> Places:
     data = mj.MjData(model)
     mj.mj_forward(model, data)
 
-    def step() -> None:
+    def step():
         mj.mj_step(model, data)
         mj.mj_kinematics(model, data)
 
     return stepped_places(foot, step, lambda: data.xpos[1])
 
 
-def mujoco_warp(snippet: str, foot: Foot) -> Places:
+def mujoco_warp(snippet, foot):
     """mujoco_warp on the CPU, from MJCF."""
     import mujoco as mj
     import mujoco_warp as mjw
@@ -177,11 +166,11 @@ def mujoco_warp(snippet: str, foot: Foot) -> Places:
         return stepped_places(foot, lambda: mjw.step(on_warp, state), lambda: state.qpos.numpy()[0, :3])  # fmt: skip
 
 
-def rapier(snippet: str, foot: Foot) -> Places:
+def rapier(snippet, foot):
     """Rapier, from Python."""
     import rapier3d as rp
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
     world = rp.PhysicsWorld(gravity=foot.gravity)
     names["set_parameters"](world)
@@ -196,14 +185,14 @@ def rapier(snippet: str, foot: Foot) -> Places:
     colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
     body = world.rigid_bodies[world.add_body(builder, colliders)]
 
-    def place() -> tuple[float, float, float]:
+    def place():
         return body.translation.x, body.translation.y, body.translation.z
 
     return stepped_places(foot, world.step, place)
 
 
 @contextmanager
-def sapien_scene_config() -> Iterator[None]:
+def sapien_scene_config():
     """Gives SAPIEN's global settings back."""
     import sapien
 
@@ -215,11 +204,11 @@ def sapien_scene_config() -> Iterator[None]:
         sapien.physx.set_scene_config(**kept)
 
 
-def physx(snippet: str, foot: Foot) -> Places:
+def physx(snippet, foot):
     """SAPIEN, from Python."""
     import sapien
 
-    names: dict[str, Any] = {}
+    names = {}
     with sapien_scene_config():
         sapien.physx.set_scene_config(gravity=np.array(foot.gravity))
         exec(snippet, names)
@@ -242,11 +231,11 @@ def physx(snippet: str, foot: Foot) -> Places:
         return stepped_places(foot, scene.step, lambda: actor.pose.p)
 
 
-def pybullet(snippet: str, foot: Foot) -> Places:
+def pybullet(snippet, foot):
     """PyBullet, from Python."""
     import pybullet as pb
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
     client = pb.connect(pb.DIRECT)
     here = {"physicsClientId": client}
@@ -274,7 +263,7 @@ def pybullet(snippet: str, foot: Foot) -> Places:
     return places
 
 
-def drake(snippet: str, foot: Foot) -> Places:
+def drake(snippet, foot):
     """Drake, from Python; the plate has spheres at its corners."""
     from pydrake.geometry import HalfSpace, Sphere
     from pydrake.math import RigidTransform
@@ -283,7 +272,7 @@ def drake(snippet: str, foot: Foot) -> Places:
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, names["TIME_STEP"])
@@ -310,18 +299,18 @@ def drake(snippet: str, foot: Foot) -> Places:
     plant.SetFreeBodyPose(context, body, RigidTransform([0.0, 0.0, foot.height_m]))
     simulator.Initialize()
 
-    def step() -> None:
+    def step():
         simulator.AdvanceTo(simulator.get_context().get_time() + foot.step_s)
 
     return stepped_places(foot, step, lambda: plant.EvalBodyPoseInWorld(context, body).translation())  # fmt: skip
 
 
-def newton(snippet: str, foot: Foot) -> Places:
+def newton(snippet, foot):
     """Newton, from Python."""
     import newton as nt
     import warp as wp
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
     builder = nt.ModelBuilder(gravity=foot.gravity)
     nt.solvers.SolverMuJoCo.register_custom_attributes(builder)
@@ -349,7 +338,7 @@ def newton(snippet: str, foot: Foot) -> Places:
     contacts, control = pipeline.contacts(), model.control()
     states = [model.state(), model.state()]
 
-    def step() -> None:
+    def step():
         pipeline.collide(states[0], contacts)
         solver.step(*states, control, contacts, names["timestep"])
         states.reverse()
@@ -357,11 +346,11 @@ def newton(snippet: str, foot: Foot) -> Places:
     return stepped_places(foot, step, lambda: states[0].body_q.numpy()[0, :3])
 
 
-def genesis(snippet: str, foot: Foot) -> Places:
+def genesis(snippet, foot):
     """Genesis, from Python."""
     import genesis as gs
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
     place = (0.0, 0.0, foot.height_m)
     try:
@@ -391,7 +380,7 @@ def genesis(snippet: str, foot: Foot) -> Places:
         gs.destroy()
 
 
-LOOPS: dict[str, Loop] = {
+LOOPS = {
     loop.__name__: loop
     for loop in (mujoco, rapier, physx, pybullet, drake, newton, mujoco_warp, genesis)
 }

@@ -1,14 +1,10 @@
 """Requests of recipes: what is reached beside friction and rebound, what settings mean, wrong requests."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
 import shlex
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,7 +19,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.recipes import Aim, Recipe, engine_settings, find_recipe
+from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.explain import explain, parsed_contact
 from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
 from gauge_envs.tools.recipes.words import PUBLISHED
@@ -36,10 +32,10 @@ GOOD = "--backend=mujoco friction=0.4 mass_kg=0.5 timestep_s=0.002"
 
 
 @pytest.fixture
-def values(gauge: Any) -> Callable[[str], dict[str, Any]]:
+def values(gauge):
     """The line of a recipe as JSON."""
 
-    def run(words: str) -> dict[str, Any]:
+    def run(words):
         result = gauge("recipe", *shlex.split(words), "--json")
         assert result.exit_code == 0, result.output
         return json.loads(result.stdout)
@@ -47,7 +43,7 @@ def values(gauge: Any) -> Callable[[str], dict[str, Any]]:
     return run
 
 
-def searched(engine: str = "mujoco", **asked: float) -> Recipe:
+def searched(engine="mujoco", **asked):
     aim = {"friction": 0.4, "mass_kg": 0.5, "timestep_s": 0.002} | asked
     return find_recipe(engine_settings(engine), Aim(**aim))
 
@@ -55,7 +51,7 @@ def searched(engine: str = "mujoco", **asked: float) -> Recipe:
 # --- forward ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_recipe_is_one_json_object(values: Any) -> None:
+def test_a_recipe_is_one_json_object(values):
     found = values(f"{GOOD} restitution=0.6")
     assert list(found) == [
         *("engine", "asked", "settings", "snippet", "reached", "error"),
@@ -75,12 +71,12 @@ def test_a_recipe_is_one_json_object(values: Any) -> None:
     assert found["engine"] == "mujoco" and "mujoco" in found["versions"]
 
 
-def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
+def test_torsional_and_rolling_friction_are_those_of_a_plain_ball():
     """The pasted pair slows a ball in plain MuJoCo by 5/2 and 5/7 g arm / r^2; with condim 3 it does not."""
     found = searched(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2)
     assert found.misses == () and set(found.error) >= {"torsion_m", "rolling_m"}
 
-    def losses(snippet: str) -> list[float]:
+    def losses(snippet):
         model = mujoco.MjModel.from_xml_string(
             f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/><body pos='0 0 .05'>"
             "<freejoint/><geom name='foot' size='.05' mass='.2'/></body></worldbody></mujoco>"
@@ -103,7 +99,7 @@ def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
 
 
 @pytest.mark.slow
-def test_a_creep_that_is_asked_is_not_exceeded() -> None:
+def test_a_creep_that_is_asked_is_not_exceeded():
     asked = {"friction": 0.5, "mass_kg": 0.2}
     free, slow = searched(**asked), searched(**asked, creep_m_s=2.5e-6)
     assert free.reached["creep_m_s"] > 2.5e-6 > slow.reached["creep_m_s"]
@@ -123,7 +119,7 @@ def test_a_creep_that_is_asked_is_not_exceeded() -> None:
     assert factors == pytest.approx([3.44e6, 3.44e6], rel=0.01)
 
 
-def test_an_engine_without_torsional_friction_says_so() -> None:
+def test_an_engine_without_torsional_friction_says_so():
     pytest.importorskip("rapier3d")
     words = r"rapier cannot simulate the recipe: .* torsional friction"
     with pytest.raises(UnsupportedSceneError, match=words):
@@ -132,7 +128,7 @@ def test_an_engine_without_torsional_friction_says_so() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["newton", "pybullet", "genesis"])
-def test_torsional_and_rolling_friction_of_other_engines(engine: str) -> None:
+def test_torsional_and_rolling_friction_of_other_engines(engine):
     pytest.importorskip(engine)
     for rolling_m in (None, 0.001):
         found = searched(
@@ -142,9 +138,7 @@ def test_torsional_and_rolling_friction_of_other_engines(engine: str) -> None:
 
 
 @pytest.mark.parametrize("place", [0, 1])
-def test_an_example_of_the_page_is_what_the_command_prints(
-    place: int, gauge: Any
-) -> None:
+def test_an_example_of_the_page_is_what_the_command_prints(place, gauge):
     page = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
     command, printed = re.findall(
         r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
@@ -155,7 +149,7 @@ def test_an_example_of_the_page_is_what_the_command_prints(
     assert found[: len(printed.split())] == printed.split()
 
 
-def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound() -> None:
+def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound():
     """For 0.5 kg on 5000 N/m and 20 N s/m."""
     found = searched(stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0)
     ratio = 20.0 / (2.0 * math.sqrt(5000.0 * 0.5))
@@ -165,12 +159,12 @@ def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound() -> None:
     assert found.misses == ()
 
 
-def test_an_allowed_depth_is_kept() -> None:
+def test_an_allowed_depth_is_kept():
     depth_m = searched(penetration_m=2e-6).reached["penetration_m"]
     assert depth_m is not None and depth_m <= 2e-6
 
 
-def test_a_miss_has_its_reason_and_the_step_that_reaches_it() -> None:
+def test_a_miss_has_its_reason_and_the_step_that_reaches_it():
     """At 10 ms MuJoCo rebounds with 0.6 or rests 10 micrometres deep, not both."""
     found = searched(restitution=0.6, penetration_m=1e-5, timestep_s=0.01)
     assert found.misses == ("penetration_m",)
@@ -178,7 +172,7 @@ def test_a_miss_has_its_reason_and_the_step_that_reaches_it() -> None:
     assert "With a time step of 0.005 s the same search reaches" in found.explanation
 
 
-def test_a_contact_without_stiffness_says_so() -> None:
+def test_a_contact_without_stiffness_says_so():
     pytest.importorskip("sapien")
     found = searched("physx", stiffness_n_per_m=5000.0, timestep_s=0.005)
     assert found.misses == ("penetration_m",)
@@ -188,7 +182,7 @@ def test_a_contact_without_stiffness_says_so() -> None:
 # --- back ------------------------------------------------------------------------------------------------------------
 
 
-def explained(text: str, engine: str = "mujoco") -> Any:
+def explained(text, engine="mujoco"):
     """Settings of a contact, as they are read."""
     return parsed_contact(engine_settings(engine), text, 0.002)
 
@@ -208,7 +202,7 @@ STIFF = "solref=-4000 -800 solreffriction=0 -500 solimp=0.99 0.99 0.001 cone=ell
         "solref=0.02 1 friction=0.5",
     ],
 )
-def test_mujoco_gives_what_its_documented_equation_gives(contact: str) -> None:
+def test_mujoco_gives_what_its_documented_equation_gives(contact):
     """With a pyramid of friction the creep is approximate."""
     meaning = explain(explained(contact), 2.0)
     reached, expected = meaning.reached, meaning.expected
@@ -225,7 +219,7 @@ def test_mujoco_gives_what_its_documented_equation_gives(contact: str) -> None:
         assert reached[key] == pytest.approx(expected[key], rel=share), key
 
 
-def test_twice_the_step_is_noticed_by_the_closed_form() -> None:
+def test_twice_the_step_is_noticed_by_the_closed_form():
     """A planted fault: the closed form is that of another step."""
     settings = explained(STIFF)
     doubled = settings.model_copy(update={"timestep_s": 0.004}).closed_form()
@@ -233,16 +227,16 @@ def test_twice_the_step_is_noticed_by_the_closed_form() -> None:
     assert abs(doubled.restitution - reached) > 0.1
 
 
-def test_newtons_stiffness_and_damping_are_a_time_constant_and_a_ratio() -> None:
+def test_newtons_stiffness_and_damping_are_a_time_constant_and_a_ratio():
     settings = explained("ke=2500 kd=100 mu=0.5", "newton")
     assert settings.model_dump()["solref"] == (0.02, 1.0)
 
 
-def closed_form(text: str) -> Any:
+def closed_form(text):
     return explained(text).closed_form()
 
 
-def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one() -> None:
+def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one():
     # MuJoCo documents the limits; without them the first is a division by zero.
     assert closed_form("solimp=0 0 0 0 0") == closed_form("solimp=1e-4 1e-4 0 1e-4 1")
     assert closed_form("solimp=2 2 0.001 0.5 2") == closed_form(
@@ -252,7 +246,7 @@ def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one() -
     assert closed_form("solref=0 0").time_constant_s is None
 
 
-def test_settings_are_explained_on_the_command_line(values: Any) -> None:
+def test_settings_are_explained_on_the_command_line(values):
     contact = "solref=0.02 1 solimp=0.9 0.95 0.001"
     words = f"--backend mujoco --explain '{contact}' mass_kg=2 timestep_s=0.002"
     found = values(words)
@@ -260,7 +254,7 @@ def test_settings_are_explained_on_the_command_line(values: Any) -> None:
     assert found["reached"]["penetration_m"] == pytest.approx(depth, rel=1e-3)
 
 
-def test_friction_need_not_be_asked(values: Any) -> None:
+def test_friction_need_not_be_asked(values):
     words = "--backend mujoco restitution=0.6 mass_kg=0.5 timestep_s=0.002"
     found = values(words)
     assert found["asked"]["friction"] is None and found["error"]["friction"] is None
@@ -269,14 +263,12 @@ def test_friction_need_not_be_asked(values: Any) -> None:
     assert found["reached"]["restitution"] == pytest.approx(0.6, abs=0.01)
 
 
-def test_an_engine_with_half_the_friction_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_engine_with_half_the_friction_is_found(monkeypatch):
     """A planted fault: the engine halves the friction that it is given, whatever the search tries."""
     cls = engine_settings("mujoco")
     kept = cls.build
 
-    def halved(self: Any, mass_kg: float) -> Any:
+    def halved(self, mass_kg):
         build = kept(self, mass_kg)
         return replace(build, friction=min(0.5 * build.friction, 0.2))
 
@@ -290,7 +282,7 @@ def test_an_engine_with_half_the_friction_is_found(
 # --- materials and fabrics -------------------------------------------------------------------------------------------
 
 
-def test_every_material_has_a_source() -> None:
+def test_every_material_has_a_source():
     for pair in material_pairs():
         assert pair.source
         assert bool(pair.uncertainty_sources) == (
@@ -298,7 +290,7 @@ def test_every_material_has_a_source() -> None:
         )
 
 
-def test_a_material_is_looked_up_in_the_task_files(values: Any) -> None:
+def test_a_material_is_looked_up_in_the_task_files(values):
     found = values("wood-on-wood timestep_s=0.002 --backend mujoco")
     (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]
     for key in ("friction", "restitution", "mass_kg"):
@@ -306,7 +298,7 @@ def test_a_material_is_looked_up_in_the_task_files(values: Any) -> None:
     assert found["material"]["friction_std"] == pair.friction_std > 0.0
 
 
-def test_materials_are_listed(gauge: Any) -> None:
+def test_materials_are_listed(gauge):
     lines = gauge("list", "materials", "--json").stdout.splitlines()
     assert [json.loads(line)["name"] for line in lines] == [
         *(pair.name for pair in material_pairs()),
@@ -315,7 +307,7 @@ def test_materials_are_listed(gauge: Any) -> None:
     ]
 
 
-def test_published_friction_names_a_source_that_the_list_explains() -> None:
+def test_published_friction_names_a_source_that_the_list_explains():
     explained = " ".join(PUBLISHED)
     for pair in published_pairs():
         assert pair["source"].split(",")[0] in explained
@@ -330,7 +322,7 @@ def test_published_friction_names_a_source_that_the_list_explains() -> None:
 
 
 @pytest.mark.slow
-def test_a_fabric_states_what_its_mapping_loses(values: Any) -> None:
+def test_a_fabric_states_what_its_mapping_loses(values):
     """One modulus of Newton gives the stretch and, at a third and more of it, a shear that satin does not have."""
     pytest.importorskip("newton")
     found, satin = values("satin --backend newton"), fabrics("TextileFlinging")["satin"]
@@ -343,7 +335,7 @@ def test_a_fabric_states_what_its_mapping_loses(values: Any) -> None:
 
 
 @pytest.mark.parametrize("width", ["40", "140"])
-def test_a_terminal_does_not_cut_what_is_to_be_pasted(width: str, values: Any) -> None:
+def test_a_terminal_does_not_cut_what_is_to_be_pasted(width, values):
     words = ["recipe", "satin", "--backend", "isaac"]
     text = CliRunner(env={"COLUMNS": width}).invoke(app, words).stdout
     assert text.endswith(values("satin --backend isaac")["snippet"])
@@ -358,7 +350,7 @@ penetration_m=1  stiffness_n_per_m=1e-3  damping_n_s_per_m=3  --backend=bullet  
 """
 
 
-def test_wrong_requests_end_with_their_reasons(gauge: Any, approved: Any) -> None:
+def test_wrong_requests_end_with_their_reasons(gauge, approved):
     requests = [f"{GOOD} {word!r}" for word in shlex.split(WRONG_WORDS)]
     words = GOOD.split()
     requests += [" ".join(words[:k] + words[k + 1 :]) for k in range(len(words))]
@@ -382,15 +374,13 @@ def test_wrong_requests_end_with_their_reasons(gauge: Any, approved: Any) -> Non
         ("solimp=0.9 0.95 0.001 0.5 1e300", "its equation overflows"),
     ],
 )
-def test_wrong_settings_are_refused(text: str, message: str) -> None:
+def test_wrong_settings_are_refused(text, message):
     with pytest.raises(ParameterError, match=message):
         explain(explained(text), 2.0)
 
 
-def test_an_engine_that_is_not_installed_is_named(
-    monkeypatch: pytest.MonkeyPatch, gauge: Any
-) -> None:
-    def absent() -> None:
+def test_an_engine_that_is_not_installed_is_named(monkeypatch, gauge):
+    def absent():
         gone = ModuleNotFoundError(name="rapier3d")
         raise MissingExtraError("backend 'rapier'", "rapier", gone)
 
@@ -400,14 +390,12 @@ def test_an_engine_that_is_not_installed_is_named(
     assert "pip install 'gauge-envs[rapier]'" in result.stderr
 
 
-def test_a_divergence_is_an_outcome_with_its_cause(
-    monkeypatch: pytest.MonkeyPatch, gauge: Any
-) -> None:
+def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch, gauge):
     """A planted fault: damping that reverses and doubles the speed at each step."""
     cls = engine_settings("mujoco")
     kept = cls.aimed
 
-    def unstable(aim: Aim) -> Any:
+    def unstable(aim):
         return kept(aim).model_copy(update={"solref": (-1e7, -5.0 / aim.timestep_s)})
 
     monkeypatch.setattr(cls, "aimed", unstable)

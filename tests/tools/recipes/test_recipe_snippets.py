@@ -1,13 +1,11 @@
 """Snippets of recipes give what is said in a plain loop of the engine."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import pytest
 from plain_loops import FEW_DROPS, LOOPS, PHASES, PLATE, SLIDES, rebound, slide
 
-from gauge_envs.tools.recipes import Aim, Recipe, engine_settings, find_recipe
+from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.recipes.search import FRICTION_SHARE
 
 FRICTION, RESTITUTION, MASS_KG, STEP_S = 0.4, 0.6, 0.5, 0.002
@@ -30,12 +28,7 @@ ENGINES = [
 
 
 @cache
-def recipe(
-    engine: str,
-    friction: float = FRICTION,
-    restitution: float = RESTITUTION,
-    step_s: float = STEP_S,
-) -> Recipe:
+def recipe(engine, friction=FRICTION, restitution=RESTITUTION, step_s=STEP_S):
     pytest.importorskip(MODULES[engine])
     aim = Aim(
         friction=friction, restitution=restitution, mass_kg=MASS_KG, timestep_s=step_s
@@ -43,7 +36,7 @@ def recipe(
     return find_recipe(engine_settings(engine), aim)
 
 
-def looped(engine: str, snippet: str, **options: float) -> tuple[float, float]:
+def looped(engine, snippet, **options):
     """Friction and restitution in a plain loop."""
     loop = LOOPS[engine]
     count = 2 if engine in FEW_DROPS else PHASES
@@ -54,7 +47,7 @@ def looped(engine: str, snippet: str, **options: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_snippet_gives_what_is_said_and_what_is_asked(engine: str) -> None:
+def test_the_snippet_gives_what_is_said_and_what_is_asked(engine):
     found = recipe(engine)
     assert found.misses == ()
     assert found.reached["friction"] == pytest.approx(FRICTION, rel=FRICTION_SHARE)
@@ -74,9 +67,7 @@ def test_the_snippet_gives_what_is_said_and_what_is_asked(engine: str) -> None:
     ],
     ids=["twice the step", "friction in per cent", "damping per millisecond"],
 )
-def test_a_loop_or_a_snippet_with_a_wrong_unit_is_noticed(
-    right: str, wrong: str, stepped: float
-) -> None:
+def test_a_loop_or_a_snippet_with_a_wrong_unit_is_noticed(right, wrong, stepped):
     """Planted faults: one number of the snippet is in another unit, or the step of the loop is not the recipe's."""
     snippet = recipe("mujoco").snippet
     assert right in snippet
@@ -100,16 +91,14 @@ BODIES = {
 TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 
 
-def steep_slide(engine: str, mass_kg: float = MASS_KG, **options: object) -> float:
+def steep_slide(engine, mass_kg=MASS_KG, **options):
     snippet = recipe(engine, **STEEP).snippet
     return slide(LOOPS[engine], snippet, 0.9, mass_kg, STEEP["step_s"], **options)
 
 
 @pytest.mark.parametrize("engine", SLIDES)
 @pytest.mark.parametrize("body", BODIES)
-def test_a_body_that_holds_contact_has_the_asked_friction_in_a_plain_loop(
-    engine: str, body: str
-) -> None:
+def test_a_body_that_holds_contact_has_the_asked_friction_in_a_plain_loop(engine, body):
     """A body that cannot turn, at four angles to the slope."""
     size_m, mass_kg, beyond_deg = BODIES[body]
     shape = {"size_m": size_m, "beyond_deg": beyond_deg, "is_free": False}
@@ -118,14 +107,14 @@ def test_a_body_that_holds_contact_has_the_asked_friction_in_a_plain_loop(
         assert friction == pytest.approx(0.9, rel=FRICTION_SHARE)
 
 
-def test_a_wide_free_plate_does_not_tip_and_has_the_asked_friction() -> None:
+def test_a_wide_free_plate_does_not_tip_and_has_the_asked_friction():
     """Without a lock: a plate twenty times as wide as high, on which friction hardly shifts the load."""
     for turn_deg in TURNS_DEG:
         friction = steep_slide("mujoco", turn_deg=turn_deg, size_m=(0.6, 0.6, 0.03))
         assert friction == pytest.approx(0.9, rel=FRICTION_SHARE)
 
 
-def test_a_coefficient_that_makes_up_for_hops_is_noticed() -> None:
+def test_a_coefficient_that_makes_up_for_hops_is_noticed():
     """A planted fault: with 0.9173 the mean of two plates that hop is 0.9, and a body that holds has 1.9 % too much."""
     snippet = recipe("mujoco", **STEEP).snippet
     assert 'friction="0.9 0.9' in snippet
@@ -136,7 +125,7 @@ def test_a_coefficient_that_makes_up_for_hops_is_noticed() -> None:
     assert friction != pytest.approx(0.9, rel=FRICTION_SHARE)
 
 
-def test_plates_that_hop_have_the_smaller_friction_that_stands_beside() -> None:
+def test_plates_that_hop_have_the_smaller_friction_that_stands_beside():
     """Free plates in a plain loop, tipped by a thousandth at the start: their mean, and a scatter of about 1 %."""
     found = recipe("mujoco", **STEEP)
     frictions = [
@@ -151,7 +140,7 @@ def test_plates_that_hop_have_the_smaller_friction_that_stands_beside() -> None:
     assert comment.startswith("<!-- Friction: 0.9 of bodies that hold contact, 0.8")
 
 
-def test_a_rigid_contact_does_not_hop() -> None:
+def test_a_rigid_contact_does_not_hop():
     """Rapier's plates have one friction, free or not."""
     found = recipe("rapier", **STEEP)
     assert found.reached["friction_hopping"] == pytest.approx(0.9, rel=1e-3)

@@ -13,7 +13,6 @@ from gauge_envs.tools.video import Track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
-    VideoTask,
     video_task,
 )
 
@@ -39,15 +38,7 @@ class Clip:
     truth: dict[str, float]
 
 
-def clip(
-    name: str,
-    rng: np.random.Generator,
-    *,
-    fps: float = 30.0,
-    noise: float = 3.0,
-    quality: int = 80,
-    calibration_sigma: float = 0.0,
-) -> Clip:
+def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     """Return a clip of a task with random constants, a release between two frames, and the truth.
 
     With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
@@ -78,11 +69,7 @@ def clip(
     return Clip(task=name, frames=frames, fps=fps, truth=truth)
 
 
-def _motion(
-    task: VideoTask, rng: np.random.Generator
-) -> tuple[
-    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
-]:
+def _motion(task, rng):
     """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
     start = np.array(task.centre_px)
     scale = task.scale_m_per_px
@@ -94,7 +81,7 @@ def _motion(
         offset = start - pivot
         rate = float(rng.uniform(1.0, 2.5))
 
-        def turning(time_s: float) -> tuple[NDArray[np.float64], float]:
+        def turning(time_s):
             # A plate that starts at once would need more force than friction has.
             since = max(0.0, time_s - release)
             angle = rate * (
@@ -111,7 +98,7 @@ def _motion(
         amplitude = float(np.arctan2(*(start - pivot)))
         length = float(np.linalg.norm(start - pivot))
 
-        def swinging(time_s: float) -> tuple[NDArray[np.float64], float]:
+        def swinging(time_s):
             angle = (
                 amplitude
                 * np.exp(-damping * time_s)
@@ -127,7 +114,7 @@ def _motion(
     heights_px = ratios**2 * task.release_height_m / scale
     peaks = np.arccos(1.0 - heights_px / length)
 
-    def outgoing(time_s: float) -> tuple[NDArray[np.float64], float]:
+    def outgoing(time_s):
         angle = 0.0
         for number, peak in enumerate(peaks):
             since = time_s - 0.4 - 0.9 * number
@@ -138,11 +125,7 @@ def _motion(
     return outgoing, {"mte": float(ratios.mean())}, 2.0
 
 
-def _straight(
-    task: VideoTask, rng: np.random.Generator, release: float
-) -> tuple[
-    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
-]:
+def _straight(task, rng, release):
     start, scale = np.array(task.centre_px), task.scale_m_per_px
     a = float(
         rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81)
@@ -151,7 +134,7 @@ def _straight(
     lasts = (2.0 * reach_m / a) ** 0.5
     direction = np.array(task.direction)
 
-    def straight(time_s: float) -> tuple[NDArray[np.float64], float]:
+    def straight(time_s):
         since = min(max(0.0, time_s - release), lasts)
         s = 0.5 * a * since**2
         late = time_s - release - lasts
@@ -169,7 +152,7 @@ def _straight(
     )
 
 
-def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _scene(task, rng):
     """Return a still scene: what stands around the object in the first frames, in plain colours with some texture."""
     width, height = REFERENCE_SIZE_PX
     is_dark = (
@@ -195,12 +178,7 @@ def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(scene + texture, 0, 255).astype(np.uint8)
 
 
-def _draw(
-    task: VideoTask,
-    picture: NDArray[np.uint8],
-    place: NDArray[np.float64],
-    angle_deg: float,
-) -> None:
+def _draw(task, picture, place, angle_deg):
     if task.motion in (Motion.SLIDE, Motion.TURN):
         colour = {
             "wood": (105, 150, 195),
@@ -217,7 +195,7 @@ def _draw(
     _disk(picture, place, 0.5 * task.size_px, (22, 22, 22))
 
 
-def track_of(places_px: NDArray[np.float64], fps: float) -> Track:
+def track_of(places_px, fps):
     """A track of these places on the reference grid, one in each frame."""
     ones = np.ones(len(places_px))
     return Track(
@@ -229,12 +207,7 @@ def track_of(places_px: NDArray[np.float64], fps: float) -> Track:
     )
 
 
-def _disk(
-    picture: NDArray[np.uint8],
-    place: NDArray[np.float64],
-    radius: float,
-    colour: tuple[int, int, int],
-) -> None:
+def _disk(picture, place, radius, colour):
     centre = tuple(round(value * (1 << SHIFT)) for value in place)
     cv2.circle(
         picture, centre, round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT

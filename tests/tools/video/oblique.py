@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -46,7 +45,7 @@ class Camera:
     point_m: FloatArray
     axes: FloatArray
 
-    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+    def to_picture_px(self, points_m):
         """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
         world = self.point_m + points_m @ self.axes
         bent = np.array([*self.distortion, 0.0, 0.0])
@@ -55,9 +54,7 @@ class Camera:
             dtype=float,
         )
 
-    def view(
-        self, *, sigma_px: float = 0.0, sigma_m: float = 0.0, **motion: object
-    ) -> PlaneView:
+    def view(self, *, sigma_px=0.0, sigma_m=0.0, **motion):
         """Return the view by the corners of a rectangle in the plane."""
         corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
         places = self.to_picture_px(corners)
@@ -68,7 +65,7 @@ class Camera:
         return PlaneView(size_px=SIZE_PX, source=pairs, lens=lens, **motion)
 
 
-def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
+def oblique_clip(name, rng):
     """Return a clip of a task from a random camera, 20 to 43 degrees off the normal of the plane."""
     task = video_task(name)
     place, truth, duration_s, motion = _motion(name, rng)
@@ -87,7 +84,7 @@ def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
     )
 
 
-def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
+def _camera(motion, rng):
     """Return a camera that looks at the origin of a vertical plane or, for a turntable, of a horizontal one."""
     azimuth, height = (
         rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(15, 35)),
@@ -129,14 +126,7 @@ def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
     )
 
 
-def _motion(
-    name: str, rng: np.random.Generator
-) -> tuple[
-    Callable[[float], tuple[FloatArray, float]],
-    dict[str, float],
-    float,
-    dict[str, object],
-]:
+def _motion(name, rng):
     """Return place [m] and rotation [rad] at a time, the truth, the duration [s], and what the view states of it."""
     motion, release = video_task(name).motion, float(rng.uniform(0.2, 0.4))
     if motion in (Motion.SLIDE, Motion.FALL):
@@ -147,7 +137,7 @@ def _motion(
         reach = 0.4
         lasts = float(np.sqrt(2.0 * reach / a))
 
-        def straight(time_s: float) -> tuple[FloatArray, float]:
+        def straight(time_s):
             since = min(max(0.0, time_s - release), lasts)
             return direction * (0.5 * a * since**2 - 0.5 * reach), tilt
 
@@ -155,7 +145,7 @@ def _motion(
     if motion is Motion.TURN:
         rate = float(rng.uniform(1.0, 2.5))
 
-        def turning(time_s: float) -> tuple[FloatArray, float]:
+        def turning(time_s):
             since = max(0.0, time_s - release)
             angle = rate * (0.5 * since**2 / 0.4 if since < 0.4 else since - 0.2)
             return 0.074 * np.array([-np.cos(angle), -np.sin(angle)]), angle
@@ -169,7 +159,7 @@ def _motion(
             float(rng.uniform(0.3, 0.9)),
         )
 
-        def swinging(time_s: float) -> tuple[FloatArray, float]:
+        def swinging(time_s):
             angle = (
                 swing
                 * np.exp(-damping * time_s)
@@ -188,7 +178,7 @@ def _motion(
     peaks = np.arccos(1.0 - ratios**2 * video_task(name).release_height_m / length)
     pivot = np.array([0.0, 0.07])
 
-    def outgoing(time_s: float) -> tuple[FloatArray, float]:
+    def outgoing(time_s):
         angle = 0.0
         for number, peak in enumerate(peaks):
             since = time_s - 0.4 - 0.9 * number

@@ -1,29 +1,22 @@
 """Recordings from an oblique camera: known motions are recovered in metres, and the published recordings in theirs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 cv2 = pytest.importorskip("cv2")
 
 from clips import track_of  # noqa: E402
-from oblique import FPS, SIZE_PX, Camera, ObliqueClip, oblique_clip  # noqa: E402
+from oblique import FPS, SIZE_PX, Camera, oblique_clip  # noqa: E402
 from test_video_refusals import CAMERA  # noqa: E402
 
 from gauge_envs.tools.video import (  # noqa: E402
-    PlaneView,
-    Track,
-    VideoScore,
     read_camera,
     score_track,
     video_task,
@@ -49,9 +42,7 @@ RECORDED = {
 """A camera like that of the published recordings: 1.5 m from the motion, 20 degrees above it, along a diagonal."""
 
 
-def _track(
-    places_px: NDArray[np.float64], frames: NDArray[np.int64], fps: float
-) -> Track:
+def _track(places_px, frames, fps):
     """Return a track from places in the pictures of 1280 x 720 pixels."""
     places = places_px * np.array(REFERENCE_SIZE_PX) / np.array(SIZE_PX)
     return replace(
@@ -59,13 +50,13 @@ def _track(
     )
 
 
-def _clip_track(clip: ObliqueClip, noise_px: float = 0.15) -> Track:
+def _clip_track(clip, noise_px=0.15):
     rng = np.random.default_rng(7)
     noisy = clip.places_px + rng.normal(0.0, noise_px, clip.places_px.shape)
     return _track(noisy, np.arange(len(noisy)), FPS)
 
 
-def _holds(result: VideoScore, truth: dict[str, float]) -> bool:
+def _holds(result, truth):
     """Whether all intervals hold the truth."""
     ends = [result.uncertainty[name] for name in truth]
     return all(
@@ -74,7 +65,7 @@ def _holds(result: VideoScore, truth: dict[str, float]) -> bool:
     )
 
 
-def _clip_score(clip: ObliqueClip, view: PlaneView | None = None) -> VideoScore:
+def _clip_score(clip, view=None):
     task, camera = video_task(clip.task), view or clip.from_points
     return score_track(_clip_track(clip), task, camera=camera)
 
@@ -83,7 +74,7 @@ def _clip_score(clip: ObliqueClip, view: PlaneView | None = None) -> VideoScore:
 
 
 @pytest.mark.parametrize("task", ["SlopeSlider-2-metal", "Turntable-2-metal"])
-def test_a_view_agrees_with_opencv(task: str) -> None:
+def test_a_view_agrees_with_opencv(task):
     camera = oblique_clip(task, np.random.default_rng(3)).camera
     places_m = np.random.default_rng(4).uniform(-0.25, 0.25, (50, 2))
     view = camera.view()
@@ -96,7 +87,7 @@ def test_a_view_agrees_with_opencv(task: str) -> None:
     )
 
 
-def test_the_command_takes_a_track_and_a_camera(tmp_path: Path, gauge: Any) -> None:
+def test_the_command_takes_a_track_and_a_camera(tmp_path, gauge):
     clip = oblique_clip("BouncingBall-rubber", np.random.default_rng(0))
     (tmp_path / "camera.toml").write_text(CAMERA, encoding="utf-8")
     rows = [f"{frame},{x},{y}" for frame, (x, y) in enumerate(clip.places_px)]
@@ -119,13 +110,13 @@ def test_the_command_takes_a_track_and_a_camera(tmp_path: Path, gauge: Any) -> N
 
 
 @pytest.mark.parametrize("task", ["BouncingBall-rubber", "Pendulum-metal"])
-def test_a_track_of_an_oblique_camera_gives_the_constant(task: str) -> None:
+def test_a_track_of_an_oblique_camera_gives_the_constant(task):
     clip = oblique_clip(task, np.random.default_rng(0))
     assert _holds(_clip_score(clip), clip.truth)
 
 
 @pytest.mark.slow
-def test_a_wrong_scale_changes_the_acceleration() -> None:
+def test_a_wrong_scale_changes_the_acceleration():
     clip = oblique_clip("BouncingBall-rubber", np.random.default_rng(0))
     source = clip.from_points.source
     wrong = source.model_copy(update={"m": 1.25 * np.array(source.m)})
@@ -135,7 +126,7 @@ def test_a_wrong_scale_changes_the_acceleration() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
-def test_twenty_cameras_hold_the_truth(task: str) -> None:
+def test_twenty_cameras_hold_the_truth(task):
     clips = [oblique_clip(task, np.random.default_rng(seed)) for seed in range(20)]
     # Of 20 intervals of 95 %, fewer than 17 hold the truth with a probability of 1.6 %.
     assert sum(_holds(_clip_score(clip), clip.truth) for clip in clips) >= 17
@@ -144,7 +135,7 @@ def test_twenty_cameras_hold_the_truth(task: str) -> None:
 # --- published recordings --------------------------------------------------------------------------------------------
 
 
-def _recorded(name: str) -> dict[str, NDArray[np.float64]]:
+def _recorded(name):
     with (FACTS / f"{name}.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     return {
@@ -153,15 +144,13 @@ def _recorded(name: str) -> dict[str, NDArray[np.float64]]:
     }
 
 
-def _recording(
-    point_m: tuple[float, ...], axes: tuple[tuple[float, ...], ...]
-) -> Camera:
+def _recording(point_m, axes):
     return Camera(
         **RECORDED, point_m=np.array(point_m), axes=np.array(axes, dtype=float)
     )
 
 
-def test_the_recorded_pendulum_has_its_period() -> None:
+def test_the_recorded_pendulum_has_its_period():
     recorded = _recorded("pendulum")
     used = recorded["used"] == 1
     # The camera looks along -y: to the right is -x.
@@ -181,7 +170,7 @@ def test_the_recorded_pendulum_has_its_period() -> None:
     assert not _holds(result, {"pd_s": 1.06})
 
 
-def test_the_recorded_turntable_holds_its_cube() -> None:
+def test_the_recorded_turntable_holds_its_cube():
     recorded = _recorded("turntable")
     camera = _recording((0.41, 0.41, 0.214), ((1, 0, 0), (0, 1, 0)))
     places = np.column_stack([recorded["x_mm"] - 410.0, recorded["y_mm"] - 410.0]) / 1e3
@@ -196,7 +185,7 @@ def test_the_recorded_turntable_holds_its_cube() -> None:
 # --- real trials -----------------------------------------------------------------------------------------------------
 
 
-def _trials(name: str, column: str) -> NDArray[np.float64]:
+def _trials(name, column):
     """Return one coordinate of all trials of a variant [m], shape [trial_count, frame_count]."""
     with (SCORING / "trials" / f"{name}.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -208,7 +197,7 @@ def _trials(name: str, column: str) -> NDArray[np.float64]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_real_slides_have_their_acceleration(material: str) -> None:
+def test_real_slides_have_their_acceleration(material):
     task = video_task(f"SlopeSlider-2-{material}")
     assert task.direction is not None
     facts = tomllib.loads(

@@ -1,13 +1,9 @@
 """Films of one's own: a board to print, a camera held by hand, and what the motion says of the material."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +19,6 @@ from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     PlaneView,
     PointPairs,
-    Track,
     read_camera,
     score_track,
     video_task,
@@ -42,7 +37,7 @@ sys.path.insert(0, str(ROOT / "studies" / "handheld"))
 from handheld import SIZE_PX, shot  # noqa: E402
 
 
-def filmed(gauge: Any, one: Any, motion: str, *words: object) -> Any:
+def filmed(gauge, one, motion, *words):
     """Score a shot with its camera file and the box of its object."""
     box = ",".join(f"{value:.1f}" for value in one.box_px)
     given = ["--id", motion, f"object={box}", "--camera", one.camera]
@@ -50,7 +45,7 @@ def filmed(gauge: Any, one: Any, motion: str, *words: object) -> Any:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
-def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str, gauge: Any) -> None:
+def test_a_printed_board_has_its_size(tmp_path, suffix, gauge):
     file = tmp_path / f"board{suffix}"
     outcome = gauge("video", "board", file, "square_mm=30")
     assert outcome.exit_code == 0, outcome.output
@@ -72,9 +67,7 @@ def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str, gauge: Any) -
 
 
 @pytest.mark.slow
-def test_a_phone_gives_friction_and_the_recipe_reaches_it(
-    tmp_path: Path, gauge: Any
-) -> None:
+def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path, gauge):
     one = shot("slide", 5, tmp_path)
     outcome = filmed(gauge, one, "slide", "--out", tmp_path / "drawn", "--json")
     assert outcome.exit_code == 0, outcome.output
@@ -91,9 +84,7 @@ def test_a_phone_gives_friction_and_the_recipe_reaches_it(
 
 
 @pytest.mark.slow
-def test_a_filmed_swing_gives_the_damping_of_a_joint(
-    tmp_path: Path, gauge: Any
-) -> None:
+def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path, gauge):
     one = shot("pendulum", 9, tmp_path)
     # The length of the swing of a film is the second number that its seed draws.
     rng = np.random.default_rng(9)
@@ -111,7 +102,7 @@ def test_a_filmed_swing_gives_the_damping_of_a_joint(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["slide", "roll", "fall", "pendulum"])
-def test_three_films_hold_the_truth(motion: str, tmp_path: Path, gauge: Any) -> None:
+def test_three_films_hold_the_truth(motion, tmp_path, gauge):
     for seed in (6, 7, 8):
         one = shot(motion, seed, tmp_path, fps=30.0 if motion == "pendulum" else 60.0)
         outcome = filmed(gauge, one, motion, "--json")
@@ -138,8 +129,8 @@ def test_three_films_hold_the_truth(motion: str, tmp_path: Path, gauge: Any) -> 
     ],
 )
 def test_slow_motion_and_a_board_in_millimetres_are_invalid(
-    motion: str, wrong: list[str], reason: str, tmp_path: Path, gauge: Any
-) -> None:
+    motion, wrong, reason, tmp_path, gauge
+):
     one = shot(motion, 335, tmp_path, fps=30.0)
     sound = filmed(gauge, one, motion)
     assert "invalid" not in sound.output
@@ -152,7 +143,7 @@ def test_slow_motion_and_a_board_in_millimetres_are_invalid(
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 
-def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
+def test_a_film_without_the_board_says_how_many_frames_lack_it():
     frames = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
     with pytest.raises(
         VideoError,
@@ -163,7 +154,7 @@ def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
         FrontalFilm(frames, PlaneView(size_px=(640, 480), source=Board(square_m=0.035)))
 
 
-def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
+def test_a_static_camera_sees_the_plane_from_the_front(tmp_path):
     # A square of 0.4 m in an oblique picture is a square of the frontal one.
     px = [[400, 600], [900, 600], [800, 300], [500, 300]]
     picture = np.full((*SIZE_PX[::-1], 3), 200, np.uint8)
@@ -179,7 +170,7 @@ def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
     assert dark.sum() == pytest.approx(side**2, rel=0.02)
 
 
-def test_rebounds_give_the_restitution() -> None:
+def test_rebounds_give_the_restitution():
     task = video_task("BouncingBall-rubber")
     times, e, height = np.arange(80) / 60.0, 0.7, 0.5
     impact = 0.1 + math.sqrt(2.0 * height / 9.81)
@@ -197,9 +188,7 @@ def test_rebounds_give_the_restitution() -> None:
         restitution(track_of(places[:30], 60.0), task)
 
 
-def slope_film(
-    a_m_s2: float, slope_rad: float, **view: float
-) -> tuple[Track, PlaneView]:
+def slope_film(a_m_s2, slope_rad, **view):
     """Return an exact track from rest down a slope to the left, 500 px per metre, and how its camera sees it."""
     pairs = {
         "px": [(0, 0), (832, 0), (832, 480), (0, 480)],
@@ -219,7 +208,7 @@ def slope_film(
     return track_of(places, 60.0), camera
 
 
-def test_a_ball_that_rolls_is_no_slide() -> None:
+def test_a_ball_that_rolls_is_no_slide():
     # Without slip a = g (sin t - c cos t) / (1 + k), Goldstein, Classical Mechanics, section 2.4 for c = 0.
     slope, c, k = math.radians(20.0), 0.02, 0.4
     track, camera = slope_film(
@@ -244,7 +233,7 @@ def test_a_ball_that_rolls_is_no_slide() -> None:
     assert wrong is not None and wrong[1] < 0.0
 
 
-def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
+def test_a_rolling_shutter_is_corrected_when_it_is_stated():
     track, camera = slope_film(3.0, math.radians(30.0), readout_s=0.025)
     task = video_task("SlopeSlider-2-wood")
     found = score_track(track, task, camera=camera).metrics["a_m_s2"]
@@ -255,7 +244,7 @@ def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
     assert blind is not None and blind > 1.03 * 3.0
 
 
-def test_the_camera_files_of_the_guide_are_read(tmp_path: Path) -> None:
+def test_the_camera_files_of_the_guide_are_read(tmp_path):
     page = (ROOT / "docs" / "world_models.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     kinds = []

@@ -1,11 +1,6 @@
 """Hostile or damaged tracks, camera files, films and options of the video commands end in an error for people."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -63,7 +58,7 @@ CAMERAS = [
 ]
 
 
-def tracked(file: Path) -> object:
+def tracked(file):
     return read_track(file, fps=30.0)
 
 
@@ -91,13 +86,7 @@ def tracked(file: Path) -> object:
         ("none.png", read_picture, None, "there is no such file"),
     ],
 )
-def test_a_damaged_file_is_an_error_that_names_it(
-    name: str,
-    read: Callable[[Path], object],
-    content: str | None,
-    words: str,
-    tmp_path: Path,
-) -> None:
+def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tmp_path):
     file = tmp_path / name
     if content is not None:
         file.write_text(content, newline="")
@@ -115,14 +104,12 @@ def test_a_damaged_file_is_an_error_that_names_it(
         ((12, 480, 832), 30.0, "shape"),
     ],
 )
-def test_frames_that_cannot_be_judged_are_errors(
-    shape: tuple[int, ...], fps: float, words: str
-) -> None:
+def test_frames_that_cannot_be_judged_are_errors(shape, fps, words):
     with pytest.raises(VideoError, match=words):
         score(np.zeros(shape, dtype=np.uint8), fps, "SlopeSlider-2-wood")
 
 
-def test_an_unknown_task_is_an_error() -> None:
+def test_an_unknown_task_is_an_error():
     with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
         video_task("SlopeSlider-2-woof")
 
@@ -134,7 +121,7 @@ video score film.mp4 --id SlopeSlider-2-wood --camera camera.toml
 """
 
 
-def test_wrong_options_are_named(tmp_path: Path, gauge: Any, approved: Any) -> None:
+def test_wrong_options_are_named(tmp_path, gauge, approved):
     (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
     (tmp_path / "camera.toml").write_text(CAMERA)
     sizes = [
@@ -149,7 +136,7 @@ def test_wrong_options_are_named(tmp_path: Path, gauge: Any, approved: Any) -> N
     approved("video/wrong_options", refused_commands(gauge, *commands))
 
 
-def test_a_camera_is_the_same_in_json_and_toml(tmp_path: Path) -> None:
+def test_a_camera_is_the_same_in_json_and_toml(tmp_path):
     """A square of 0.4 m that a camera without distortion sees as a trapezium; its diagonals cross in its centre."""
     px = [[400, 600], [900, 600], [800, 300], [500, 300]]
     m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]

@@ -1,7 +1,5 @@
 """Scores of clips and tracks whose motion is known, and what becomes of broken ones."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace
@@ -13,15 +11,13 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import Clip, clip, track_of  # noqa: E402
+from clips import clip, track_of  # noqa: E402
 from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     Grade,
     Motion,
-    Track,
-    VideoScore,
     read_track,
     score,
     score_track,
@@ -41,18 +37,18 @@ TOLERANCE = {"a_m_s2": 0.02, "pd_s": 0.01, "mte": 0.02, "de_n": 0.01, "r2": 0.01
 """Largest error: relative for accelerations and periods, absolute for the others."""
 
 
-def is_close(name: str, value: float | None, truth: float) -> bool:
+def is_close(name, value, truth):
     scale = truth if name in ("a_m_s2", "pd_s") else 1.0
     return value is not None and abs(value - truth) <= TOLERANCE[name] * scale
 
 
 @cache
-def known(task: str, seed: int = 7) -> Clip:
+def known(task, seed=7):
     """A clip that several tests read and none changes."""
     return clip(task, np.random.default_rng(seed))
 
 
-def scored(one: Clip) -> VideoScore:
+def scored(one):
     return score(one.frames, one.fps, one.task)
 
 
@@ -63,7 +59,7 @@ def scored(one: Clip) -> VideoScore:
         for one in FIVE
     ],
 )
-def test_a_known_motion_is_recovered(task: str) -> None:
+def test_a_known_motion_is_recovered(task):
     one = known(task)
     result = scored(one)
     assert result.grade is Grade.VALID, result.reasons
@@ -77,7 +73,7 @@ def test_a_known_motion_is_recovered(task: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", [task.id for task in video_tasks()])
-def test_intervals_hold_the_truth(task: str) -> None:
+def test_intervals_hold_the_truth(task):
     inside, count = 0, 0
     for seed in range(20):
         # The stated uncertainty of the scale is 0.65 % for cubes and balls alike.
@@ -102,7 +98,7 @@ def test_intervals_hold_the_truth(task: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
+def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square():
     one = known("SlopeSlider-2-wood")
     right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
     a, slow = right.metrics["a_m_s2"], half.metrics["a_m_s2"]
@@ -111,7 +107,7 @@ def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
 
 
 @pytest.mark.slow
-def test_the_scale_follows_resolution_and_aspect() -> None:
+def test_the_scale_follows_resolution_and_aspect():
     one = known("BouncingBall-rubber", 5)
     wide = [cv2.resize(frame, (1280, 720)) for frame in one.frames]
     squeezed = [cv2.resize(frame, (640, 480)) for frame in one.frames]
@@ -121,7 +117,7 @@ def test_the_scale_follows_resolution_and_aspect() -> None:
 
 
 @pytest.mark.slow
-def test_an_object_that_vanishes_is_named() -> None:
+def test_an_object_that_vanishes_is_named():
     one = known("Pendulum-metal")
     empty = one.frames[0].copy()
     empty[220:310, 420:510] = empty[220:310, 520:610]
@@ -134,7 +130,7 @@ def test_an_object_that_vanishes_is_named() -> None:
 @pytest.mark.parametrize(
     "move", [pytest.param("zoom", marks=pytest.mark.slow), "shake"]
 )
-def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
+def test_the_motion_of_a_camera_is_subtracted(move):
     one, rng = known("SlopeSlider-2-wood"), np.random.default_rng(2)
     height, width = one.frames[0].shape[:2]
     frames = [one.frames[0]]
@@ -154,7 +150,7 @@ def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
     assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
 
 
-def test_a_frame_with_the_object_elsewhere_is_no_motion() -> None:
+def test_a_frame_with_the_object_elsewhere_is_no_motion():
     one = known("SlopeSlider-2-wood")
     frames = [*one.frames]
     frames[2] = np.roll(frames[2], (12, -20), axis=(0, 1))
@@ -162,7 +158,7 @@ def test_a_frame_with_the_object_elsewhere_is_no_motion() -> None:
     assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
 
 
-def test_a_second_object_is_named() -> None:
+def test_a_second_object_is_named():
     one = known("SlopeSlider-2-wood")
     task = video_task(one.task)
     x, y = (round(value) for value in task.centre_px)
@@ -175,9 +171,7 @@ def test_a_second_object_is_named() -> None:
     assert any("a second object" in reason for reason in result.reasons), result.reasons
 
 
-def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(
-    tmp_path: Path,
-) -> None:
+def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(tmp_path):
     one = known("SlopeSlider-2-wood")
     frames = [np.ascontiguousarray(frame[::-1, ::-1]) for frame in one.frames]
     cv2.imwrite(str(tmp_path / "own.png"), frames[0][:, :, ::-1])
@@ -188,7 +182,7 @@ def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(
     ), result.reasons
 
 
-def test_bars_that_a_model_fills_are_no_other_scene() -> None:
+def test_bars_that_a_model_fills_are_no_other_scene():
     one = known("BouncingBall-rubber", 5)
     inner, grain = (
         np.s_[:, 110:722],
@@ -209,7 +203,7 @@ def test_bars_that_a_model_fills_are_no_other_scene() -> None:
     assert watched == {"bars": False, "scene": True}
 
 
-def test_a_still_picture_is_invalid() -> None:
+def test_a_still_picture_is_invalid():
     one = known("SlopeSlider-2-wood")
     result = score([one.frames[0]] * 12, 30.0, one.task)
     assert result.grade is Grade.INVALID
@@ -221,7 +215,7 @@ def test_a_still_picture_is_invalid() -> None:
 # --- tracks ----------------------------------------------------------------------------------------------------------
 
 
-def slide_track(path: Path, a_m_per_s2: float) -> Path:
+def slide_track(path, a_m_per_s2):
     task = video_task("SlopeSlider-2-wood")
     assert task.motion is Motion.SLIDE
     times_s = np.maximum(np.arange(40) - 10.3, 0.0) / 30.0
@@ -232,7 +226,7 @@ def slide_track(path: Path, a_m_per_s2: float) -> Path:
     return path
 
 
-def test_a_track_is_scored_like_a_video(tmp_path: Path) -> None:
+def test_a_track_is_scored_like_a_video(tmp_path):
     path = slide_track(tmp_path / "track.csv", 1.7)
     result = score_track(read_track(path, fps=30.0), video_task("SlopeSlider-2-wood"))
     assert result.metrics["a_m_s2"] == pytest.approx(1.7, rel=2e-3)
@@ -241,7 +235,7 @@ def test_a_track_is_scored_like_a_video(tmp_path: Path) -> None:
     assert interval[0] < 1.7 < interval[1]
 
 
-def swung(task: str, angles: np.ndarray) -> Track:
+def swung(task, angles):
     """A track of a swing at 24 frames per second; angles from the vertical [rad], NaN where the ball is not seen."""
     known = video_task(task)
     length = np.hypot(*np.subtract(known.rest_px or known.centre_px, known.pivot_px))
@@ -251,7 +245,7 @@ def swung(task: str, angles: np.ndarray) -> Track:
     return track_of(places, 24.0)
 
 
-def test_a_swing_whose_apex_is_hidden_is_named() -> None:
+def test_a_swing_whose_apex_is_hidden_is_named():
     swing = np.sin(np.pi * np.arange(1, 12) / 12.0)
     hidden = np.where((np.arange(11) < 3) | (np.arange(11) > 8), swing, np.nan)
     rest = np.full(12, np.nan)
@@ -266,7 +260,7 @@ def test_a_swing_whose_apex_is_hidden_is_named() -> None:
     assert half.grade is Grade.DOUBTFUL and "its apex is not seen" in half.reasons[0]
 
 
-def test_less_than_half_a_swing_says_little() -> None:
+def test_less_than_half_a_swing_says_little():
     task, times_s = video_task("Pendulum-metal"), np.arange(13) / 24.0
     track = swung(task.id, 0.25 * np.cos(2.0 * np.pi * times_s))
     grade, reasons = grade_of(track, task, (0, 11), "", {"pd_s": 1.0})
@@ -275,7 +269,7 @@ def test_less_than_half_a_swing_says_little() -> None:
 
 
 @pytest.mark.slow
-def test_the_interval_of_a_period_holds_what_the_law_does_not_explain() -> None:
+def test_the_interval_of_a_period_holds_what_the_law_does_not_explain():
     task, times_s = video_task("Pendulum-metal"), np.arange(48) / 24.0
     swing = 0.25 * np.cos(2.0 * np.pi * times_s)
     widths = []
@@ -293,7 +287,7 @@ def test_the_interval_of_a_period_holds_what_the_law_does_not_explain() -> None:
     assert widths[1] > 3.0 * widths[0]
 
 
-def test_a_jump_that_friction_cannot_give_is_named() -> None:
+def test_a_jump_that_friction_cannot_give_is_named():
     task = video_task("Turntable-2-metal")
     assert task.pivot_px is not None
     angles = 0.03 * np.arange(60)
@@ -313,7 +307,7 @@ def test_a_jump_that_friction_cannot_give_is_named() -> None:
 # --- files and the command -------------------------------------------------------------------------------------------
 
 
-def written(one: Clip, path: Path) -> Path:
+def written(one, path):
     height, width = one.frames[0].shape[:2]
     writer = cv2.VideoWriter(
         str(path), cv2.VideoWriter_fourcc(*"mp4v"), one.fps, (width, height)
@@ -324,7 +318,7 @@ def written(one: Clip, path: Path) -> Path:
     return path
 
 
-def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
+def test_the_command_scores_a_file_and_draws_the_track(tmp_path):
     one = known("SlopeSlider-2-metal", 11)
     path = written(one, tmp_path / "slide.mp4")
     arguments = [
@@ -351,7 +345,7 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
     assert sum(1 for _ in drawn.pictures()) == len(one.frames)
 
 
-def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
+def test_the_report_shows_every_model_and_names_broken_files(tmp_path):
     one = known("SlopeSlider-2-metal", 11)
     videos = tmp_path / "videos"
     for model in ("seedance2", "slow"):
@@ -387,7 +381,7 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> 
     assert empty.exit_code == 2
 
 
-def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
+def test_seeds_are_found_beside_single_clips(tmp_path):
     for name in (
         "a/Pendulum-metal/seed_3.mp4",
         "a/Pendulum-metal.mp4",
@@ -402,7 +396,7 @@ def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
     assert [file.name for file in others] == ["other.mp4", "seed_1.mp4"]
 
 
-def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path: Path) -> None:
+def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path):
     one = score_track(
         read_track(slide_track(tmp_path / "track.csv", 1.7), fps=30.0),
         video_task("SlopeSlider-2-wood"),
@@ -450,7 +444,7 @@ def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path: Path) 
     )
 
 
-def test_published_values_are_those_of_the_table() -> None:
+def test_published_values_are_those_of_the_table():
     published = published_results()
     assert len(published) == 10
     assert published["seedance2"]["Pendulum-metal", "pd_s"] == 3.13
