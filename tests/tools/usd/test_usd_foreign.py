@@ -565,6 +565,10 @@ REFUSED = [
         body(kind="Sphere", text=scaled(1, 1, 2)),
         r"/box: is a Sphere with an uneven scale",
     ),
+    (
+        body(kind="Cylinder", text=scaled(1, 2, 1)),
+        r"/box: is a Cylinder with an uneven scale",
+    ),
     (body(text=SHEAR), r"/box: its transform is sheared"),
     (
         body(text=op("quatf xformOp:orient", (2, 0, 0, 0))),
