@@ -6,9 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from dataset_writer import trial_folder, write_synthetic
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import DatasetError, MissingExtraError
 from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.download import (
@@ -60,13 +58,12 @@ def hub(monkeypatch):
     return fake
 
 
-def run(*arguments):
-    return CliRunner(env={"COLUMNS": "200"}).invoke(
-        app, ["data", "download", *map(str, arguments)]
-    )
+@pytest.fixture
+def run(gauge):
+    return lambda *words: gauge("data", "download", *words)
 
 
-def test_the_pinned_revision_is_fetched_and_noted(hub):
+def test_the_pinned_revision_is_fetched_and_noted(hub, run):
     result = run()
     assert result.exit_code == 0
     assert f"revision {PINNED_REVISION} is {COMMIT}" in result.stderr
@@ -85,7 +82,7 @@ def test_the_pinned_revision_is_fetched_and_noted(hub):
     assert find_trials(folder / "data").revision == COMMIT
 
 
-def test_patterns_revision_and_folder_are_passed_on(hub, tmp_path):
+def test_patterns_revision_and_folder_are_passed_on(hub, tmp_path, run):
     pattern = f"{trial_folder(NAME)}/*"
     assert (
         run(pattern, "metadata/*", f"revision={OTHER}", "--out", tmp_path).exit_code
@@ -111,7 +108,7 @@ def test_revisions_are_resolved_to_full_hashes(hub):
         resolved_revision(PINNED_REVISION)
 
 
-def test_a_broken_download_says_how_to_go_on(hub, tmp_path):
+def test_a_broken_download_says_how_to_go_on(hub, tmp_path, run):
     hub.error = ConnectionError("the host is gone")
     result = run("--out", tmp_path)
     assert result.exit_code == 2
@@ -123,7 +120,7 @@ def test_a_broken_download_says_how_to_go_on(hub, tmp_path):
     assert run("--out", tmp_path).exit_code == 0
 
 
-def test_without_the_client_the_extra_is_named(monkeypatch):
+def test_without_the_client_the_extra_is_named(monkeypatch, run):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[data\]'"):
         download_dataset()

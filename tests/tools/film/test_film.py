@@ -7,18 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from approval import refused_calls
 from opengl import needs_opengl
 from PIL import Image
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import (
     GaugeError,
     MissingExtraError,
-    ParameterError,
     RenderError,
-    ResultFileError,
 )
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
@@ -317,17 +314,14 @@ def test_panels_differ_where_their_bodies_do(results):
 
 @needs_opengl
 def test_a_result_without_its_engine_has_no_panel_and_a_reason(
-    folder, tmp_path, monkeypatch
+    folder, tmp_path, monkeypatch, gauge
 ):
     versions_of = replay_module.versions_of
 
     def without_rapier(name):
         if name == "rapier":
-            raise MissingExtraError(
-                "backend 'rapier'",
-                "rapier",
-                ImportError("no rapier3d", name="rapier3d"),
-            )
+            gone = ImportError("no rapier3d", name="rapier3d")
+            raise MissingExtraError("backend 'rapier'", "rapier", gone)
         return versions_of(name)
 
     for file in folder.glob("*.npz"):
@@ -335,9 +329,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
     out = tmp_path / "ball.png"
     shape = ["width=160", "height=120", "strip=2"]
-    run = CliRunner().invoke(
-        app, ["video", "film", str(folder), "--out", str(out), *shape]
-    )
+    run = gauge("video", "film", folder, "--out", out, *shape)
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
     assert "gauge-envs[rapier]" in run.stderr
@@ -350,80 +342,46 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def test_results_of_several_experiments_need_an_id(results):
-    other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
-    mixed = {**results, Path("b.json"): other}
-    with pytest.raises(
-        ResultFileError,
-        match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--only",
-    ):
-        results_of_one_experiment(mixed)
-    assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [
-        Path("b.json")
-    ]
-    with pytest.raises(
-        ResultFileError,
-        match=r"no result is of Funnel-satin; the results are of: Bouncing",
-    ):
-        results_of_one_experiment(mixed, "Funnel-satin")
-    with pytest.raises(ResultFileError, match="gauge run writes them"):
-        results_of_one_experiment({})
-
-
-def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path):
-    (tmp_path / "a.json").write_text(
-        json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8"
-    )
-    run = CliRunner().invoke(
-        app, ["video", "film", str(tmp_path), "--out", str(tmp_path / "a.gif")]
-    )
-    assert run.exit_code == 2
-    assert "not a result file" in run.stderr
-    assert not (tmp_path / "a.gif").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"width": 10}, "width is 10, expected 120 to 4096 pixels"),
-        ({"fps": 0.0}, "fps is 0, expected 1 to 120"),
-        ({"speed": float("nan")}, "speed is nan"),
-        ({"from_s": 2.0, "to_s": 1.0}, "to_s is 1, expected from_s = 2"),
-        ({"columns": 0}, "columns is 0"),
-    ],
-    ids=["width", "fps", "speed", "to_s", "columns"],
-)
-def test_impossible_options_are_named(changes, message):
-    with pytest.raises(ParameterError, match=message):
-        FilmOptions(**changes)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        (
-            "a.avi",
-            FilmOptions(),
-            r"a\.avi: the suffix states the format: choose \.mp4, \.webp or \.gif",
-        ),
-        (
-            "a.gif",
-            FilmOptions(from_s=9.0),
-            r"from_s is 9 s, and the longest episode ends at 0\.567 s",
-        ),
-        (
-            "a.gif",
-            FilmOptions(speed=0.001, fps=120.0),
-            r"would have \d+ frames, at most 20000",
-        ),
-    ],
-    ids=["format", "span", "frames"],
-)
 @needs_opengl
-def test_films_that_cannot_be_made(results, tmp_path, name, options, message):
-    with pytest.raises(ParameterError, match=message):
-        save_film(results, tmp_path / name, replace(options, **SIZE))
+def test_films_that_cannot_be_made_are_named(results, tmp_path, approved):
+    (tmp_path / "file").touch()
+    file, one = next(iter(results.items()))
+    slider = Path("b.json")
+    mixed = {file: one, slider: replace(one, id="GAUGE/SlopeSlider-2-wood")}
+    many = {Path(f"{number}.json"): one for number in range(14)}
+
+    def film(name="a.gif", shown=results, **options):
+        return lambda: save_film(shown, tmp_path / name, FilmOptions(**SIZE | options))
+
+    calls = {
+        "two experiments": lambda: results_of_one_experiment(mixed),
+        "another experiment": lambda: results_of_one_experiment(mixed, "Funnel-satin"),
+        "no result": lambda: results_of_one_experiment({}),
+        "width": film(width=10),
+        "fps": film(fps=0.0),
+        "speed": film(speed=float("nan")),
+        "to_s": film(from_s=2.0, to_s=1.0),
+        "columns": film(columns=0),
+        "format": film("a.avi"),
+        "span": film(from_s=9.0),
+        "frames": film(speed=0.001, fps=120.0),
+        "panels": film(shown=many),
+        "folder": film("file/a.gif", fps=2),
+    }
+    approved("film/refused_films", refused_calls(GaugeError, calls))
     assert list(tmp_path.glob("a*")) == []
+    chosen = results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")
+    assert list(chosen) == [slider]
+
+
+def test_wrong_commands_are_named(folder, tmp_path, gauge):
+    content = json.dumps({"id": "GAUGE/BouncingBall-rubber"})
+    (tmp_path / "a.json").write_text(content, encoding="utf-8")
+    damaged = gauge("video", "film", "a.json", "--out", "a.gif")
+    assert damaged.exit_code == 2 and "not a result file" in damaged.stderr
+    assert not (tmp_path / "a.gif").exists()
+    alone = gauge("video", "film", folder, "recording_start_s=1")
+    assert alone.exit_code == 2 and "need recording=FILE" in alone.stderr
 
 
 def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
@@ -462,26 +420,6 @@ def test_an_interrupted_film_leaves_the_earlier_one(results, tmp_path, suffix):
         save_film(results, out, FilmOptions(**SIZE, fps=10), progress=interrupt)
     assert out.read_bytes() == b"earlier"
     assert [file.name for file in tmp_path.iterdir()] == [out.name]
-
-
-@needs_opengl
-def test_a_folder_that_is_a_file_is_named(results, tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
-        save_film(results, tmp_path / "file" / "a.gif", FilmOptions(**SIZE, fps=2))
-
-
-def test_too_many_panels_are_refused(results, tmp_path):
-    many = {
-        Path(f"{index}.json"): result
-        for index in range(7)
-        for result in [next(iter(results.values()))]
-    }
-    many |= {
-        Path(f"more-{index}.json"): result for index, result in enumerate(many.values())
-    }
-    with pytest.raises(ParameterError, match="14 panels: at most 12"):
-        save_film(many, tmp_path / "a.gif", FilmOptions(**SIZE))
 
 
 # --- real recording --------------------------------------------------------------------------------------------------
@@ -548,9 +486,3 @@ def test_a_start_outside_of_the_recording_is_named(clip):
         GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"
     ):
         RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
-
-
-def test_options_of_a_recording_need_one(folder):
-    run = CliRunner().invoke(app, ["video", "film", str(folder), "recording_start_s=1"])
-    assert run.exit_code == 2
-    assert "need recording=FILE" in run.stderr

@@ -9,9 +9,6 @@ from scipy.integrate import quad
 
 cv2 = pytest.importorskip("cv2")
 
-from typer.testing import CliRunner  # noqa: E402
-
-from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError  # noqa: E402
 from gauge_envs.tools.video import Grade, score, score_track  # noqa: E402
 from gauge_envs.tools.video.render import film  # noqa: E402
@@ -78,26 +75,18 @@ def test_the_view_is_that_of_the_first_frame():
     assert np.abs(dark.mean(axis=0)[::-1] - one.track.points_px[0]).max() < 8.0
 
 
-def test_a_film_on_disk_comes_with_its_exact_track(tmp_path):
-    path = tmp_path / "slide.mp4"
-    arguments = [
-        "video",
-        "render",
-        "SlopeSlider-2-wood",
-        "--out",
-        str(path),
-        "fps=15",
-        "seconds=0.5",
-    ]
-    outcome = CliRunner().invoke(app, arguments)
+def test_a_film_on_disk_comes_with_its_exact_track(tmp_path, gauge):
+    words = "video render SlopeSlider-2-wood --out slide.mp4 fps=15 seconds=0.5"
+    outcome = gauge(*words.split())
     assert outcome.exit_code == 0, outcome.output
-    rows = (tmp_path / "slide.track.csv").read_text().splitlines()
-    assert rows[0] == "frame,x,y"
-    assert len(rows) == 13
-    with pytest.raises(ParameterError, match="must divide 180"):
-        film("SlopeSlider-2-wood", fps=24.0)
-    with pytest.raises(ParameterError, match="at most 60"):
-        film("SlopeSlider-2-wood", seconds=1e6)
+    head, *rows = (tmp_path / "slide.track.csv").read_text().splitlines()
+    assert (head, len(rows)) == ("frame,x,y", 12)
+    for options, fault in (
+        ({"fps": 24.0}, "must divide 180"),
+        ({"seconds": 1e6}, "at most 60"),
+    ):
+        with pytest.raises(ParameterError, match=fault):
+            film("SlopeSlider-2-wood", **options)
 
 
 # --- many films, on purpose -----------------------------------------------------------------------------------------
