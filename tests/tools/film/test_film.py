@@ -16,6 +16,7 @@ from gauge_envs.errors import (
     GaugeError,
     MissingExtraError,
     RenderError,
+    ResultFileError,
 )
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
