@@ -14,6 +14,7 @@ from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import (
     Box,
+    Contact,
     ConvexUnion,
     Hinge,
     JointDynamics,
@@ -518,6 +519,15 @@ def test_a_pair_that_is_filtered_is_taken_out_of_its_group(name, tmp_path):
     scene = edited(name, tmp_path, filtered(paths[one], paths[other]))
     assert pairs(scene) == pairs(before) - {frozenset((one, other))}
     assert scene.has_impact_chain == before.has_impact_chain == (name == CRADLE)
+
+
+def test_a_pair_of_groups_that_overlap_is_taken_out_once(tmp_path):
+    bodies = tuple(replace(BOB, name=name) for name in "abc")
+    groups = {"first": ("a", "b"), "second": ("a", "b", "c")}
+    contact = Contact(**groups, friction=0.5, restitution=0.1)
+    scene = Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
+    found = edited(scene, tmp_path, filtered("/World/a", "/World/c"))
+    assert pairs(found) == {frozenset("ab"), frozenset("bc")}
 
 
 def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(tmp_path):
