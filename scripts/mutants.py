@@ -98,9 +98,12 @@ def plan(mutant: Mutant, covers: list[Covered]) -> list[tuple[Covered, list[str]
     """Return the tests of a mutant by file, those of its room first, the fastest first, up to the limit of time."""
     found = []
     for cover in covers:
-        tests = cover.tests(mutant.path, mutant.lines) or cover.tests(
-            mutant.path, mutant.statement
-        )
+        if mutant.at_import:
+            tests = cover.users(mutant.path)
+        else:
+            tests = cover.tests(mutant.path, mutant.lines) or cover.tests(
+                mutant.path, mutant.statement
+            )
         if tests:
             found.append((cover, sorted(tests, key=cover.seconds.__getitem__)))
     room = room_of(Path(mutant.path).parts).removeprefix(PACKAGE)

@@ -11,17 +11,25 @@ import gymnasium
 import numpy as np
 import pytest
 from scipy.special import betaincinv, stdtrit
-from scipy.stats import binomtest, chi2
+from scipy.stats import binomtest, chi2, sem, t as student
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.deviation import (
+    Deviation,
     percentile_among,
     percentile_interval,
     trial_distances,
 )
-from gauge_envs.evaluation.uncertainty import WIDEST, band_errors, refusal, widening
+from gauge_envs.evaluation.uncertainty import (
+    GROUP_SHARE,
+    LAG_MARGIN,
+    WIDEST,
+    band_errors,
+    refusal,
+    widening,
+)
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
@@ -559,6 +567,42 @@ def test_a_widening_is_that_of_its_definition():
     # Nineteen in twenty of independent samples are widened by less than 2, and few are refused.
     assert np.quantile([widening(one) for one in drawn], 0.95) < 2.0
     assert np.mean([refusal(one) is not None for one in drawn]) < 0.01
+
+
+@pytest.mark.parametrize("blocks", [1.0, 1.5, 2.0])
+def test_a_widening_is_that_of_lags_or_of_groups(blocks):
+    """By SciPy's intervals of a mean: of four group means, and of single trials."""
+    random = np.random.default_rng(5)
+    series = random.permuted(np.arange(22.0)) + blocks * np.repeat(
+        [-3.0, 4.0, 3.0, -4.0], [6, 6, 5, 5]
+    )
+    centred = series - np.mean(series)
+    lag = np.sum(centred[1:] * centred[:-1]) / np.sum(centred**2)
+    lag = np.clip(lag + 1 / 22 + LAG_MARGIN / 22**0.5, 0.0, 0.99)
+    means = [np.mean(group) for group in np.split(series, [6, 12, 17])]
+    (_, grouped), (_, single) = (
+        student.interval(0.95, len(one) - 1, scale=sem(one)) for one in (means, series)
+    )
+    expected = max(((1 + lag) / (1 - lag)) ** 0.5, GROUP_SHARE * grouped / single)
+    assert widening(series) == pytest.approx(expected)
+    assert widening(series[:7]) >= 1.0
+
+
+def test_a_distance_and_its_ratio_to_the_baseline_are_refused_apart():
+    """The baseline alone depends on trials that are alike."""
+    band = bundled_band(SLIDES[0])
+    errors = band_errors(band, published_baselines(SLIDES[0])["rmse"])
+    one = Deviation(
+        values=np.ones_like(band.mean),
+        rmse=1.0,
+        errors=replace(errors, influence=1e6 * np.linspace(-1.0, 1.0, 20)),
+        baseline=2.0,
+    )
+    assert one.refusal is None and one.interval is not None
+    assert "alike" in one.normalized_refusal and one.normalized_interval is None
+    alone = replace(one, baseline=None)
+    assert alone.normalized_refusal is None and alone.normalized_interval is None
+    assert alone.interval == one.interval
 
 
 def test_two_trials_have_a_score_without_an_interval_and_say_why():
