@@ -465,6 +465,20 @@ def test_draws_of_two_engines_are_paired():
     assert np.corrcoef(one, other)[0, 1] > 0.95
 
 
+def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
+    """The squares of draws are, on average, the squared deviation less the variance of the mean of the trials."""
+    band = bundled_band(BALL)
+    steps = np.random.default_rng(4).permutation(22)
+    trials = band.mean + steps[:, None, None] * np.ones_like(band.mean)
+    errors = band_errors(
+        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
+    )
+    errors = replace(errors, baseline=np.zeros_like(errors.baseline), baseline_bias=1.0)
+    drawn = errors.draws(np.zeros_like(band.mean))
+    of_mean = band.mean.shape[1] * steps.var(ddof=1) / 22
+    assert np.mean(np.sign(drawn) * drawn**2) == pytest.approx(-of_mean, rel=1e-6)
+
+
 def test_an_interval_of_a_distance_in_one_direction_is_that_of_student():
     """Along the error of each trial, with a deviation far above its errors and nothing but the trials uncertain."""
     band = bundled_band(BALL)
