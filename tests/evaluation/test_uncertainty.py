@@ -465,6 +465,23 @@ def test_draws_of_two_engines_are_paired():
     assert np.corrcoef(one, other)[0, 1] > 0.95
 
 
+@pytest.mark.parametrize("name", [*SLIDES, BALL])
+def test_the_error_of_a_mean_is_a_shift_in_time_and_what_is_left(name):
+    """The two add up to the residuals of the trials, and no part of the rest is along the velocity."""
+    band = bundled_band(name)
+    errors = band_errors(band, published_baselines(name)["rmse"])
+    velocity = errors.flat(np.gradient(np.nan_to_num(band.mean), axis=0))
+    velocity /= np.linalg.norm(velocity)
+    shift, rest = (
+        next(errors.shapes[one.columns] for one in errors.sources if one.kind == kind)
+        for kind in ("release", "sampling")
+    )
+    assert np.abs(rest @ velocity).max() < 1e-9 * np.linalg.norm(rest)
+    assert shift == pytest.approx(np.outer(shift @ velocity, velocity), abs=1e-9)
+    residuals = errors.flat(band.trials - band.mean)
+    assert -(shift + rest) == pytest.approx(residuals, abs=1e-9)
+
+
 def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
     """The squares of draws are, on average, the squared deviation less the variance of the mean of the trials."""
     band = bundled_band(BALL)
@@ -705,6 +722,14 @@ def test_worlds_of_a_vector_environment_score_as_one_alone():
     for _ in range(16):
         *_, infos = envs.step([0, 0])
     assert list(infos["score"]) == [alone, alone]
+
+
+def test_repeats_scatter_and_one_episode_does_not():
+    alone = run_episode(RunRequest(SLIDES[1]))
+    first, second = run_episodes(RunRequest(SLIDES[1], repeats=2))
+    assert not alone.jitter and first.jitter and first.jitter == second.jitter
+    starts = {tuple(one.trajectory.samples[0]) for one in (alone, first, second)}
+    assert len(starts) == 3
 
 
 def test_repeats_run_on_too():

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import (
     ParameterError,
     ResultFileError,
@@ -20,6 +22,7 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.rollout import NotFiniteError, record
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 
@@ -225,6 +228,23 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
     assert load_result(file).diverged
     assert "Infinity" not in file.read_text()
     assert draw_experiment([load_result(file)])
+
+
+@pytest.mark.parametrize("column", [0, 4, 12])
+def test_a_recording_ends_at_one_number_that_is_not_finite(column):
+    scene = load_experiment(NAME).scene
+    simulation = backend_for("mujoco", None).build(scene)
+    simulation.reset(0)
+    states_of = simulation.body_states
+
+    def planted(names):
+        states = np.array(states_of(names))
+        states[list(names).index("cube"), column] = np.nan
+        return states
+
+    simulation.body_states = planted
+    with pytest.raises(NotFiniteError, match="'cube' is not finite"):
+        record(simulation, scene, 0.1)
 
 
 @pytest.mark.parametrize("out", ["/proc/nowhere", __file__, f"{__file__}/below"])
