@@ -724,14 +724,6 @@ def test_worlds_of_a_vector_environment_score_as_one_alone():
     assert list(infos["score"]) == [alone, alone]
 
 
-def test_repeats_scatter_and_one_episode_does_not():
-    alone = run_episode(RunRequest(SLIDES[1]))
-    first, second = run_episodes(RunRequest(SLIDES[1], repeats=2))
-    assert not alone.jitter and first.jitter and first.jitter == second.jitter
-    starts = {tuple(one.trajectory.samples[0]) for one in (alone, first, second)}
-    assert len(starts) == 3
-
-
 def test_repeats_run_on_too():
     results = run_episodes(RunRequest(SLIDES[1], repeats=2, jitter=Jitter()))
     assert all(len(result.trajectory.later_times_s) == 60 for result in results)

@@ -18,7 +18,7 @@ from gauge_envs.errors import (
 )
 from gauge_envs.runs import pool
 from gauge_envs.runs.batch import check_requests, run_many
-from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
@@ -228,6 +228,13 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
     assert load_result(file).diverged
     assert "Infinity" not in file.read_text()
     assert draw_experiment([load_result(file)])
+
+
+def test_repeats_scatter_and_one_episode_does_not(result):
+    first, second = run_episodes(RunRequest(NAME, repeats=2))
+    assert not result.jitter and first.jitter and first.jitter == second.jitter
+    starts = {tuple(one.trajectory.samples[0]) for one in (result, first, second)}
+    assert len(starts) == 3
 
 
 @pytest.mark.parametrize("column", [0, 4, 12])
