@@ -482,6 +482,25 @@ def test_the_error_of_a_mean_is_a_shift_in_time_and_what_is_left(name):
     assert -(shift + rest) == pytest.approx(residuals, abs=1e-9)
 
 
+@pytest.mark.parametrize("over_baseline", [True, False])
+@pytest.mark.parametrize("size_mm", [0.3, 3.0, 30.0])
+@pytest.mark.parametrize("name", [SLIDES[0], "SlopeSlider-1-wood"])
+def test_intervals_scale_with_the_unit(name, size_mm, over_baseline):
+    """Below the noise, about it and above it, against real trials and a law: millimetres and metres say the same."""
+    band = reference_band(load_experiment(name))
+    errors = band_errors(band, published_baselines(SLIDES[0])["rmse"])
+    deviation = size_mm * np.sin(np.arange(band.mean.size)).reshape(band.mean.shape)
+    in_metres = replace(errors, shapes=1e-3 * errors.shapes)
+    low, high = errors.interval(deviation, over_baseline=over_baseline)
+    assert low <= high
+    assert in_metres.interval(
+        1e-3 * deviation, over_baseline=over_baseline
+    ) == pytest.approx((1e-3 * low, 1e-3 * high), rel=1e-6, abs=1e-12)
+    if over_baseline:
+        drawn = errors.draws(deviation)
+        assert in_metres.draws(1e-3 * deviation) == pytest.approx(1e-3 * drawn)
+
+
 def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
     """The squares of draws are, on average, the squared deviation less the variance of the mean of the trials."""
     band = bundled_band(BALL)

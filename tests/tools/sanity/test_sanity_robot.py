@@ -68,6 +68,13 @@ def test_a_good_robot_has_no_flag() -> None:
     found = rows_of(good_xml())
     assert [name for name, one in found.items() if one.is_flag] == []
     assert set(ROBOT_IDS) - set(found) == {"robot-bound", "robot-action", "robot-delay"}
+    for name in set(ROBOT_IDS) & set(found):
+        reality, (low, high) = (
+            found[name].reality,
+            facts("robot_rows")[name]["interval"],
+        )
+        assert reality.value - reality.tolerance == pytest.approx(low, abs=1e-9 * high)
+        assert reality.value + reality.tolerance == pytest.approx(high)
 
 
 @pytest.mark.parametrize("name", sorted(ON_ROBOT))
