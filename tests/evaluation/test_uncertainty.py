@@ -482,6 +482,15 @@ def test_the_error_of_a_mean_is_a_shift_in_time_and_what_is_left(name):
     assert -(shift + rest) == pytest.approx(residuals, abs=1e-9)
 
 
+def test_two_trials_are_as_far_from_each_other_and_one_from_none():
+    band = bundled_band(SLIDES[0])
+    pair = band.trials[:2]
+    apart = np.square(pair[0] - pair[1]).sum(axis=-1)
+    raw = trial_distances(replace(band, trials=pair, mean=pair.mean(axis=0))).raw
+    assert raw == pytest.approx(np.sqrt(np.nanmean(apart)) * np.ones(2))
+    assert trial_distances(replace(band, trials=pair[:1], mean=pair[0])) is None
+
+
 @pytest.mark.parametrize("over_baseline", [True, False])
 @pytest.mark.parametrize("size_mm", [0.3, 3.0, 30.0])
 @pytest.mark.parametrize("name", [SLIDES[0], "SlopeSlider-1-wood"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -460,6 +461,11 @@ def test_a_tilted_hinge_is_told_from_a_soft_one(
     released_m = 0.2 * (1.0 - np.cos(np.radians(60.0)))
     assert lost.measured == pytest.approx(10.0 * fallen_m[-1] / released_m, rel=1e-3)
     assert lost.hint == ""
+    for factor, words in ((0.5, "0.5 times"), (np.degrees(1.0), "it is in degrees")):
+        turned = states.copy()
+        turned[:, 11] *= factor
+        hint = _pendulum_energy(replace(rollout, states={"bob": turned})).hint
+        assert words in hint
 
 
 def test_torque_free_symmetric_top_precesses_steadily() -> None:
