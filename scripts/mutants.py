@@ -9,7 +9,7 @@ Own code, because mutmut changes functions alone and draws no sample, and cosmic
 All runs in a copy of the repository below `.venv/mutants`. The first call runs every test once under coverage.py, which
 takes half an hour; later ones repeat the files of tests that changed. A mutant meets the tests that cover its line, at
 most 20 s of them as measured without it, those of its own room first and the fastest first. The first failure
-kills it, and so does three times the time. What no test covers has survived. A call that was interrupted goes on.
+kills it, and so does four times the time and 40 s. What no test covers has survived. A call that was interrupted goes on.
 """
 
 from __future__ import annotations
@@ -144,7 +144,7 @@ def meet(mutant: Mutant, covers: list[Covered], state: Path) -> str:
             code = fork(
                 lambda files=files, tests=tests: _run(files, tests),
                 tree,
-                20 + 3 * expected,
+                40 + 4 * expected,
                 state / "mutant.log",
             )
             if code not in (0, 5):
