@@ -7,9 +7,10 @@ python scripts/mutants.py again --seed 1                run the survivors once m
 Own code, because mutmut changes functions alone and draws no sample, and cosmic-ray runs one command for all mutants.
 
 All runs in a copy of the repository below `.venv/mutants`. The first call runs every test once under coverage.py, which
-takes half an hour; later ones repeat the files of tests that changed. A mutant meets the tests that cover its line, at
-most 20 s of them as measured without it, those of its own room first and the fastest first. The first failure
-kills it, and so does four times the time and 40 s. What no test covers has survived. A call that was interrupted goes on.
+takes half an hour; later ones repeat the files of tests that changed, or all after the folder `coverage` there is
+removed, which a change of the package needs. A mutant meets the tests that cover its line, at most 20 s of them as
+measured without it, those of its own room first and the fastest first. The first failure kills it, and so do four times
+the time and 40 s. What no test covers has survived. A call that was interrupted goes on.
 """
 
 from __future__ import annotations
