@@ -64,6 +64,8 @@ class Mutant:
     end: int
     text: str
     written: str
+    # Whether the line runs when the module is imported.
+    at_import: bool
     occurrence: int = 0
 
     @property
@@ -79,7 +81,7 @@ def mutants(path: str, source: str) -> Iterator[Mutant]:
     for line in raw.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     seen: dict[str, int] = {}
-    for node, function, statement in _nodes(ast.parse(source), "", None):
+    for node, function, statement, at_import in _nodes(ast.parse(source), "", None):
         for target, changed in _changes(node):
             start = starts[target.lineno - 1] + target.col_offset
             end = starts[target.end_lineno - 1] + target.end_col_offset
@@ -96,6 +98,7 @@ def mutants(path: str, source: str) -> Iterator[Mutant]:
                 end,
                 text if is_statement else f"({text})",
                 written,
+                at_import,
             )
             count = seen[mutant.name] = seen.get(mutant.name, -1) + 1
             yield Mutant(**{**vars(mutant), "occurrence": count})
@@ -109,20 +112,21 @@ def _lines(statement: ast.stmt) -> range:
 
 
 def _nodes(
-    node: ast.AST, function: str, statement: ast.stmt | None
-) -> Iterator[tuple[ast.AST, str, ast.stmt | None]]:
+    node: ast.AST, function: str, statement: ast.stmt | None, at_import: bool = True
+) -> Iterator[tuple[ast.AST, str, ast.stmt | None, bool]]:
     if isinstance(node, ast.stmt):
         statement = node
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         function = f"{function}.{node.name}".lstrip(".")
     if statement is not None:
-        yield node, function, statement
+        yield node, function, statement, at_import
     for name, value in ast.iter_fields(node):
         if name in NOT_DRAWN_FIELDS:
             continue
+        later = name == "body" and isinstance(node, ast.FunctionDef | ast.Lambda)
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST) and not _is_left_out(child):
-                yield from _nodes(child, function, statement)
+                yield from _nodes(child, function, statement, at_import and not later)
 
 
 def _is_left_out(node: ast.AST) -> bool:

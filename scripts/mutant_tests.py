@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,14 +40,17 @@ class Covered:
     lines: dict[str, dict[int, list[str]]]
     imported: dict[str, list[int]]
 
-    def tests(self, path: str, lines: range) -> set[str]:
-        """Return the tests that run a line, or that use the module if the lines run at its import."""
+    def tests(self, path: str, lines: Iterable[int]) -> set[str]:
+        """Return the tests that run a line."""
         by_line = self.lines.get(path, {})
-        found = {test for line in lines for test in by_line.get(line, ())}
-        if not found and not set(lines).isdisjoint(self.imported.get(path, ())):
-            found = {test for tests in by_line.values() for test in tests}
-            found = found or set(self.seconds)
-        return found & set(self.seconds)
+        return {test for line in lines for test in by_line.get(line, ())} & set(
+            self.seconds
+        )
+
+    def users(self, path: str) -> set[str]:
+        """Return the tests that run any function of a module; all tests if it has none and is imported."""
+        found = self.tests(path, self.lines.get(path, ()))
+        return found or (set(self.seconds) if path in self.imported else set())
 
 
 @dataclass(eq=False)

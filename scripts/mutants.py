@@ -7,9 +7,10 @@ python scripts/mutants.py again --seed 1                run the survivors once m
 Own code, because mutmut changes functions alone and draws no sample, and cosmic-ray runs one command for all mutants.
 
 All runs in a copy of the repository below `.venv/mutants`. The first call runs every test once under coverage.py, which
-takes half an hour; later ones repeat the files of tests that changed. A mutant meets the tests that cover its line, at
-most 20 s of them as measured without it, those of its own room first and the fastest files first. The first failure
-kills it, and so does three times the time. What no test covers has survived. A call that was interrupted goes on.
+takes half an hour; later ones repeat the files of tests that changed, or all after the folder `coverage` there is
+removed, which a change of the package needs. A mutant meets the tests that cover its line, at most 20 s of them as
+measured without it, those of its own room first and the fastest first. The first failure kills it, and so do four times
+the time and 40 s. What no test covers has survived. A call that was interrupted goes on.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ ROOMS = (
     "tools/conformance",
 )
 SECONDS = 20.0
+# Part of the time of a collection that another file of tests adds; the rest are imports that all files share.
+OF_COLLECTION = 0.25
 # Files of tests in one process; all of a line's tests at once would collect half of the tests.
 CHUNK = 6
 OUTCOMES = ("killed", "equivalent", "survived", "uncovered")
@@ -95,33 +98,31 @@ def _compiles(mutant: Mutant) -> bool:
 
 
 def plan(mutant: Mutant, covers: list[Covered]) -> list[tuple[Covered, list[str]]]:
-    """Return the tests of a mutant by file, those of its room first, the fastest first, up to the limit of time."""
+    """Return the tests of a mutant by file: those of its room first, the fastest first, up to the limit of time."""
+    room = room_of(Path(mutant.path).parts).removeprefix(PACKAGE)
     found = []
     for cover in covers:
-        tests = cover.tests(mutant.path, mutant.lines) or cover.tests(
-            mutant.path, mutant.statement
-        )
-        if tests:
-            found.append((cover, sorted(tests, key=cover.seconds.__getitem__)))
-    room = room_of(Path(mutant.path).parts).removeprefix(PACKAGE)
-    found.sort(
-        key=lambda entry: (
-            not entry[0].file.startswith(f"tests{room}"),
-            sum(entry[0].seconds[test] for test in entry[1]),
-        )
-    )
+        is_far = not cover.file.startswith(f"tests{room}")
+        for test in _tests_of(mutant, cover):
+            found.append((is_far, cover.seconds[test], test, cover))
+    found.sort(key=lambda entry: entry[:3])
     left = SECONDS
-    chosen = []
-    for cover, tests in found:
-        left -= cover.collection / 4
-        kept = []
-        for test in tests:
-            if left > 0:
-                kept.append(test)
-                left -= cover.seconds[test]
-        if kept:
-            chosen.append((cover, kept))
-    return chosen
+    chosen: dict[str, tuple[Covered, list[str]]] = {}
+    for _, seconds, test, cover in found:
+        if left > 0.0:
+            if cover.file not in chosen:
+                left -= OF_COLLECTION * cover.collection
+            chosen.setdefault(cover.file, (cover, []))[1].append(test)
+            left -= seconds
+    return list(chosen.values())
+
+
+def _tests_of(mutant: Mutant, cover: Covered) -> set[str]:
+    if mutant.at_import:
+        return cover.users(mutant.path)
+    return cover.tests(mutant.path, mutant.lines) or cover.tests(
+        mutant.path, mutant.statement
+    )
 
 
 def meet(mutant: Mutant, covers: list[Covered], state: Path) -> str:
@@ -142,9 +143,9 @@ def meet(mutant: Mutant, covers: list[Covered], state: Path) -> str:
                 for cover, tests in part
             )
             code = fork(
-                lambda files=files, tests=tests: _tests_of(files, tests),
+                lambda files=files, tests=tests: _run(files, tests),
                 tree,
-                20 + 3 * expected,
+                40 + 4 * expected,
                 state / "mutant.log",
             )
             if code not in (0, 5):
@@ -156,7 +157,7 @@ def meet(mutant: Mutant, covers: list[Covered], state: Path) -> str:
     return "survived"
 
 
-def _tests_of(files: list[str], tests: list[str]) -> int:
+def _run(files: list[str], tests: list[str]) -> int:
     return pytest.main([*files, *PYTEST, "-x"], plugins=[Selection(tests)])
 
 

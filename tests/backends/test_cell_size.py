@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.shared.soft_rows import SoftRow, TetrahedralMesh
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -248,4 +250,18 @@ def test_cantilever_of_foam_converges_in_newton_with_enough_iterations() -> None
     assert droop_error("newton", {}) > 1.0
 
 
-# --- bounds ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("cell_m", [0.05, 0.02])
+def test_tetrahedra_of_a_block_fill_it_and_have_a_closed_surface(cell_m: float) -> None:
+    bar = load_experiment("FoamStretching-soft").scene.deformables[0]
+    mesh = TetrahedralMesh.of(SoftRow.of([bar], {}), [], cell_m)
+    surface = trimesh.Trimesh(mesh.points_m, mesh.surface(), process=False)
+    assert surface.is_watertight and surface.is_winding_consistent
+    volume_m3, (x, y, z) = np.prod(bar.shape.size_m), bar.shape.size_m
+    assert surface.volume == pytest.approx(volume_m3)
+    assert surface.area == pytest.approx(2.0 * (x * y + y * z + z * x))
+    assert mesh.volumes_m3.sum() == pytest.approx(volume_m3)
+    masses_kg = mesh.masses_kg([100.0])
+    assert masses_kg.sum() == pytest.approx(100.0 * volume_m3)
+    assert masses_kg @ mesh.points_m == pytest.approx(
+        100.0 * volume_m3 * np.array(bar.pose.position_m), abs=1e-9
+    )

@@ -62,6 +62,32 @@ def test_areas_are_those_of_a_uniform_strain(
     assert (band.uncertainty[0] < 0.02).all()
 
 
+@pytest.mark.parametrize("name", ["FoamStretching-soft", "FoamCompressing-hard"])
+def test_an_uncertainty_is_the_root_of_five_squares(name: str) -> None:
+    scene, law = load_experiment(name).scene, law_for(name)
+    (bar,), (motion,) = scene.deformables, scene.drivers[0].motions
+    nu, width_m = bar.poisson_ratio, bar.shape.size_m[0]
+    seconds = np.arange(30) / 30
+    strain, rate = (
+        np.array([reads(time_s) for time_s in seconds])[:, None] / (1e-3 * FREE_MM)
+        for reads in (motion.value, motion.rate)
+    )
+    middles_m = np.array(scene.markers.positions_m)[np.array(scene.markers.faces), 2]
+    from_middle_m = np.abs(middles_m.mean(axis=1) - bar.pose.position_m[2])
+    depth = (0.5e-3 * FREE_MM - from_middle_m) / (0.5 * width_m)
+    density = bar.mass_kg / np.prod(bar.shape.size_m)
+    parts = [
+        law.left_out_share * ((1.0 + strain) * (1.0 - nu * strain) - 1.0),
+        nu * strain * np.exp(-CLAMP_DECAY * depth),
+        nu**2 * strain * width_m / (1e-3 * FREE_MM),
+        0.5 * nu * (1.0 + nu) * strain**2,
+        rate * 1e-3 * FREE_MM / math.sqrt(bar.young_modulus_pa / density),
+    ]
+    relative = np.sqrt(sum(np.square(part) for part in parts))
+    band = band_of(name)
+    assert band.uncertainty == pytest.approx(relative * band.mean[0], rel=1e-4)
+
+
 def test_sigma_is_the_published_scatter_where_there_is_one() -> None:
     stretched, compressed = (
         band_of("FoamStretching-soft"),

@@ -23,6 +23,7 @@ from gauge_envs.evaluation.estimators import (
     speed_at_contact_m_per_s,
     steady_speed_m_per_s,
 )
+from gauge_envs.evaluation.motion_kinds import find_impact
 
 G = 9.81
 
@@ -235,6 +236,36 @@ def test_a_ball_that_stays_down_has_no_restitution() -> None:
     times_s = np.arange(0.0, 0.5, 0.01)
     found = restitution_of_bounce(times_s, bounce_heights(times_s, 0.2, 0.0))
     assert found == 0.0
+
+
+@pytest.mark.parametrize("gravity_x", [0.0, -3.0])
+@pytest.mark.parametrize(
+    ("before_m_per_s", "after_m_per_s"), [(-2.0, 1.2), (-2.0, -1.2), (1.2, 2.4)]
+)
+def test_an_impact_is_where_a_velocity_reverses(
+    before_m_per_s: float, after_m_per_s: float, gravity_x: float
+) -> None:
+    """A body between two flights over a floor; it is slowed in the second case, and kicked in the third."""
+    gravity = np.array([gravity_x, -9.80665])
+    times_s = np.arange(81) / 240.0
+    since_s = times_s[:, None] - 40.3 / 240.0
+    speeds = np.where(since_s < 0.0, before_m_per_s, after_m_per_s)
+    metres = np.concatenate([0.7 * since_s, speeds * since_s], axis=1)
+    metres += 0.5 * gravity * since_s**2
+    impact = find_impact(times_s, 1e3 * metres, gravity_m_per_s2=gravity)
+    if before_m_per_s > 0.0 or after_m_per_s < 0.0:
+        assert impact is None
+        return
+    assert impact is not None
+    # Gravity acts between the samples whose velocities are compared.
+    assert impact.normal == pytest.approx([0.0, 1.0], abs=0.02)
+    assert impact.time_s == pytest.approx(40.3 / 240.0, abs=1e-4)
+    assert impact.speed_in == pytest.approx(2000.0, rel=0.02)
+    assert impact.speed_out == pytest.approx(1200.0, rel=0.02)
+    later = find_impact(times_s + 5.0, 1e3 * metres, gravity_m_per_s2=gravity)
+    assert later is not None and later.time_s == pytest.approx(impact.time_s + 5.0)
+    assert find_impact(times_s[:4], 1e3 * metres[:4], gravity_m_per_s2=gravity) is None
+    assert find_impact(times_s, 1e3 * metres, gravity_m_per_s2=-gravity) is None
 
 
 def test_a_body_that_does_not_fall_has_no_bounce() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cradle
@@ -14,7 +15,8 @@ from chain import event_driven_chain, simultaneous_impact
 
 from gauge_envs import Score, load_experiment, score_trajectory
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.evaluation.swing import EventTime
+from gauge_envs.evaluation.implied import implied_parameters
+from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_notes
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
 from gauge_envs.references.published import published_baselines, recorded_events
@@ -85,6 +87,49 @@ def test_the_period_is_between_the_bins_or_on_one(rollout: Callable) -> None:
     )
     (line,) = estimator_lines("Pendulum-metal", score)
     assert "1.230 s (1.08)" in line and "1.250 s (1.10)" in line
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_period_and_decay_do_not_depend_on_the_axis_nor_on_the_place(axis: str) -> None:
+    experiment = load_experiment("Pendulum-metal")
+    experiment = replace(
+        experiment, score=experiment.score.model_copy(update={"period_axis": axis})
+    )
+    times_s = np.arange(18000) / 180.0
+    along_mm = 200.0 * np.exp(-0.03 * times_s) * np.cos(2.0 * np.pi * times_s / 1.04)
+    anchor_mm = 1e3 * np.array(experiment.scene.joints[0].anchor_m)
+    values = np.tile(anchor_mm, (len(times_s), 1))
+    values[:, "xyz".index(axis)] += along_mm
+    period, decay = implied_parameters(experiment, None, times_s=times_s, values=values)
+    assert (period.parameter, decay.parameter) == ("period", "decay_rate")
+    assert period.value == pytest.approx(1.04, rel=1e-3)
+    assert decay.value == pytest.approx(0.03, rel=1e-3)
+    notes = swing_notes(experiment, values[::6], times_s=times_s, values=values)
+    # A bin of ten seconds is a whole number of periods.
+    assert 10.0 / notes["pd_fft_s"] == pytest.approx(round(10.0 / 1.04), abs=1e-9)
+    mean_s = experiment.baselines["pd"].mean
+    assert notes["pd_fft_normalized"] == pytest.approx(notes["pd_fft_s"] / mean_s)
+
+
+@pytest.mark.parametrize("other_s", [1.3, 1.9])
+@pytest.mark.parametrize(
+    ("metric", "other", "frames"),
+    [("pd", "pd_fft_s", 0.0), ("lsd", "lsd_central_s", 1.0)],
+)
+def test_an_interval_of_an_event_is_by_the_guide(
+    metric: str, other: str, frames: float, other_s: float
+) -> None:
+    """A rectangle between the estimators, one of a frame, and the standard error of twenty trials (GUM 4.3.7)."""
+    line = replace(published_baselines("Pendulum-metal")["pd"], mean=1.6, std=0.4)
+    intervals = event_intervals({metric: 1.3}, {other: other_s}, {metric: line})
+    of_estimator = np.hypot(other_s - 1.3, 0.5 * frames / 30.0) / 3**0.5 / 1.6
+    of_trials = 0.4 / 20**0.5 * 1.3 / 1.6**2
+    half = 1.959964 * np.hypot(of_estimator, of_trials)
+    assert intervals == {
+        f"{metric}_normalized_95": pytest.approx(
+            (1.3 / 1.6 - half, 1.3 / 1.6 + half), rel=1e-6
+        )
+    }
 
 
 def test_the_published_scatter_of_periods_is_that_of_two_bins() -> None:

@@ -11,17 +11,25 @@ import gymnasium
 import numpy as np
 import pytest
 from scipy.special import betaincinv, stdtrit
-from scipy.stats import binomtest, chi2
+from scipy.stats import binomtest, chi2, sem, t as student
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.deviation import (
+    Deviation,
     percentile_among,
     percentile_interval,
     trial_distances,
 )
-from gauge_envs.evaluation.uncertainty import WIDEST, band_errors, refusal, widening
+from gauge_envs.evaluation.uncertainty import (
+    GROUP_SHARE,
+    LAG_MARGIN,
+    WIDEST,
+    band_errors,
+    refusal,
+    widening,
+)
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
@@ -457,6 +465,65 @@ def test_draws_of_two_engines_are_paired():
     assert np.corrcoef(one, other)[0, 1] > 0.95
 
 
+@pytest.mark.parametrize("name", [*SLIDES, BALL])
+def test_the_error_of_a_mean_is_a_shift_in_time_and_what_is_left(name):
+    """The two add up to the residuals of the trials, and no part of the rest is along the velocity."""
+    band = bundled_band(name)
+    errors = band_errors(band, published_baselines(name)["rmse"])
+    velocity = errors.flat(np.gradient(np.nan_to_num(band.mean), axis=0))
+    velocity /= np.linalg.norm(velocity)
+    shift, rest = (
+        next(errors.shapes[one.columns] for one in errors.sources if one.kind == kind)
+        for kind in ("release", "sampling")
+    )
+    assert np.abs(rest @ velocity).max() < 1e-9 * np.linalg.norm(rest)
+    assert shift == pytest.approx(np.outer(shift @ velocity, velocity), abs=1e-9)
+    residuals = errors.flat(band.trials - band.mean)
+    assert -(shift + rest) == pytest.approx(residuals, abs=1e-9)
+
+
+def test_two_trials_are_as_far_from_each_other_and_one_from_none():
+    band = bundled_band(SLIDES[0])
+    pair = band.trials[:2]
+    apart = np.square(pair[0] - pair[1]).sum(axis=-1)
+    raw = trial_distances(replace(band, trials=pair, mean=pair.mean(axis=0))).raw
+    assert raw == pytest.approx(np.sqrt(np.nanmean(apart)) * np.ones(2))
+    assert trial_distances(replace(band, trials=pair[:1], mean=pair[0])) is None
+
+
+@pytest.mark.parametrize("over_baseline", [True, False])
+@pytest.mark.parametrize("size_mm", [0.3, 3.0, 30.0])
+@pytest.mark.parametrize("name", [SLIDES[0], "SlopeSlider-1-wood"])
+def test_intervals_scale_with_the_unit(name, size_mm, over_baseline):
+    """Below the noise, about it and above it, against real trials and a law: millimetres and metres say the same."""
+    band = reference_band(load_experiment(name))
+    errors = band_errors(band, published_baselines(SLIDES[0])["rmse"])
+    deviation = size_mm * np.sin(np.arange(band.mean.size)).reshape(band.mean.shape)
+    in_metres = replace(errors, shapes=1e-3 * errors.shapes)
+    low, high = errors.interval(deviation, over_baseline=over_baseline)
+    assert low <= high
+    assert in_metres.interval(
+        1e-3 * deviation, over_baseline=over_baseline
+    ) == pytest.approx((1e-3 * low, 1e-3 * high), rel=1e-6, abs=1e-12)
+    if over_baseline:
+        drawn = errors.draws(deviation)
+        assert in_metres.draws(1e-3 * deviation) == pytest.approx(1e-3 * drawn)
+
+
+def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
+    """The squares of draws are, on average, the squared deviation less the variance of the mean of the trials."""
+    band = bundled_band(BALL)
+    steps = np.random.default_rng(4).permutation(22)
+    trials = band.mean + steps[:, None, None] * np.ones_like(band.mean)
+    errors = band_errors(
+        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
+    )
+    errors = replace(errors, baseline=np.zeros_like(errors.baseline), baseline_bias=1.0)
+    drawn = errors.draws(np.zeros_like(band.mean))
+    of_mean = band.mean.shape[1] * steps.var(ddof=1) / 22
+    assert np.mean(np.sign(drawn) * drawn**2) == pytest.approx(-of_mean, rel=1e-6)
+
+
 def test_an_interval_of_a_distance_in_one_direction_is_that_of_student():
     """Along the error of each trial, with a deviation far above its errors and nothing but the trials uncertain."""
     band = bundled_band(BALL)
@@ -559,6 +626,42 @@ def test_a_widening_is_that_of_its_definition():
     # Nineteen in twenty of independent samples are widened by less than 2, and few are refused.
     assert np.quantile([widening(one) for one in drawn], 0.95) < 2.0
     assert np.mean([refusal(one) is not None for one in drawn]) < 0.01
+
+
+@pytest.mark.parametrize("blocks", [1.0, 1.5, 2.0])
+def test_a_widening_is_that_of_lags_or_of_groups(blocks):
+    """By SciPy's intervals of a mean: of four group means, and of single trials."""
+    random = np.random.default_rng(5)
+    series = random.permuted(np.arange(22.0)) + blocks * np.repeat(
+        [-3.0, 4.0, 3.0, -4.0], [6, 6, 5, 5]
+    )
+    centred = series - np.mean(series)
+    lag = np.sum(centred[1:] * centred[:-1]) / np.sum(centred**2)
+    lag = np.clip(lag + 1 / 22 + LAG_MARGIN / 22**0.5, 0.0, 0.99)
+    means = [np.mean(group) for group in np.split(series, [6, 12, 17])]
+    (_, grouped), (_, single) = (
+        student.interval(0.95, len(one) - 1, scale=sem(one)) for one in (means, series)
+    )
+    expected = max(((1 + lag) / (1 - lag)) ** 0.5, GROUP_SHARE * grouped / single)
+    assert widening(series) == pytest.approx(expected)
+    assert widening(series[:7]) >= 1.0
+
+
+def test_a_distance_and_its_ratio_to_the_baseline_are_refused_apart():
+    """The baseline alone depends on trials that are alike."""
+    band = bundled_band(SLIDES[0])
+    errors = band_errors(band, published_baselines(SLIDES[0])["rmse"])
+    one = Deviation(
+        values=np.ones_like(band.mean),
+        rmse=1.0,
+        errors=replace(errors, influence=1e6 * np.linspace(-1.0, 1.0, 20)),
+        baseline=2.0,
+    )
+    assert one.refusal is None and one.interval is not None
+    assert "alike" in one.normalized_refusal and one.normalized_interval is None
+    alone = replace(one, baseline=None)
+    assert alone.normalized_refusal is None and alone.normalized_interval is None
+    assert alone.interval == one.interval
 
 
 def test_two_trials_have_a_score_without_an_interval_and_say_why():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
@@ -70,6 +71,13 @@ def test_material_points_are_exact_where_nodes_are_not() -> None:
     for proxy in MarkerProxy:
         sheet.time_s = 0.0
         observer = ObserverMarkers(scene, Observable.MARKER_POSITION, sheet, proxy)
+        apart_m = {
+            MarkerProxy.NODE: cdist(scene.markers.positions_m, sheet.nodes(cloth.name))
+            .min(axis=1)
+            .max(),
+            MarkerProxy.MATERIAL: 0.0,
+        }[proxy]
+        assert observer.largest_distance_m == pytest.approx(apart_m, abs=1e-9)
         sheet.advance(0.1)
         moved = observer.now(sheet).reshape(-1, 3)
         errors[proxy] = np.abs(moved - 1e3 * targets).max()

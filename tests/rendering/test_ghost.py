@@ -10,6 +10,7 @@ from gauge_envs.evaluation.reference_path import (
     ghost_trajectory,
     reference_path,
     reference_text,
+    reference_words,
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.bands import Band
@@ -61,6 +62,12 @@ def test_a_ghost_has_the_mean_of_its_band(name: str) -> None:
     ghost = ghost_trajectory(band, g)
     known = np.isfinite(band.mean).all(axis=1)
     assert band.project(ghost[known]) == pytest.approx(band.mean[known])
+
+
+def test_a_mean_is_named_by_the_number_of_its_trials() -> None:
+    one, many, some = (reference_words(BandGrade.TRIALS, n) for n in (1, 20, None))
+    assert "one" in one and "20 " in many
+    assert some == many.replace("20 ", "the ") != one
 
 
 def test_the_text_says_when_a_reference_ends_before_the_pictures() -> None:

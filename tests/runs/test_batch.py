@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import (
     ParameterError,
     ResultFileError,
@@ -15,10 +17,11 @@ from gauge_envs.errors import (
 )
 from gauge_envs.runs import pool
 from gauge_envs.runs.batch import check_requests, run_many
-from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
+from gauge_envs.runs.rollout import NotFiniteError, record
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 
@@ -168,6 +171,30 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
     assert load_result(file).diverged
     assert "Infinity" not in file.read_text()
     assert draw_experiment([load_result(file)])
+
+
+def test_repeats_scatter_and_one_episode_does_not(result):
+    first, second = run_episodes(RunRequest(NAME, repeats=2))
+    assert not result.jitter and first.jitter and first.jitter == second.jitter
+    starts = {tuple(one.trajectory.samples[0]) for one in (result, first, second)}
+    assert len(starts) == 3
+
+
+@pytest.mark.parametrize("column", [0, 4, 12])
+def test_a_recording_ends_at_one_number_that_is_not_finite(column):
+    scene = load_experiment(NAME).scene
+    simulation = backend_for("mujoco", None).build(scene)
+    simulation.reset(0)
+    states_of = simulation.body_states
+
+    def planted(names):
+        states = np.array(states_of(names))
+        states[list(names).index("cube"), column] = np.nan
+        return states
+
+    simulation.body_states = planted
+    with pytest.raises(NotFiniteError, match="'cube' is not finite"):
+        record(simulation, scene, 0.1)
 
 
 @pytest.mark.parametrize("out", ["/proc/nowhere", __file__, f"{__file__}/below"])

@@ -7,14 +7,18 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.runs import batch
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
@@ -248,3 +252,21 @@ def test_a_run_under_a_memory_limit_goes_on(installed):
 def test_a_memory_limit_is_positive(limit_gb):
     with pytest.raises(ParameterError, match="memory limit"):
         run_many([RunRequest(WOOD)], isolate=True, memory_limit_gb=limit_gb)
+
+
+@pytest.mark.parametrize(
+    ("words", "isolate"),
+    [((), None), (("--limits", "isolate"), True), (("--limits", "60s"), True)],
+)
+def test_the_command_isolates_where_it_is_told_to(
+    words: tuple[str, ...], isolate: bool | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def recorded(requests: object, **options: object) -> Iterator[None]:
+        asked.append(options["isolate"])
+        return iter(())
+
+    monkeypatch.setattr(batch, "run_many", recorded)
+    CliRunner().invoke(app, ["run", "SlopeSlider-2-wood", *words])
+    assert asked == [isolate]

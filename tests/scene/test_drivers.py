@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.driver_path import DriverPath, DriverPathOfWorlds
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 
@@ -123,3 +124,42 @@ def test_samples_may_be_subnormal_numbers() -> None:
         times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313)
     )
     assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)
+
+
+def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion() -> None:
+    """Actions move one motion of the first world, both of the second, and none of the third."""
+    plate = RigidBody(
+        name="plate",
+        shape=Box(size_m=(0.2, 0.1, 0.02)),
+        motion=Motion.KINEMATIC,
+        mass_kg=1.0,
+        pose=Pose(position_m=(0.1, 0.2, 0.3)),
+    )
+    shift, turn = (
+        DriverMotion(
+            kind=kind,
+            axis=(0.0, 0.6, 0.8),
+            point_m=point_m,
+            profiles=(CosineProfile(start_s=0.0, duration_s=0.5, amount=amount),),
+            residual_rate=0.3,
+        )
+        for kind, amount, point_m in (
+            ("translate", 0.2, None),
+            ("rotate", 0.7, (0.1, 0.2, 0.4)),
+        )
+    )
+    driver = Driver(body="plate", motions=(shift, turn), provenance="nominal")
+    scene = Scene(bodies=(plate,), drivers=(driver,), duration_s=0.5)
+    together = DriverPathOfWorlds(driver, [scene] * 3, 6)
+    alone = [DriverPath(driver, scene, 6) for _ in range(3)]
+    acted = np.array([[1.0, 0.0], [0.5, -1.0], [0.0, 0.0]])
+    for sample in range(8):
+        actions = acted if sample in (1, 2) else np.zeros((3, 2))
+        rows = together.interval(sample, actions)
+        for path, row, action in zip(alone, rows, actions, strict=True):
+            pose, velocity, acceleration = path.interval(sample, action)
+            assert row == pytest.approx(
+                [*pose.position_m, *pose.quaternion, *velocity, *acceleration], abs=1e-9
+            )
+    rates_m_or_rad = 0.3 * 2 / 180
+    assert together.offsets == pytest.approx(rates_m_or_rad * acted)

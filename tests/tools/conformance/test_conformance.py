@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,12 @@ from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedScene
 from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.pages.document import as_markdown
+from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Hinge, Scene
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.laws import torque_free_orientation
+from gauge_envs.tools.conformance.rigid import _hinge_radius, _pendulum_energy
 from gauge_envs.tools.conformance.words import findings_document
 
 SOUND = Fault(what="none", caught_by="", says="")
@@ -423,6 +426,46 @@ def test_pendulum_period_is_the_integral_over_a_quarter_swing() -> None:
         gravity_m_per_s2=9.8,
     )
     assert measured == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("along_mm", "radial_mm", "is_tilted"),
+    [(2.0, 0.3, True), (0.5, 0.01, True), (0.5, 0.1, False), (2.0, 2.0, False)],
+)
+def test_a_tilted_hinge_is_told_from_a_soft_one(
+    along_mm: float, radial_mm: float, is_tilted: bool
+) -> None:
+    """A bob that leaves its circle along the axis and along the arm; the speed loses a tenth of its energy."""
+    angles_rad = np.linspace(np.radians(60.0), 0.0, 20)
+    grown = np.linspace(0.0, 1e-3, 20)
+    arm_m = 0.2 + radial_mm * grown
+    states = np.zeros((20, 13))
+    states[:, 0] = 0.1 + arm_m * np.sin(angles_rad)
+    states[:, 1] = 0.2 + along_mm * grown
+    states[:, 2] = 1.0 - arm_m * np.cos(angles_rad)
+    fallen_m = states[0, 2] - states[:, 2]
+    kept = 1.0 - 0.1 * (np.arange(20) == 19)
+    # Energy of a solid sphere whose centre is 0.2 m away from the axis about which it turns.
+    gyration_m = np.sqrt(0.4) * 0.05 / 0.2
+    speeds = np.sqrt(2.0 * 9.80665 * fallen_m * kept / (1.0 + gyration_m**2))
+    states[:, 7], states[:, 11] = -speeds, speeds / 0.2
+    rollout = Rollout(
+        scene=Scene(bodies=(), duration_s=0.1),
+        times_s=np.arange(20) / 180.0,
+        states={"bob": states},
+    )
+    found = _hinge_radius(rollout)
+    assert found.measured == pytest.approx(max(along_mm, radial_mm), rel=1e-6)
+    assert ("tilted" in found.hint) == is_tilted
+    lost = _pendulum_energy(rollout)
+    released_m = 0.2 * (1.0 - np.cos(np.radians(60.0)))
+    assert lost.measured == pytest.approx(10.0 * fallen_m[-1] / released_m, rel=1e-3)
+    assert lost.hint == ""
+    for factor, words in ((0.5, "0.5 times"), (np.degrees(1.0), "it is in degrees")):
+        turned = states.copy()
+        turned[:, 11] *= factor
+        hint = _pendulum_energy(replace(rollout, states={"bob": turned})).hint
+        assert words in hint
 
 
 def test_torque_free_symmetric_top_precesses_steadily() -> None:

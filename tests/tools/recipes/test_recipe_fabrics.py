@@ -8,6 +8,7 @@ from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.experiments.task_files import fabrics
+from gauge_envs.scene.fabrics import plate_bending_stiffness
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe, fabric_snippet
 
 SATIN = fabrics("TextileFlinging")["satin"]
@@ -77,6 +78,19 @@ def sag_over_expected(snippet):
 def test_the_snippet_stretches_in_a_plain_loop_of_mujoco():
     snippet = fabric_snippet(flex_constants(SATIN))
     assert sag_over_expected(snippet) == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_flex_has_the_bending_stiffness_of_the_fabric() -> None:
+    """Of a plate: young * thickness^3 / (12 (1 - nu^2)), with the thickness that gives the measured stretch."""
+    of = flex_constants(SATIN).constants
+    plate = of["young"] * of["thickness"] ** 3 / (12.0 * (1.0 - of["poisson"] ** 2))
+    hinge = SATIN.bend_stiffness_n_m_per_rad
+    assert plate == pytest.approx(
+        plate_bending_stiffness(hinge_stiffness_n_m_per_rad=hinge)
+    )
+    assert of["young"] * of["thickness"] == pytest.approx(
+        SATIN.stretch_stiffness_n_per_m
+    )
 
 
 def test_a_snippet_with_a_wrong_unit_is_noticed():

@@ -68,6 +68,13 @@ def test_a_good_robot_has_no_flag() -> None:
     found = rows_of(good_xml())
     assert [name for name, one in found.items() if one.is_flag] == []
     assert set(ROBOT_IDS) - set(found) == {"robot-bound", "robot-action", "robot-delay"}
+    for name in set(ROBOT_IDS) & set(found):
+        reality, (low, high) = (
+            found[name].reality,
+            facts("robot_rows")[name]["interval"],
+        )
+        assert reality.value - reality.tolerance == pytest.approx(low, abs=1e-9 * high)
+        assert reality.value + reality.tolerance == pytest.approx(high)
 
 
 @pytest.mark.parametrize("name", sorted(ON_ROBOT))
@@ -176,6 +183,36 @@ def test_torque_damping_friction_and_armature_are_ratios_to_the_limb() -> None:
     )
     assert found["robot-damping"].configured == pytest.approx(3.0 * 0.5 / 40.0)
     assert found["robot-frictionloss"].configured == pytest.approx(0.2 / 40.0)
+
+
+def test_the_cure_of_an_armature_is_the_limb_of_each_joint_that_is_too_heavy() -> None:
+    """The limb is what the joint turns without armature: the diagonal of the inertia of a model that has none."""
+    bare = read(good_xml().replace('armature="0.005"', 'armature="0"')).robot
+    full = np.zeros((bare.model.nv, bare.model.nv))
+    data = mujoco.MjData(bare.model)
+    mujoco.mj_resetDataKeyframe(bare.model, data, 0)
+    mujoco.mj_forward(bare.model, data)
+    mujoco.mj_fullM(bare.model, data, full)
+    limbs = {f"dof_armature[{dof}]": full[dof, dof] for dof in range(6, bare.model.nv)}
+    for armature in (0.005, 1.0):
+        text = good_xml().replace('armature="0.005"', f'armature="{armature}"')
+        found = ROWS["robot-armature"](read(text).robot)
+        assert found.value == pytest.approx(armature / min(limbs.values()), rel=1e-6)
+        heavy = {name: limb for name, limb in limbs.items() if armature > 20.0 * limb}
+        assert found.changes == pytest.approx(heavy, rel=1e-6)
+    assert heavy
+
+
+def test_springs_gain_energy_beyond_the_longest_stable_step() -> None:
+    sprung = good_xml().replace("<joint armature", '<joint stiffness="300" armature')
+    short, long = (
+        row(
+            "robot-energy",
+            sprung.replace('timestep="0.002"', f'timestep="{step_s}"'),
+        ).configured
+        for step_s in (0.002, 0.02)
+    )
+    assert 0.0 <= short < 0.01 and long > 1.0
 
 
 def test_density_and_gravcomp_are_those_of_the_model() -> None:
