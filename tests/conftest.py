@@ -20,10 +20,11 @@ from hostile import install
 from typer.testing import CliRunner
 
 from gauge_envs import files, registry
-from gauge_envs.backends import Support, backend
+from gauge_envs.backends import Backend, Support, backend, backend_names
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
+from gauge_envs.errors import MissingExtraError
 from gauge_envs.runs import isolation
 from gauge_envs.tools.catalog import listing, overview
 
@@ -142,6 +143,15 @@ def installed(tmp_path, monkeypatch):
 
     yield installs
     backend.cache_clear()
+
+
+@pytest.fixture(params=backend_names())
+def engine(request: pytest.FixtureRequest) -> Backend:
+    """Each installed engine in turn, or the engines that a test names by indirect parameters."""
+    try:
+        return backend(request.param)
+    except MissingExtraError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture
