@@ -20,7 +20,7 @@ from hostile import install
 from typer.testing import CliRunner
 
 from gauge_envs import files, registry
-from gauge_envs.backends import Backend, Support, backend, backend_names
+from gauge_envs.backends import Support, backend, backend_names
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
@@ -146,7 +146,7 @@ def installed(tmp_path, monkeypatch):
 
 
 @pytest.fixture(params=backend_names())
-def engine(request: pytest.FixtureRequest) -> Backend:
+def engine(request):
     """Each installed engine in turn, or the engines that a test names by indirect parameters."""
     try:
         return backend(request.param)
