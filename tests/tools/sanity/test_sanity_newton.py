@@ -16,7 +16,7 @@ import warp as wp  # noqa: E402
 from gauge_envs.errors import TargetError  # noqa: E402
 from gauge_envs.scene import Box  # noqa: E402
 from gauge_envs.tools.sanity import Need, Verdict, check, configuration  # noqa: E402
-from gauge_envs.tools.sanity.measure import Engine, Measurements  # noqa: E402
+from gauge_envs.tools.sanity.measure import Measurements  # noqa: E402
 from gauge_envs.tools.sanity.phenomena import phenomena  # noqa: E402
 from gauge_envs.tools.sanity.stacks import dialect  # noqa: E402
 from gauge_envs.tools.sanity.stacks.newton import (  # noqa: E402
@@ -354,5 +354,5 @@ def test_a_cube_creeps_as_in_plain_newton(
     )
     read = newton_configuration(solver, step_s=STEP_S)
     (phenomenon,) = phenomena(["creep-wood"])
-    measured = Measurements(Engine("newton")).measure(phenomenon, read.settings)
+    measured = Measurements("newton").measure(phenomenon, read.settings)
     assert measured.value == pytest.approx(plain, rel=1e-3)

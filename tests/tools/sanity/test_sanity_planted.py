@@ -18,7 +18,7 @@ from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import Report, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.stacks import configuration, dialect
+from gauge_envs.tools.sanity.stacks import configuration
 
 RUNNER = CliRunner()
 
@@ -239,29 +239,3 @@ def test_gravity_is_judged_against_the_ground(
     assert read.up == pytest.approx(up)
     (row,) = check(read, only=["gravity"]).rows
     assert row.verdict is verdict
-
-
-def test_changes_are_written_in_the_language_of_the_target() -> None:
-    changes = {
-        "cone": "elliptic",
-        "refsafe": True,
-        "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
-        "timestep_s": 0.005,
-    }
-    assert dialect("mjcf").paste_text(changes) == (
-        '<option cone="elliptic" timestep="0.005"><flag refsafe="enable"/></option> and '
-        '<default><geom solimp="0.9 0.95 0.001 0.5 2"/></default>'
-    )
-    assert dialect("toml").paste_text(changes) == (
-        'cone = "elliptic", refsafe = true, contact_solimp = [0.9, 0.95, 0.001, 0.5, 2], timestep_s = 0.005'
-    )
-
-
-def test_a_setting_that_is_left_out_is_not_written_as_the_flag_of_another() -> None:
-    mjcf = dialect("mjcf")
-    assert (
-        mjcf.paste_text({"o_friction": None})
-        == '<option><flag override="disable"/></option>'
-    )
-    assert mjcf.paste_text({"contact_solimp": None}) == "no solimp"
-    assert mjcf.value_text("contact_solimp", None) == "the default of the engine"
