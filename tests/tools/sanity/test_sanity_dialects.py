@@ -373,7 +373,6 @@ def test_changes_in_the_words_of_each_stack(
         lines += [
             f"=== {name} ===",
             written.paste_text(changes),
-            written.paste_text(changes, geoms="floor with foot"),
             written.assignment("o_friction", None),
             written.assignment("unknown", (1.0, 0.25)),
             written.value_text(stated[0], changes[stated[0]]),
