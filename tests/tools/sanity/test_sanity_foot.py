@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from planted import PLANTED, model_xml
 from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
@@ -514,25 +513,3 @@ def test_a_fault_of_the_feet_is_wrong_and_named(name: str) -> None:
             "in FL_foot, FR_foot, RL_foot and 1 more, which the default does not reach"
             in report.cure.line
         )
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "soft_foot",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("one_iteration", "margin_1_cm", "pyramidal_and_soft")
-        ),
-    ],
-)
-def test_the_feet_of_planted_models_show_the_fault(name: str) -> None:
-    report = check(model(model_xml(PLANTED[name])), only=["foot-*"])
-    assert report.worst in (Verdict.VISIBLE, Verdict.WRONG)
-    named = {
-        setting
-        for one in report.rows
-        if one.cause is not None
-        for setting in one.cause.settings
-    }
-    assert named & set(PLANTED[name].culprits), [one.cause for one in report.rows]

@@ -521,26 +521,3 @@ def test_the_examples_hold_what_isaac_lab_writes() -> None:
             assert part == whole, key
 
     assert_inside(example, DUMPED, "")
-
-
-def test_the_command_names_both_changes_first() -> None:
-    arguments = [
-        "sanity",
-        str(EXAMPLES / "g1_trained.yaml"),
-        "--against",
-        str(EXAMPLES / "g1_deployed.yaml"),
-    ]
-    outcome = RUNNER.invoke(
-        app, [*arguments, "--only", "slide-wood,rebound-slow", "--fail-on", "wrong"]
-    )
-    assert outcome.exit_code == 1
-    first = outcome.stdout.partition("\n\n")[0].replace("\n", " ")
-    assert "restitution that a foot meets: from 0 to 0.4" in first
-    assert "then friction that a foot meets, straight: from 1 to 0.5" in first
-    for name, reason in {
-        "absent/env.yaml": "there is no such file",
-        "x" * 300: "gymnasium.make fails",
-    }.items():
-        refused = RUNNER.invoke(app, ["sanity", name])
-        assert refused.exit_code == 2
-        assert reason in refused.output.replace("\n", " ")

@@ -214,6 +214,8 @@ def test_only_the_last_ball_may_leave() -> None:
         ),
     )
     assert bad.remark.startswith("2 of 5 balls swing out")
+    # The momentum alone would be as in reality.
+    assert (bad.value, bad.verdict) == (good.value, Verdict.WRONG)
 
 
 def test_depth_of_a_point_in_the_recess() -> None:

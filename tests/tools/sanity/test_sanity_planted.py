@@ -192,9 +192,7 @@ def test_what_does_not_apply_is_declined_with_the_reason(
 
 
 def test_contacts_without_friction_on_purpose_are_not_judged_by_friction() -> None:
-    report = checked(
-        Planted(culprits=(), rows=(), geom={"condim": "1"}), "creep-wood", "point"
-    )
+    report = checked(Planted(geom={"condim": "1"}), "creep-wood", "point")
     assert row_of(report, "creep-wood").remark.startswith(
         "condim 1: contacts of floor with trunk"
     )
@@ -209,7 +207,7 @@ def test_impacts_count_where_the_model_states_a_rebound(
     solref: str, is_advice: bool
 ) -> None:
     row = row_of(
-        checked(Planted(culprits=(), rows=(), geom={"solref": solref}), "rebound"),
+        checked(Planted(geom={"solref": solref}), "rebound"),
         "rebound",
     )
     assert row.verdict is Verdict.WRONG
