@@ -239,16 +239,20 @@ class CheckResult(Outcome):
 
 @cache
 def texts_of_checks() -> dict[str, Any]:
-    """Return texts and tolerances of the checks of this package by id, and `canonical`: one id for each phenomenon."""
+    """Return texts and tolerances of the checks of this package by id, and `canonical`: one id for each phenomenon.
+
+    A check is `like` another one: what it does not state itself is that of the other.
+    """
     texts = tomllib.loads(
         (Path(__file__).parent / "checks.toml").read_text(encoding="utf-8")
     )
-    return {
-        id: one | {"tolerance": Tolerance(**one["tolerance"])}
-        if "tolerance" in one
-        else one
-        for id, one in texts.items()
-    }
+    found: dict[str, Any] = {"canonical": texts.pop("canonical")}
+    for id, one in texts.items():
+        stated = {**texts[one.pop("like")], **one} if "like" in one else dict(one)
+        if "tolerance" in stated:
+            stated["tolerance"] = Tolerance(**stated["tolerance"])
+        found[id] = stated
+    return found
 
 
 check = Check

@@ -1,5 +1,14 @@
 """Sanity check of a training configuration: which physics it gets wrong, and which setting is responsible.
 
+A target passes through the modules in this order. `run` calls them for a check, `comparison` for two targets.
+
+1. `stacks`: a reader returns a `TrainingConfiguration`; `robot` reads models of MuJoCo.
+2. `phenomena` state scenes and reality; `measure` runs them by `scenario`, and gives verdicts.
+3. `target_checks` judge what is stated: gravity, memory for contacts, and the robot's own model.
+4. `cause` finds the setting that is responsible for a row.
+5. `cure` proposes changes, applies them and measures again.
+6. `words` and `formats` write the report.
+
 Example:
     >>> from gauge_envs.tools.sanity import check
     >>> report = check("mujoco", only=["rebound"])

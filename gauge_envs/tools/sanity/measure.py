@@ -19,7 +19,6 @@ from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import (
-    INSIDE_WITHIN,
     VISIBLE_WITHIN,
     Curve,
     Need,
@@ -156,10 +155,7 @@ class Measurements:
         limit_s = math.inf if time_limit_s is None else time_limit_s
         self._engine = Engine(engine, min(max(limit_s, 1.0), SIMULATION_LIMIT_S))
         self._ends_s = time.monotonic() + limit_s
-        self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
-        self._rollouts: dict[
-            tuple[str, str], Rollout | DeclinedError | DivergedError
-        ] = {}
+        self._known: dict[tuple[str, str, str], Any] = {}
 
     @property
     def engine(self) -> str:
@@ -177,20 +173,12 @@ class Measurements:
 
     def in_force(self, scenario: Scenario, settings: Settings) -> dict[str, Any]:
         """Return every numerical setting that a scenario runs with."""
-        key = _key(scenario, settings)
-        if key not in self._in_force:
-            try:
-                self._in_force[key] = self._engine.call(
-                    settings_in_force, scenario, settings
-                )
-            except DeclinedError as declined:
-                self._in_force[key] = declined
-            except EngineDiedError as died:
-                self._in_force[key] = DeclinedError((str(died),))
-        known = self._in_force[key]
-        if isinstance(known, DeclinedError):
-            raise known
-        return known
+        found = self._outcome(settings_in_force, scenario, settings)
+        if isinstance(found, EngineDiedError):
+            raise DeclinedError((str(found),))
+        if isinstance(found, DeclinedError):
+            raise found
+        return dict(found)
 
     def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
@@ -206,33 +194,49 @@ class Measurements:
     def _rollout(
         self, scenario: Scenario, settings: Settings
     ) -> Rollout | DeclinedError | DivergedError:
-        key = _key(scenario, settings)
-        if key not in self._rollouts:
-            if time.monotonic() >= self._ends_s:
-                raise TimeLimitError("the time limit is reached")
+        """Return the rollout of a scenario, or why there is none."""
+        if _key(run_scenario, scenario, settings) in self._known:
+            return self._outcome(run_scenario, scenario, settings)
+        if time.monotonic() >= self._ends_s:
+            raise TimeLimitError("the time limit is reached")
+        try:
+            force = self.in_force(scenario, settings)
+        except DeclinedError as declined:
+            return declined
+        # A stated step gives every rollout of the scenario the same sampling rule.
+        step = {k: v for k, v in force.items() if k == "timestep_s"}
+        return self._outcome(run_scenario, scenario, settings, step)
+
+    def _outcome(
+        self,
+        function: _Run,
+        scenario: Scenario,
+        settings: Settings,
+        more: Settings | None = None,
+    ) -> Any:
+        """Return what a function gives for a scenario and settings, or the error with which it ends."""
+        key = _key(function, scenario, settings)
+        if key not in self._known:
             try:
-                # A stated step gives every rollout of the scenario the same sampling rule.
-                step = {
-                    k: v
-                    for k, v in self.in_force(scenario, settings).items()
-                    if k == "timestep_s"
-                }
-                self._rollouts[key] = self._engine.call(
-                    run_scenario, scenario, {**settings, **step}
+                self._known[key] = self._engine.call(
+                    function, scenario, {**settings, **(more or {})}
                 )
             except (DeclinedError, DivergedError) as outcome:
-                self._rollouts[key] = outcome
-        return self._rollouts[key]
+                self._known[key] = outcome
+        return self._known[key]
 
 
-def _key(scenario: Scenario, settings: Settings) -> tuple[str, str]:
+def _key(
+    function: _Run, scenario: Scenario, settings: Settings
+) -> tuple[str, str, str]:
     if not scenario.scene.contacts:
         settings = {
             name: value
             for name, value in settings.items()
             if not name.startswith(OF_CONTACTS)
         }
-    return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
+    text = json.dumps(json_ready(settings), sort_keys=True)
+    return function.__name__, scenario.name, text
 
 
 def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
@@ -248,11 +252,10 @@ def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
     deviation = abs(value - reality.value) / reality.tolerance
     if failure:
         deviation = max(deviation, FAILURE_DEVIATION)
-    verdict = Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG
     return Measured(
         value=value,
         deviation=deviation,
-        verdict=Verdict.INSIDE if deviation <= INSIDE_WITHIN else verdict,
+        verdict=Verdict.of(deviation),
         remark=failure,
         rollout=rollout,
     )

@@ -52,6 +52,13 @@ class Verdict(StrEnum):
         """Whether it is visible or wrong."""
         return self in (Verdict.VISIBLE, Verdict.WRONG)
 
+    @classmethod
+    def of(cls, deviation: float) -> Verdict:
+        """Return the verdict of a distance from reality, in half-widths of its interval."""
+        if deviation <= INSIDE_WITHIN:
+            return cls.INSIDE
+        return cls.VISIBLE if deviation <= VISIBLE_WITHIN else cls.WRONG
+
 
 class RealityKind(StrEnum):
     """What a row is compared with."""

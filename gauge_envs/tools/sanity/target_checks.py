@@ -13,7 +13,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
-    VISIBLE_WITHIN,
     Cause,
     ContactCapacity,
     Need,
@@ -178,7 +177,7 @@ def gravity_row(
     return replace(
         GRAVITY_ROW,
         configured=size,
-        verdict=Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG,
+        verdict=Verdict.of(deviation),
         remark=f"tilted by {tilt:.2g} degrees" if tilt > LEAST_TILT_DEG else "",
         cause=Cause(
             settings=(GRAVITY_ID,),

@@ -4,10 +4,13 @@ The page is one HTML file: no script, no other file, no network.
 """
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from io import StringIO
 from typing import Any
+
+import numpy as np
 
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.pages.document import (
@@ -353,10 +356,8 @@ def tally_text(report: Report) -> str:
     counting = [
         row for row in report.rows if not row.advisory or not row.verdict.is_off
     ]
-    counts = {
-        verdict.value: sum(row.verdict is verdict for row in counting)
-        for verdict in _present(report)
-    }
+    found = Counter(row.verdict for row in counting)
+    counts = {verdict.value: found[verdict] for verdict in _present(report)}
     counts["advisory"] = len(report.rows) - len(counting)
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     return "; ".join(
@@ -589,14 +590,7 @@ def _configuration(checked: TrainingConfiguration) -> list[Part]:
     )
     parts.append(folded(f"{len(rows)} settings", shown, open=True))
     if checked.contact_groups:
-        names = checked.contact_groups[0].constants
-        columns = (
-            Column("geoms", "geoms"),
-            Column("is_used", "", lambda is_used: "used" if is_used else ""),
-            Column("pair_count", "pairs"),
-            *(Column(f"constants.{name}", name, html=setting_text) for name in names),
-        )
-        table = Table(columns=columns, rows=checked.contact_groups, look=LOOK)
+        table = replace(_contact_table(checked), title="", look=LOOK)
         parts.append(folded("contacts of the model", table.html(), open=True))
     return parts
 
@@ -678,17 +672,9 @@ def _figure(curve: Curve) -> Html:
 
 def _draw(axes: Any, curve: Curve) -> None:
     if curve.reality:
-        low = [
-            centre - half
-            for centre, half in zip(curve.reality, curve.tolerance, strict=True)
-        ]
-        high = [
-            centre + half
-            for centre, half in zip(curve.reality, curve.tolerance, strict=True)
-        ]
-        axes.fill_between(
-            curve.times_s, low, high, color="#cfcfcf", lw=0.0, label="reality"
-        )
+        centre, half = np.asarray(curve.reality), np.asarray(curve.tolerance)
+        band = (curve.times_s, centre - half, centre + half)
+        axes.fill_between(*band, color="#cfcfcf", lw=0.0, label="reality")
         axes.plot(curve.times_s, curve.reality, color=REALITY_COLOR, lw=1.0)
     if curve.default:
         axes.plot(

@@ -30,8 +30,8 @@ class Planted:
         foot: Attributes of the foot's own geom.
     """
 
-    culprits: tuple[str, ...]
-    rows: tuple[str, ...]
+    culprits: tuple[str, ...] = ()
+    rows: tuple[str, ...] = ()
     option: dict[str, str] = field(default_factory=dict)
     flag: dict[str, str] = field(default_factory=dict)
     geom: dict[str, str] = field(default_factory=dict)
@@ -104,7 +104,7 @@ PLANTED = {
 
 def model_xml(planted: Planted | None = None) -> str:
     """Return a model of a robot with a trunk, two shins and a foot on a plane, with a fault or without."""
-    fault = planted or Planted(culprits=(), rows=())
+    fault = planted or Planted()
     option = RECOMMENDED["option"] | fault.option
     geom = RECOMMENDED["geom"] | fault.geom
     if "override" in fault.flag:

@@ -12,20 +12,12 @@ import pytest
 from few_iterations import (
     CASES,
     COLUMNS,
-    MAPPED,
     Case,
-    Push,
     acceleration,
-    braking_share,
-    force_acceleration,
-    speed_share,
-    start_from,
 )
-from few_iterations_gait import OPTIONS, robot, standing_slip, targets
 from sliding_bodies import G, Options, feet
 
 STUDY = Path(few_iterations.__file__).parent
-CUBE = CASES[0]
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.title)
@@ -52,77 +44,6 @@ def test_four_iterations_give_the_converged_acceleration(
 def test_law_is_coulombs() -> None:
     assert CASES[0].law == pytest.approx(G * (0.5 - 0.274 * np.sqrt(0.75)))
     assert Case("held", feet(), slope=np.radians(20.0)).law == 0.0
-
-
-@pytest.mark.parametrize("body", MAPPED)
-@pytest.mark.parametrize(
-    "push", [Push(1.25, 0.0), Push(1.5, 1.0), Push(3.0, 3.0)], ids=str
-)
-def test_one_iteration_holds_at_all_speeds_and_loads(body: str, push: Push) -> None:
-    assert speed_share(MAPPED[body](), Options(), push) < few_iterations.STICKS
-    assert (
-        speed_share(MAPPED[body](), Options(iterations=4), push) > few_iterations.SLIDES
-    )
-
-
-@pytest.mark.parametrize("body", MAPPED)
-def test_one_iteration_stops_a_sliding_body_too_early(body: str) -> None:
-    assert braking_share(MAPPED[body](), Options(), 1.0) < 0.2
-    assert braking_share(MAPPED[body](), Options().converged, 1.0) == pytest.approx(
-        1.0, abs=0.05
-    )
-
-
-@pytest.mark.parametrize(
-    "change", [{"ls_iterations": 50}, {"warmstart": False}], ids=str
-)
-def test_neither_line_search_nor_warm_start_is_responsible(
-    change: dict[str, object],
-) -> None:
-    assert acceleration(CUBE, replace(Options(), **change)) < 0.05 * CUBE.law
-
-
-def test_start_of_the_solver_is_responsible() -> None:
-    assert start_from(CUBE, Options(), given_s=np.inf) == pytest.approx(
-        CUBE.law, rel=0.05
-    )
-    assert start_from(CUBE, Options(), given_s=0.1) < 0.05 * CUBE.law
-
-
-def test_body_that_is_held_disobeys_its_contact_forces() -> None:
-    assert force_acceleration(CUBE, Options()) > 2.0 * CUBE.law
-    converged = Options().converged
-    assert force_acceleration(CUBE, converged) == pytest.approx(
-        acceleration(CUBE, converged), rel=1e-6
-    )
-
-
-def test_integrator_that_moves_by_forces_lets_the_cube_slide() -> None:
-    assert acceleration(CUBE, Options(integrator="implicitfast")) > 0.9 * CUBE.law
-
-
-def test_map_separates_bodies_that_stick_and_slide() -> None:
-    assert few_iterations.spread([0.0, 0.1, 0.9, 1.0])[:2] == ["50%", "50%"]
-
-
-def test_feet_of_a_robot_slip_too_little() -> None:
-    slips = {
-        name: standing_slip(options, 0.3, 25.0) for name, options in OPTIONS.items()
-    }
-    assert slips["100 / 50, elliptic"] == pytest.approx(
-        slips["100 / 50, pyramidal"], rel=0.1
-    )
-    assert slips["1 / 5, pyramidal"] < 0.5 * slips["100 / 50, pyramidal"]
-
-
-def test_gait_starts_from_the_standing_pose_and_is_periodic() -> None:
-    step_s = robot(OPTIONS["1 / 5, pyramidal"], 0.6).opt.timestep
-    wanted = targets(np.ones(21), step_s)
-    assert np.ptp(wanted[: round(0.3 / step_s)], axis=0).max() == 0.0
-    moving = wanted[round(1.0 / step_s) :]
-    # Front left and rear right are in phase only if both pairs of legs have the same parameters, as here.
-    np.testing.assert_allclose(moving[:, 0:3], moving[:, 9:12])
-    assert np.ptp(moving[:, 1]) > 0.1
 
 
 def test_the_study_has_the_table_of_cases() -> None:

@@ -13,7 +13,7 @@ from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cause import alternatives, find_cause
-from gauge_envs.tools.sanity.measure import Measured, Measurements
+from gauge_envs.tools.sanity.measure import CURVE_SAMPLES, Measured, Measurements
 from gauge_envs.tools.sanity.model import (
     Cause,
     PhenomenonResult,
@@ -122,19 +122,11 @@ def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
         row.cause is not None and row.cause.settings and row.cause.tried
         for row in bad.values()
     )
-    creep = bad["creep-wood"].cause
-    assert creep is not None
-    tried = {tuple(trial.changes): trial.value for trial in creep.tried}
-    assert tried[("cone",)] is not None and tried[("cone",)] < 10.0
-    assert bad["creep-wood"].curve is not None
-    assert bad["creep-wood"].curve.configured[-1] == pytest.approx(58.0, rel=0.1)
-    assert (
-        len(bad["creep-wood"].curve.reality)
-        == len(bad["creep-wood"].curve.default)
-        <= 200
-    )
-    assert found.worst is Verdict.WRONG
-    assert found.to_dict()["rows"][0]["phenomenon"] == "creep-wood"
+    creep = bad["creep-wood"]
+    assert creep.cause is not None and creep.curve is not None
+    tried = {tuple(trial.changes): trial.value for trial in creep.cause.tried}
+    assert tried[("cone",)] < 0.2 * creep.configured
+    assert len(creep.curve.reality) == len(creep.curve.default) <= CURVE_SAMPLES
 
 
 def test_a_preset_is_taken_apart_into_its_settings() -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
 
 import mujoco
 import pytest
-from places import ROOT
 from planted import PLANTED, Planted, model_xml
 from typer.testing import CliRunner
 
@@ -35,10 +32,8 @@ def test_nothing_changes_between_equals() -> None:
 
 
 def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
-    one = Planted(culprits=(), rows=(), geom={"friction": "0.6"})
-    other = Planted(
-        culprits=(), rows=(), geom={"friction": "1.2"}, option={"cone": "pyramidal"}
-    )
+    one = Planted(geom={"friction": "0.6"})
+    other = Planted(geom={"friction": "1.2"}, option={"cone": "pyramidal"})
     found = rows(compare(model(one), model(other), only=["slide-wood", "slide-turned"]))
     straight, turned = found["foot-straight"], found["foot-turned"]
     # A real slide resolves 4 % of the friction, the half-width of the interval of the row.
@@ -51,24 +46,8 @@ def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
     assert found["slide-turned"].change is Change.LARGE
 
 
-@pytest.mark.slow
-def test_the_page_shows_what_the_command_prints() -> None:
-    page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
-    line, shown = re.findall(
-        r"```sh\ngauge (sanity [^\n]* --against [^\n]*)\n```\n\n```text\n(.*?)```",
-        page,
-        re.DOTALL,
-    )[0]
-    printed = " ".join(RUNNER.invoke(app, shlex.split(line)).stdout.split())
-    head, rows_shown = shown.split("\n\n")
-    assert " ".join(head.split()) in printed
-    assert all(" ".join(row.split()) in printed for row in rows_shown.splitlines())
-
-
 def test_step_and_gravity_are_compared() -> None:
-    fault = Planted(
-        culprits=(), rows=(), option={"timestep": "0.004", "gravity": "0 0 -9"}
-    )
+    fault = Planted(option={"timestep": "0.004", "gravity": "0 0 -9"})
     found = rows(compare(model(), model(fault), only=["gravity"]))
     assert set(found) == {"step", "gravity"}
     assert (found["step"].trained, found["step"].deployed) == (0.002, 0.004)
@@ -98,7 +77,7 @@ def test_a_backend_has_the_gravity_and_the_friction_of_the_scenes() -> None:
 
 
 def test_what_is_not_measured_is_unknown() -> None:
-    sliding = Planted(culprits=(), rows=(), geom={"condim": "1"})
+    sliding = Planted(geom={"condim": "1"})
     found = rows(compare(model(), model(sliding), only=["creep-wood"]))
     assert found["creep-wood"].change is Change.UNKNOWN
     assert found["creep-wood"].remark.startswith("deployed: condim 1")
@@ -111,7 +90,7 @@ def test_what_is_not_measured_is_unknown() -> None:
 
 
 def test_the_command_compares_two_targets(tmp_path) -> None:
-    margin = Planted(culprits=(), rows=(), geom={"margin": "0.001"})
+    margin = Planted(geom={"margin": "0.001"})
     for name, planted in {"a": None, "b": margin}.items():
         (tmp_path / f"{name}.xml").write_text(model_xml(planted))
     arguments = [

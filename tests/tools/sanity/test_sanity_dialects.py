@@ -358,3 +358,26 @@ def test_reading_what_a_dialect_writes_gives_the_setting_back(
             if isinstance(value, str)
             else read == pytest.approx(value, rel=1e-6)
         )
+
+
+def test_changes_in_the_words_of_each_stack(
+    approved: Callable[[str, str], None],
+) -> None:
+    """All settings of a stack at once, one that is left out, one without a key, and gravity."""
+    lines = []
+    for name in (*READINGS, "newton"):
+        written = dialect(name)
+        known = READINGS.get(name, (None, MUJOCO))[1]
+        stated = [one.name for one in written.settings] or list(known)
+        changes = {setting: known.get(setting, NUMBERS)[0] for setting in stated}
+        lines += [
+            f"=== {name} ===",
+            written.paste_text(changes),
+            written.assignment("o_friction", None),
+            written.assignment("unknown", (1.0, 0.25)),
+            written.value_text(stated[0], changes[stated[0]]),
+            written.value_text(stated[0], None),
+            written.gravity_text((0.0, 0.0, -9.80665)),
+            f"states hinges: {written.writes('hinges')}",
+        ]
+    approved("sanity/dialects", "\n".join(lines))

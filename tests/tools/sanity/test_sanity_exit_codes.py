@@ -8,7 +8,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 import yaml
@@ -20,6 +19,7 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.pages.document import as_rows
 from gauge_envs.tools import sanity
+from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.words import sanity_document
 
 RUNNER = CliRunner()
@@ -108,28 +108,35 @@ def test_success_is_one_line(monkeypatch) -> None:
     )
 
 
+WORSE = replace(PERIOD, configured=1.0, verdict=Verdict.VISIBLE)
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "code"),
+    [
+        # The interval is 0.5 mm/s wide on each side, and the creep was 28 mm/s.
+        *(((replace(CREEP, configured=c),), (), 0) for c in (-28.4, -20.0, 28.0)),
+        *(((replace(CREEP, configured=c),), (), 1) for c in (-29.0, -280.0, None)),
+        ((CREEP, SLIDE), (), 1),
+        ((CREEP, WALL), (), 3),
+        ((CREEP, PERIOD), (), 0),
+        ((CREEP, WORSE), (), 1),
+        ((CREEP, WORSE), ("--fail-on", "wrong"), 0),
+        ((SLIDE, PERIOD), (), 1),
+        ((ADVICE, PERIOD), (), 0),
+    ],
+)
 def test_a_baseline_compares_values_with_their_intervals(
-    monkeypatch, tmp_path: Path
+    rows, options, code, monkeypatch, tmp_path: Path
 ) -> None:
     before = tmp_path / "before.json"
-    before.write_text(
-        "\n".join(json.dumps(row) for row in as_rows(sanity_document(report(CREEP))))
-    )
-    known = ("--baseline", str(before))
-    # The interval is 0.5 mm/s wide on each side, and the creep was 28 mm/s.
-    for creep, code in (
-        (-28.0, 0),
-        (-28.4, 0),
-        (-20.0, 0),
-        (-29.0, 1),
-        (-280.0, 1),
-        (28.0, 0),
-        (None, 1),
-    ):
-        outcome = run(monkeypatch, report(replace(CREEP, configured=creep)), *known)
-        assert outcome.exit_code == code, creep
-    assert run(monkeypatch, report(CREEP, replace(SLIDE)), *known).exit_code == 1
-    assert run(monkeypatch, report(CREEP, WALL), *known).exit_code == 3
+    known = as_rows(sanity_document(report(CREEP, PERIOD)))
+    before.write_text("\n".join(map(json.dumps, known)))
+    options = ("--baseline", str(before), *options)
+    outcome = run(monkeypatch, report(*rows), *options)
+    assert outcome.exit_code == code
+    if WORSE in rows and code:
+        assert "period: visible, 2 half-widths; was 1 half-widths" in outcome.stderr
 
 
 @pytest.mark.parametrize("number", [10**400, 0, "x"])
@@ -144,43 +151,6 @@ def test_a_baseline_with_a_number_that_is_none_is_an_error(
         outcome.exit_code == 2
         and "is not the output of gauge sanity --json" in outcome.stderr
     )
-
-
-# --- formats ---------------------------------------------------------------------------------------------------------
-
-
-def test_junit_has_failures_errors_and_skipped_rows(monkeypatch) -> None:
-    suite = ElementTree.fromstring(
-        run(
-            monkeypatch, report(CREEP, PERIOD, WALL, NOTHING), "--format", "junit"
-        ).stdout
-    )
-    counts = {
-        name: suite.get(name) for name in ("tests", "failures", "errors", "skipped")
-    }
-    assert counts == {"tests": "4", "failures": "1", "errors": "1", "skipped": "1"}
-    outcomes = {case.get("name"): [child.tag for child in case] for case in suite}
-    assert outcomes == {
-        "creep-wood": ["failure"],
-        "period": [],
-        "wall": ["error"],
-        "slip": ["skipped"],
-    }
-    assert "-28 instead of 0 +- 0.5 mm/s" in suite.find("testcase/failure").get(
-        "message"
-    )
-
-
-def test_annotations_of_github_stay_on_one_line(monkeypatch) -> None:
-    row = replace(CREEP, title="50 % creep\nof a cube")
-    lines = run(
-        monkeypatch, report(row, WALL), "--format", "github"
-    ).stdout.splitlines()
-    assert lines[0].startswith(
-        "::error title=gauge sanity creep-wood::50 %25 creep%0Aof a cube: -28 instead of 0"
-    )
-    assert lines[1] == "::error title=gauge sanity wall::was not measured"
-    assert lines[2].startswith("::notice title=gauge sanity Robot-v0::1 flag")
 
 
 # --- action ----------------------------------------------------------------------------------------------------------

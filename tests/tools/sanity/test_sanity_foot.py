@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from planted import PLANTED, model_xml
 from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
@@ -20,7 +19,6 @@ from straight import fitted_acceleration
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
-from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
@@ -121,22 +119,6 @@ def test_feet_of_gymnasiums_robots(
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("InvertedPendulum-v5", "the model has no ground that a moving geom can touch"),
-        (
-            "Pusher-v5",
-            "no robot of the model stands on the ground under its own weight",
-        ),
-    ],
-)
-def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
-    read = configuration(name)
-    assert read.foot_geometry is None
-    assert read.inapplicable[Need.FOOT] == reason
-
-
-@pytest.mark.parametrize(
     "ball",
     [
         '<body pos="nan 0 1"><freejoint/><geom size=".1"/></body>',
@@ -203,38 +185,39 @@ def test_the_ground_may_be_upright() -> None:
     assert abs(part.pose.rotation.apply([0.0, 0.0, 1.0])[2]) == pytest.approx(1.0)
 
 
-def test_an_arm_on_a_fixed_base_does_not_stand() -> None:
-    xml = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body pos="0 0 1"><joint axis="0 1 0"/>
-      <geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body></worldbody></mujoco>"""
-    assert configuration(model(xml)).foot_geometry is None
+PLANE = '<geom type="plane" size="5 5 .1"/>'
+ARM = """<body pos="0 0 1"><joint name="arm" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body>"""
+BOX = """<body pos="1 1 .1"><freejoint/>
+  <geom name="box" type="box" size=".1 .1 .1"/></body>"""
+LIFTED = """<body pos="0 0 .1"><joint type="slide" axis="0 0 1" {}/>
+  <geom name="box" type="box" size=".1 .1 .1"/>
+  <body><joint name="arm" axis="0 1 0"/><geom size=".05" pos="0 0 .3"/></body></body>"""
+MOTOR = '<motor joint="arm"/>'
+LIFT = f'{MOTOR}<position joint="lift" kp="1"/>'
+STANDS = {
+    "a fixed arm": (ARM, "", None),
+    "a box beside a driven arm": (ARM + BOX, MOTOR, None),
+    "a box beside an arm without motor": (ARM + BOX, "", "box (box)"),
+    "a base that can fall": (LIFTED.format(""), MOTOR, "box (box)"),
+    "a base that is held": (LIFTED.format('damping="1e11"'), MOTOR, None),
+    "a base that is lifted": (LIFTED.format('name="lift"'), LIFT, None),
+}
+"""Bodies above a plane, what drives them, and the foot; None where nothing stands."""
 
 
-ARM_AND_BOX = """<mujoco><worldbody><geom type="plane" size="5 5 .1"/>
-  <body pos="0 0 1"><joint name="shoulder" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .9 0 0" size=".03"/></body>
-  <body pos="1 1 .1"><freejoint/><geom name="box" type="box" size=".1 .1 .1" mass="2"/></body></worldbody>
-  {actuator}</mujoco>"""
-
-
-def test_an_object_beside_a_driven_robot_is_no_foot() -> None:
-    driven = '<actuator><motor joint="shoulder"/></actuator>'
-    assert (
-        configuration(model(ARM_AND_BOX.format(actuator=driven))).foot_geometry is None
+@pytest.mark.parametrize("name", STANDS)
+def test_what_stands_under_its_own_weight_has_a_foot(name: str) -> None:
+    bodies, actuators, geoms = STANDS[name]
+    read = configuration(
+        model(
+            f"<mujoco><worldbody>{PLANE}{bodies}</worldbody>"
+            f"<actuator>{actuators}</actuator></mujoco>"
+        )
     )
-    assert foot_of(model(ARM_AND_BOX.format(actuator=""))).geoms == "box (box)"
-
-
-@pytest.mark.parametrize("joint", ['damping="1e11"', 'name="lift"'])
-def test_a_base_that_is_held_or_lifted_does_not_stand(joint: str) -> None:
-    xml = f"""<mujoco><worldbody><geom type="plane" size="5 5 .1"/><body name="base" pos="0 0 .1">
-      <joint type="slide" axis="0 0 1" {joint}/><geom type="box" size=".1 .1 .1"/>
-      <body><joint name="arm" axis="0 1 0"/><geom size=".05" pos="0 0 .3"/></body></body></worldbody>
-      <actuator>
-        <motor joint="arm"/>{'<position joint="lift" kp="1"/>' if "lift" in joint else ""}</actuator></mujoco>"""
-    assert configuration(model(xml)).foot_geometry is None
-    free = xml.replace(' damping="1e11"', "").replace(
-        '<position joint="lift" kp="1"/>', ""
-    )
-    assert foot_of(model(free)).foot_count == 1
+    found = read.foot_geometry
+    assert (None if found is None else found.geoms) == geoms
+    assert (Need.FOOT in read.inapplicable) == (geoms is None)
 
 
 def test_robots_that_tendons_move_stand_too() -> None:
@@ -530,63 +513,3 @@ def test_a_fault_of_the_feet_is_wrong_and_named(name: str) -> None:
             "in FL_foot, FR_foot, RL_foot and 1 more, which the default does not reach"
             in report.cure.line
         )
-
-
-def test_the_command_fails_for_a_fault_of_the_feet(tmp_path: Path) -> None:
-    path = tmp_path / "soft.xml"
-    path.write_text(quadruped_xml(**FAULTS["soft_foot"][0]))
-    arguments = [
-        "sanity",
-        str(path),
-        "--only",
-        "foot-landing-depth",
-        "--fail-on",
-        "wrong",
-    ]
-    assert RUNNER.invoke(app, arguments).exit_code == 1
-    path.write_text(quadruped_xml())
-    assert RUNNER.invoke(app, arguments).exit_code == 0
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "soft_foot",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("one_iteration", "margin_1_cm", "pyramidal_and_soft")
-        ),
-    ],
-)
-def test_the_feet_of_planted_models_show_the_fault(name: str) -> None:
-    report = check(model(model_xml(PLANTED[name])), only=["foot-*"])
-    assert report.worst in (Verdict.VISIBLE, Verdict.WRONG)
-    named = {
-        setting
-        for one in report.rows
-        if one.cause is not None
-        for setting in one.cause.settings
-    }
-    assert named & set(PLANTED[name].culprits), [one.cause for one in report.rows]
-
-
-def test_the_foot_and_what_is_assumed_are_printed() -> None:
-    path = ["sanity", "HalfCheetah-v5", "--only", "foot-creep"]
-    text = " ".join(RUNNER.invoke(app, path).stdout.split())
-    assert (
-        "bfoot (capsule) with 7 kg, the share of one of 2 feet in 14 kg, in the initial pose"
-        in text
-    )
-    assert "four copies in one rigid body" in text and "6.82 times softer" in text
-    source = rows_of(check("HalfCheetah-v5", only=["foot-creep"]))[
-        "foot-creep"
-    ].reality.source
-    assert "mu = 0.4 that the target states for its foot" in source
-
-
-@pytest.mark.slow
-def test_the_good_quadruped_passes_all_rows(tmp_path: Path) -> None:
-    path = tmp_path / "quadruped.xml"
-    path.write_text(quadruped_xml())
-    outcome = RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "visible"])
-    assert outcome.exit_code == 0, outcome.output

@@ -9,7 +9,6 @@ import yaml
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 
 pytest.importorskip("sapien")
@@ -213,18 +212,3 @@ def test_a_task_of_isaac_gym_envs_is_read() -> None:
 def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
     with pytest.raises(TargetError, match=message):
         read(HUMANOIDVERSE, **sim)
-
-
-def test_changes_are_keys_of_the_file() -> None:
-    written = dialect("isaac_gym")
-    text = written.paste_text(
-        {"bounce_threshold_m_per_s": 0.2, "timestep_s": 0.002, "solver": "TGS"}
-    )
-    assert text == (
-        "sim.physx.bounce_threshold_velocity = 0.2; sim.dt = 0.002; sim.substeps = 1; sim.physx.solver_type = 1"
-    )
-    assert (written.writes("asset"), written.writes("angular_damping_per_s")) == (
-        False,
-        True,
-    )
-    assert written.gravity_text((0.0, 0.0, -9.80665)) == "sim.gravity = [0, 0, -9.81]"

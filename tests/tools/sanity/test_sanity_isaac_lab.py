@@ -430,44 +430,6 @@ def test_impacts_count_where_a_restitution_is_stated() -> None:
             assert row.advisory == "the target states a restitution of 0"
 
 
-def test_changes_are_lines_of_python() -> None:
-    written = dialect("isaac_lab")
-    lines = {
-        "timestep_s": (0.0025, "self.sim.dt = 0.0025"),
-        "solver": ("PGS", "self.sim.physx.solver_type = 0"),
-        "continuous_detection": (True, "self.sim.physx.enable_ccd = True"),
-        "max_angular_velocity_rad_per_s": (
-            math.radians(1000.0),
-            "self.scene.robot.spawn.rigid_props.max_angular_velocity = 1000",
-        ),
-        "contact_offset_m": (
-            0.01,
-            "self.scene.robot.spawn.collision_props = sim_utils.CollisionPropertiesCfg(contact_offset=0.01)",
-        ),
-        "tolerance_length_m": (
-            0.1,
-            "self.sim.physx.friction_offset_threshold = 0.004; self.sim.physx.friction_correlation_distance = 0.0025",
-        ),
-    }
-    for name, (value, line) in lines.items():
-        assert written.writes(name)
-        assert written.assignment(name, value) == line
-        compile(
-            written.paste_text({name: value, "bounce_threshold_m_per_s": 0.2}),
-            "cure",
-            "exec",
-        )
-    both = written.paste_text(
-        {"contact_offset_m": 0.01, "timestep_s": 0.001, "rest_offset_m": 0.0}
-    )
-    assert both.endswith("CollisionPropertiesCfg(contact_offset=0.01, rest_offset=0)")
-    assert written.value_text("max_angular_velocity_rad_per_s", math.pi) == "180"
-    assert not written.writes("hinges")
-    assert (
-        written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
-    )
-
-
 @pytest.fixture
 def short_swing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A pendulum that swings only for as long as its period is measured."""
@@ -559,26 +521,3 @@ def test_the_examples_hold_what_isaac_lab_writes() -> None:
             assert part == whole, key
 
     assert_inside(example, DUMPED, "")
-
-
-def test_the_command_names_both_changes_first() -> None:
-    arguments = [
-        "sanity",
-        str(EXAMPLES / "g1_trained.yaml"),
-        "--against",
-        str(EXAMPLES / "g1_deployed.yaml"),
-    ]
-    outcome = RUNNER.invoke(
-        app, [*arguments, "--only", "slide-wood,rebound-slow", "--fail-on", "wrong"]
-    )
-    assert outcome.exit_code == 1
-    first = outcome.stdout.partition("\n\n")[0].replace("\n", " ")
-    assert "restitution that a foot meets: from 0 to 0.4" in first
-    assert "then friction that a foot meets, straight: from 1 to 0.5" in first
-    for name, reason in {
-        "absent/env.yaml": "there is no such file",
-        "x" * 300: "gymnasium.make fails",
-    }.items():
-        refused = RUNNER.invoke(app, ["sanity", name])
-        assert refused.exit_code == 2
-        assert reason in refused.output.replace("\n", " ")

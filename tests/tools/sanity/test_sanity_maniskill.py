@@ -18,7 +18,6 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import Verdict, check, configuration
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
 pytest.importorskip("sapien")
@@ -173,28 +172,3 @@ def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_thresho
     assert report.cure.line.startswith(
         "[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag"
     )
-
-
-def test_changes_are_a_sim_config() -> None:
-    written = dialect("maniskill")
-    text = written.paste_text(
-        {"timestep_s": 0.005, "bounce_threshold_m_per_s": 0.2, "solver": "PGS"}
-    )
-    assert (
-        text
-        == "SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2, enable_tgs=False))"
-    )
-    compile(text, "cure", "eval")
-    damping = written.paste_text(
-        {"link_linear_damping_per_s": 0.0, "position_iterations": 20}
-    )
-    config, _, loop = damping.partition(" and ")
-    assert (
-        config == "SimConfig(scene_config=SceneConfig(solver_position_iterations=20))"
-    )
-    assert loop == "[link.set_linear_damping(0) for link in self.agent.robot.links]"
-    assert (written.writes("hinges"), written.writes("sleep_threshold_m2_per_s2")) == (
-        False,
-        True,
-    )
-    assert written.value_text("link_linear_damping_per_s", 0.05) == "0.05"

@@ -21,7 +21,6 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
 from gauge_envs.tools.sanity.model import CapacityLimits
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
-from gauge_envs.tools.sanity.stacks import dialect
 
 OPTIONS = ("timestep_s", "iterations", "ls_iterations", "ccd_iterations")
 
@@ -135,17 +134,6 @@ def test_an_env_without_a_model_is_refused() -> None:
         configuration(playground_env(model=object()))  # type: ignore[arg-type]
 
 
-def test_changes_of_playground_are_overrides_and_mjcf() -> None:
-    playground = dialect("playground")
-    changes = {"timestep_s": 0.002, "njmax": 50, "cone": "elliptic"}
-    assert (
-        playground.paste_text(changes)
-        == 'config_overrides={"sim_dt": 0.002, "njmax": 50} and <option cone="elliptic"/>'
-    )
-    assert playground.assignment("iterations", 4) == 'iterations="4"'
-    assert playground.value_text("timestep_s", 0.004) == "0.004"
-
-
 # --- mjlab -----------------------------------------------------------------------------------------------------------
 
 
@@ -203,23 +191,3 @@ def test_no_delay_and_no_limit_are_not_stated(monkeypatch: pytest.MonkeyPatch) -
     read = configuration(mjlab_task())
     assert read.capacity is None
     assert read.robot is not None and read.robot.delay_s is None
-
-
-def test_changes_of_mjlab_are_configuration_classes() -> None:
-    mjlab = dialect("mjlab")
-    changes = {
-        "njmax": 50,
-        "cone": "elliptic",
-        "timestep_s": 0.002,
-        "contact_solref": (0.004, 1.0),
-    }
-    assert mjlab.paste_text(changes, geoms="terrain with foot") == (
-        'SimulationCfg(njmax=50, mujoco=MujocoCfg(cone="elliptic", timestep=0.002)) and '
-        "CollisionCfg(solref=(0.004, 1)) for terrain with foot"
-    )
-    assert mjlab.assignment("integrator", "Euler") == 'integrator="euler"'
-    assert mjlab.assignment("eulerdamp", False) == 'disableflags=("eulerdamp",)'
-    assert (
-        mjlab.gravity_text((0.0, 0.0, -9.80665))
-        == "SimulationCfg(mujoco=MujocoCfg(gravity=(0, 0, -9.81)))"
-    )

@@ -16,9 +16,8 @@ import warp as wp  # noqa: E402
 from gauge_envs.errors import TargetError  # noqa: E402
 from gauge_envs.scene import Box  # noqa: E402
 from gauge_envs.tools.sanity import Need, Verdict, check, configuration  # noqa: E402
-from gauge_envs.tools.sanity.measure import Engine, Measurements  # noqa: E402
+from gauge_envs.tools.sanity.measure import Measurements  # noqa: E402
 from gauge_envs.tools.sanity.phenomena import phenomena  # noqa: E402
-from gauge_envs.tools.sanity.stacks import dialect  # noqa: E402
 from gauge_envs.tools.sanity.stacks.newton import (  # noqa: E402
     is_newton,
     newton_configuration,
@@ -211,35 +210,6 @@ def test_the_reported_stiffness_gives_the_solref_in_newton(
     )
 
 
-def test_changes_are_python_that_newton_takes() -> None:
-    python = dialect("newton")
-    changes = {
-        "iterations": 100,
-        "cone": "elliptic",
-        "contact_solref": (0.02, 1.0),
-        "timestep_s": 0.002,
-    }
-    text = python.paste_text(changes)
-    assert text == (
-        'SolverMuJoCo(model, iterations=100, cone="elliptic") and ShapeConfig(ke=2500, kd=100) and '
-        "solver.step(..., dt=0.002)"
-    )
-    ShapeConfig(ke=2500, kd=100)
-    solver_of(model_of({}), iterations=100, cone="elliptic")
-    assert python.paste_text(
-        {"contact_kf_n_s_per_m": -1.0}, geoms="floor with foot"
-    ) == ("ShapeConfig(kf=-1) for floor with foot")
-    assert python.paste_text({"contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0)}) == (
-        "model.mujoco.geom_solimp=(0.9, 0.95, 0.001, 0.5, 2)"
-    )
-    assert (
-        python.paste_text({"contact_solref": (-100.0, -10.0)})
-        == "model.mujoco.solref=(-100, -10)"
-    )
-    assert python.value_text("contact_solref", (0.02, 1.0)) == "ke=2500, kd=100"
-    assert python.value_text("impratio", 1.0) == "1"
-
-
 def test_a_wrong_gravity_is_found_with_the_call_that_mends_it() -> None:
     model = model_of({}, gravity=(0.0, 0.0, -5.0))
     report = check(
@@ -354,5 +324,5 @@ def test_a_cube_creeps_as_in_plain_newton(
     )
     read = newton_configuration(solver, step_s=STEP_S)
     (phenomenon,) = phenomena(["creep-wood"])
-    measured = Measurements(Engine("newton")).measure(phenomenon, read.settings)
+    measured = Measurements("newton").measure(phenomenon, read.settings)
     assert measured.value == pytest.approx(plain, rel=1e-3)

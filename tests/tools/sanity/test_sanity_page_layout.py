@@ -125,23 +125,6 @@ def test_details_are_open_where_something_is_flagged() -> None:
     assert [name for name, _ in cards][:2] == ["creep-wood", "slide"]
 
 
-def test_a_narrow_screen_gets_its_own_rules() -> None:
-    text = sanity_page(page_report())
-    assert (
-        '<meta name="viewport" content="width=device-width, initial-scale=1"/>' in text
-    )
-    assert "overflow-wrap: anywhere" in text and "@media (max-width: 760px)" in text
-    assert "prefers-color-scheme: dark" in text
-    # Cells that stand below each other have their titles.
-    assert 'data-label="reality"' in text and 'data-label="solimp"' in text
-    style = text.split("</style>", maxsplit=1)[0]
-    base = float(re.findall(r"font: ([\d.]+)px", style)[0])
-    sizes = [
-        base * float(size) for size in re.findall(r"font-size: ([\d.]+)rem", style)
-    ]
-    assert len(sizes) > 3 and min(sizes) >= LEAST_TEXT_PX
-
-
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
 @pytest.mark.parametrize(
     ("width", "height"), [pytest.param(1200, 800, marks=pytest.mark.slow), (390, 844)]

@@ -214,6 +214,8 @@ def test_only_the_last_ball_may_leave() -> None:
         ),
     )
     assert bad.remark.startswith("2 of 5 balls swing out")
+    # The momentum alone would be as in reality.
+    assert (bad.value, bad.verdict) == (good.value, Verdict.WRONG)
 
 
 def test_depth_of_a_point_in_the_recess() -> None:
@@ -324,37 +326,6 @@ def test_creep_of_half_cheetah_is_mujocos() -> None:
     plain = 1e3 * (float(data.qpos[0]) - early) / 0.5
     assert value("creep-wood", CHEETAH) == pytest.approx(plain, rel=0.02)
     assert 50.0 < plain < 65.0
-
-
-def test_half_cheetah_by_numbers() -> None:
-    # With the friction of the model's own floor instead of the cube's, the creep is half of it.
-    assert value(
-        "creep-wood", CHEETAH | {"o_friction": (0.4, 0.4, 0.0, 0.0, 0.0)}
-    ) == pytest.approx(26.0, abs=3.0)
-    assert value("creep-wood", CHEETAH | {"cone": "elliptic", "impratio": 100.0}) < 0.1
-    # Before it has sunk in, nothing but gravity moves the cube; the settled slide meets all of the friction.
-    slide = one("slide-wood")
-    assert value("slide-wood", CHEETAH) == pytest.approx(slide.reality.value, rel=0.01)
-    rollout = Measurements(MUJOCO).measure(slide, CHEETAH).rollout
-    assert rollout is not None
-    late = rollout.between(0.1, 0.5)
-    way_m = np.linalg.norm(
-        rollout.position("cube") - rollout.position("cube")[0], axis=1
-    )[late]
-    assert 2.0 * np.polyfit(rollout.times_s[late], way_m, 2)[0] == pytest.approx(
-        slide.reality.value, rel=0.01
-    )
-    assert 0.1 < value("rebound", CHEETAH) < 0.3
-    # At equilibrium the spring of the contact carries the weight: it is millimetres deep.
-    assert -3.0 < value("rest-height", CHEETAH) < -1.5
-
-
-def test_margin_lifts_what_rests() -> None:
-    bare, lifted = (
-        value("rest-height", {}),
-        value("rest-height", {"contact_margin_m": 0.001}),
-    )
-    assert lifted - bare == pytest.approx(1.0, abs=0.01)
 
 
 def test_three_per_cent_of_a_slide_are_visible() -> None:

@@ -18,7 +18,7 @@ from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import Report, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.stacks import configuration, dialect
+from gauge_envs.tools.sanity.stacks import configuration
 
 RUNNER = CliRunner()
 
@@ -192,9 +192,7 @@ def test_what_does_not_apply_is_declined_with_the_reason(
 
 
 def test_contacts_without_friction_on_purpose_are_not_judged_by_friction() -> None:
-    report = checked(
-        Planted(culprits=(), rows=(), geom={"condim": "1"}), "creep-wood", "point"
-    )
+    report = checked(Planted(geom={"condim": "1"}), "creep-wood", "point")
     assert row_of(report, "creep-wood").remark.startswith(
         "condim 1: contacts of floor with trunk"
     )
@@ -209,7 +207,7 @@ def test_impacts_count_where_the_model_states_a_rebound(
     solref: str, is_advice: bool
 ) -> None:
     row = row_of(
-        checked(Planted(culprits=(), rows=(), geom={"solref": solref}), "rebound"),
+        checked(Planted(geom={"solref": solref}), "rebound"),
         "rebound",
     )
     assert row.verdict is Verdict.WRONG
@@ -239,29 +237,3 @@ def test_gravity_is_judged_against_the_ground(
     assert read.up == pytest.approx(up)
     (row,) = check(read, only=["gravity"]).rows
     assert row.verdict is verdict
-
-
-def test_changes_are_written_in_the_language_of_the_target() -> None:
-    changes = {
-        "cone": "elliptic",
-        "refsafe": True,
-        "contact_solimp": (0.9, 0.95, 0.001, 0.5, 2.0),
-        "timestep_s": 0.005,
-    }
-    assert dialect("mjcf").paste_text(changes) == (
-        '<option cone="elliptic" timestep="0.005"><flag refsafe="enable"/></option> and '
-        '<default><geom solimp="0.9 0.95 0.001 0.5 2"/></default>'
-    )
-    assert dialect("toml").paste_text(changes) == (
-        'cone = "elliptic", refsafe = true, contact_solimp = [0.9, 0.95, 0.001, 0.5, 2], timestep_s = 0.005'
-    )
-
-
-def test_a_setting_that_is_left_out_is_not_written_as_the_flag_of_another() -> None:
-    mjcf = dialect("mjcf")
-    assert (
-        mjcf.paste_text({"o_friction": None})
-        == '<option><flag override="disable"/></option>'
-    )
-    assert mjcf.paste_text({"contact_solimp": None}) == "no solimp"
-    assert mjcf.value_text("contact_solimp", None) == "the default of the engine"

@@ -14,7 +14,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -269,14 +268,6 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
         )
         hulls.append((turned + data.geom_xpos[geom]).max(axis=0))
     np.testing.assert_allclose(hulls[1], hulls[0], atol=1e-6)
-
-
-def test_an_environment_of_gymnasium_states_its_frame_skip() -> None:
-    env = gymnasium.make("Hopper-v5")
-    document = program.document(env, "hopper")
-    env.close()
-    assert (document["kind"], document["data"]["frame_skip"]) == ("mujoco-model", 4)
-    assert document["versions"]["mujoco"] == mujoco.__version__
 
 
 def test_a_file_of_another_version_says_so(file: Path) -> None:

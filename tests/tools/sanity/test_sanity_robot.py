@@ -88,14 +88,6 @@ def test_a_mistake_is_found_and_named(name: str) -> None:
     assert all(flags[one].consequence for one in named - {"gravity"})
 
 
-def test_every_mistake_has_a_thread() -> None:
-    assert len(FAULTS) >= 40
-    assert all(
-        name.count("#") == 1 and name.split("#")[1].isdigit()
-        for name in (f.thread for f in FAULTS.values())
-    )
-
-
 @pytest.mark.parametrize(
     ("scale_rad", "is_flag"), [(0.3, False), (np.degrees(0.3), True), (0.001, True)]
 )

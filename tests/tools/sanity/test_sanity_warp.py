@@ -21,8 +21,7 @@ from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.stacks import configuration, dialect
-from gauge_envs.tools.sanity.target_checks import target_rows
+from gauge_envs.tools.sanity.stacks import configuration
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
@@ -171,18 +170,3 @@ def test_sliding_and_driving_follow_the_laws() -> None:
         assert abs(one.value(rollout) - one.reality.value) <= one.reality.tolerance, (
             one.id
         )
-
-
-def test_limits_of_the_engine_are_described() -> None:
-    read = configuration(mujoco.MjModel.from_xml_string(BALLS))
-    assert (
-        target_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[
-            0
-        ].phenomenon
-        == "gravity"
-    )
-    (row,) = target_rows(read, dialect("mjcf"), ["contact-capacity"])
-    assert (row.verdict.value, row.remark) == (
-        "declined",
-        "the target states no limit of its memory for contacts",
-    )

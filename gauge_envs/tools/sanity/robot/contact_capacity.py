@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 
 DROP_COUNT = 12
 """Number of motions in which contacts are counted."""
@@ -70,12 +71,8 @@ def _step_count(model: mujoco.MjModel) -> int:
 def _motions(model: mujoco.MjModel) -> Iterator[tuple[str, Iterator[mujoco.MjData]]]:
     """Yield motions: the name of each in words, and its data after each step."""
     generator = np.random.default_rng(SEED)
-    floating = [
-        int(model.jnt_qposadr[joint])
-        for joint in range(model.njnt)
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
-        and model.body_parentid[model.jnt_bodyid[joint]] == 0
-    ]
+    is_root = model.body_parentid[model.jnt_bodyid] == 0
+    floating = model.jnt_qposadr[joints_of(model, "FREE") & is_root].tolist()
     starts = [
         (
             f"keyframe {model.key(number).name or number}",

@@ -14,7 +14,6 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import (
-    VISIBLE_WITHIN,
     Cause,
     PhenomenonResult,
     Reality,
@@ -27,6 +26,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     Standing,
     geom_name,
+    joints_of,
     support_m,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot
@@ -107,13 +107,7 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
     known = facts("robot_rows")[name]
     (low, high), value = known["interval"], found.value
     ratio = max(low / max(value, 1e-12), value / high) if np.isfinite(value) else np.inf
-    verdict = (
-        Verdict.INSIDE
-        if ratio <= 1.0 + 1e-9
-        else Verdict.VISIBLE
-        if ratio <= VISIBLE_WITHIN
-        else Verdict.WRONG
-    )
+    verdict = Verdict.of(ratio if ratio > 1.0 + 1e-9 else 1.0)
     is_off = verdict is not Verdict.INSIDE and not found.declined
     return PhenomenonResult(
         phenomenon=name,
@@ -158,40 +152,28 @@ def _extent(robot: Robot, body: int) -> Vector:
 
     Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
     """
-    model, largest, points = robot.model, 0.0, []
-    if not model.body_geomnum[body]:
+    model, geoms = robot.model, _geoms(robot, body)
+    if not geoms:
         return (np.nan,) * 3
-    for geom in range(
-        model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]
-    ):
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    largest, points = 0.0, []
+    for geom in geoms:
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-        signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-        points.append(
-            model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T
-        )
+        corners = (centre + signs * half) @ turn.reshape(3, 3).T
+        points.append(model.geom_pos[geom] + corners)
         largest = max(largest, float(8.0 * half.prod()))
-    points += [
-        model.body_pos[child][None]
-        for child in robot.bodies
-        if int(model.body_parentid[child]) == body
-    ]
-    points.append(
-        model.jnt_pos[
-            model.body_jntadr[body] : model.body_jntadr[body] + model.body_jntnum[body]
-        ]
-    )
+    children = [b for b in robot.bodies if int(model.body_parentid[b]) == body]
+    points.append(model.body_pos[children])
+    points.append(model.jnt_pos[model.jnt_bodyid == body])
     every = np.vstack(points)
     try:
         hull = float(ConvexHull(every).volume)
     except QhullError:
         hull = largest
-    return (
-        largest,
-        hull,
-        float(np.linalg.norm(every - model.body_ipos[body], axis=1).max()),
-    )
+    reach = np.linalg.norm(every - model.body_ipos[body], axis=1).max()
+    return largest, hull, float(reach)
 
 
 @row("robot-density")
@@ -530,10 +512,10 @@ def torque_limits(model: mujoco.MjModel) -> FloatArray:
 
 def driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
     """Yield hinges of a robot that an actuator drives, and its limit [Nm]."""
+    is_hinge = joints_of(robot.model, "HINGE")
     for dof, limit in enumerate(torque_limits(robot.model)):
-        joint = int(robot.model.dof_jntid[dof])
-        is_hinge = int(robot.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-        if limit and is_hinge and int(robot.model.dof_bodyid[dof]) in robot.bodies:
+        is_own = int(robot.model.dof_bodyid[dof]) in robot.bodies
+        if limit and is_own and is_hinge[robot.model.dof_jntid[dof]]:
             yield dof, float(limit)
 
 

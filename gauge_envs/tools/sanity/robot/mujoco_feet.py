@@ -237,14 +237,10 @@ def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
     if known is not None:
         mujoco.mj_resetDataKeyframe(model, data, names.index(known))
         label, ctrl = f"keyframe {known}", data.ctrl.copy()
-    for joint in np.flatnonzero(model.jnt_limited):
-        # A comparison of an enumerator with NumPy's integers depends on the order, so both become Python's.
-        if int(model.jnt_type[joint]) in (
-            int(mujoco.mjtJoint.mjJNT_HINGE),
-            int(mujoco.mjtJoint.mjJNT_SLIDE),
-        ):
-            place = model.jnt_qposadr[joint]
-            data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
+    is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
+    for joint in np.flatnonzero(is_clipped):
+        place = model.jnt_qposadr[joint]
+        data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
     mujoco.mj_kinematics(model, data)
     if not (np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()):
         raise TargetError(
@@ -263,6 +259,13 @@ def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
     )
 
 
+def joints_of(model: mujoco.MjModel, *kinds: str) -> NDArray[np.bool_]:
+    """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
+    # A comparison of an enumerator with NumPy's integers depends on the order, so the numbers are Python's.
+    numbers = [int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in kinds]
+    return np.isin(model.jnt_type, numbers)
+
+
 def first_moving_body(model: mujoco.MjModel, body: int) -> int:
     """Return the body nearest to the world that moves a body; the body itself when nothing moves it."""
     first = body
@@ -278,19 +281,14 @@ def _can_fall(
 ) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
-    for joint in range(
-        model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]
-    ):
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+    is_free, is_slide = joints_of(model, "FREE"), joints_of(model, "SLIDE")
+    first = int(model.body_jntadr[body])
+    for joint in range(first, first + int(model.body_jntnum[body])):
+        damping = model.dof_damping[model.jnt_dofadr[joint]]
+        is_upright = abs(stance.joint_axes[joint, 2]) > UPRIGHT
+        is_held = joint in driven_joints or weight <= HELD_M_PER_S * damping
+        if is_free[joint] or (is_slide[joint] and is_upright and not is_held):
             return True
-        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-            falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
-            if (
-                abs(stance.joint_axes[joint, 2]) > UPRIGHT
-                and joint not in driven_joints
-                and falls
-            ):
-                return True
     return False
 
 

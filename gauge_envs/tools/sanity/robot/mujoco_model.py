@@ -172,7 +172,7 @@ def _up(model: mujoco.MjModel) -> Vector:
         nearest = np.abs(normal).argmax()
         axis = np.zeros(3)
         axis[nearest] = np.sign(normal[nearest])
-    return float(axis[0]), float(axis[1]), float(axis[2])
+    return vector(axis)
 
 
 # --- which constants count -------------------------------------------------------------------------------------------

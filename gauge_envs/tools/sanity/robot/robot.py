@@ -28,6 +28,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
     first_moving_body,
     ground_rows,
+    joints_of,
     stance_of,
 )
 
@@ -89,11 +90,9 @@ class Robot:
     @cached_property
     def foot_rows(self) -> list[int]:
         """Rows of `pairs` in which a foot meets the ground."""
-        feet = (
-            set()
-            if self.standing is None
-            else {geom for geoms in self.standing.feet.values() for geom in geoms}
-        )
+        if self.standing is None:
+            return []
+        feet = {geom for geoms in self.standing.feet.values() for geom in geoms}
         return [
             int(row)
             for row in ground_rows(self.pairs)
@@ -105,41 +104,22 @@ class Robot:
         """Whether the robot stands and its first joint is free."""
         if self.standing is None:
             return False
-        joint = int(self.model.body_jntadr[self.standing.body])
-        return int(self.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
+        first = self.model.body_jntadr[self.standing.body]
+        return bool(joints_of(self.model, "FREE")[first])
 
     @cached_property
     def plane_normal(self) -> FloatArray | None:
         """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
-        model, bodies = self.model, set(self.bodies)
-        joints = [
-            joint
-            for joint in range(model.njnt)
-            if int(model.jnt_bodyid[joint]) in bodies
-        ]
+        model = self.model
+        is_own = np.isin(model.jnt_bodyid, self.bodies)
         axes = stance_of(model, np.asarray(self.up)).joint_axes
-        turning = [
-            axes[j]
-            for j in joints
-            if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-        ]
-        sliding = [
-            axes[j]
-            for j in joints
-            if int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_SLIDE)
-        ]
-        if not turning or len(turning) + len(sliding) < len(joints):
+        turning = axes[is_own & joints_of(model, "HINGE")]
+        sliding = axes[is_own & joints_of(model, "SLIDE")]
+        if not len(turning) or len(turning) + len(sliding) < is_own.sum():
             return None
-        normal = np.asarray(turning[0])
-        is_planar = (
-            all(abs(axis @ normal) > 0.999 for axis in turning)
-            and abs(normal[2]) < 1e-3
-        )
-        return (
-            normal
-            if is_planar and all(abs(axis @ normal) < 1e-3 for axis in sliding)
-            else None
-        )
+        normal: FloatArray = turning[0]
+        is_planar = (np.abs(turning @ normal) > 0.999).all() and abs(normal[2]) < 1e-3
+        return normal if is_planar and (np.abs(sliding @ normal) < 1e-3).all() else None
 
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class.
@@ -268,12 +248,7 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
         model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0
     ]
     driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
-    free = (
-        np.isin(
-            roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]
-        )
-        & ~driven
-    )
+    free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
     round_geoms = np.isin(
         model.geom_type,
@@ -288,10 +263,7 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:
     """Return whether no two geoms of a robot that is fixed to the world touch in random poses within joint limits."""
-    if (
-        robot.standing is not None
-        or (robot.model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any()
-    ):
+    if robot.standing is not None or joints_of(robot.model, "FREE", "BALL").any():
         return False
     return not any(data.ncon for data in random_poses(robot.model, poses))
 
@@ -299,10 +271,10 @@ def never_touches(robot: Robot, poses: int = 200) -> bool:
 def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
     """Yield a model in random poses within its joint limits, at rest; free and ball joints stay."""
     data, generator = mujoco.MjData(model), np.random.default_rng(0)
+    is_hinge = joints_of(model, "HINGE")
     for _ in range(poses):
-        for joint in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
-            is_hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
-            free = (-np.pi, np.pi) if is_hinge else (-1.0, 1.0)
+        for joint in np.flatnonzero(is_hinge | joints_of(model, "SLIDE")):
+            free = (-np.pi, np.pi) if is_hinge[joint] else (-1.0, 1.0)
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else free
             data.qpos[model.jnt_qposadr[joint]] = generator.uniform(low, high)
         mujoco.mj_forward(model, data)

@@ -84,14 +84,12 @@ class Place:
         within: Place that holds this one; empty for none.
         joint: Text between assignments.
         is_alone: Whether every assignment stands alone, behind those of other places.
-        has_geoms: Whether it belongs to some geoms of a model.
     """
 
     form: str
     within: str = ""
     joint: str = ", "
     is_alone: bool = False
-    has_geoms: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,13 +159,8 @@ class Dialect:
             else self._text(self.setting(name, value), value).strip('"')
         )
 
-    def paste_text(self, changes: Settings, *, geoms: str = "") -> str:
-        """Return changes of settings as text that can be pasted into the target.
-
-        Args:
-            changes: New values by name of the backend's setting.
-            geoms: Geoms that the contact constants belong to, when there are several sets; empty for all geoms.
-        """
+    def paste_text(self, changes: Settings) -> str:
+        """Return changes of settings, new values by name, as text that can be pasted into the target."""
         grouped, alone = self._grouped(changes)
         parts = []
         for name, place in self.places.items():
@@ -176,9 +169,7 @@ class Dialect:
                 if place.within:
                     grouped.setdefault(place.within, []).append(text)
                 else:
-                    parts.append(
-                        f"{text} for {geoms}" if geoms and place.has_geoms else text
-                    )
+                    parts.append(text)
         return self.joint.join(
             [*alone, *parts] if self.comes_last else [*parts, *alone]
         )

@@ -92,7 +92,6 @@ GENESIS = Dialect(
         "constants": Place(
             form="sol_params = scene.rigid_solver.get_sol_params(); {}; scene.rigid_solver.set_sol_params(sol_params)",
             joint="; ",
-            has_geoms=True,
         ),
     },
     default="None",

@@ -80,6 +80,11 @@ def _of_actor(name: str, key: str, kind: Kind = NUMBER) -> Setting:
     )
 
 
+def _of_collider(name: str, key: str) -> Setting:
+    """Return a property of the robot's colliders, which stands with the others in one call."""
+    return Setting(name, COLLIDER, key, pattern="{key}={value}")
+
+
 def _dialect(name: str, physx: str) -> IsaacLab:
     """Return the dialect of a version, which has its PhysxCfg at a place of its own."""
     return IsaacLab(
@@ -104,22 +109,10 @@ def _dialect(name: str, physx: str) -> IsaacLab:
                 "rigid_props.max_depenetration_velocity",
             ),
             _of_actor("sleep_threshold_m2_per_s2", "sleep_threshold"),
-            Setting(
-                "contact_offset_m", COLLIDER, "contact_offset", pattern="{key}={value}"
-            ),
-            Setting("rest_offset_m", COLLIDER, "rest_offset", pattern="{key}={value}"),
-            Setting(
-                "patch_radius_m",
-                COLLIDER,
-                "torsional_patch_radius",
-                pattern="{key}={value}",
-            ),
-            Setting(
-                "min_patch_radius_m",
-                COLLIDER,
-                "min_torsional_patch_radius",
-                pattern="{key}={value}",
-            ),
+            _of_collider("contact_offset_m", "contact_offset"),
+            _of_collider("rest_offset_m", "rest_offset"),
+            _of_collider("patch_radius_m", "torsional_patch_radius"),
+            _of_collider("min_patch_radius_m", "min_torsional_patch_radius"),
             Setting(
                 "max_angular_velocity_rad_per_s",
                 SPAWN,

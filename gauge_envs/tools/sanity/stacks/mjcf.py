@@ -93,26 +93,20 @@ class Mjcf(Dialect):
             else super().setting(name, value)
         )
 
-    def paste_text(self, changes: Settings, *, geoms: str = "") -> str:
-        """Return elements: `<option>` with its flags, and `<geom>` for some geoms or as the default of all."""
+    def paste_text(self, changes: Settings) -> str:
+        """Return elements: `<option>` with its flags, and `<geom>` as the default of all."""
         grouped, alone = self._grouped(changes)
         option, flags, geom = (
             " ".join(grouped.get(place, ())) for place in ("option", "flag", "geom")
         )
-        parts = (
-            [f"config_overrides={{{', '.join(grouped['config'])}}}"]
-            if "config" in grouped
-            else []
-        )
+        parts = []
+        if "config" in grouped:
+            parts.append(f"config_overrides={{{', '.join(grouped['config'])}}}")
         if option or flags:
             head = f"<option {option}".rstrip()
             parts.append(f"{head}><flag {flags}/></option>" if flags else f"{head}/>")
         if geom:
-            parts.append(
-                f"<geom {geom}/> for {geoms}"
-                if geoms
-                else f"<default><geom {geom}/></default>"
-            )
+            parts.append(f"<default><geom {geom}/></default>")
         return self.joint.join([*parts, *alone])
 
 

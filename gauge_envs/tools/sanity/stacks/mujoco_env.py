@@ -125,7 +125,7 @@ MJLAB = Dialect(
     places={
         "MujocoCfg": Place(form="mujoco=MujocoCfg({})", within="SimulationCfg"),
         "SimulationCfg": Place(form="SimulationCfg({})"),
-        "CollisionCfg": Place(form="CollisionCfg({})", has_geoms=True),
+        "CollisionCfg": Place(form="CollisionCfg({})"),
     },
     gravity="SimulationCfg(mujoco=MujocoCfg(gravity=({})))",
     absent='without the flag "override"',

@@ -105,8 +105,8 @@ NEWTON = Newton(
     ),
     places={
         "solver": Place(form="SolverMuJoCo(model, {})"),
-        "shape": Place(form="ShapeConfig({})", has_geoms=True),
-        "direct": Place(form="model.mujoco.{}", has_geoms=True),
+        "shape": Place(form="ShapeConfig({})"),
+        "direct": Place(form="model.mujoco.{}"),
         "attribute": Place(form="model.mujoco.{}", is_alone=True),
         "step": Place(form="solver.step(..., {})", is_alone=True),
     },
