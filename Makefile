@@ -60,7 +60,7 @@ test-genesis: $(VENV)-genesis/.installed
 
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed
-	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
+	$(BIN)/python -m scripts matrix $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
 	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
 
 # Damaged files for all parsers, for 20 minutes of processor time; the next call goes on where this one ended.
@@ -84,7 +84,7 @@ size:
 
 # Pictures and films of docs/gallery.md. The results stay, so that a second time draws alone.
 gallery: $(VENV)/.installed
-	$(BIN)/python scripts/build_gallery.py
+	$(BIN)/python -m scripts build gallery
 
 docs: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[docs]"

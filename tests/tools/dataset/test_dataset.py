@@ -8,7 +8,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import build_bands
 import gymnasium
 import numpy as np
 import pytest
@@ -58,6 +57,7 @@ from gauge_envs.tools.dataset.importer import ImportedTrials, import_trials
 from gauge_envs.tools.dataset.layout import find_trials, write_revision
 from gauge_envs.tools.dataset.observation import driver_tracks
 from gauge_envs.tools.dataset.trial import parse_trial
+from scripts import build_bands
 
 AMOUNT = np.array(AMOUNTS)
 TOLERANCE = 1e-9

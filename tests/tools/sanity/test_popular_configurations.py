@@ -7,33 +7,24 @@ import math
 from pathlib import Path
 from typing import Any
 
-import build_popular_configurations as script
 import pytest
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import configuration
+from scripts import build_popular_configurations as script
+from scripts.generated import stale_files
 
 
-def test_check_finds_a_page_that_is_not_current(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_changed_value_makes_the_page_stale(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data = json.loads(script.DATA.read_text(encoding="utf-8"))
+    data = script.stored()
     row = next(one for one in data["rows"] if "creep-wood" in one["values"])
     row["values"]["creep-wood"] += 1.0
     changed = tmp_path / "data.json"
     changed.write_text(json.dumps(data), encoding="utf-8")
-    assert script.main(["--check", "--data", str(changed)]) == 1
-    assert "not current" in capsys.readouterr().err
-
-
-def test_all_rows_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert script.main(["--tables"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    rows = json.loads(script.DATA.read_text(encoding="utf-8"))["rows"]
-    assert sum("slide-wood" in row["values"] for row in rows) == sum(
-        line.count(" | ") == 13 for line in lines
-    ) - 2 * len(script.PACKAGES)
-    assert sum(line.startswith("### ") for line in lines) == len(script.PACKAGES)
+    monkeypatch.setattr(script, "DATA", changed)
+    assert stale_files(script.contents()) == [script.PAGE]
 
 
 def test_ranges_of_a_package_leave_out_what_is_held() -> None:
@@ -93,11 +84,11 @@ def test_rows_that_are_known_are_not_measured_again(
     package = script.Package("gymnasium", lambda: ["Reacher-v5", "Swimmer-v5"])
     monkeypatch.setattr(script, "PACKAGES", {"Gymnasium": package})
     data: dict[str, Any] = {"rows": [], "unreadable": {}}
-    script.measure("Gymnasium", data, tmp_path / "data.json")
+    script.measure_package("Gymnasium", data, tmp_path / "data.json")
     (row,) = json.loads((tmp_path / "data.json").read_text(encoding="utf-8"))["rows"]
     assert row["targets"] == ["Reacher-v5", "Swimmer-v5"]
     monkeypatch.setattr(script, "check", lambda *_, **__: pytest.fail("measured again"))
-    script.measure("Gymnasium", data, tmp_path / "data.json")
+    script.measure_package("Gymnasium", data, tmp_path / "data.json")
 
 
 @pytest.mark.parametrize(
@@ -111,7 +102,7 @@ def test_package_that_is_not_here_keeps_its_rows(
 ) -> None:
     monkeypatch.setattr(script, "PACKAGES", {"Absent": package})
     data: dict[str, Any] = {"rows": [{"package": "Absent"}], "unreadable": {}}
-    script.measure("Absent", data, tmp_path / "data.json", tmp_path)
+    script.measure_package("Absent", data, tmp_path / "data.json", tmp_path)
     assert data["rows"] == [{"package": "Absent"}]
     assert "not here" in capsys.readouterr().out
 
