@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from generated import same_text
 from places import ROOT
+
+from scripts.generated import same_text
 
 FOLDER = ROOT / "tests" / "approved"
 
