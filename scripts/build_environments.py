@@ -29,6 +29,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, SCORING, Request, markdown_table
+from scripts.pictures import shrink
 
 SCRIPT = Path(__file__).name
 PAGES = ROOT / "docs" / "environments"
@@ -180,6 +181,7 @@ def draw(entry: Entry, file: Path) -> str:
                 assert picture is not None
                 writer.add(picture, times=round(FPS) if frame + stride > last else 1)
     env.close()
+    shrink(file)
     return caption_of(entry, env.experiment, env.band)
 
 

@@ -32,6 +32,7 @@ from gauge_envs.tools.film import (
     strip_picture,
 )
 from scripts.generated import ROOT, Request, with_part
+from scripts.pictures import shrink
 
 PAGE = ROOT / "docs" / "gallery.md"
 SCRIPT = Path(__file__).name
@@ -235,6 +236,7 @@ def draw_film(film: FilmEntry, results: Path, out: Path) -> None:
     found = dict(result_of(film.name, backend, results) for backend in film.backends)
     options = FilmOptions(**FILM_SIZE, fps=FILM_FPS, speed=film.speed, to_s=film.to_s)
     raise_if_left_out(save_film(found, out, options))
+    shrink(out)
 
 
 def raise_if_left_out(left_out: Sequence[object]) -> None:

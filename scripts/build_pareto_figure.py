@@ -17,6 +17,7 @@ from gauge_envs.tools.compare.cost import (
 from scripts.build_pareto import stored
 from scripts.generated import ROOT, Request
 from scripts.pareto_model import Family, Phenomenon, Point, Tradeoff
+from scripts.pictures import shrink
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,3 +183,4 @@ def _legend(tradeoff: Tradeoff) -> Sequence[Any]:
 def measure(request: Request) -> None:
     """Draw the figure from the stored errors."""
     save_png(draw_pareto(stored()[1]), FIGURE)
+    shrink(FIGURE)
