@@ -35,7 +35,7 @@ test: $(VENV)/.installed
 # Slow checks train policies, simulate for long, or need packages that the other tests do without, as Drake.
 slow: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[drake,onnx,ray,rerun,rl,slurm]"
-	$(PYTEST) tests/backends/drake
+	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 
 # Generated files: all that follow from data in seconds, or those of NAME.
