@@ -1,8 +1,5 @@
 """Build the bundled bands of real trials in `scoring/bands/` and the summaries in `scoring/facts/` from the facts.
 
-    python scripts/build_bands.py            writes the files
-    python scripts/build_bands.py --check    fails if a file differs from what the facts give
-
 The facts hold what was measured: 59 slides and 22 bounces. Each trial is reconstructed at the published number of 30 Hz
 frames, then the band is the mean and the sample standard deviation over trials. `scoring/README.md` defines all terms.
 """
@@ -11,19 +8,18 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import write_or_check
 from numpy.typing import NDArray
 
 from gauge_envs import load_experiment
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.references.published import published_baselines
+from scripts.generated import SCORING
 
 GRAVITY_M_S2 = 9.80665  # the paper's value, from its dynamic error
 FRAME_RATE_HZ = 30
@@ -364,7 +360,7 @@ def reconstruct(scoring: Path) -> dict[str, Trials]:
     return trials
 
 
-def generated_files(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return every generated file with the text that the facts give it."""
     facts = scoring / "facts"
     slides = {material: read_slides(facts, material) for material in SLOPE_MATERIALS}
@@ -377,21 +373,3 @@ def generated_files(scoring: Path) -> dict[Path, str]:
         files[scoring / "bands" / f"{variant}.toml"] = band_toml(trials)
         files[scoring / "trials" / f"{variant}.csv"] = trials_csv(trials)
     return files
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check the generated files.
-
-    Returns:
-        Exit status: 1 if a check found a file that is missing or not current.
-    """
-    return write_or_check(
-        generated_files,
-        script="build_bands.py",
-        what="Build the bundled bands of real trials from scoring/facts.",
-        arguments=arguments,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

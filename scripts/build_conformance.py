@@ -2,19 +2,15 @@
 
     gauge backend check '*:*' --only '*' --out engines.json                     in each environment that has engines
     gauge backend check engines.json genesis.json --out scoring/conformance.json
-    python scripts/build_conformance.py                                         writes the page
-    python scripts/build_conformance.py --check                                 fails if the page is not current
+    python -m scripts build conformance
 
 A failure of a default configuration is listed with the hints of its check, which are likely causes and not verified.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-
-from generated import ROOT, markdown_table, with_part, write_or_check
 
 from gauge_envs.pages.text import markdown_text, pairs_text
 from gauge_envs.tools.conformance import checks
@@ -26,6 +22,7 @@ from gauge_envs.tools.conformance.words import (
     measured_text,
     tally,
 )
+from scripts.generated import ROOT, SCORING, markdown_table, stale_note, with_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 STUDY = ROOT / "studies" / "grasp" / "README.md"
@@ -125,13 +122,14 @@ def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield from markdown_table(["engine", *names], rows)
 
 
-def generate(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     columns = read_columns(scoring / "conformance.json")
     versions = {
         f"{name} {text}" for column in columns for name, text in column.versions.items()
     }
     lines = [
+        *stale_note("conformance-data"),
         *failures(columns),
         "",
         f"Run on {', '.join(sorted({column.made for column in columns}))} with {', '.join(sorted(versions))}.",
@@ -152,17 +150,3 @@ def generate(scoring: Path) -> dict[Path, str]:
         ),
         STUDY: with_part(STUDY.read_text(encoding="utf-8"), "grasps", SCRIPT, grasps),
     }
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the script; return its exit status."""
-    return write_or_check(
-        generate,
-        script=SCRIPT,
-        what="Write the tables of the page of conformance.",
-        arguments=arguments,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,22 +1,16 @@
 """Measure the convergence of whole episodes, and write `scoring/convergence/<engine>.csv`.
 
-    python scripts/build_convergence.py --resume                     measures all rows that are missing
-    python scripts/build_convergence.py --ids 'Foam*' --setting cell_m
-    python scripts/build_convergence.py --check                      measures a few quick rows again and compares them
-    python scripts/build_convergence.py --table                      prints a summary of all engines
-
 Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
 bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
 finer mesh can change the time step of a preset that depends on the cell. With half the cell, vertex block descent has
 four times the iterations: each one moves information by one node, so a finer mesh with as many is less accurate. A
 third run has the preset `training`, with engines that have one. A run
-that exceeds `--limit-s` is stopped, and its row stays absent. The file is written after each row, so that the script
+that exceeds `LIMIT_S` is stopped, and its row stays absent. The file is written after each row, so that the script
 can be stopped at any time.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,7 +22,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from generated import SCORING, markdown_table
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
@@ -47,15 +40,13 @@ from gauge_envs.references.convergence import (
 )
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Rod, SoftBody
-
-QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "StickStack-soft")
-"""Variants of `--check`."""
+from scripts.generated import SCORING, Request
 
 TRAINING_ENGINES = ("mujoco", "newton")
 """Engines with a preset `training`."""
 
-CHECK_TOLERANCE = 0.05
-"""Largest relative difference between a row and its repetition on another machine."""
+LIMIT_S = 600.0
+"""Wall time of an episode at most [s]."""
 
 
 class TooSlowError(Exception):
@@ -143,7 +134,7 @@ class Run:
     steps_per_s: float
 
 
-def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> Run:
+def run(name: str, engine: str, settings: Mapping[str, Any]) -> Run:
     """Run an episode with zero actions.
 
     Raises:
@@ -160,7 +151,7 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
         while not over:
             *_, terminated, truncated, _ = env.step(zero)
             over = terminated or truncated
-            if time.perf_counter() - start > limit_s:
+            if time.perf_counter() - start > LIMIT_S:
                 raise TooSlowError
         spent_s = time.process_time() - begin
         trajectory = env.trajectory()
@@ -252,25 +243,23 @@ def compare(
 
 
 def measured_rows(
-    name: str, engine: str, wanted: Sequence[RefinedSetting], limit_s: float
+    name: str, engine: str, wanted: Sequence[RefinedSetting]
 ) -> Iterator[tuple[Convergence, float]]:
     """Yield the wanted rows of a variant, each with the wall time of its finer run [s]."""
     experiment = load_experiment(name)
-    default = run(name, engine, {}, limit_s)
+    default = run(name, engine, {})
     for setting in wanted:
         start = time.perf_counter()
         try:
             if setting == "training":
-                finer = run(name, engine, {"preset": setting}, limit_s)
+                finer = run(name, engine, {"preset": setting})
                 values = (default.steps_per_s, finer.steps_per_s)
             else:
                 value = default_value(experiment, setting, default)
-                finer = run(
-                    name, engine, finer_settings(setting, value, default), limit_s
-                )
+                finer = run(name, engine, finer_settings(setting, value, default))
                 values = (value, 0.5 * value)
         except TooSlowError:
-            print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
+            print(f"{name}, {setting}: stopped after {LIMIT_S:g} s", flush=True)
             continue
         yield (
             compare(name, setting, default, finer, values),
@@ -299,174 +288,49 @@ def supported(name: str, engine: str) -> bool:
     return True
 
 
-def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
-    """Measure quick rows again; return 1 if a row differs, else 0."""
-    status = 0
-    for name in QUICK:
-        kept = table.of(name)
-        if not kept:
-            continue
-        for row, _ in measured_rows(name, engine, list(kept), limit_s):
-            old = kept[row.setting]
-            if (
-                row.rms is None
-                or old.rms is None
-                or abs(row.rms - old.rms) > CHECK_TOLERANCE * old.rms
-            ):
-                print(
-                    f"{name}, {row.setting}: rms is {row.rms}, the table has {old.rms}",
-                    file=sys.stderr,
-                )
-                status = 1
-    return status
-
-
-def summary(tables: Mapping[str, ConvergenceTable]) -> str:
-    """Return the tables of all engines by family, in Markdown."""
-    units = ("% of the real scatter", "mm")
-    titles = [
-        f"{name}, {unit}"
-        for name in ("half step", "half cell", "training")
-        for unit in units
-    ]
-    found = []
-    for family in dict.fromkeys(_family(variant.name) for variant in variants()):
-        for engine, table in tables.items():
-            of_family = [
-                row for row in table.rows.values() if _family(row.variant) == family
-            ]
-            cells = []
-            for setting in REFINED_SETTINGS:
-                rows = [row for row in of_family if row.setting == setting]
-                cells += [
-                    _range([row.share and 100.0 * row.share for row in rows]),
-                    _range([r.points_rms_mm for r in rows]),
-                ]
-            if of_family:
-                found.append([family, engine, *cells])
-    return "\n".join(markdown_table(["experiment", "engine", *titles], found))
-
-
-def _family(name: str) -> str:
-    return name.rpartition("-")[0]
-
-
-def _range(values: Sequence[float | None]) -> str:
-    """Return the range of values, or nothing if there are none."""
-    known = [value for value in values if value is not None]
-    texts = (
-        [
-            "below 0.01"
-            if value < 0.01
-            else f"{value:.0f}"
-            if value >= 9.5
-            else f"{value:.2g}"
-            for value in (min(known), max(known))
-        ]
-        if known
-        else []
+def measure(request: Request, scoring: Path = SCORING) -> None:
+    """Measure the rows that the tables lack; rows of another version of the engine go first."""
+    known = [variant.name for variant in variants()]
+    names = dict.fromkeys(
+        name for pattern in request.ids for name in known if fnmatchcase(name, pattern)
     )
-    return " to ".join(dict.fromkeys(texts))
+    for engine in request.engines or TRAINING_ENGINES:
+        _measure_engine(engine, names, scoring / "convergence" / f"{engine}.csv")
 
 
-def all_tables(scoring: Path) -> dict[str, ConvergenceTable]:
-    """Return the tables of all engines by name."""
-    return {
-        file.stem: ConvergenceTable.read(file)
-        for file in sorted((scoring / "convergence").glob("*.csv"))
-    }
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the script and return its exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--backend", default="mujoco", help="engine")
-    parser.add_argument(
-        "--ids",
-        nargs="*",
-        default=["*"],
-        help="variants or patterns, run in this order",
-    )
-    parser.add_argument(
-        "--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS)
-    )
-    parser.add_argument(
-        "--resume", action="store_true", help="keep rows that the file has"
-    )
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail if a quick row differs",
-    )
-    parser.add_argument(
-        "--table",
-        action="store_true",
-        help="measure nothing; print a summary of all engines",
-    )
-    parser.add_argument(
-        "--limit-s", type=float, default=600.0, help="wall time of an episode at most"
-    )
-    parser.add_argument(
-        "--scoring", type=Path, default=SCORING, help="folder of the data"
-    )
-    options = parser.parse_args(arguments)
-    if options.table:
-        print(summary(all_tables(options.scoring)))
-        return 0
-    file = options.scoring / "convergence" / f"{options.backend}.csv"
+def _measure_engine(engine: str, names: Iterable[str], file: Path) -> None:
+    """Add the missing rows of an engine to its table, which is written after each row."""
     version = ", ".join(
-        f"{key} {text}" for key, text in backend(options.backend).versions().items()
+        f"{key} {text}" for key, text in backend(engine).versions().items()
     )
     notes = {
         "written by": "scripts/build_convergence.py",
         "engine": version,
         "date": datetime.now(UTC).date().isoformat(),
     }
-    old = ConvergenceTable.read(file) if file.is_file() else ConvergenceTable(notes, {})
-    if options.check:
-        return check(old, options.backend, options.limit_s)
-    if options.resume and old.notes["engine"] != version:
-        parser.error(
-            f"{file} is of {old.notes['engine']}, installed is {version}: run without --resume"
-        )
-    table = ConvergenceTable(
-        notes, old.rows if options.resume or old.notes["engine"] == version else {}
-    )
-    known = [variant.name for variant in variants()]
-    names = dict.fromkeys(
-        name for pattern in options.ids for name in known if fnmatchcase(name, pattern)
-    )
+    table = ConvergenceTable(notes, {})
+    if file.is_file():
+        old = ConvergenceTable.read(file)
+        if old.notes["engine"] == version:
+            table = ConvergenceTable(notes, old.rows)
     for name in names:
-        wanted = settings_of(name, options.backend, options.setting)
-        if options.resume:
-            wanted = [
-                setting for setting in wanted if (name, setting) not in table.rows
-            ]
-        if not wanted or not supported(name, options.backend):
+        wanted = [
+            setting
+            for setting in settings_of(name, engine, REFINED_SETTINGS)
+            if (name, setting) not in table.rows
+        ]
+        if not wanted or not supported(name, engine):
             continue
         try:
-            for row, wall_s in measured_rows(
-                name, options.backend, wanted, options.limit_s
-            ):
+            for row, wall_s in measured_rows(name, engine, wanted):
                 table = table.with_rows([row])
                 file.parent.mkdir(exist_ok=True)
                 write_whole(file, table.text().encode())
-                what = f"{name}, {row.setting}"
-                print(
-                    f"{what}: rms {row.rms} {row.unit}, share {row.share} ({wall_s:.0f} s)",
-                    flush=True,
-                )
+                what = f"{name}, {row.setting}: rms {row.rms} {row.unit}"
+                print(f"{what}, share {row.share} ({wall_s:.0f} s)", flush=True)
         except TooSlowError:
             print(
-                f"{name}: the default run was stopped after {options.limit_s:g} s",
-                flush=True,
+                f"{name}: the default run was stopped after {LIMIT_S:g} s", flush=True
             )
         except GaugeError as error:
             print(f"{name}: {error}", file=sys.stderr, flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,22 +1,16 @@
 """Write the table of coverage in `docs/coverage.md`: what each id is measured against and driven by in the package.
 
-    python scripts/build_coverage.py            writes it
-    python scripts/build_coverage.py --check    fails when it is not current
-
 The table leaves out imported trials, which differ between users: `gauge list references` reports those.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.evaluation.reference import reward_band
@@ -26,8 +20,10 @@ from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
+from scripts.generated import ROOT, SCORING, markdown_table, with_part
 
 SCRIPT = Path(__file__).name
+PAGE = ROOT / "docs" / "coverage.md"
 
 HEAD = """
 | column | meaning |
@@ -152,26 +148,8 @@ def unsolved_lines() -> Iterator[str]:
     yield from (f"- {name}: {one.reason}." for name, one in unsolved_scenes().items())
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check the file.
-
-    Returns:
-        Exit status: 1 when a check found it not current.
-    """
-    parser = argparse.ArgumentParser(description="Write the table of coverage.")
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail when the file is not current",
-    )
-    parser.add_argument(
-        "--out", type=Path, default=ROOT / "docs" / "coverage.md", help="file"
-    )
-    options = parser.parse_args(arguments)
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
+    """Return the page with its generated part replaced."""
     block = coverage_markdown([coverage(variant) for variant in variants()])
-    text = with_part(options.out.read_text(encoding="utf-8"), "coverage", SCRIPT, block)
-    return settle({options.out: text}, SCRIPT, check=options.check)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    page = PAGE.read_text(encoding="utf-8")
+    return {PAGE: with_part(page, "coverage", SCRIPT, block)}

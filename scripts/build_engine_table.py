@@ -1,30 +1,18 @@
 """Measure every installed engine with its presets, and write the tables of `docs/engines/comparison.md`.
 
-    python scripts/build_engine_table.py --results DIR                  measures what DIR lacks, then writes both files
-    python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
-    python scripts/build_engine_table.py --results DIR --grades         runs what ranks need; writes scores and ranks
-    python scripts/build_engine_table.py --results DIR --scores         scores what DIR holds again; writes the same
-    python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
-    python scripts/build_engine_table.py --tables                       prints all tables of the data
-    python scripts/build_engine_table.py --check                        fails if the page is not current
-
-DIR keeps the result files, one folder for each configuration, so that the script can be stopped at any time. Wall times
-are ratios to MuJoCo's default preset, which runs right before each episode. Checks are those of
-`scoring/conformance.json`.
+The folder of results keeps the result files, one folder for each configuration, so that the builder can be
+stopped at any time. Wall times are ratios to MuJoCo's default preset, which runs right before each episode.
+Checks are those of `scoring/conformance.json`.
 
 Ranks compare the configurations that fail no conformance check of what a ranked experiment has (`UNRANKED` are the
 others); the others stand apart with their scores. They run with the published constants, and where the reference is
-the mean of real trials with the parameter set `effective`. All result files must be in DIR together. `--grades`
-measures no cost, so that a new engine joins the ranks without a second measurement of the others. An engine of another
-environment runs there, with `--engine` and the same DIR; ranks are written where all configurations are complete.
-Trajectories are scored again by the present code each time.
+the mean of real trials with the parameter set `effective`. An engine of another environment runs there, with
+`--engine` and the same folder; ranks are written where all configurations are complete.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
@@ -32,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.registry import backend_title, uninstalled_backend
@@ -40,7 +27,7 @@ from gauge_envs.files import json_ready, write_whole
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import (
     load_result,
     recorded_experiment,
@@ -52,6 +39,14 @@ from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import Status
 from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns
 from gauge_envs.tools.leaderboard.trajectory import rescored
+from scripts.generated import (
+    ROOT,
+    SCORING,
+    Request,
+    markdown_table,
+    stale_note,
+    with_part,
+)
 
 DATA = SCORING / "engines.json"
 CONFORMANCE = SCORING / "conformance.json"
@@ -105,15 +100,10 @@ TIMED = ("SlopeSlider-2-wood", BALL, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
 
 RATIOS = {
     "slide": "slide",
-    "roll": "roll-cylinder",
     "e = 0.5": "rebound-0.5",
-    "e = 0.95": "rebound-0.95",
     "period": "pendulum-period",
 }
 """Columns of measured over expected values, and their conformance checks."""
-
-MAIN_RATIOS = ("slide", "e = 0.5", "period")
-"""Those that the page shows."""
 
 
 def presets_of(engine: str) -> tuple[str, ...]:
@@ -153,7 +143,7 @@ def episode(engine: str, preset: str, variant: str) -> tuple[Result, float]:
     return result, wall_s
 
 
-def measure(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> None:
+def run_timed(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> None:
     """Run the episodes of a configuration that its folder lacks."""
     folder.mkdir(parents=True, exist_ok=True)
     ratios_file = folder / "ratios.json"
@@ -480,16 +470,6 @@ def percent(ratio: float | None) -> str:
     return "" if ratio is None else f"{100.0 * (ratio - 1.0):+.2f}"
 
 
-def with_interval(one: Mapping[str, Any], metric: str) -> str:
-    """Return a score with its 95 % interval, or the outcome of an episode without it."""
-    if metric not in one:
-        return "" if one["outcome"] == Outcome.FINISHED.value else one["outcome"]
-    interval = one.get(f"{metric}_95")
-    return f"{one[metric]:.2f}" + (
-        f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-    )
-
-
 def number(value: float | None, digits: int) -> str:
     """Return a number with so many decimal places, empty for None."""
     return "" if value is None else f"{value:.{digits}f}"
@@ -502,6 +482,7 @@ def page(data: Mapping[str, Any]) -> str:
     ]
     ran = max(len(column.findings) for column in columns().values())
     lines = [
+        *stale_note("engines-data"),
         f"Measured with {versions(data)}.",
         "",
         "### Closed forms and cost",
@@ -558,7 +539,7 @@ def main_cells(one: Mapping[str, Any]) -> list[str]:
     cost = f"{np.exp(np.mean(np.log(ratios))):.2g}" if ratios else ""
     return [
         counts,
-        *(percent(law_ratio(one, RATIOS[name])) for name in MAIN_RATIOS),
+        *(percent(law_ratio(one, check)) for check in RATIOS.values()),
         energy_loss(one),
         cost,
     ]
@@ -663,177 +644,24 @@ def primary(episode: Mapping[str, Any]) -> str:
     return episode["outcome"] if value is None else f"{value:.2f}"
 
 
-# --- all tables ------------------------------------------------------------------------------------------------------
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
+    """Return the page with its generated part replaced."""
+    data = json.loads(DATA.read_text(encoding="utf-8"))
+    text = PAGE.read_text(encoding="utf-8")
+    return {PAGE: with_part(text, "engines", SCRIPT, page(data))}
 
 
-def tables(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of all tables of the data."""
-    rows = [
-        (name_of(one["engine"], one["preset"]), one) for one in data["configurations"]
-    ]
-    yield f"Measured with {versions(data)}."
-    yield from ("", "### Closed forms", "")
-    yield from (
-        "Difference from the law in per cent; *loss* is the energy that a pendulum loses in 3 s, in per cent.",
-        "",
-    )
-    head = (
-        "configuration",
-        "passed",
-        "failed",
-        "declined",
-        "slide wood / plastic / metal",
-        *RATIOS,
-        "loss",
-        "ball's e",
-    )
-    yield from markdown_table(head, ((name, *closed_forms(one)) for name, one in rows))
-    yield ""
-    for name, one in rows:
-        for title, statuses in zip(("failed", "declined"), COUNTED[1:], strict=True):
-            if found := ", ".join(
-                f"`{check}`" for check in checks_with(one, *statuses)
-            ):
-                yield f"- {name}, {title}: {found}"
-    yield from ("", "### Scores against real trials", "")
-    yield from (
-        "Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw.",
-        "",
-    )
-    heads = [
-        f"{name.rsplit('-', 1)[1]}, {kind}"
-        for kind in ("aligned", "raw")
-        for name in SLIDES
-    ]
-    yield from markdown_table(
-        ("configuration", *heads, "ball"),
-        ((name, *trial_cells(one)) for name, one in rows),
-    )
-    yield from ("", "### Scores against recordings and laws, and events", "")
-    yield from (
-        "Normalized RMSE; momentum transfer of the cradle, period over the real one, outcome of the wall.",
-        "",
-    )
-    head = (
-        "configuration",
-        *RECORDINGS,
-        "largest of 6 laws",
-        "cradle, MTE",
-        "pendulum, PD",
-        "wall",
-    )
-    yield from markdown_table(head, ((name, *other_cells(one)) for name, one in rows))
-    yield from ("", "### Cost", "")
-    yield from (
-        "Wall time as a ratio to MuJoCo's default preset in the same run, faster of two runs.",
-        "",
-    )
-    costs = (
-        (name, *(number(one["wall_ratios"].get(variant), 2) for variant in TIMED))
-        for name, one in rows
-    )
-    yield from markdown_table(("configuration", *TIMED), costs)
-
-
-def closed_forms(one: Mapping[str, Any]) -> list[str]:
-    """Return the cells of the table of closed forms."""
-    laws = one["laws"]
-    slides = " / ".join(
-        percent(laws[f"slide {name.rsplit('-', 1)[1]}"]) or "-" for name in SLIDES
-    )
-    counts = [str(len(checks_with(one, *statuses))) for statuses in COUNTED]
-    ratios = [percent(law_ratio(one, check)) for check in RATIOS.values()]
-    return [*counts, slides, *ratios, energy_loss(one), percent(laws["rebound"])]
-
-
-def trial_cells(one: Mapping[str, Any]) -> list[str]:
-    """Return the cells of the table of real trials."""
-    episodes = one["episodes"]
-    metrics = ("rmse_aligned_normalized", "rmse_normalized")
-    slides = [
-        with_interval(episodes[name], metric) for metric in metrics for name in SLIDES
-    ]
-    return [*slides, with_interval(episodes[BALL], "rmse_normalized")]
-
-
-def other_cells(one: Mapping[str, Any]) -> list[str]:
-    """Return the cells of the table of recordings, laws and events."""
-    episodes = one["episodes"]
-    laws = [episodes[name].get("rmse_normalized") for name in LAWS]
-    known = [value for value in laws if value is not None]
-    return [
-        *(with_interval(episodes[name], "rmse_normalized") for name in RECORDINGS),
-        f"{max(known):.2f}" + ("" if len(known) == len(laws) else f" of {len(known)}")
-        if known
-        else "",
-        with_interval(episodes[CRADLE], "mte"),
-        with_interval(episodes[PENDULUM], "pd_normalized"),
-        episodes[WALL]["outcome"],
-    ]
-
-
-def measured(options: argparse.Namespace, known: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the known data with what the options ask to measure or to score."""
-    engines = options.engine or ENGINES
+def measure(request: Request) -> None:
+    """Run what the folder lacks, and write the data; with all engines also the ranks."""
+    engines = request.engines or ENGINES
     chosen = [(engine, preset) for engine in engines for preset in presets_of(engine)]
     for engine, preset in chosen:
-        folder = folder_of(options.results, engine, preset)
-        if options.grades:
-            run_graded(engine, preset, folder)
-        elif not options.scores:
-            measure(engine, preset, folder, VARIANTS)
-    if options.grades or options.scores:
-        return scored_again(known, options.results)
-    return merged(known, gather(options.results, chosen))
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the script; return its exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        folder = folder_of(request.results, engine, preset)
+        run_timed(engine, preset, folder, VARIANTS)
+        run_graded(engine, preset, folder)
+    data = merged(
+        json.loads(DATA.read_text(encoding="utf-8")), gather(request.results, chosen)
     )
-    mode = parser.add_mutually_exclusive_group(required=True)
-    mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument(
-        "--docs", action="store_true", help="write the page from the data file"
-    )
-    mode.add_argument(
-        "--tables", action="store_true", help="print all tables of the data file"
-    )
-    mode.add_argument(
-        "--check", action="store_true", help="fail if the page is not current"
-    )
-    parser.add_argument(
-        "--engine", action="append", help="measure this engine only; repeatable"
-    )
-    parser.add_argument(
-        "--grades",
-        action="store_true",
-        help="run what the ranks need, and write scores and ranks",
-    )
-    parser.add_argument(
-        "--scores",
-        action="store_true",
-        help="write scores and ranks of what the folder holds",
-    )
-    options = parser.parse_args(arguments)
-    if (options.grades or options.scores) and options.results is None:
-        parser.error("--grades and --scores need --results DIR")
-    if options.results:
-        known = json.loads(DATA.read_text(encoding="utf-8"))
-        write_whole(
-            DATA,
-            (
-                json.dumps(json_ready(measured(options, known)), indent=1) + "\n"
-            ).encode(),
-        )
-    data = json.loads(DATA.read_text(encoding="utf-8"))
-    if options.tables:
-        print("\n".join(tables(data)))
-        return 0
-    text = with_part(PAGE.read_text(encoding="utf-8"), "engines", SCRIPT, page(data))
-    return settle({PAGE: text}, f"{SCRIPT} --docs", check=options.check)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    if not request.engines:
+        data = scored_again(data, request.results)
+    write_whole(DATA, (json.dumps(json_ready(data), indent=1) + "\n").encode())

@@ -1,15 +1,10 @@
 """Write a page for each family of experiments, `docs/environments/`, and draw the picture of each.
 
-    python scripts/build_environments.py                writes the pages
-    python scripts/build_environments.py --pictures     draws the pictures that are missing, then writes the pages
-    python scripts/build_environments.py --check        fails unless pages are current and pictures are there
-
 Pages need no engine. To draw a picture anew, delete it first.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -19,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from environment_page import family_document
-from generated import ROOT, markdown_table, settle
 from gymnasium import spaces
 
 from gauge_envs import find_variant
@@ -34,6 +27,9 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film import film_writer
+from scripts.environment_page import family_document
+from scripts.generated import ROOT, SCORING, Request, markdown_table
+from scripts.pictures import shrink
 
 SCRIPT = Path(__file__).name
 PAGES = ROOT / "docs" / "environments"
@@ -54,8 +50,6 @@ SIZE = (288, 216)
 
 FPS = 10.0
 MOST_FRAMES = 36
-MOST_PICTURE_BYTES, MOST_BYTES = 300_000, 4_000_000
-"""Largest size of a picture, and of all."""
 
 
 @dataclass(frozen=True)
@@ -187,10 +181,11 @@ def draw(entry: Entry, file: Path) -> str:
                 assert picture is not None
                 writer.add(picture, times=round(FPS) if frame + stride > last else 1)
     env.close()
+    shrink(file)
     return caption_of(entry, env.experiment, env.band)
 
 
-def draw_missing() -> None:
+def measure(request: Request) -> None:
     """Draw the pictures that are missing; one that is interrupted is drawn next time."""
     for family, entry in ENTRIES.items():
         file = picture_of(family)
@@ -212,7 +207,7 @@ def enclosed(text: str) -> str:
     )
 
 
-def pages() -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return every page with its text."""
     families: dict[str, list[Variant]] = {}
     for variant in (*variants(), *beyond_variants()):
@@ -251,57 +246,3 @@ def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
         f"{grades[grade]} x {grade.value}" for grade in BandGrade if grades[grade]
     )
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"
-
-
-def faults() -> list[str]:
-    """Return what is missing or too large: pictures of families, and files that no family has."""
-    families = {variant.family for variant in (*variants(), *beyond_variants())}
-    files = {file.stem: file.stat().st_size for file in PICTURES.glob("*.webp")}
-    found = [
-        f"{family}: no picture: add an entry, then run {SCRIPT} --pictures"
-        for family in families - set(files)
-    ]
-    found += [
-        f"{name}.webp: there is no such family: delete it"
-        for name in set(files) - families
-    ]
-    found += [
-        f"{family}: no caption: delete its picture and draw it again"
-        for family in families - set(captions())
-    ]
-    found += [
-        f"{name}.webp: {size} bytes"
-        for name, size in files.items()
-        if not 0 < size <= MOST_PICTURE_BYTES
-    ]
-    stray = {file.stem for file in PAGES.glob("*.md")} - families - {"index"}
-    found += [f"{name}.md: there is no such family: delete it" for name in stray]
-    if sum(files.values()) > MOST_BYTES:
-        found.append(f"all pictures: {sum(files.values())} bytes, at most {MOST_BYTES}")
-    return sorted(found)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw, write or check; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail if a page is not current",
-    )
-    parser.add_argument(
-        "--pictures", action="store_true", help="draw the pictures that are missing"
-    )
-    options = parser.parse_args(arguments)
-    if options.pictures:
-        draw_missing()
-    status = settle(pages(), SCRIPT, check=options.check)
-    for fault in (found := faults()):
-        print(fault, file=sys.stderr)
-    return 1 if found else status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

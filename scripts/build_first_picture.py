@@ -1,21 +1,16 @@
 """Draw the moving picture of the README: 22 real drops of a ball, two engines out of the box, and the growing error.
 
-    python scripts/build_first_picture.py --results FOLDER    runs both engines into the folder, or takes what it has
-
 The real drops are those of the package, one picture for each of their frames; nothing is interpolated.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from build_leaderboard import OUT_OF_BOX, configurations
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -27,11 +22,12 @@ from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from scripts.build_leaderboard import OUT_OF_BOX, configurations
+from scripts.generated import ROOT, Request
 
-OUT = Path(__file__).parents[1] / "docs" / "images" / "bouncing_ball.gif"
+OUT = ROOT / "docs" / "images" / "bouncing_ball.gif"
 NAME = "BouncingBall-rubber"
 ENGINES = ("physx", "mujoco")
-MOST_BYTES = 2_000_000
 FRAME_MS, LAST_MS = 170, 2500
 """Time that a picture and the last one are shown [ms]; a frame of the trials is 33 ms."""
 
@@ -137,25 +133,14 @@ def ball(axis: Any, x_mm: float, z_mm: float, radius_mm: float, **style: Any) ->
     axis.add_patch(Circle((x_mm, z_mm), radius_mm, **style))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the picture; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--results",
-        type=Path,
-        default=Path("results/first_picture"),
-        help="folder of results",
-    )
-    parser.add_argument("--out", type=Path, default=OUT, help="the picture")
-    options = parser.parse_args(arguments)
+def measure(request: Request) -> None:
+    """Run both engines into the folder, or take what it has, and write the picture."""
     experiment = load_experiment(NAME)
     band = reference_band(experiment)
     assert band is not None and band.trials is not None
     real = band.trials[:, :, 0]
     radius_mm = 1000.0 * experiment.scene.body("ball").shape.radius_m
-    simulated = {engine: heights_mm(engine, options.results) for engine in ENGINES}
+    simulated = {engine: heights_mm(engine, request.results) for engine in ENGINES}
     pictures = [
         draw(frame, real, simulated, radius_mm) for frame in range(real.shape[1])
     ]
@@ -166,17 +151,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     durations = [FRAME_MS] * len(others) + [LAST_MS]
     first.save(
-        options.out,
+        OUT,
         save_all=True,
         append_images=others,
         duration=durations,
         loop=0,
         optimize=True,
     )
-    size = options.out.stat().st_size
-    print(f"{options.out}: {size // 1000} kB", file=sys.stderr)
-    return int(size > MOST_BYTES)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    print(f"{OUT}: {OUT.stat().st_size // 1000} kB", file=sys.stderr)

@@ -1,16 +1,11 @@
 """Draw the pictures of the gallery and write the list of `docs/gallery.md`: films of engines, and control tasks.
 
-    python scripts/build_gallery.py            runs what has no result yet, draws everything, writes the list
-    python scripts/build_gallery.py --check    fails unless every entry has its picture
-
 Results stay in a folder, so that a second run draws alone. The films need the engines that they show.
-`scripts/build_environments.py` draws the experiments.
+`build_environments` draws the experiments.
 """
 
 from __future__ import annotations
 
-import argparse
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,13 +31,11 @@ from gauge_envs.tools.film import (
     save_still,
     strip_picture,
 )
+from scripts.generated import ROOT, Request, with_part
+from scripts.pictures import shrink
 
-ROOT = Path(__file__).parents[1]
-BEGIN, END = (
-    "<!-- gallery, written by scripts/build_gallery.py -->",
-    "<!-- end of gallery -->",
-)
-"""Lines of the page that enclose the list."""
+PAGE = ROOT / "docs" / "gallery.md"
+SCRIPT = Path(__file__).name
 
 STRIP_SIZE = {"width": 320, "height": 240}
 DRAWN_LARGER, MOVES_BY, MARGIN = 2, 24, 1.3
@@ -52,10 +45,6 @@ FILM_SIZE = {"width": 300, "height": 225}
 FILM_FPS = 20.0
 CONTROL_FRACTION = 0.98
 """Share of its limit that the law's policy uses in the pictures of control tasks."""
-
-MOST_FILM_BYTES = 640_000
-MOST_BYTES = 4_000_000
-"""Largest size of a film, and of all pictures of the gallery."""
 
 
 @dataclass(frozen=True)
@@ -201,41 +190,6 @@ def page_lines(texts: dict[str, str]) -> Iterator[str]:
         yield texts[name]
 
 
-def faults(page: str, folder: Path) -> list[str]:
-    """Return what is missing: pictures without a file or a place on the page.
-
-    Args:
-        page: Text of the page.
-        folder: Folder of the pictures.
-    """
-    wanted = [*map(picture_name, CONTROLS), *map(film_name, FILMS)]
-    linked = re.findall(r"\]\(images/gallery/([^)]+)\)", page)
-    files = (
-        {file.name: file.stat().st_size for file in folder.iterdir()}
-        if folder.is_dir()
-        else {}
-    )
-    found = [
-        f"{name}: there is no such picture" for name in wanted if not files.get(name)
-    ]
-    found += [
-        f"{name}: the page does not show it" for name in wanted if name not in linked
-    ]
-    found += [
-        f"{name}: it is in the folder, and no entry names it"
-        for name in sorted(set(files) - set(wanted))
-    ]
-    films = [film_name(film) for film in FILMS]
-    found += [
-        f"{name}: larger than {MOST_FILM_BYTES} bytes"
-        for name in films
-        if files.get(name, 0) > MOST_FILM_BYTES
-    ]
-    if sum(files.values()) > MOST_BYTES:
-        found.append(f"all pictures: {sum(files.values())} bytes, at most {MOST_BYTES}")
-    return found
-
-
 # --- drawing ---------------------------------------------------------------------------------------------------------
 
 
@@ -282,6 +236,7 @@ def draw_film(film: FilmEntry, results: Path, out: Path) -> None:
     found = dict(result_of(film.name, backend, results) for backend in film.backends)
     options = FilmOptions(**FILM_SIZE, fps=FILM_FPS, speed=film.speed, to_s=film.to_s)
     raise_if_left_out(save_film(found, out, options))
+    shrink(out)
 
 
 def raise_if_left_out(left_out: Sequence[object]) -> None:
@@ -295,41 +250,10 @@ def report(file: Path) -> None:
     print(f"{file.name}: {file.stat().st_size // 1000} kB", file=sys.stderr)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the gallery or check it; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="draw nothing; fail if a picture is missing",
-    )
-    parser.add_argument(
-        "--results",
-        type=Path,
-        default=Path("results/gallery"),
-        help="folder of results",
-    )
-    parser.add_argument(
-        "--page", type=Path, default=ROOT / "docs" / "gallery.md", help="the page"
-    )
-    options = parser.parse_args(arguments)
-    folder = options.page.parent / "images" / "gallery"
-    page = options.page.read_text(encoding="utf-8")
-    if not options.check:
-        texts = draw(options.results, folder)
-        before, _, rest = page.partition(BEGIN)
-        after = rest.partition(END)[2]
-        page = "\n".join(
-            [f"{before}{BEGIN}", "", *page_lines(texts), "", f"{END}{after}"]
-        )
-        options.page.write_text(page, encoding="utf-8", newline="\n")
-    found = faults(page, folder)
-    for fault in found:
-        print(fault, file=sys.stderr)
-    return 1 if found else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def measure(request: Request) -> None:
+    """Run what has no result yet, draw everything, and write the list."""
+    texts = draw(request.results, PAGE.parent / "images" / "gallery")
+    page = PAGE.read_text(encoding="utf-8")
+    part = "\n".join(page_lines(texts))
+    text = with_part(page, "gallery", SCRIPT, part)
+    PAGE.write_text(text, encoding="utf-8", newline="\n")

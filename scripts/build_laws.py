@@ -1,8 +1,5 @@
 """Build the bands of cubes that a turntable throws off (`scoring/bands/Turntable-2-*`), by Coulomb's law of friction.
 
-    python scripts/build_laws.py             writes the bands
-    python scripts/build_laws.py --check     fails if a band differs from what the law gives
-
 The cube is rigid, and the plate turns as the scene's driver says. At each point of the base, friction is mu times the
 pressure, against the sliding there. How pressure spreads under a rigid base is not known. Its moment gives its centre:
 mu times the height of the cube's centre away from the middle, towards the sliding. The mean has four points with the
@@ -14,13 +11,10 @@ Coulomb's step at rest is a ramp up to 1 um/s, so that the carried cube lags by 
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import write_or_check
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
@@ -28,6 +22,7 @@ from gauge_envs import load_experiment
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Box, Cylinder
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import SCORING
 
 FloatArray = NDArray[np.float64]
 
@@ -161,7 +156,7 @@ def uncertainty_mm(material: str, mean: FloatArray) -> FloatArray:
     )
 
 
-def generate(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the files of the bands with their text."""
     files = {}
     for material in MATERIALS:
@@ -194,19 +189,3 @@ def generate(scoring: Path) -> dict[Path, str]:
             ]
         )
     return files
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check the files.
-
-    Returns:
-        Exit status: 1 if a check found a file that is missing or not current.
-    """
-    what = "Build the bands of cubes that a turntable throws off."
-    return write_or_check(
-        generate, script=Path(__file__).name, what=what, arguments=arguments
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,34 +1,24 @@
 """Run this suite's own submissions of `leaderboard/`: each engine by its default preset and out of the box.
 
-    python scripts/build_leaderboard.py                   runs what has no result of the installed versions, states it
-    python scripts/build_leaderboard.py --engine genesis  one engine, in an environment that has it
-    python scripts/build_leaderboard.py --diagnoses       runs nothing; writes what results imply anew, after an
-                                                          estimator changed
-
 A result that exists is kept if it is of the same episode and versions. Afterwards `gauge leaderboard check leaderboard`
 checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the page.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import shutil
 import sys
 import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from generated import ROOT
-
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
 from gauge_envs.tools.leaderboard.archive import ARCHIVE
 from gauge_envs.tools.leaderboard.submission import (
     RESULTS_FOLDER,
@@ -36,7 +26,7 @@ from gauge_envs.tools.leaderboard.submission import (
     board_experiments,
     installed_package,
 )
-from gauge_envs.tools.leaderboard.trajectory import rescored
+from scripts.generated import ROOT, Request
 
 BOARD = ROOT / "leaderboard"
 PACKAGES = {
@@ -130,51 +120,9 @@ def submit(
     )
 
 
-def renew_diagnoses(board: Path) -> None:
-    """Write the implied constants of all results anew, from their trajectories; scores and trajectories stay."""
-    for archive in sorted(board.glob(f"*/*/*/{ARCHIVE}")):
-        with unpacked(archive.parent) as results:
-            for file in sorted(results.glob("*.json")):
-                renew_diagnosis(file)
-
-
-def renew_diagnosis(file: Path) -> None:
-    """Write the implied constants of one result anew."""
-    result = load_result(file)
-    implied = rescored(result, recorded_experiment(result)).score.implied
-    if implied != result.score.implied:
-        score = replace(result.score, implied=implied)
-        write_result(replace(result, score=score), file)
-        print(f"{file.name}: implied constants renewed")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the submissions; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "--engine",
-        choices=PACKAGES,
-        action="append",
-        help="only this engine; repeatable",
-    )
-    parser.add_argument(
-        "--board", type=Path, default=BOARD, help="folder of the leaderboard"
-    )
-    parser.add_argument(
-        "--diagnoses", action="store_true", help="only write what results imply anew"
-    )
-    options = parser.parse_args(arguments)
-    if options.diagnoses:
-        renew_diagnoses(options.board)
-        return 0
-    for engine in options.engine or PACKAGES:
+def measure(request: Request) -> None:
+    """Run what has no result of the installed versions, and write the submissions."""
+    for engine in request.engines or PACKAGES:
         for configuration, settings in configurations(engine):
-            folder = options.board / engine / version(PACKAGES[engine]) / configuration
+            folder = BOARD / engine / version(PACKAGES[engine]) / configuration
             submit(engine, folder, configuration, settings)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,23 +1,16 @@
 """Solve the calibrated scenes of experiments without a real reference, and write `scoring/models/<variant>.npz`.
 
-    python scripts/build_models.py solve --runs FOLDER --ids 'Textile*'    runs episodes that FOLDER does not have yet
-    python scripts/build_models.py write --runs FOLDER                     writes the references of finished ids
-    python scripts/build_models.py table                                   prints what the written references rest on
-    python scripts/build_models.py picture FILE                            draws their uncertainty over time
-
-`solve` runs each id on engines of different families: default settings, and each of time step, cell and iterations
-coarser and finer, one at a time. `write` extrapolates each of them to zero (Richardson), adds the corrections, and
+`measure` runs each id on engines of different families: default settings, and each of time step, cell and iterations
+coarser and finer, one at a time. It extrapolates each of them to zero (Richardson), adds the corrections, and
 takes the mean over the engines. `studies/models/README.md` has the method.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import math
 import resource
-import sys
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -26,9 +19,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from build_convergence import supported
-from extrapolation import LEAST_SPAN, combined, extrapolate, known_frames, rms
-from generated import SCORING, markdown_table
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
@@ -49,35 +39,24 @@ from gauge_envs.references.models import (
     ModelSidecar,
     Refinement,
     packed,
-    solved_model,
 )
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.build_convergence import supported
+from scripts.extrapolation import LEAST_SPAN, combined, extrapolate, known_frames, rms
+from scripts.generated import SCORING, Request
 
 FloatArray = NDArray[np.float64]
+
+LIMIT_S = 900.0
+"""Processor time of an episode at most [s]."""
 
 SCATTER_SHARE = 0.5
 """Share of the published scatter of real trials at which a reference ends."""
 
 MOTION_SHARE = 0.1
 """Share of the root mean square motion at which a reference ends where no scatter is published."""
-
-PICTURED = (
-    "TextileFlinging-satin",
-    "TextileFlinging-oxford",
-    "TextileBending-satin",
-    "TextileBending-oxford",
-    "TextileStretching-satin",
-    "TextileStretching-nylon",
-    "FoamTwisting-soft",
-    "FoamBending-soft",
-    "FoamShearing-hard",
-    "FoamShearing-soft",
-    "StickStack-soft",
-    "Turntable-3-wood",
-)
-"""Variants of the picture."""
 
 POINT_QUANTUM_MM = 0.01
 """Resolution of stored marker positions [mm]."""
@@ -178,17 +157,8 @@ def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | No
     return min(edges, default=None)
 
 
-def solve(
-    experiment: Experiment, engine: str, level: Level, *, limit_s: float
-) -> dict[str, Any]:
-    """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out.
-
-    Args:
-        experiment: The experiment.
-        engine: Name of the engine.
-        level: Settings of the run.
-        limit_s: Processor time after which the episode is stopped [s].
-    """
+def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
+    """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out."""
     start = _processor_s()
     try:
         env = GaugeEnv(
@@ -208,8 +178,8 @@ def solve(
             *_, terminated, truncated, info = env.step(zero)
             over = terminated or truncated
             fault = info.get("diverged", "")
-            if _processor_s() - start > limit_s:
-                fault = f"stopped after {limit_s:g} s of processor time"
+            if _processor_s() - start > LIMIT_S:
+                fault = f"stopped after {LIMIT_S:g} s of processor time"
         trajectory = env.trajectory()
         points = (
             trajectory.bodies[..., :3]
@@ -248,30 +218,27 @@ def wanted_experiments(patterns: Sequence[str]) -> Iterator[Experiment]:
             yield load_experiment(name)
 
 
-def solve_all(options: argparse.Namespace) -> int:
+def solve_all(request: Request) -> None:
     """Run all episodes that the folder lacks."""
-    for experiment in wanted_experiments(options.ids):
-        for engine in options.engine or engines_of(experiment):
-            if engine not in engines_of(experiment):
+    for experiment in wanted_experiments(request.ids):
+        for engine in engines_of(experiment):
+            if request.engines and engine not in request.engines:
                 continue
             for level in levels_of(experiment, engine):
-                file = options.runs / experiment.name / f"{engine}-{level.name}.npz"
-                wanted = any(
-                    fnmatchcase(level.name, pattern) for pattern in options.levels
-                )
-                if file.exists() or not wanted:
+                file = request.results / experiment.name / f"{engine}-{level.name}.npz"
+                if file.exists():
                     continue
-                values = solve(experiment, engine, level, limit_s=options.limit_s)
+                values = solve(experiment, engine, level)
                 file.parent.mkdir(parents=True, exist_ok=True)
                 content = io.BytesIO()
                 np.savez_compressed(content, **values)
                 write_whole(file, content.getvalue())
+                fault = f", {values['fault']}" if values["fault"] else ""
+                spent = f"{values.get('processor_s', 0):.0f} s"
                 print(
-                    f"{experiment.name}, {engine} {level.name}: {values.get('processor_s', 0):.0f} s"
-                    f"{', ' + values['fault'] if values['fault'] else ''}",
+                    f"{experiment.name}, {engine} {level.name}: {spent}{fault}",
                     flush=True,
                 )
-    return 0
 
 
 # --- references ---
@@ -542,14 +509,15 @@ def rounded(value: float) -> float:
     )
 
 
-def write_all(options: argparse.Namespace) -> int:
-    """Write the references of all ids with runs, and why others have none."""
-    folder = options.scoring / "models"
+def measure(request: Request) -> None:
+    """Run the missing episodes; write the references of all ids with runs, and why others have none."""
+    solve_all(request)
+    folder = SCORING / "models"
     folder.mkdir(exist_ok=True)
     file = folder / "unsolved.json"
     reasons = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    for experiment in wanted_experiments(options.ids):
-        runs = read_runs(options.runs / experiment.name, experiment.frame_count)
+    for experiment in wanted_experiments(request.ids):
+        runs = read_runs(request.results / experiment.name, experiment.frame_count)
         if not runs:
             if not (folder / f"{experiment.name}.npz").is_file():
                 reasons[experiment.name] = {
@@ -568,156 +536,3 @@ def write_all(options: argparse.Namespace) -> int:
                 stale.unlink()
         print(f"{experiment.name}: {reason or 'written'}", flush=True)
     write_whole(file, (json.dumps(reasons, indent=1, sort_keys=True) + "\n").encode())
-    return 0
-
-
-def table(options: argparse.Namespace) -> int:
-    """Print what the written references rest on, in Markdown."""
-    rows = []
-    for file in sorted((options.scoring / "models").glob("*.npz")):
-        model = solved_model(file.stem)
-        assert model is not None
-        sidecar, band = model.sidecar, model.band
-        baseline = published_baselines(file.stem).get("rmse")
-        known = np.isfinite(band.mean).all(axis=1)
-        spread = rms(band.uncertainty[known])
-        orders = [
-            f"{one.engine} "
-            + ", ".join(
-                f"{r.parameter} {'-' if r.order is None else f'{r.order:.1f}'}"
-                for r in one.refinements
-            )
-            for one in sidecar.engines
-        ]
-        rows.append(
-            [
-                file.stem,
-                f"{known.sum()} of {sidecar.frames}",
-                "; ".join(orders),
-                f"{sidecar.families_apart:.3g} {sidecar.unit}",
-                f"{spread:.3g} {sidecar.unit}",
-                f"{100.0 * spread / baseline.mean:.2g} %"
-                if baseline is not None and baseline.mean
-                else "not published",
-            ]
-        )
-    print(
-        "\n".join(
-            markdown_table(
-                [
-                    "id",
-                    "frames",
-                    "observed order",
-                    "families apart",
-                    "u",
-                    "u over real scatter",
-                ],
-                rows,
-            )
-        )
-    )
-    return 0
-
-
-def picture(options: argparse.Namespace) -> int:
-    """Draw the uncertainty of written references over time, as a share of the scatter or the motion."""
-    from matplotlib.figure import Figure
-
-    names = [name for name in PICTURED if solved_model(name) is not None]
-    columns = 4
-    rows = math.ceil(len(names) / columns)
-    figure = Figure(figsize=(3.2 * columns, 2.2 * rows), layout="constrained")
-    for place, name in enumerate(names):
-        axis = figure.add_subplot(rows, columns, place + 1)
-        model = solved_model(name)
-        assert model is not None
-        band, baseline = model.band, published_baselines(name).get("rmse")
-        known = slice(0, model.sidecar.solved_frames)
-        is_published = baseline is not None and baseline.mean
-        scale = (
-            baseline.mean
-            if is_published and baseline is not None
-            else rms(band.mean[known] - band.mean[0])
-        )
-        times_s = np.arange(model.sidecar.solved_frames) / FRAME_RATE_HZ
-        spread = np.linalg.norm(band.uncertainty[known], axis=1) / scale
-        halves = np.array(list(model.others.values()))[:, known]
-        apart = (
-            np.linalg.norm(np.abs(halves - band.mean[known]).max(axis=0), axis=1)
-            / scale
-        )
-        axis.semilogy(
-            times_s, np.maximum(spread, 1e-5), color="#0b5394", label="uncertainty u"
-        )
-        axis.semilogy(
-            times_s,
-            np.maximum(apart, 1e-5),
-            color="#b45f06",
-            lw=0.8,
-            label="distance of the engines",
-        )
-        axis.set_title(
-            f"{name}\nover the {'scatter of real trials' if is_published else 'motion'}",
-            fontsize=8,
-        )
-        axis.set_ylim(1e-4, 2.0)
-        axis.tick_params(labelsize=7)
-        if place == 0:
-            axis.legend(fontsize=6)
-        if place >= len(names) - columns:
-            axis.set_xlabel("time [s]", fontsize=8)
-    figure.savefig(options.file, dpi=110)
-    return 0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the script and return its exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    commands = parser.add_subparsers(required=True)
-    solving = commands.add_parser("solve")
-    solving.add_argument(
-        "--runs", type=Path, required=True, help="folder of the episodes"
-    )
-    solving.add_argument(
-        "--ids",
-        nargs="*",
-        default=["*"],
-        help="variants or patterns, run in this order",
-    )
-    solving.add_argument("--engine", nargs="*", help="only these engines")
-    solving.add_argument(
-        "--levels",
-        nargs="*",
-        default=["*"],
-        help="only these runs, as base-1 or 'step-*'",
-    )
-    solving.add_argument(
-        "--limit-s",
-        type=float,
-        default=900.0,
-        help="processor time of an episode at most",
-    )
-    solving.set_defaults(action=solve_all)
-    writing = commands.add_parser("write")
-    writing.add_argument(
-        "--runs", type=Path, required=True, help="folder of the episodes"
-    )
-    writing.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns")
-    writing.set_defaults(action=write_all)
-    listing = commands.add_parser("table")
-    listing.set_defaults(action=table)
-    drawing = commands.add_parser("picture")
-    drawing.add_argument("file", type=Path, help="PNG file")
-    drawing.set_defaults(action=picture)
-    parser.add_argument(
-        "--scoring", type=Path, default=SCORING, help="folder of the data"
-    )
-    options = parser.parse_args(arguments)
-    status: int = options.action(options)
-    return status
-
-
-if __name__ == "__main__":
-    sys.exit(main())

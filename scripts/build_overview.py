@@ -1,16 +1,10 @@
-"""Write the rows of `gauge list`; no engine but MuJoCo 4 need be installed.
-
-python scripts/build_overview.py [--check]
-"""
+"""Write the rows of `gauge list`; no engine but MuJoCo 4 need be installed."""
 
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-
-from generated import write_or_check
 
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.registry import uninstalled_backend
@@ -19,9 +13,10 @@ from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.catalog.listing import facts_of
 from gauge_envs.tools.catalog.overview import STORED, inputs
+from scripts.generated import SCORING
 
 
-def generate(_: Path) -> Mapping[Path, str]:
+def contents(scoring: Path = SCORING) -> Mapping[Path, str]:
     """Return the file with its text."""
     points = {point.name: point.value for point in engine_points()}
     bundled = {
@@ -50,17 +45,3 @@ def generate(_: Path) -> Mapping[Path, str]:
         },
     }
     return {STORED: json.dumps(content, indent=1) + "\n"}
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check the file."""
-    return write_or_check(
-        generate,
-        script=Path(__file__).name,
-        what="Write the rows of the list.",
-        arguments=arguments,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,57 +1,55 @@
-"""Measure error over cost for every installed engine; write table and figure of `docs/accuracy_and_cost.md`.
+"""Measure error over cost for every installed engine; write the table of `docs/accuracy_and_cost.md`.
 
-    python scripts/build_pareto.py --results DIR                  runs what DIR lacks, then writes all files
-    python scripts/build_pareto.py --results DIR --engine rapier  runs this engine only, and writes nothing else
-    python scripts/build_pareto.py --results DIR --no-runs        writes all files from what DIR has
-    python scripts/build_pareto.py --docs                         writes floors, page and figure from the stored errors
-    python scripts/build_pareto.py --tables                       prints all statements and tables of the data
-    python scripts/build_pareto.py --check                        fails if floors or page are not current
-
-DIR holds result files of `gauge run`, so the script can be stopped at any time, and goes on where it was. Engines that
-live in another environment run there, with `--engine` and the same DIR; `--no-runs` then takes all of them. Engines
-that are not installed are left out with a note. Phenomena that DIR lacks stay as `scoring/pareto.json` has them.
+The folder of results holds result files of `gauge run`, so the builder can be stopped at any time, and goes on where it
+was. Engines that live in another environment run there, with `--engine` and the same folder. Engines that are not
+installed are left out with a note. Phenomena that the folder lacks stay as `scoring/pareto.json` has them.
 
 Repeats differ in their seed alone, which changes no start without jitter, and so are the same episode. They run in
 rounds: each round runs every setting once, so that other work on the machine does not fall on one setting alone. A run
-that is predicted to take longer than `--limit-s`, from the last coarser step, is left out; an engine's default settings
+that is predicted to take longer than `LIMIT_S`, from the last coarser step, is left out; an engine's default settings
 are not. Runs of more than `REPEAT_BELOW_S` are not repeated.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from generated import ROOT, SCORING, markdown_table, settle, with_part
-from pareto import tradeoff, with_floor
-from pareto_model import Family, Tradeoff
-from pareto_words import draw_pareto, pareto_document
 from pydantic import TypeAdapter
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.files import json_ready
-from gauge_envs.pages.document import as_markdown
-from gauge_envs.pages.figures import save_png
+from gauge_envs.files import json_ready, write_whole
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.compare.cost import ErrorMeasure, step_text
+from scripts.generated import (
+    ROOT,
+    SCORING,
+    Request,
+    markdown_table,
+    stale_note,
+    with_part,
+)
+from scripts.pareto import tradeoff, with_floor
+from scripts.pareto_model import Family, Tradeoff
 
 DATA = SCORING / "pareto.json"
 PAGE = ROOT / "docs" / "accuracy_and_cost.md"
-FIGURE = ROOT / "docs" / "images" / "accuracy_and_cost.png"
 SCRIPT = Path(__file__).name
+
+LIMIT_S = 10.0
+"""CPU time of an episode at most [s]."""
 
 REPEATS = 3
 """Runs of each setting, whose least CPU time counts."""
@@ -94,9 +92,6 @@ for the pendulum; PyBullet takes 2 s for the pendulum and the cradle already at 
 
 KEEPS_MODEL = ("genesis",)
 """Engines that start a repeat without building the scene again, so that repeats follow each other directly."""
-
-SPREAD = 1.5
-"""Ratio of the slowest repeat to the least above which settings are counted."""
 
 EXACT = ("settings_given", "effort", "step_s", "sufficient_step_s")
 """Fields of the data that are requests, and so are not rounded."""
@@ -172,7 +167,7 @@ def request_of(sweep: Sweep, settings: Mapping[str, Any], seed: int) -> RunReque
     )
 
 
-def measure(engine: str, folder: Path, limit_s: float) -> None:
+def run_engine(engine: str, folder: Path) -> None:
     """Run what a folder lacks of one engine."""
     try:
         backend(engine)
@@ -191,7 +186,7 @@ def measure(engine: str, folder: Path, limit_s: float) -> None:
             for settings in sweep.points:
                 if (
                     settings in sweep.skipped
-                    or _predicted_s(before, settings) > limit_s
+                    or _predicted_s(before, settings) > LIMIT_S
                 ):
                     sweep.skipped.append(settings)
                     continue
@@ -310,6 +305,7 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         ]
         rows.append([phenomenon.name.replace(", ", " "), *cells])
     lines = [
+        *stale_note("pareto-data"),
         *markdown_table(("experiment", *engines), rows),
         "",
         f"Measured on {notes['date']}, {notes['machine']}.",
@@ -334,86 +330,29 @@ def sufficient(family: Family | None) -> str:
     return f"{step_text(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
 
 
-def measured(found: Tradeoff) -> str:
-    """Return how often the settings ran and how much their costs scatter, and the versions of the engines."""
-    points = [
-        p for one in found.phenomena for family in one.families for p in family.points
-    ]
-    spreads = sorted(p.cost_most / p.cost for p in points if p.repeats > 1)
-    engines = {
-        f"{family.backend} {', '.join(f'{key} {text}' for key, text in family.versions.items() if key != 'python')}"
-        for phenomenon in found.phenomena
-        for family in phenomenon.families
-    }
-    few, wide = (
-        sum(p.repeats < REPEATS for p in points),
-        sum(one > SPREAD for one in spreads),
-    )
-    return (
-        f"{len(points)} settings, {few} of them with one or two runs, the others with the least CPU time of {REPEATS} "
-        f"or more. The slowest run of a setting took {spreads[len(spreads) // 2]:.2g} times the least in the median, "
-        f"and more than {SPREAD:g} times for {wide} of {len(spreads)} settings.\n\n"
-        f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}."
-    )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the script; return its exit status."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    mode = parser.add_mutually_exclusive_group(required=True)
-    mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument(
-        "--docs",
-        action="store_true",
-        help="write floors, page and figure from the stored errors",
-    )
-    mode.add_argument(
-        "--tables", action="store_true", help="print all statements and tables"
-    )
-    mode.add_argument(
-        "--check", action="store_true", help="fail if the page is not current"
-    )
-    parser.add_argument(
-        "--engine",
-        action="append",
-        help="run this engine only, and write nothing; repeatable",
-    )
-    parser.add_argument(
-        "--no-runs", action="store_true", help="take the results as they are"
-    )
-    parser.add_argument(
-        "--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]"
-    )
-    options = parser.parse_args(arguments)
+def stored() -> tuple[dict[str, Any], Tradeoff]:
+    """Return the data, and their errors with the parametric floors of today."""
     values = json.loads(DATA.read_text(encoding="utf-8"))
-    if options.results:
-        for engine in () if options.no_runs else options.engine or DEFAULT_STEPS:
-            measure(engine, options.results, options.limit_s)
-        if options.engine:
-            return 0
-        values = gathered(options.results, values)
-    found = with_floors(TypeAdapter(Tradeoff).validate_python(values["tradeoff"]))
-    data = (
-        json.dumps(
-            values | {"tradeoff": json_ready(asdict(found))}, separators=(",", ":")
-        )
-        + "\n"
+    return values, with_floors(
+        TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
     )
-    if options.tables:
-        print(f"{measured(found)}\n\n{as_markdown(pareto_document(found))}")
-        return 0
-    text = with_part(
-        PAGE.read_text(encoding="utf-8"),
-        "pareto",
-        SCRIPT,
-        page(values["provenance"], found),
-    )
-    if not options.check:
-        save_png(draw_pareto(found), FIGURE)
-    return settle({DATA: data, PAGE: text}, f"{SCRIPT} --docs", check=options.check)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
+    """Return the data with the floors of today, and the page with its generated part replaced."""
+    values, found = stored()
+    data = values | {"tradeoff": json_ready(asdict(found))}
+    text = PAGE.read_text(encoding="utf-8")
+    return {
+        DATA: json.dumps(data, separators=(",", ":")) + "\n",
+        PAGE: with_part(text, "pareto", SCRIPT, page(values["provenance"], found)),
+    }
+
+
+def measure(request: Request) -> None:
+    """Run what the folder lacks; without a choice of engines, write the data."""
+    for engine in request.engines or DEFAULT_STEPS:
+        run_engine(engine, request.results)
+    if not request.engines:
+        values = gathered(request.results, json.loads(DATA.read_text(encoding="utf-8")))
+        write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())

@@ -1,12 +1,5 @@
 """Measure what popular training configurations do to physics, and write the summary in `docs/sanity_popular.md`.
 
-    python scripts/build_popular_configurations.py                       measures what the data lack, then writes both
-    python scripts/build_popular_configurations.py --package Gymnasium   measures this package only
-    python scripts/build_popular_configurations.py --probes FOLDER       measures the probe files of other packages too
-    python scripts/build_popular_configurations.py --docs                writes the page from the data
-    python scripts/build_popular_configurations.py --tables              prints all rows of the data
-    python scripts/build_popular_configurations.py --check               fails if the page is not current
-
 Gymnasium is read as it is installed. Tasks of other packages are read from probe files, such as
 `FOLDER/playground/WalkerWalk.gaugeprobe.json`, which `gauge_probe.py` writes in the Python of the package; a
 package without files keeps its rows. Tasks with equal settings share a row, which is measured once for a version of the
@@ -16,17 +9,13 @@ stopped at any time.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
-
-from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
@@ -40,6 +29,14 @@ from gauge_envs.tools.sanity import (
 )
 from gauge_envs.tools.sanity.gauge_probe import SUFFIX
 from gauge_envs.tools.sanity.phenomena import phenomena
+from scripts.generated import (
+    ROOT,
+    SCORING,
+    Request,
+    markdown_table,
+    stale_note,
+    with_part,
+)
 
 DATA = SCORING / "popular_configurations.json"
 PAGE = ROOT / "docs" / "sanity_popular.md"
@@ -240,7 +237,7 @@ def shown_name(target: str) -> str:
     return Path(target).name.removesuffix(SUFFIX)
 
 
-def measure(
+def measure_package(
     name: str, data: dict[str, Any], file: Path, probes: Path | None = None
 ) -> None:
     """Measure the rows of a package that the data lack; write the data after each row."""
@@ -296,25 +293,6 @@ def write_data(data: Mapping[str, Any], file: Path) -> None:
 
 # --- page ------------------------------------------------------------------------------------------------------------
 
-COLUMNS = (
-    "task",
-    "step [ms]",
-    "stated friction",
-    "met, straight",
-    "met, turned",
-    "creep [mm/s]",
-    "gap [mm]",
-)
-COLUMNS += (
-    "own foot creeps [mm/s]",
-    "own foot meets",
-    "rebound",
-    "slow",
-    "gravity [m/s²]",
-    "flags",
-    "what to change first",
-)
-
 WORST_COLUMNS = (
     "task",
     "met, straight",
@@ -352,15 +330,13 @@ def summary(data: Mapping[str, Any]) -> str:
     worst.sort(
         key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])
     )
-    chosen = [COLUMNS.index(title) for title in WORST_COLUMNS]
     lines = [
+        *stale_note("popular-configurations-data"),
         *markdown_table(SUMMARY, ([name, *cells] for name, cells in rows if cells)),
         "",
         f"Sets with {MANY_WRONG} or more wrong values:",
         "",
-        *markdown_table(
-            WORST_COLUMNS, ([cells(row)[place] for place in chosen] for row in worst)
-        ),
+        *markdown_table(WORST_COLUMNS, map(cells, worst)),
     ]
     return "\n".join(lines)
 
@@ -423,41 +399,6 @@ def share_range(rows: Sequence[Mapping[str, Any]], phenomenon: str) -> str:
     return ", ".join([range_text, *others] if range_text else others)
 
 
-def tables(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of a table for each package."""
-    for name in PACKAGES:
-        rows = [row for row in data["rows"] if row["package"] == name]
-        if not rows:
-            continue
-        engines = sorted(
-            {f"{row['engine']} {row['engine_version']}".strip() for row in rows}
-        )
-        yield from (
-            "",
-            f"### {name} {rows[0]['version']}, run on {' and '.join(engines)}",
-            "",
-        )
-        measured = [row for row in rows if "slide-wood" in row["values"]]
-        measured.sort(
-            key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])
-        )
-        yield from markdown_table(COLUMNS, map(cells, measured))
-        silent = [
-            target for row in rows if row not in measured for target in row["targets"]
-        ]
-        if silent:
-            yield from (
-                "",
-                f"No row on contact: {', '.join(silent)}. Nothing can collide, or there is no gravity.",
-            )
-        unreadable = data["unreadable"].get(name, {})
-        if unreadable:
-            yield from (
-                "",
-                f"Not read here: {', '.join(sorted(unreadable))}. The data state the reasons.",
-            )
-
-
 def cells(row: Mapping[str, Any]) -> list[str]:
     """Return the cells of a row of the page."""
     values, targets = row["values"], row["targets"]
@@ -465,24 +406,13 @@ def cells(row: Mapping[str, Any]) -> list[str]:
     names = ", ".join(targets[:MOST_TARGETS]) + (
         f" and {more} more" if more > 0 else ""
     )
-    flags = f"{row['wrong_count']} wrong" + (
-        f", {row['flag_count'] - row['wrong_count']} visible"
-        if row["flag_count"] > row["wrong_count"]
-        else ""
-    )
+    creep = values.get("foot-creep")
     return [
         names + deciding(row),
-        "" if row["step_s"] is None else f"{1e3 * row['step_s']:g}",
-        "" if row["friction"] is None else f"{row['friction']:g}",
         met(row, "slide-wood"),
         met(row, "slide-turned"),
         number(values.get("creep-wood"), 1),
-        number(values.get("rest-height"), 2),
-        number(values["foot-creep"], 1) if "foot-creep" in values else "",
-        met(row, "foot-slide") if "foot-slide" in values else "",
-        *(rebound(row, name) for name in ("rebound", "rebound-slow")),
-        number(values.get("gravity"), 2),
-        flags if row["flag_count"] else "none",
+        number(creep, 1) if "foot-creep" in values else "",
         cure(row["cure"]),
     ]
 
@@ -509,15 +439,6 @@ def met(row: Mapping[str, Any], phenomenon: str) -> str:
     return f"{share:.0%}".replace("%", " %")
 
 
-def rebound(row: Mapping[str, Any], phenomenon: str) -> str:
-    """Return a rebound, with a star where the target states no restitution; empty when not measured."""
-    if phenomenon not in row["verdicts"]:
-        return ""
-    return number(row["values"].get(phenomenon), 2) + (
-        "*" if phenomenon in row["advisory"] else ""
-    )
-
-
 def number(value: float | None, digits: int) -> str:
     """Return a number with a fixed number of digits, zero without a sign; `fails` for a run that gave none."""
     return "fails" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
@@ -531,57 +452,19 @@ def cure(line: str) -> str:
     return f"`{change}`: {effect.partition(';')[0].partition(' (')[0]}"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure and write; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description="Measure popular training configurations."
-    )
-    parser.add_argument(
-        "--package",
-        action="append",
-        choices=tuple(PACKAGES),
-        help="package; default: all",
-    )
-    parser.add_argument(
-        "--probes",
-        type=Path,
-        help="folder with a folder of probe files for each package",
-    )
-    mode = parser.add_mutually_exclusive_group()
-    mode.add_argument(
-        "--docs", action="store_true", help="measure nothing; write the page"
-    )
-    mode.add_argument(
-        "--tables", action="store_true", help="measure nothing; print all rows"
-    )
-    mode.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail if the page is not current",
-    )
-    parser.add_argument("--data", type=Path, default=DATA, help="file of the data")
-    parser.add_argument("--page", type=Path, default=PAGE, help="page with the tables")
-    options = parser.parse_args(arguments)
-    empty: dict[str, Any] = {"rows": [], "unreadable": {}}
-    data = (
-        json.loads(options.data.read_text(encoding="utf-8"))
-        if options.data.is_file()
-        else empty
-    )
-    if not (options.docs or options.tables or options.check):
-        for name in options.package or PACKAGES:
-            measure(name, data, options.data, options.probes)
-    if options.tables:
-        print("\n".join(tables(data)).strip())
-        return 0
-    text = with_part(
-        options.page.read_text(encoding="utf-8"),
-        "configurations",
-        SCRIPT,
-        summary(data),
-    )
-    return settle({options.page: text}, f"{SCRIPT} --docs", check=options.check)
+def stored() -> dict[str, Any]:
+    """Return the data of the file."""
+    return dict(json.loads(DATA.read_text(encoding="utf-8")))
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
+    """Return the page with its generated part replaced."""
+    page = PAGE.read_text(encoding="utf-8")
+    return {PAGE: with_part(page, "configurations", SCRIPT, summary(stored()))}
+
+
+def measure(request: Request) -> None:
+    """Measure the rows of packages that the data lack; the folder holds probe files."""
+    data = stored()
+    for name in PACKAGES:
+        measure_package(name, data, DATA, request.results)

@@ -1,14 +1,6 @@
 """Build the band of the pushed cube (`scoring/bands/CubePush-light`) and its trials from the facts.
 
-    python scripts/build_pushes.py                  writes the band
-    python scripts/build_pushes.py --check          fails if a file differs from what the facts give
-    python scripts/build_pushes.py --task           prints the hand of `tasks/cube_push.toml`
-    python scripts/build_pushes.py --source FILE    writes the facts first
-
-FILE is a NumPy archive with the poses of Experiment 3 of quantifying-the-reality-gap-in-robotic-manipulation-tasks, for
-N trials of T frames: `trial`, `cube_position_m`, `cube_quaternion_wxyz`, `end_effector_position_m` and
-`end_effector_quaternion_wxyz`. The facts are the frames about the push, and the height of the cube's centre before the
-arm comes near and at the end.
+`scoring/facts/cube_push.toml` says where the facts are from.
 
 Trials begin at different times of the recording. Their common time 0 is that of the same path of the hand: a shift in
 time, and one of each coordinate, brings the hand closest to its mean over the trials. The cube plays no part in it.
@@ -24,18 +16,12 @@ front, odd trials judge.
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import io
-import sys
-import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from generated import SCORING, write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
@@ -45,6 +31,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import SCORING
 
 FloatArray = NDArray[np.float64]
 
@@ -59,9 +46,6 @@ BEFORE, AFTER = 110, 100
 ADVANCE_M = 0.015
 START_S = -0.4
 """Start of an episode, at which the hand still stands, in the common time of the trials [s]."""
-
-STILL = slice(100, 1200)
-"""Recorded frames before the arm comes near. The first frames of a recording are wrong by up to 8 mm."""
 
 BEFORE_MOTION = 50
 """First frames of the facts, in which neither the hand nor the cube moves."""
@@ -282,61 +266,13 @@ def _misfit(
     return found
 
 
-def facts_from(source: Path) -> tuple[bytes, str]:
-    """Return the facts as a NumPy archive, and what states their origin."""
-    with np.load(source) as archive:
-        read = {name: archive[name] for name in archive.files}
-    arrays: dict[str, list[NDArray[np.generic]]] = {}
-    for trial in range(len(read["trial"])):
-        advance_m = read["end_effector_position_m"][trial, :, 0]
-        settled = 1400
-        first = settled + int(
-            np.argmax(
-                advance_m[settled:]
-                > np.median(advance_m[settled - 50 : settled]) + ADVANCE_M
-            )
-        )
-        window = slice(first - BEFORE, first + AFTER)
-        for name, prefix in (("cube", "cube"), ("hand", "end_effector")):
-            position = read[f"{prefix}_position_m"][trial, window] / POSITION_UNIT_M
-            quaternion = (
-                read[f"{prefix}_quaternion_wxyz"][trial, window] / QUATERNION_UNIT
-            )
-            arrays.setdefault(f"{name}_position", []).append(
-                np.round(position).astype(np.int32)
-            )
-            arrays.setdefault(f"{name}_quaternion", []).append(
-                np.round(quaternion).astype(np.int16)
-            )
-        height_m = read["cube_position_m"][trial, :, 2]
-        ends = np.array(
-            [np.median(height_m[STILL]), np.median(height_m[first + AFTER :])]
-        )
-        arrays.setdefault("resting_height_m", []).append(np.round(ends, 6))
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        trial=read["trial"],
-        **{name: np.array(values) for name, values in arrays.items()},
-    )
-    sidecar = [
-        "# Written by scripts/build_pushes.py; do not edit.",
-        f'source = "{SOURCE}"',
-        'licence = "cube_push.LICENSE"',
-        f'source_sha256 = "{hashlib.sha256(source.read_bytes()).hexdigest()}"',
-        f"rate_hz = {RATE_HZ}",
-        f"position_unit_m = {POSITION_UNIT_M}",
-    ]
-    return buffer.getvalue(), "\n".join(sidecar) + "\n"
-
-
 def read_pushes(scoring: Path = SCORING) -> Pushes:
     """Return the trials of the facts."""
     with np.load(scoring / "facts" / "cube_push.npz") as archive:
         return Pushes({name: archive[name] for name in archive.files})
 
 
-def generate(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the text of every generated file."""
     pushes = read_pushes(scoring)
     cubes_mm = pushes.cubes_mm()[:, :, 0]
@@ -441,67 +377,3 @@ def pieces_m(
             )
         )
     return pieces
-
-
-def task_text(pushes: Pushes) -> str:
-    """Return the shape, the start and the motions of the hand as they stand in the task file."""
-    times_s, values = driver_values(pushes)
-    start = pushes.hand_path(np.array([START_S]))[0]
-    lines = [
-        f"# start {start.round(5).tolist()}, cube {(1e-3 * pushes.cubes_mm()[:, 0].mean(axis=0)).round(5).tolist()}"
-    ]
-    lines += ["[bodies.hand]", 'shape = { kind = "convex_union", pieces_m = [']
-    for piece in pieces_m(pushes.front_m()):
-        lines += [
-            "    [",
-            *(f"        {(vertex + 0.0).round(5).tolist()}," for vertex in piece),
-            "    ],",
-        ]
-    lines += ["] }"]
-    axes = ("[1.0, 0.0, 0.0]", "[0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]")
-    motions = [("rotate", axes[1], "values_deg", np.degrees(values[:, 3]).round(3))]
-    motions += [
-        ("translate", axis, "values_m", values[:, k].round(5))
-        for k, axis in enumerate(axes)
-    ]
-    for kind, axis, key, column in motions:
-        lines += [
-            "",
-            "[[drivers.motions]]",
-            f'kind = "{kind}"',
-            f"axis = {axis}",
-            "",
-            "[[drivers.motions.profile]]",
-        ]
-        lines += ['kind = "sampled"']
-        for name, numbers in (("times_s", times_s.round(2)), (key, column + 0.0)):
-            text = ", ".join(str(float(number)) for number in numbers) + ","
-            indent = {"initial_indent": "    ", "subsequent_indent": "    "}
-            lines += [f"{name} = [", *textwrap.wrap(text, 112, **indent), "]"]
-    return "\n".join(lines)
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Write the files, or check that they are current."""
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--source", type=Path)
-    parser.add_argument("--task", action="store_true")
-    options, rest = parser.parse_known_args(arguments)
-    if options.source is not None:
-        facts = SCORING / "facts" / "cube_push.npz"
-        content, sidecar = facts_from(options.source)
-        facts.write_bytes(content)
-        facts.with_suffix(".toml").write_text(sidecar, encoding="utf-8", newline="\n")
-    if options.task:
-        print(task_text(read_pushes()))
-        return 0
-    return write_or_check(
-        generate,
-        script="build_pushes.py",
-        what="Build the band of the pushed cube; --source FILE writes the facts from the recordings first.",
-        arguments=rest,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,10 +1,5 @@
 """Measure ten recipes of contacts and those of six fabrics on each engine: `studies/recipes/`, and `docs/recipes.md`.
 
-    python scripts/build_recipes.py                   all engines of recipes that are installed
-    python scripts/build_recipes.py mujoco rapier     these alone; the rows of others stay
-    python scripts/build_recipes.py --docs            measures nothing; writes the summary of the page
-    python scripts/build_recipes.py --check           fails if the page is not current
-
 Each recipe is kept in `results/recipes` as soon as it is measured, and is not measured again with the same versions. So
 the script goes on where it stopped, and engines of other environments are added there. Wall times are those of the
 machine that runs the script, without the import of the engine.
@@ -12,16 +7,13 @@ machine that runs the script, without the import of the engine.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import MissingExtraError
@@ -29,6 +21,14 @@ from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe
+from scripts.generated import (
+    ROOT,
+    SCORING,
+    Request,
+    markdown_table,
+    stale_note,
+    with_part,
+)
 
 PAGE = ROOT / "docs" / "recipes.md"
 STUDY = ROOT / "studies" / "recipes"
@@ -96,7 +96,7 @@ def records(kind: str) -> list[Record]:
     )
 
 
-def measure(
+def keep(
     kind: str,
     key: str,
     asked: Any,
@@ -274,6 +274,7 @@ def summary() -> str:
     head += ("wall time of a contact [s]",)
     return "\n".join(
         [
+            *stale_note("recipes-data"),
             *markdown_table(head, lines),
             "",
             "Contacts outside the tolerance:",
@@ -292,7 +293,7 @@ def measure_engine(engine: str) -> None:
     settings = engine_settings(engine)
     versions = settings.backend().versions()
     for aim in AIMS:
-        measure(
+        keep(
             f"recipes of {engine}",
             "asked",
             dict(aim.asked()),
@@ -304,7 +305,7 @@ def measure_engine(engine: str) -> None:
         is not None
     ):
         for name, fabric in fabrics("TextileFlinging").items():
-            measure(
+            keep(
                 f"fabrics of {engine}",
                 "material",
                 name,
@@ -315,27 +316,15 @@ def measure_engine(engine: str) -> None:
             )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the engines of the command line, and write their rows and the page."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "engines", nargs="*", default=list(engine_names()), metavar="ENGINE"
-    )
-    mode = parser.add_mutually_exclusive_group()
-    mode.add_argument(
-        "--docs",
-        action="store_true",
-        help="measure nothing; write the summary of the page",
-    )
-    mode.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail if the page is not current",
-    )
-    given = parser.parse_args(arguments)
-    for engine in () if given.docs or given.check else given.engines:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
+    """Return the page with its generated part replaced."""
+    page = PAGE.read_text(encoding="utf-8")
+    return {PAGE: with_part(page, "recipes", SCRIPT, summary())}
+
+
+def measure(request: Request) -> None:
+    """Measure the recipes of engines that are installed; the rows of others stay."""
+    for engine in request.engines or engine_names():
         try:
             measure_engine(engine)
         except MissingExtraError as error:
@@ -343,9 +332,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
             continue
         for kind in COLUMNS:
             write_whole(STUDY / f"{kind}.csv", with_rows(kind, engine).encode())
-    page = with_part(PAGE.read_text(encoding="utf-8"), "recipes", SCRIPT, summary())
-    return settle({PAGE: page}, f"{SCRIPT} --docs", check=given.check)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

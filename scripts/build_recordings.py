@@ -1,8 +1,5 @@
 """Build bands and events (`scoring/bands/`) and statistics (`scoring/statistics/`) from what recordings show.
 
-    python scripts/build_recordings.py            writes the files
-    python scripts/build_recordings.py --check    fails if a file differs from what the measurements give
-
 `scoring/facts/recordings/recordings.toml` says of each recording what it shows, what was assumed and what it supports;
 the tables beside it hold one row a picture. A band has the 30 Hz frames of its experiment. Between two neighbouring
 pictures the mean is a monotone cubic; where pictures are missing, or the clip has ended, it is left empty.
@@ -16,7 +13,6 @@ from __future__ import annotations
 import csv
 import json
 import math
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from generated import write_or_check
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
@@ -41,6 +36,7 @@ from gauge_envs.observables.deformation import (
 )
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import SCORING
 
 GENERATED = "# Written by scripts/build_recordings.py; do not edit."
 SOURCE = "Published recording {video} of one trial (GAUGE project page): {method}"
@@ -605,7 +601,7 @@ def statistics_files(scoring: Path) -> dict[Path, str]:
     return files
 
 
-def generated_files(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return every generated file with the text that the measurements give it."""
     folder = scoring / "facts" / "recordings"
     recordings = tomllib.loads((folder / "recordings.toml").read_text(encoding="utf-8"))
@@ -619,21 +615,3 @@ def generated_files(scoring: Path) -> dict[Path, str]:
                 variant, band, name, recording, layout
             )
     return files | statistics_files(scoring)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write or check the generated files.
-
-    Returns:
-        Exit status: 1 if a check found a file that is missing or not current.
-    """
-    return write_or_check(
-        generated_files,
-        script="build_recordings.py",
-        what="Build bands and statistics of published recordings from scoring/facts.",
-        arguments=arguments,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

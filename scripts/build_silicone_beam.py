@@ -1,12 +1,7 @@
-"""Build the bands of the silicone beam (`scoring/bands/SiliconeBeam-*`) from the facts, and the facts from the source.
+"""Build the bands of the silicone beam (`scoring/bands/SiliconeBeam-*`) from the facts.
 
-    python scripts/build_silicone_beam.py                    writes the bands
-    python scripts/build_silicone_beam.py --check            fails if a band differs from what the facts give
-    python scripts/build_silicone_beam.py --source FOLDER    writes the facts first; needs `pip install c3d`
-
-FOLDER holds the six motion-capture files of srl-ethz/diffPD_sim2real, `python/realbeam_experiments/Measurement_data`.
-The facts are heights of the three markers at the end of the beam, 100 Hz. The axes of a file are vertical, lateral,
-along the beam. The beam is level before it is let go.
+The facts are heights of the three markers at the end of the beam, 100 Hz; `scoring/facts/silicone_beam.toml` says where
+they are from. The beam is level before it is let go.
 
 The end of a straight beam starts to fall like a free body, with or without a load: its curvature is 0, so nothing holds
 it but the clamp. The time of the release follows from the depth of the first frames after it. Each release is
@@ -16,20 +11,17 @@ standard deviation over all frames: two releases tell no scatter frame by frame.
 
 from __future__ import annotations
 
-import argparse
 import csv
-import hashlib
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import SCORING, write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import SCORING
 
 FloatArray = NDArray[np.float64]
 
@@ -43,16 +35,6 @@ RELEASE_STD_S = 0.002
 
 NOISE_MM = 0.03
 """Standard deviation of a height while the beam is held [mm]."""
-
-FILES = {
-    ("0g", 1): ("beam_gravity_V2_a.c3d", 72),
-    ("0g", 2): ("beam_gravity_V2_b.c3d", 66),
-    ("52g", 1): ("beam_load52_V2_a.c3d", 45),
-    ("52g", 2): ("beam_load52_V2_b.c3d", 59),
-    ("101g", 1): ("beam_load101_V2_a.c3d", 53),
-    ("101g", 2): ("beam_load101_V2_b.c3d", 58),
-}
-"""File of each load and release, and its first frame that lies more than 1 mm deep."""
 
 COLUMNS = ("load", "release", "frame", "top_mm", "right_mm", "left_mm")
 SOURCE = "srl-ethz/diffPD_sim2real, commit 825e7b7, python/realbeam_experiments/Measurement_data, MIT licence"
@@ -89,34 +71,6 @@ class Release:
         )
 
 
-def facts_from(source: Path) -> tuple[str, str]:
-    """Return the table of the facts and what states their origin."""
-    import c3d
-
-    rows, hashes = [",".join(COLUMNS)], []
-    last = round(RATE_HZ * (FRAMES - 1) / FRAME_RATE_HZ) + 10
-    for (load, number), (name, first) in FILES.items():
-        content = (source / name).read_bytes()
-        hashes.append(f'"{name}" = "{hashlib.sha256(content).hexdigest()}"')
-        with (source / name).open("rb") as stream:
-            points = np.array(
-                [points[:, 0] for _, points, _ in c3d.Reader(stream).read_frames()]
-            )
-        for frame in range(first - HELD_FRAMES, first + last):
-            heights = ",".join(f"{1e3 * height:.3f}" for height in points[frame, :3])
-            rows.append(f"{load},{number},{frame},{heights}")
-    sidecar = [
-        "# Written by scripts/build_silicone_beam.py; do not edit.",
-        f'source = "{SOURCE}"',
-        'licence = "silicone_beam.LICENSE"',
-        f"rate_hz = {RATE_HZ}",
-        "",
-        "[sha256]",
-        *hashes,
-    ]
-    return "\n".join(rows) + "\n", "\n".join(sidecar) + "\n"
-
-
 def releases(facts: Path) -> dict[str, list[Release]]:
     """Return the two releases of each load."""
     heights: dict[tuple[str, str], list[list[float]]] = {}
@@ -131,7 +85,7 @@ def releases(facts: Path) -> dict[str, list[Release]]:
     return found
 
 
-def generate(scoring: Path) -> dict[Path, str]:
+def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the text of every generated file."""
     files = {}
     for load, both in releases(scoring / "facts" / "silicone_beam.csv").items():
@@ -182,25 +136,3 @@ def sidecar_text(sigma: float) -> str:
             "",
         ]
     )
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Write the files, or check that they are current."""
-    parser = argparse.ArgumentParser(add_help=False)
-    parser.add_argument("--source", type=Path)
-    options, rest = parser.parse_known_args(arguments)
-    if options.source is not None:
-        facts = SCORING / "facts" / "silicone_beam.csv"
-        table, sidecar = facts_from(options.source)
-        facts.write_text(table, encoding="utf-8", newline="\n")
-        facts.with_suffix(".toml").write_text(sidecar, encoding="utf-8", newline="\n")
-    return write_or_check(
-        generate,
-        script="build_silicone_beam.py",
-        what="Build the bands of the silicone beam; --source FOLDER writes the facts from the recordings first.",
-        arguments=rest,
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,26 +1,21 @@
 """Bundle the parts of three.js that the replays of `gauge report` need into one classic script (needs npm).
 
-`python scripts/build_three.py` writes `gauge_envs/tools/site/assets/three.min.js` and its licence. Browsers load no
-module from a folder, so the bundle is a script with one global, `THREE`. Versions are fixed; the bundle names them. A
-second run makes the same bytes, which `--check` compares.
+Browsers load no module from a folder, so the bundle is a script with one global, `THREE`. The bundle names its
+versions.
 """
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
-ASSETS = Path(__file__).parent.parent / "gauge_envs" / "tools" / "site" / "assets"
+from scripts.generated import ROOT, Request
+
+ASSETS = ROOT / "gauge_envs" / "tools" / "site" / "assets"
 
 THREE, ESBUILD = "0.187.0", "0.28.2"
-
-SHA256 = "39a12b6b39c021769337dc24f3cb9426edefa2cf8ab34194c05741674d4b64dd"
-"""SHA-256 of the bundle."""
 
 USED = (
     "BoxGeometry",
@@ -99,27 +94,8 @@ def bundle() -> tuple[bytes, bytes]:
         ).read_bytes()
 
 
-def main() -> None:
-    """Write the bundle, or compare it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--check", action="store_true", help="compare with the files; write nothing"
-    )
-    check = parser.parse_args().check
+def measure(request: Request) -> None:
+    """Write the bundle and the licence."""
     script, licence = bundle()
-    digest = hashlib.sha256(script).hexdigest()
-    print(f"{len(script)} bytes, SHA-256 {digest}")
-    files = {ASSETS / "three.min.js": script, ASSETS / "three.LICENSE.txt": licence}
-    if check:
-        sys.exit(
-            any(file.read_bytes() != content for file, content in files.items())
-            or digest != SHA256
-        )
-    for file, content in files.items():
-        file.write_bytes(content)
-    if digest != SHA256:
-        sys.exit("the bundle is new: write its SHA-256 into SHA256 of this script")
-
-
-if __name__ == "__main__":
-    main()
+    (ASSETS / "three.min.js").write_bytes(script)
+    (ASSETS / "three.LICENSE.txt").write_bytes(licence)

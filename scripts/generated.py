@@ -1,17 +1,13 @@
-"""What scripts that generate files share: tables, parts of pages between marks, and writing or checking files."""
+"""What builders of files share: requests, tables, parts of pages between marks, and comparisons of texts."""
 
 from __future__ import annotations
 
-import argparse
 import re
-import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gauge_envs.files import write_whole
+from scripts.inputs import changed, rows, several
 
 ROOT = Path(__file__).parents[1]
 SCORING = ROOT / "scoring"
@@ -25,8 +21,20 @@ LARGEST_UNIT = 1e-3
 ROUND_OFF = 1e-9
 """Relative difference between processors of numbers that are printed with all their digits."""
 
-INDICES = ("first", "source_number")
-"""Arrays of an archive that say which rows belong to which trial."""
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What a builder measures.
+
+    Attributes:
+        results: Folder that keeps results, so that a builder goes on where it stopped.
+        engines: Engines; empty for all.
+        ids: Patterns of variants.
+    """
+
+    results: Path
+    engines: tuple[str, ...] = ()
+    ids: tuple[str, ...] = ("*",)
 
 
 def with_part(page: str, name: str, script: str, part: str) -> str:
@@ -46,6 +54,15 @@ def with_part(page: str, name: str, script: str, part: str) -> str:
     if not (first and last) or begin in after:
         raise ValueError(f"the page needs the lines {begin!r} and {end!r} once each")
     return f"{before}{begin}\n\n{part.strip()}\n\n{end}{after}"
+
+
+def stale_note(name: str) -> list[str]:
+    """Return what a page says above data that were measured before one of their inputs changed."""
+    row = rows()[name]
+    found = [one.name for one in changed(row)]
+    if not found:
+        return []
+    return [f"These data are older than {several(found)} ({row.cost}).", ""]
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
@@ -69,31 +86,13 @@ def same_text(stored: str, generated: str) -> bool:
     )
 
 
-def same_arrays(
-    stored: Mapping[str, NDArray[np.generic]],
-    generated: Mapping[str, NDArray[np.generic]],
-    *,
-    fitted: float = 1e-6,
-) -> bool:
-    """Return whether two archives have the same arrays.
-
-    Args:
-        stored: Arrays of the file.
-        generated: Arrays that the script computes.
-        fitted: Absolute and relative tolerance of floats, which are fitted. Counts, which were rounded, may differ by
-            one, and indices must be equal.
-    """
-
-    def same(name: str) -> bool:
-        old, new = stored[name], generated[name]
-        if old.shape != new.shape or old.dtype != new.dtype:
-            return False
-        if not np.issubdtype(old.dtype, np.integer):
-            return np.allclose(old, new, rtol=fitted, atol=fitted)
-        step = 0 if name in INDICES else 1
-        return bool(np.all(np.abs(old.astype(np.int64) - new.astype(np.int64)) <= step))
-
-    return set(stored) == set(generated) and all(map(same, generated))
+def stale_files(contents: Mapping[Path, str]) -> list[Path]:
+    """Return the files that are missing, or whose text differs in more than the last place of numbers."""
+    return [
+        file
+        for file, text in contents.items()
+        if not file.is_file() or not same_text(file.read_text(encoding="utf-8"), text)
+    ]
 
 
 def _same_number(stored: str, generated: str) -> bool:
@@ -114,59 +113,3 @@ def _last_place(number: str) -> float:
     digits, _, exponent = number.lower().partition("e")
     decimals = len(digits.partition(".")[2])
     return float(10.0 ** (int(exponent or 0) - decimals))
-
-
-def settle(files: Mapping[Path, str], script: str, *, check: bool) -> int:
-    """Write files, or check that they are current by `same_text`.
-
-    Args:
-        files: Each file with its text.
-        script: File name of the script with the options that write the files.
-        check: Write nothing.
-
-    Returns:
-        Exit status: 1 if a check found a file that is missing or not current.
-    """
-    if not check:
-        for file, text in files.items():
-            write_whole(file, text.encode())
-        return 0
-    stale = [
-        file
-        for file, text in files.items()
-        if not file.is_file() or not same_text(file.read_text(encoding="utf-8"), text)
-    ]
-    for file in stale:
-        print(f"{file} is not current: run python scripts/{script}", file=sys.stderr)
-    return 1 if stale else 0
-
-
-def write_or_check(
-    generate: Callable[[Path], Mapping[Path, str]],
-    *,
-    script: str,
-    what: str,
-    arguments: Sequence[str] | None,
-) -> int:
-    """Run the command line of a script that generates files from the data in `scoring/`.
-
-    Args:
-        generate: Function that returns every generated file with its text, for a folder of data.
-        script: File name of the script.
-        what: Description of the script for its help.
-        arguments: Command line arguments; None takes those of the process.
-
-    Returns:
-        Exit status: 1 if a check found a file that is missing or not current.
-    """
-    parser = argparse.ArgumentParser(description=what)
-    parser.add_argument(
-        "--check",
-        action="store_true",
-        help="write nothing; fail if a file is not current",
-    )
-    parser.add_argument(
-        "--scoring", type=Path, default=SCORING, help="folder of the data"
-    )
-    options = parser.parse_args(arguments)
-    return settle(generate(options.scoring), script, check=options.check)

@@ -1,12 +1,7 @@
-"""Print the lowest version of each dependency that pyproject.toml allows, as a file of constraints for pip.
-
-python scripts/lowest_versions.py                 what every user installs
-python scripts/lowest_versions.py plot data       and what these extras add
-"""
+"""The lowest version of each dependency that pyproject.toml allows, as constraints for pip."""
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -68,7 +63,3 @@ def _lowest(requirement: Requirement, pyproject: Path) -> str:
     raise ValueError(
         f"{pyproject}: requirement '{requirement}' has no lower bound; write one as name>=version"
     )
-
-
-if __name__ == "__main__":
-    print("\n".join(constraints(PYPROJECT, sys.argv[1:])))

@@ -1,8 +1,8 @@
 """Measure what the tests of the core notice: small faults drawn at random, each met by the tests that cover its line.
 
-python scripts/mutants.py run --seed 1 --number 300     draw, run what has not run yet, and print the table
-python scripts/mutants.py table --seed 1                print the table
-python scripts/mutants.py again --seed 1                run the survivors once more, after tests were added
+python -m scripts.mutants run --seed 1 --number 300     draw, run what has not run yet, and print the table
+python -m scripts.mutants table --seed 1                print the table
+python -m scripts.mutants again --seed 1                run the survivors once more, after tests were added
 
 Own code, because mutmut changes functions alone and draws no sample, and cosmic-ray runs one command for all mutants.
 
@@ -27,11 +27,12 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-import mutant_tests
 import pytest
-from mutant_operators import Mutant, mutants
-from mutant_tests import PACKAGE, PYTEST, ROOT, Covered, Selection, fork
-from size import room_of
+
+from scripts import mutant_tests
+from scripts.mutant_operators import Mutant, mutants
+from scripts.mutant_tests import PACKAGE, PYTEST, ROOT, Covered, Selection, fork
+from scripts.size import room_of
 
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.toml")
 ROOMS = (

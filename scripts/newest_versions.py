@@ -1,6 +1,6 @@
 """Write `newest_versions.txt`: the newest version of each dependency with which the tests have passed.
 
-python scripts/newest_versions.py    after the tests have passed, in the environment that ran them
+python -m scripts versions    after the tests have passed, in the environment that ran them
 
 It is a file of constraints for pip: `pip install -c scripts/newest_versions.txt -e ".[dev]"` installs what was tested.
 A dependency that is not installed keeps its line.
@@ -12,7 +12,7 @@ import tomllib
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from lowest_versions import PYPROJECT, requirements
+from scripts.lowest_versions import PYPROJECT, requirements
 
 FILE = Path(__file__).with_suffix(".txt")
 
@@ -37,7 +37,3 @@ def main() -> None:
     FILE.write_text(
         "".join(f"{name}=={found[name]}\n" for name in sorted(found)), encoding="utf-8"
     )
-
-
-if __name__ == "__main__":
-    main()

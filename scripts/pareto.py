@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from itertools import takewhile
 
 import numpy as np
-from pareto_model import ERRORS, Family, Phenomenon, Point, Tradeoff
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.deviation import experiment_sensitivities
@@ -39,6 +38,7 @@ from gauge_envs.tools.compare.cost import (
     cost_curves,
     other_settings,
 )
+from scripts.pareto_model import ERRORS, Family, Phenomenon, Point, Tradeoff
 
 INPUT_KINDS = ("constant", "start", "tilt")
 """Kinds of uncertain inputs that make up the parametric error; the discretization is numerical error."""

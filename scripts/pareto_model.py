@@ -137,26 +137,6 @@ class Phenomenon:
     scatter: Mapping[str, float]
     families: tuple[Family, ...]
 
-    def cheapest(
-        self, error: str, limit: float, backend: str | None = None
-    ) -> tuple[Family, Point] | None:
-        """Return the cheapest setting with an error of at most a limit.
-
-        Args:
-            error: `numerical`, `to_closed_form` or `to_reality`.
-            limit: Largest error, in the unit of the errors.
-            backend: Engine; None for all.
-        """
-        within = [
-            (family, point)
-            for family in self.families
-            for point in family.points
-            if backend in (None, family.backend)
-            and (value := getattr(point, error)) is not None
-            and value <= limit
-        ]
-        return min(within, key=lambda pair: pair[1].cost, default=None)
-
     def best(self, error: str) -> tuple[Family, Point] | None:
         """Return the setting with the smallest error."""
         known = [

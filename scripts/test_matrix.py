@@ -1,6 +1,6 @@
 """Test the built wheel on several Python versions, one of them with the lowest dependencies that the project allows.
 
-    python scripts/test_matrix.py 3.12:lowest 3.13:newest --tests tests/cli tests/scene --rigid-tests tests/scene
+    python -m scripts matrix 3.12:lowest 3.13:newest --tests tests/cli tests/scene --rigid-tests tests/scene
 
 Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, runs
 the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the package. The lowest MuJoCo
@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lowest_versions import PYPROJECT, constraints
+from scripts.lowest_versions import PYPROJECT, constraints
 
 ROOT = PYPROJECT.parent
 EXTRAS = ("plot",)
@@ -289,28 +289,14 @@ def _versions(python: Path) -> str:
     return done.stdout.strip()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(
+    entries: Sequence[Entry], tests: Sequence[str], rigid_tests: Sequence[str]
+) -> int:
     """Test every entry; returns 1 when tests of one fail."""
-    parser = argparse.ArgumentParser(
-        description="Test the built wheel on several Python versions."
-    )
-    parser.add_argument(
-        "entries", nargs="+", type=Entry.parse, metavar="VERSION:RESOLUTION"
-    )
-    parser.add_argument(
-        "--tests", nargs="+", required=True, help="test files and folders"
-    )
-    parser.add_argument(
-        "--rigid-tests",
-        nargs="+",
-        required=True,
-        help="those that pass with the lowest MuJoCo",
-    )
-    options = parser.parse_args(arguments)
     failed, skipped = [], []
     with tempfile.TemporaryDirectory(prefix="gauge-test-matrix-") as temporary:
         wheel = build_wheel(Path(temporary) / "dist")
-        for number, entry in enumerate(options.entries):
+        for number, entry in enumerate(entries):
             python = interpreter(entry.python)
             if python is None:
                 skipped.append(entry)
@@ -322,18 +308,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 continue
             folder = Path(temporary) / str(number)
             folder.mkdir()
-            if _test(entry, python, wheel, options.tests, options.rigid_tests, folder):
+            if _test(entry, python, wheel, tests, rigid_tests, folder):
                 failed.append(entry)
-    done = [
-        entry
-        for entry in options.entries
-        if entry not in failed and entry not in skipped
-    ]
+    done = [entry for entry in entries if entry not in failed and entry not in skipped]
     for word, those in (("passed", done), ("failed", failed), ("skipped", skipped)):
         for entry in those:
             print(f"{word}: {entry}")
     return int(bool(failed))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,8 +13,9 @@ import re
 import shlex
 
 import pytest
-from generated import same_text
 from places import ROOT
+
+from scripts.generated import same_text
 
 FOLDER = ROOT / "tests" / "approved"
 

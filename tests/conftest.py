@@ -14,6 +14,7 @@ from pathlib import Path
 import approval
 import fork_server
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 from hostile import install
@@ -45,6 +46,8 @@ def pytest_configure():
     There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
     gc.disable()
+    # Otherwise each warning is a line of MUJOCO_LOG.TXT in the working directory.
+    mujoco.set_mju_user_warning(lambda text: None)
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")

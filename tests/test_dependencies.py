@@ -8,10 +8,11 @@ import tomllib
 from collections.abc import Mapping
 
 import pytest
-from lowest_versions import constraints, requirements
-from newest_versions import newest
 from packaging.requirements import Requirement
 from places import ROOT
+
+from scripts.lowest_versions import constraints, requirements
+from scripts.newest_versions import newest
 
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[

@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 from install_commands import DEFAULT, Command, Table, shell_commands
 from places import ROOT
-from test_matrix import build_wheel, make_environment
+
+from scripts.test_matrix import build_wheel, make_environment
 
 TABLE = Table.read(Path(__file__).with_name("install_commands.toml"))
 COMMANDS = TABLE.commands(ROOT)

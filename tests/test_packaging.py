@@ -54,7 +54,7 @@ def test_wheel_carries_the_data(wheel):
     assert not any(name.startswith(("tests", "studies")) for name in names)
 
 
-@pytest.mark.slow  # `make test-matrix` installs the wheel too, and runs more than this.
+@pytest.mark.slow  # `.ci/matrix` installs the wheel too, and runs more than this.
 def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_path):
     venv.create(tmp_path / "venv", with_pip=True)
     python = tmp_path / "venv" / "bin" / "python"

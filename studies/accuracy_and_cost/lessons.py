@@ -20,8 +20,8 @@ from pydantic import TypeAdapter
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
-from generated import settle
-from pareto_model import Family, Phenomenon, Point, Tradeoff
+from scripts.generated import settle
+from scripts.pareto_model import Family, Phenomenon, Point, Tradeoff
 
 DATA = Path(__file__).parents[2] / "scoring" / "pareto.json"
 NOTE = Path(__file__).with_name("README.md")

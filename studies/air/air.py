@@ -26,7 +26,7 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from build_recordings import read_table
+from scripts.build_recordings import read_table
 
 FACTS = Path(__file__).parents[2] / "scoring" / "facts" / "recordings"
 FAMILY = "TextileFlinging"

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from generated import markdown_table, settle
+from scripts.generated import markdown_table, settle
 from trial_worlds import (
     CHOSEN_ON,
     HELD_OUT,

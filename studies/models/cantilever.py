@@ -29,7 +29,7 @@ from gauge_envs.tools.conformance.cloth import (
 )
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from extrapolation import extrapolate
+from scripts.extrapolation import extrapolate
 
 STANDARD_DEG = 41.5
 """Angle of the standards, at which the overhang is twice the bending length."""

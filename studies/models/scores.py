@@ -35,7 +35,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from build_convergence import supported
+from scripts.build_convergence import supported
 from build_models import Level, digits, solve
 
 PRESETS = ("default", "out_of_box")

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from build_pushes import (
+from scripts.build_pushes import (
     HEIGHTS_M,
     NAME,
     START_S,

@@ -26,7 +26,7 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from build_recordings import read_table
+from scripts.build_recordings import read_table
 
 FOAMS = (
     "FoamStretching",

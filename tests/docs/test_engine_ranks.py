@@ -6,9 +6,9 @@ import json
 from typing import Any
 
 import pytest
-from build_engine_table import failed_checks
 
 from gauge_envs.files import data_folder
+from scripts.build_engine_table import failed_checks
 
 SLIDES = tuple(
     f"GAUGE/SlopeSlider-2-{material}" for material in ("wood", "plastic", "metal")

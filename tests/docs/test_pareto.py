@@ -18,19 +18,13 @@ from cost_results import (
     sweep,
     wrong_step,
 )
-from pareto import closed_form, parametric_floor, tradeoff, with_floor
-from pareto_model import Family, Phenomenon, Tradeoff
-from pareto_words import pareto_document
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
-from gauge_envs.pages.document import as_markdown, as_rows
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.cost import ErrorMeasure
-
-
-def statements_of(found: Tradeoff) -> list[str]:
-    return as_rows(pareto_document(found))[0]["statements"]
+from scripts.pareto import closed_form, parametric_floor, tradeoff, with_floor
+from scripts.pareto_model import Family, Phenomenon
 
 
 def only(results: Sequence[Result]) -> tuple[Phenomenon, Family]:
@@ -99,9 +93,6 @@ def test_a_first_order_error_is_numerical() -> None:
         [15.0, 7.0, 3.0, 1.0], rel=1e-6
     )
     assert family.model == pytest.approx(family.resolution, rel=1e-6)
-    assert "A finer step does not help" not in " ".join(
-        statements_of(tradeoff(sweep()))
-    )
 
 
 def test_a_wrong_step_in_the_engine_is_model_error() -> None:
@@ -117,9 +108,6 @@ def test_a_wrong_step_in_the_engine_is_model_error() -> None:
     )
     assert min(by_step(family, "to_closed_form")) > 0.9 * family.model
     assert phenomenon.unit == "scatter"
-    statements = statements_of(tradeoff(sweep(wrong_step)))
-    (statement,) = [one for one in statements if "A finer step does not help" in one]
-    assert "mujoco" in statement
 
 
 def test_equal_wrong_motions_at_coarse_steps_are_not_the_converged_one() -> None:
@@ -231,19 +219,6 @@ def test_the_last_step_of_a_short_series_is_not_taken_for_exact() -> None:
     finer = [point for point in mujoco.points if (point.step_s or 0.0) < STEPS_S[1]]
     assert len(finer) > 1
     assert any("numerical" in point.fronts for point in finer)
-
-
-def test_the_cheapest_setting_within_the_scatter_is_stated() -> None:
-    near, far = made(step_s=STEPS_S[1]), made(step_s=STEPS_S[0])
-    far = replace(far, score=replace(far.score, rmse_aligned_normalized=2.2))
-    found = tradeoff([near, far, *sweep(steps_s=STEPS_S[2:])])
-    statement = statements_of(found)[0]
-    assert (
-        "cheapest setting within the real scatter is mujoco with a step of 1/360 s"
-        in statement
-    )
-    assert "0.5 of the real scatter" in statement
-    assert "| mujoco |" in as_markdown(pareto_document(found))
 
 
 def test_jittered_results_are_left_out() -> None:

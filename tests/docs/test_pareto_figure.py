@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
-from pydantic import TypeAdapter
 
 pytest.importorskip("matplotlib")
 
-from lessons import DATA, LessonError, lessons
-from pareto_model import Family, Phenomenon, Point, Tradeoff
-from pareto_words import draw_pareto
-
 from gauge_envs.pages.figures import save_png
+from scripts.build_pareto_figure import draw_pareto
+from scripts.pareto_model import Family, Phenomenon, Point, Tradeoff
 
 
 def family(
@@ -100,54 +94,3 @@ def test_a_picture_is_written(tmp_path: Path) -> None:
         .st_size
         > 10_000
     )
-
-
-@pytest.fixture(scope="module")
-def measured() -> Tradeoff:
-    values = json.loads(DATA.read_text(encoding="utf-8"))
-    return TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
-
-
-def changed(found: Tradeoff, name: str, backend: str, **values: Any) -> Tradeoff:
-    """The data with other values at the coarsest step of one engine."""
-    phenomena = []
-    for phenomenon in found.phenomena:
-        families = []
-        for one in phenomenon.families:
-            if (phenomenon.name, one.name) == (name, backend):
-                coarsest = max(point.step_s or 0.0 for point in one.points)
-                points = [
-                    replace(p, **values) if p.step_s == coarsest else p
-                    for p in one.points
-                ]
-                families.append(replace(one, points=tuple(points)))
-            else:
-                families.append(one)
-        phenomena.append(replace(phenomenon, families=tuple(families)))
-    return replace(found, phenomena=tuple(phenomena))
-
-
-@pytest.mark.parametrize(
-    ("name", "backend", "values", "claim"),
-    [
-        ("SlopeSlider-2", "rapier", {"numerical": 0.5}, "needs no finer step"),
-        ("SlopeSlider-2", "rapier", {"to_reality": 0.5}, "as near as a trial"),
-        ("Turntable-3", "mujoco out_of_box", {"to_reality": 3.0}, "grows worse"),
-        ("BouncingBall", "physx", {"to_reality": 0.5}, "no step brings"),
-    ],
-)
-def test_a_lesson_that_the_data_contradict_is_an_error(
-    measured: Tradeoff, name: str, backend: str, values: dict[str, float], claim: str
-) -> None:
-    with pytest.raises(LessonError, match=claim):
-        lessons(changed(measured, name, backend, **values))
-
-
-def test_costs_state_their_repeats_and_spread(measured: Tradeoff) -> None:
-    points = [
-        p
-        for phenomenon in measured.phenomena
-        for family in phenomenon.families
-        for p in family.points
-    ]
-    assert all(p.cost_most >= p.cost > 0.0 for p in points)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from build_recordings import statistic_uncertainty
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment, variants
@@ -20,6 +19,7 @@ from gauge_envs.observables.deformation import (
     trial_statistics,
     white_noise_m,
 )
+from scripts.build_recordings import statistic_uncertainty
 
 UPRIGHT = MarkedSolid(axes=np.eye(3), long_axis=2)
 ROTATION = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import build_laws
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -13,6 +12,7 @@ from gauge_envs import load_experiment, reference_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from scripts import build_laws
 
 GRAVITY = 9.80665
 MATERIALS = build_laws.MATERIALS

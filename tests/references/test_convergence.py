@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import build_convergence
 import numpy as np
 import pytest
-from build_convergence import ConvergenceTable
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -19,6 +17,9 @@ from gauge_envs.files import data_folder
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.references.convergence import Convergence, convergence_of
 from gauge_envs.references.published import published_baselines
+from scripts import build_convergence
+from scripts.build_convergence import ConvergenceTable
+from scripts.generated import Request
 
 ROW = Convergence(
     variant="SlopeSlider-2-wood",
@@ -193,11 +194,11 @@ def test_other_settings_have_no_convergence(tmp_path: Path) -> None:
 # --- the script ------------------------------------------------------------------------------------------------------
 
 
-def test_the_script_measures_a_row_and_resumes(
+def test_a_row_is_measured_as_stored_and_not_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--scoring", str(tmp_path), "--ids", "BouncingBall-*"]
-    assert build_convergence.main(options) == 0
+    request = Request(results=tmp_path, engines=("mujoco",), ids=("BouncingBall-*",))
+    build_convergence.measure(request, tmp_path)
     file = tmp_path / "convergence" / "mujoco.csv"
     row, training = ConvergenceTable.read(file).rows.values()
     assert (row.variant, row.setting, training.setting) == (
@@ -211,26 +212,8 @@ def test_the_script_measures_a_row_and_resumes(
     kept = bundled("mujoco").of("BouncingBall-rubber")["timestep_s"]
     assert row.rms == pytest.approx(kept.rms, rel=0.05)
     capsys.readouterr()
-    assert build_convergence.main([*options, "--resume"]) == 0
+    build_convergence.measure(request, tmp_path)
     assert capsys.readouterr().out == ""
-
-
-def test_the_check_fails_where_a_row_differs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(build_convergence, "QUICK", ("BouncingBall-rubber",))
-    (tmp_path / "convergence").mkdir()
-    table, row = (
-        bundled("mujoco"),
-        bundled("mujoco").of("BouncingBall-rubber")["timestep_s"],
-    )
-    for factor, status in ((1.0, 0), (1.2, 1)):
-        assert row.rms is not None
-        changed = table.with_rows([row.model_copy(update={"rms": factor * row.rms})])
-        (tmp_path / "convergence" / "mujoco.csv").write_text(
-            changed.text(), encoding="utf-8"
-        )
-        assert build_convergence.main(["--scoring", str(tmp_path), "--check"]) == status
 
 
 def test_rms_is_the_distance_of_the_paper() -> None:
@@ -252,13 +235,3 @@ def test_rms_is_the_distance_of_the_paper() -> None:
     )
     assert (row.rms, row.max, row.points_max_mm) == pytest.approx((2.5, 5.0, 5.0))
     assert row.share == pytest.approx(2.5 / 18.0)
-
-
-def test_the_summary_has_the_range_of_an_experiment(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert build_convergence.main(["--table"]) == 0
-    assert (
-        "| SlopeSlider-2 | mujoco | 0.27 to 0.34 | 0.062 to 0.091 |  |  |"
-        in capsys.readouterr().out
-    )

@@ -6,11 +6,9 @@ from dataclasses import replace
 from functools import cache
 from typing import Any
 
-import build_pushes
 import gymnasium
 import numpy as np
 import pytest
-from build_pushes import FRAMES, HALF_EDGE_M, HEIGHTS_M, NAME, Push, Pushes, read_pushes
 from limit_surface import ellipsoid_turn_rate, turn_of_push, turn_rate
 from numpy.typing import NDArray
 from pushes import (
@@ -32,6 +30,16 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import ConvexUnion
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+from scripts import build_pushes
+from scripts.build_pushes import (
+    FRAMES,
+    HALF_EDGE_M,
+    HEIGHTS_M,
+    NAME,
+    Push,
+    Pushes,
+    read_pushes,
+)
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
-from toss_errors import angle_error, perturbed_scene
 
+from benchmarks.toss_errors import angle_error, perturbed_scene
 from gauge_envs import beyond_variants, load_experiment, reference_band, variants
 from gauge_envs.backends import backend_for, backend_names
 from gauge_envs.errors import MissingExtraError, ParameterError, ShapeError

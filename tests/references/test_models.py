@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import extrapolation
 import gymnasium
 import numpy as np
 import pytest
@@ -26,6 +25,7 @@ from gauge_envs.references.models import (
     unpacked,
 )
 from gauge_envs.tools.catalog.description import description
+from scripts import extrapolation
 
 FOLDER = data_folder("scoring") / "models"
 SOLVED = sorted(file.stem for file in FOLDER.glob("*.npz"))

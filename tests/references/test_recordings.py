@@ -9,9 +9,6 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-import build_coverage
-import build_engine_table
-import build_recordings
 import numpy as np
 import pytest
 from places import ROOT
@@ -28,6 +25,8 @@ from gauge_envs.references.bands import Band, SigmaSource, bundled_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline, law_for, published_baselines
 from gauge_envs.scene.drivers import Driver
+from scripts import build_coverage, build_engine_table, build_recordings
+from scripts.generated import stale_files
 
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -92,7 +91,7 @@ def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_check_notices_changed_measurements_and_a_missing_band(
-    scoring: Path, capsys, monkeypatch
+    scoring: Path, monkeypatch
 ) -> None:
     monkeypatch.setattr(build_recordings, "statistics_files", lambda scoring: {})
     (scoring / "bands" / "Pendulum-metal.toml").unlink()
@@ -101,16 +100,15 @@ def test_check_notices_changed_measurements_and_a_missing_band(
         facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8"
     )
     # What the copy shares with the repository is current, or the list would be longer.
-    assert build_recordings.main(["--check", "--scoring", str(scoring)]) == 1
-    stale = capsys.readouterr().err.splitlines()
-    assert [line.split(" is not current")[0].rsplit("/", 1)[1] for line in stale] == [
+    stale = stale_files(build_recordings.contents(scoring))
+    assert [file.name for file in stale] == [
         "SlopeSlider-3-metal.csv",
         "Pendulum-metal.toml",
     ]
 
 
 def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
     stale = tmp_path / "coverage.md"
@@ -118,7 +116,8 @@ def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
         page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"),
         encoding="utf-8",
     )
-    assert build_coverage.main(["--check", "--out", str(stale)]) == 1
+    monkeypatch.setattr(build_coverage, "PAGE", stale)
+    assert stale_files(build_coverage.contents()) == [stale]
     rows = page.partition("Why bands are withheld")[0].splitlines()
     assert (
         sum(

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from toss_errors import (
+
+from benchmarks.toss_errors import (
     bootstrap_interval,
     energies_j,
     impacts,
@@ -15,7 +16,6 @@ from toss_errors import (
     shot_error,
     upper_face,
 )
-
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
 from gauge_envs.references.single_shot import SingleShot, single_shots

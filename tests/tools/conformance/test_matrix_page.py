@@ -6,10 +6,11 @@ import json
 import shutil
 from pathlib import Path
 
-import build_conformance
 from places import ROOT
 
 from gauge_envs.tools.conformance.matrix import read_columns
+from scripts import build_conformance
+from scripts.generated import stale_files
 
 DATA = ROOT / "scoring" / "conformance.json"
 
@@ -44,12 +45,9 @@ def test_a_failure_that_is_planted_in_the_data_makes_the_page_stale(
     column["findings"]["slide"] |= {"status": "fail", "measured": 3.0}
     file = Path(shutil.copy(DATA, tmp_path / DATA.name))
     file.write_text(json.dumps(document), encoding="utf-8")
-    assert build_conformance.main(["--check", "--scoring", str(tmp_path)]) == 1
-    (text,) = (
-        text
-        for page, text in build_conformance.generate(tmp_path).items()
-        if "conformance.md" in str(page)
-    )
+    contents = build_conformance.contents(tmp_path)
+    assert build_conformance.PAGE in stale_files(contents)
+    (text,) = (text for page, text in contents.items() if "conformance.md" in str(page))
     assert (
         "- rapier, `slide`: 3, +27.4 % instead of 2.355 +- 0.024 m/s^2. Hints of the check: "
         in text

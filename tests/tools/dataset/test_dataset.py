@@ -6,7 +6,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import build_bands
 import gymnasium
 import numpy as np
 import pytest
@@ -56,6 +55,7 @@ from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.dataset.layout import find_trials, write_revision
 from gauge_envs.tools.dataset.observation import driver_tracks
 from gauge_envs.tools.dataset.trial import parse_trial
+from scripts import build_bands
 
 AMOUNT = np.array(AMOUNTS)
 SIGMA = AMOUNT.std(ddof=1)

@@ -1,0 +1,1 @@
+"""Commands of a checkout, `python -m scripts`: generated files, versions of dependencies, tests of the wheel."""
