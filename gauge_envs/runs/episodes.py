@@ -140,6 +140,8 @@ def with_measured_uncertainty(
                 backend=request.backend,
                 sensitivities=measured,
             )
+            # A result holds g(t) and not the markers.
+            score = replace(score, verification=result.score.verification)
             result = replace(result, score=score)
         rescored.append(result)
     return rescored

@@ -53,6 +53,7 @@ def score_file(
         band,
         times_s=trajectory.times_s,
         values=trajectory.values,
+        markers_m=trajectory.markers_m,
         backend=origin.backend,
     )
     result = Result(

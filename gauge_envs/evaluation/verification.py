@@ -1,0 +1,145 @@
+"""Verification: how well an engine solves the stated scene, in units of what its solution leaves open.
+
+A law or a solved model answers another question than real trials do (ASME V&V 20): not whether a scene is like reality,
+but whether an engine solves it. So a distance to them has fields of its own, and is never divided by the scatter of real
+trials.
+
+A solved model of cloth or foam is compared by the positions of its markers: they see the motion, where the published
+observables of some scenes do not (a swinging sheet stays developable, so that its angle deficits vanish).
+
+Interval. An observed distance d = |x - r| has the error e of the reference r, whose root mean square is the stated
+uncertainty u. By the triangle inequality the true distance L obeys |d - L| <= |e|. Whatever the correlation of e over
+frames and coordinates, a normal e has |e| <= 1.96 u with a probability of at least 95 %. It is 95 % where e has one
+direction, and larger otherwise (Szekely and Bakirov, "Extremal probabilities for Gaussian quadratic forms", 2003). So
+[d - 1.96 u, d + 1.96 u] holds L in at least 95 % of cases, and reaches 0 for an exact engine.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.scene.geometry import FloatArray
+
+COVERAGE_FACTOR = 1.96
+"""Half width of a 95 % interval over the standard uncertainty."""
+
+LEAST_POWER = 5.0
+"""Distance of a scene in which nothing moves, in units of u, below which a reference tells nothing. It is a choice."""
+
+MARKER_AXES = 3
+"""Coordinates of a marker."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """Distance of an episode from the solution of its scene.
+
+    Attributes:
+        grade: Grade of the reference: `law` or `model`.
+        quantity: What is compared, as `positions of 63 markers`.
+        unit: Unit of the distances.
+        distance: Root mean square over the compared frames; over markers too where these are compared.
+        distance_95: 95 % interval of the distance from the exact solution; None where the reference is exact.
+        uncertainty: Standard uncertainty u of the reference, in the same norm; None where it is exact.
+        frozen: Distance of a scene in which nothing moves, in the same norm.
+        frames: Number of compared frames.
+    """
+
+    grade: str
+    quantity: str
+    unit: str
+    distance: float
+    distance_95: tuple[float, float] | None
+    uncertainty: float | None
+    frozen: float
+    frames: int
+
+    @property
+    def distance_in_u(self) -> float | None:
+        """The distance over u; None without u."""
+        return self.distance / self.uncertainty if self.uncertainty else None
+
+    @property
+    def power(self) -> float | None:
+        """The distance of a scene in which nothing moves, over u; None without u."""
+        return self.frozen / self.uncertainty if self.uncertainty else None
+
+    @property
+    def share_of_motion(self) -> float | None:
+        """The distance over that of a scene in which nothing moves; None where the solution is at rest."""
+        return self.distance / self.frozen if self.frozen else None
+
+    @property
+    def verdict(self) -> str:
+        """What the distance says, in words."""
+        if self.uncertainty is None:
+            return "the solution is exact: the distance is the error"
+        if self.frozen < LEAST_POWER * self.uncertainty:
+            return "tells nothing: a scene in which nothing moves is as near"
+        if self.distance <= COVERAGE_FACTOR * self.uncertainty:
+            return "no difference from the solution is seen"
+        return "differs from the solution"
+
+
+def verification_band(band: Band | None) -> Band | None:
+    """Return the band that verification compares with: that of the markers where there is one; None for other grades."""
+    if band is None or band.grade not in (BandGrade.LAW, BandGrade.MODEL):
+        return None
+    return band.points or band
+
+
+def verify(
+    band: Band | None, *, frames: FloatArray, markers_m: FloatArray | None
+) -> Verification | None:
+    """Return how far an episode is from the solution of its scene.
+
+    Args:
+        band: Reference of the score.
+        frames: g(t) at the 30 Hz frames, in the band's unit, shape [frame_count, coordinate_count].
+        markers_m: Positions of the markers at the frames [m], shape [frame_count, marker_count, 3]; None if unknown.
+
+    Returns:
+        The verification; None for other grades than `law` and `model`, and where markers are compared but unknown.
+    """
+    compared = verification_band(band)
+    if compared is None or band is None:
+        return None
+    is_markers = band.points is not None
+    if is_markers and (markers_m is None or not markers_m.size):
+        return None
+    if is_markers and markers_m is not None:
+        motion = 1e3 * markers_m.reshape(len(markers_m), -1)
+        count = motion.shape[1] // MARKER_AXES
+        quantity = f"positions of {count} markers"
+    else:
+        motion, count = compared.project(frames), 1
+        quantity = ", ".join(compared.coordinates[:4])
+        if len(compared.coordinates) > 4:
+            quantity = f"{len(compared.coordinates)} coordinates of g(t)"
+    known = np.isfinite(compared.mean)
+    start = compared.mean[int(known.any(axis=1).argmax())]
+
+    def norm(values: FloatArray) -> float:
+        """Return the root mean square over frames of a distance, per marker where these are compared."""
+        squares = np.where(known, np.square(values), 0.0).sum(axis=1)
+        return math.sqrt(float(squares[known.any(axis=1)].mean()) / count)
+
+    distance = norm(motion - compared.mean)
+    stated = None if band.is_exact else compared.uncertainty
+    uncertainty = None if stated is None else norm(stated)
+    reach = COVERAGE_FACTOR * (uncertainty or 0.0)
+    return Verification(
+        grade=band.grade.value,
+        quantity=quantity,
+        unit=compared.unit,
+        distance=distance,
+        distance_95=(max(distance - reach, 0.0), distance + reach)
+        if uncertainty
+        else None,
+        uncertainty=uncertainty,
+        frozen=norm(compared.mean - start),
+        frames=int(known.any(axis=1).sum()),
+    )
