@@ -233,8 +233,8 @@ class Score:
         explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
             without sensitivities of the engine.
         sensitivities: Engine and settings of these sensitivities.
-        verification: How far the episode is from the solution of its scene, for grades `law` and `model`; None for other
-            grades, and where a model is compared by markers whose positions are not known.
+        verification: How far the episode is from the solution of its scene, for grades `law` and `model`. None for
+            other grades, and where a model is compared by markers whose positions are not known.
         rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
             reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.

@@ -1,8 +1,8 @@
 """Verification: how well an engine solves the stated scene, in units of what its solution leaves open.
 
-A law or a solved model answers another question than real trials do (ASME V&V 20): not whether a scene is like reality,
-but whether an engine solves it. So a distance to them has fields of its own, and is never divided by the scatter of real
-trials.
+A law or a solved model answers another question than real trials do (ASME V&V 20): not whether a scene is like
+reality, but whether an engine solves it. So a distance to them has fields of its own, and is never divided by the
+scatter of real trials.
 
 A solved model of cloth or foam is compared by the positions of its markers: they see the motion, where the published
 observables of some scenes do not (a swinging sheet stays developable, so that its angle deficits vanish).
@@ -85,7 +85,7 @@ class Verification:
 
 
 def verification_band(band: Band | None) -> Band | None:
-    """Return the band that verification compares with: that of the markers where there is one; None for other grades."""
+    """Return the band that verification compares with, that of markers where there is one; None for other grades."""
     if band is None or band.grade not in (BandGrade.LAW, BandGrade.MODEL):
         return None
     return band.points or band

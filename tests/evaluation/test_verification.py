@@ -1,4 +1,4 @@
-"""Verification: distances by hand, coverage of the interval for errors of any correlation, and power of each reference."""
+"""Verification: distances by hand, coverage of the interval for errors of any correlation, power of references."""
 
 from dataclasses import replace
 
