@@ -1,8 +1,8 @@
 """Measure what each reference can tell: how far an episode moves as one constant of its scene is changed or taken away.
 
-Each scene is run on MuJoCo with its default preset, as it is and with one change at a time. The distance between the two
-motions, over the frames that the reference knows, is what the reference would see of the change; it does not depend on
-the error of the reference. `scoring/power.csv` holds the distances, in the unit of the compared quantity.
+Each scene is run on MuJoCo with its default preset, as it is and with one change at a time. The distance between the
+two motions, over the frames that the reference knows, is what the reference would see of the change; it does not depend
+on the error of the reference. `scoring/power.csv` holds the distances, in the unit of the compared quantity.
 
 python scripts/build_power.py [--only NAME ...]     measure what is missing; a stopped run goes on
 python scripts/build_power.py --check               fail if a reference has no row
@@ -15,7 +15,6 @@ import csv
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -23,11 +22,13 @@ import numpy as np
 
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
+from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.evaluation.deviation import release_offset
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.power import POWER_COLUMNS, power_file
 from gauge_envs.scene import Cloth, Scene, SoftBody
@@ -130,10 +131,15 @@ def motion(experiment: Experiment, scene: Scene) -> Episode:
     simulation = engine.build(scene, None)
     try:
         simulation.reset(0)
-        episode = Episode(replace(experiment, scene=scene), simulation, band=None)
+        episode = Episode(
+            replace(experiment, scene=scene),
+            simulation,
+            band=None,
+            marker_proxy=MarkerProxy.MATERIAL,
+        )
         episode.play()
         if episode.fault is not None:
-            raise RuntimeError(f"diverged: {episode.fault}")
+            raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
         return episode
     finally:
         simulation.close()
@@ -180,7 +186,7 @@ def rows_of(name: str) -> Iterator[dict[str, Any]]:
                 band, nominal, motion(experiment, scene), is_aligned=is_aligned
             )
             text = f"{moved:.4g}"
-        except Exception as error:  # noqa: BLE001
+        except GaugeError as error:
             print(f"{name}, {change}: {error}", file=sys.stderr)
             text = ""
         yield {"variant": name, "change": change, "distance": text, "unit": unit}
