@@ -12,12 +12,14 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from gauge_envs.envs.episode import reward_text
+from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
 from gauge_envs.references.convergence import convergence_rows
+from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
@@ -265,6 +267,21 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         if used is None and unsolved is not None
         else None,
         "reward": reward_text(reward_band(experiment, used)),
+        "power": _power(experiment, used),
+    }
+
+
+def _power(experiment: Experiment, used: Band | None) -> dict[str, Any] | None:
+    """Return what the reference tells, with the distances in units of what it leaves open."""
+    found = reference_power(experiment, used)
+    if found is None:
+        return None
+    return {
+        "unit": found.unit,
+        "scale": found.scale,
+        "scale_text": found.scale_text,
+        "told": dict(found.told),
+        "not_told": found.not_told,
     }
 
 
