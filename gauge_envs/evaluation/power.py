@@ -1,4 +1,4 @@
-"""What a reference can tell: how far changes of its scene move the score, in units of what the reference leaves open."""
+"""What a reference can tell: how far changes of its scene move the score, in units of what it leaves open."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -428,7 +428,8 @@ def _band_scores(
     frames: FloatArray,
     sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
-    baselines = experiment.baselines if band.normalized_by_baseline else {}
+    is_usable = band.normalized_by_baseline and not experiment.impossible_scores
+    baselines = experiment.baselines if is_usable else {}
     simulated = band.project(frames)
     deviations = band_deviations(experiment, band, times_s=times_s, values=values)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.

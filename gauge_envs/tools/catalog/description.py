@@ -18,8 +18,8 @@ from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
-from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.bands import Band
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
@@ -262,6 +262,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "sigma_source": shown and shown.sigma_source.value,
         "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
+        "impossible": experiment.impossible_scores,
         "withheld": band and band.withheld,
         "unsolved": unsolved.model_dump()
         if used is None and unsolved is not None

@@ -301,6 +301,8 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
         facts["normalized"] = (
             "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
         )
+    elif reference["impossible"]:
+        facts["normalized"] = f"no: {reference['impossible']}"
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = (
             "no: the published baseline is of another span of the motion"
