@@ -32,6 +32,9 @@ LEAST_POWER = 5.0
 MARKER_AXES = 3
 """Coordinates of a marker."""
 
+MOST_NAMED = 4
+"""Number of coordinates that are named one by one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
@@ -104,32 +107,23 @@ def verify(
     Returns:
         The verification; None for other grades than `law` and `model`, and where markers are compared but unknown.
     """
+    errors = frame_errors(band, frames=frames, markers_m=markers_m)
     compared = verification_band(band)
-    if compared is None or band is None:
+    if errors is None or compared is None or band is None:
         return None
-    is_markers = band.points is not None
-    if is_markers and (markers_m is None or not markers_m.size):
-        return None
-    if is_markers and markers_m is not None:
-        motion = 1e3 * markers_m.reshape(len(markers_m), -1)
-        count = motion.shape[1] // MARKER_AXES
+    count = _compared_points(band)
+    if count > 1:
         quantity = f"positions of {count} markers"
+    elif len(compared.coordinates) > MOST_NAMED:
+        quantity = f"{len(compared.coordinates)} coordinates of g(t)"
     else:
-        motion, count = compared.project(frames), 1
-        quantity = ", ".join(compared.coordinates[:4])
-        if len(compared.coordinates) > 4:
-            quantity = f"{len(compared.coordinates)} coordinates of g(t)"
-    known = np.isfinite(compared.mean)
-    start = compared.mean[int(known.any(axis=1).argmax())]
-
-    def norm(values: FloatArray) -> float:
-        """Return the root mean square over frames of a distance, per marker where these are compared."""
-        squares = np.where(known, np.square(values), 0.0).sum(axis=1)
-        return math.sqrt(float(squares[known.any(axis=1)].mean()) / count)
-
-    distance = norm(motion - compared.mean)
+        quantity = ", ".join(compared.coordinates)
+    start = compared.mean[int(np.isfinite(compared.mean).any(axis=1).argmax())]
     stated = None if band.is_exact else compared.uncertainty
-    uncertainty = None if stated is None else norm(stated)
+    distance = _root_mean_square(errors)
+    uncertainty = (
+        None if stated is None else _root_mean_square(_lengths(stated, compared, count))
+    )
     reach = COVERAGE_FACTOR * (uncertainty or 0.0)
     return Verification(
         grade=band.grade.value,
@@ -140,6 +134,42 @@ def verify(
         if uncertainty
         else None,
         uncertainty=uncertainty,
-        frozen=norm(compared.mean - start),
-        frames=int(known.any(axis=1).sum()),
+        frozen=_root_mean_square(_lengths(compared.mean - start, compared, count)),
+        frames=int(np.isfinite(errors).sum()),
     )
+
+
+def frame_errors(
+    band: Band | None, *, frames: FloatArray, markers_m: FloatArray | None
+) -> FloatArray | None:
+    """Return the distance from the solution at each frame, root mean square over markers, shape [frame_count].
+
+    It is NaN at frames at which the solution is not known. None as for `verify`, whose arguments these are.
+    """
+    compared = verification_band(band)
+    if compared is None or band is None:
+        return None
+    if band.points is None:
+        return _lengths(compared.project(frames) - compared.mean, compared, 1)
+    if markers_m is None or not markers_m.size:
+        return None
+    positions_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
+    return _lengths(positions_mm - compared.mean, compared, _compared_points(band))
+
+
+def _compared_points(band: Band) -> int:
+    """Return the number of markers that are compared; 1 for other coordinates."""
+    if band.points is None:
+        return 1
+    return len(band.points.coordinates) // MARKER_AXES
+
+
+def _lengths(values: FloatArray, compared: Band, count: int) -> FloatArray:
+    """Return the length of the values at each frame, per marker, over known coordinates; NaN at unknown frames."""
+    known = np.isfinite(compared.mean)
+    squares = np.where(known, np.square(values), 0.0).sum(axis=1) / count
+    return np.where(known.any(axis=1), np.sqrt(squares), np.nan)
+
+
+def _root_mean_square(lengths: FloatArray) -> float:
+    return math.sqrt(float(np.nanmean(np.square(lengths))))

@@ -78,7 +78,10 @@ def score_file(
         ),
         asset=asset_record(experiment),
         trajectory=RecordedTrajectory.of(
-            experiment, trajectory.times_s, trajectory.values
+            experiment,
+            trajectory.times_s,
+            trajectory.values,
+            markers_m=trajectory.markers_m,
         ),
     )
     return result, trajectory.interpolated_frames
