@@ -22,7 +22,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
 
-.PHONY: demo test check lint slow test-engines test-genesis test-matrix attack bench size gallery docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix attack mutants bench size gallery docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -67,6 +67,10 @@ test-matrix: $(VENV)/.installed
 attack: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[onnx,rerun]"
 	$(BIN)/python studies/robustness/attack.py --state $(VENV)/attack
+
+# Small faults in the core, and the share that the tests notice: hours of processor time; an interrupted call goes on.
+mutants: $(VENV)/.installed
+	$(BIN)/python scripts/mutants.py run --seed $(or $(SEED),1)
 
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed

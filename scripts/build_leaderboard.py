@@ -6,15 +6,18 @@
                                                           estimator changed
 
 A result that exists is kept if it is of the same episode and versions. Afterwards `gauge leaderboard check leaderboard`
-checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the tables.
+checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
+import tarfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -26,7 +29,9 @@ from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
+from gauge_envs.tools.leaderboard.archive import ARCHIVE
 from gauge_envs.tools.leaderboard.submission import (
+    RESULTS_FOLDER,
     STATEMENT_FILE,
     board_experiments,
     installed_package,
@@ -82,6 +87,27 @@ def statement(
     return "\n".join(lines) + "\n"
 
 
+@contextmanager
+def unpacked(folder: Path) -> Iterator[Path]:
+    """Yield the folder with the result files of a submission, which become its archive again."""
+    archive, results = folder / ARCHIVE, folder / RESULTS_FOLDER
+    if archive.exists():
+        with tarfile.open(archive) as stream:
+            stream.extractall(folder, filter="data")
+    yield results
+    with tarfile.open(archive, "w:xz", preset=9) as stream:
+        for file in sorted(results.glob("*.json")):
+            stream.add(file, f"{RESULTS_FOLDER}/{file.name}", filter=without_owner)
+    shutil.rmtree(results)
+
+
+def without_owner(member: tarfile.TarInfo) -> tarfile.TarInfo:
+    """Return a file of an archive without what depends on the machine."""
+    return member.replace(
+        mtime=0, mode=0o644, uid=0, gid=0, uname="", gname="", deep=False
+    )
+
+
 def submit(
     engine: str, folder: Path, configuration: str, settings: Mapping[str, Any]
 ) -> None:
@@ -91,10 +117,11 @@ def submit(
         for name in board_experiments(folder.parents[2])
     ]
     declined = []
-    for result in run_many(requests, out=folder / "results", resume=True):
-        if result.error is not None:
-            print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
-            declined.append(result.id.removeprefix("GAUGE/"))
+    with unpacked(folder) as results:
+        for result in run_many(requests, out=results, resume=True):
+            if result.error is not None:
+                print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
+                declined.append(result.id.removeprefix("GAUGE/"))
     (folder / STATEMENT_FILE).write_text(
         statement(engine, configuration, settings, declined), encoding="utf-8"
     )
@@ -105,14 +132,20 @@ def submit(
 
 def renew_diagnoses(board: Path) -> None:
     """Write the implied constants of all results anew, from their trajectories; scores and trajectories stay."""
-    for file in sorted(board.glob("*/*/*/results/*.json")):
-        result = load_result(file)
-        implied = rescored(result, recorded_experiment(result)).score.implied
-        if implied != result.score.implied:
-            write_result(
-                replace(result, score=replace(result.score, implied=implied)), file
-            )
-            print(f"{file.name}: implied constants renewed")
+    for archive in sorted(board.glob(f"*/*/*/{ARCHIVE}")):
+        with unpacked(archive.parent) as results:
+            for file in sorted(results.glob("*.json")):
+                renew_diagnosis(file)
+
+
+def renew_diagnosis(file: Path) -> None:
+    """Write the implied constants of one result anew."""
+    result = load_result(file)
+    implied = rescored(result, recorded_experiment(result)).score.implied
+    if implied != result.score.implied:
+        score = replace(result.score, implied=implied)
+        write_result(replace(result, score=score), file)
+        print(f"{file.name}: implied constants renewed")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -10,7 +10,7 @@ import time
 import warnings
 
 from gauge_envs.tools.sanity import Report, check, configuration
-from gauge_envs.tools.sanity.run import applied
+from gauge_envs.tools.sanity.cure import applied
 
 TARGETS = ("HalfCheetah-v5", "Walker2d-v5")
 """`cures.csv` also has tasks of Playground, dm_control and ManiSkill, each of which was read with its own models."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.sanity import check, configuration
-from gauge_envs.tools.sanity.run import applied
+from gauge_envs.tools.sanity.cure import applied
 
 HERE = Path(__file__).resolve().parent
 TASKS = ("HalfCheetah-v5", "Hopper-v5", "Walker2d-v5")

@@ -21,7 +21,7 @@ sys.path.insert(0, str(HERE.parents[1] / "tests" / "tools" / "sanity"))
 from robot_faults import FAULTS, good_xml  # noqa: E402
 
 from gauge_envs.tools.sanity import Report, check, configuration  # noqa: E402
-from gauge_envs.tools.sanity.run import applied  # noqa: E402
+from gauge_envs.tools.sanity.cure import applied  # noqa: E402
 
 GOOD = (
     "Ant-v5",

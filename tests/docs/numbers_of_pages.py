@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from pathlib import Path
 
 from places import ROOT
 
@@ -36,7 +34,7 @@ VERSION = re.compile(
 STUDY = re.compile(r"\]\([^)\s]*\bstudies/(\w+)/README\.md")
 
 
-def visible(text: str) -> str:
+def visible(text):
     """Text of a page without code blocks and generated parts, which other tests compare with what makes them."""
     text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "", text)
@@ -48,7 +46,7 @@ def visible(text: str) -> str:
     )
 
 
-def blocks(text: str) -> Iterator[tuple[str, str]]:
+def blocks(text):
     """Yield each paragraph, list item, row and heading of a page in one line, with the text that introduces it.
 
     A list or a table is introduced by the paragraph right before it if that ends with a colon, a row by the head of its
@@ -67,7 +65,7 @@ def blocks(text: str) -> Iterator[tuple[str, str]]:
         current = f"{current} {line.strip()}".strip()
 
 
-def shown(text: str) -> str:
+def shown(text):
     """What a page shows as written by a script, or as the output of its code and commands."""
     parts = re.findall(
         r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL
@@ -83,7 +81,7 @@ def shown(text: str) -> str:
 
 
 @cache
-def numbers_of_study(name: str) -> tuple[float, ...]:
+def numbers_of_study(name):
     """Every number in the note and in the tables of a study, without its sign."""
     folder = ROOT / "studies" / name
     text = "\n".join(
@@ -93,7 +91,7 @@ def numbers_of_study(name: str) -> tuple[float, ...]:
     return values(text)
 
 
-def values(text: str) -> tuple[float, ...]:
+def values(text):
     """Numbers of a text, without their signs."""
     plain = re.sub(r"(?<=\d)[, ](?=\d{3}\b)", "", text)
     return tuple(
@@ -101,7 +99,7 @@ def values(text: str) -> tuple[float, ...]:
     )
 
 
-def is_among(number: str, known: Iterable[float]) -> bool:
+def is_among(number, known):
     """Whether a known number, rounded as this one is, equals it."""
     (value,) = values(number)
     places = len(number.partition(".")[2]) if "e" not in number else None
@@ -111,7 +109,7 @@ def is_among(number: str, known: Iterable[float]) -> bool:
     )
 
 
-def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
+def sourceless(page, phrases):
     """Blocks of a page with numbers that no source is known of.
 
     Args:
@@ -148,6 +146,6 @@ def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
     return found
 
 
-def one_line(text: str) -> str:
+def one_line(text):
     """Text with each paragraph, item and row in one line."""
     return "\n".join(block for block, _ in blocks(text))
