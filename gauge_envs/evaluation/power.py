@@ -6,11 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
-from gauge_envs.evaluation.verification import LEAST_POWER, verification_band, verify
+from gauge_envs.evaluation.verification import (
+    LEAST_POWER,
+    point_lengths,
+    verification_band,
+    verify,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.power import power_rows
-from gauge_envs.scene.geometry import FloatArray
 
 EXACT_SCALE_SHARE = 0.01
 """Share of the motion that stands for the uncertainty of an exact solution. It is a choice."""
@@ -83,15 +87,17 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
         elif scale is None:
             scale, text = AT_REST_SCALE_MM, "1 mm, as the solution is exact and at rest"
     else:
-        unit, frozen = band.unit, _frozen(band)
+        start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
+        moved = point_lengths(band.mean - start, band)
+        unit, frozen = band.unit, float(np.sqrt(np.nanmean(np.square(moved))))
         published = band_baseline(experiment, band)
         scale, text = aligned_baseline(band), "the mean aligned distance of real trials"
         if scale is None or experiment.scene.drivers:
             scale = None if published is None else published.mean
             text = "the published mean distance of real trials"
         if scale is None:
-            squares = np.nansum(np.square(band.sigma), axis=1)
-            scale = float(np.sqrt(squares[np.isfinite(band.mean).any(axis=1)].mean()))
+            sigmas = point_lengths(band.sigma, band)
+            scale = float(np.sqrt(np.nanmean(np.square(sigmas))))
             text = "the uncertainty of the trial"
     if not scale:
         return None
@@ -105,11 +111,3 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
             for row in power_rows(experiment.name)
         },
     )
-
-
-def _frozen(band: Band) -> float:
-    """Return the distance of a scene in which nothing moves, root mean square over frames."""
-    known = np.isfinite(band.mean)
-    start = band.mean[int(known.any(axis=1).argmax())]
-    moved: FloatArray = np.where(known, band.mean - start, 0.0)
-    return float(np.sqrt(np.square(moved).sum(axis=1)[known.any(axis=1)].mean()))

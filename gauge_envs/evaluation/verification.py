@@ -111,7 +111,7 @@ def verify(
     compared = verification_band(band)
     if errors is None or compared is None or band is None:
         return None
-    count = _compared_points(band)
+    count = compared_points(compared)
     if count > 1:
         quantity = f"positions of {count} markers"
     elif len(compared.coordinates) > MOST_NAMED:
@@ -122,7 +122,7 @@ def verify(
     stated = None if band.is_exact else compared.uncertainty
     distance = _root_mean_square(errors)
     uncertainty = (
-        None if stated is None else _root_mean_square(_lengths(stated, compared, count))
+        None if stated is None else _root_mean_square(point_lengths(stated, compared))
     )
     reach = COVERAGE_FACTOR * (uncertainty or 0.0)
     return Verification(
@@ -134,7 +134,7 @@ def verify(
         if uncertainty
         else None,
         uncertainty=uncertainty,
-        frozen=_root_mean_square(_lengths(compared.mean - start, compared, count)),
+        frozen=_root_mean_square(point_lengths(compared.mean - start, compared)),
         frames=int(np.isfinite(errors).sum()),
     )
 
@@ -150,23 +150,32 @@ def frame_errors(
     if compared is None or band is None:
         return None
     if band.points is None:
-        return _lengths(compared.project(frames) - compared.mean, compared, 1)
+        return point_lengths(compared.project(frames) - compared.mean, compared)
     if markers_m is None or not markers_m.size:
         return None
     positions_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
-    return _lengths(positions_mm - compared.mean, compared, _compared_points(band))
+    return point_lengths(positions_mm - compared.mean, compared)
 
 
-def _compared_points(band: Band) -> int:
-    """Return the number of markers that are compared; 1 for other coordinates."""
-    if band.points is None:
-        return 1
-    return len(band.points.coordinates) // MARKER_AXES
+def compared_points(compared: Band) -> int:
+    """Return the number of markers whose positions are the coordinates of a band; 1 for other coordinates."""
+    names = compared.coordinates
+    is_of_markers = names[0].startswith("marker-") and names[0].endswith(".x")
+    return len(names) // MARKER_AXES if is_of_markers else 1
 
 
-def _lengths(values: FloatArray, compared: Band, count: int) -> FloatArray:
-    """Return the length of the values at each frame, per marker, over known coordinates; NaN at unknown frames."""
+def point_lengths(values: FloatArray, compared: Band) -> FloatArray:
+    """Return the length of values at each frame, root mean square over markers where these are compared.
+
+    Args:
+        values: Values in the coordinates of the band, shape [frame_count, C].
+        compared: The band; its coordinates `marker-0.x` are those of markers.
+
+    Returns:
+        Lengths over known coordinates, NaN at frames at which the mean is not known, shape [frame_count].
+    """
     known = np.isfinite(compared.mean)
+    count = compared_points(compared)
     squares = np.where(known, np.square(values), 0.0).sum(axis=1) / count
     return np.where(known.any(axis=1), np.sqrt(squares), np.nan)
 

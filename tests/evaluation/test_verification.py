@@ -28,7 +28,11 @@ def solution(uncertainty_mm: FloatArray | None, *, markers: int = 0) -> Band:
     band = Band(
         grade=BandGrade.MODEL,
         unit="mm",
-        coordinates=tuple(f"c{number}" for number in range(mean.shape[1])),
+        coordinates=tuple(
+            f"marker-{n // 3}.{'xyz'[n % 3]}" for n in range(mean.shape[1])
+        )
+        if markers
+        else ("x", "y", "z"),
         projection=np.eye(mean.shape[1]),
         mean=mean,
         sigma=np.zeros_like(mean),
