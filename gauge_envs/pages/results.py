@@ -178,6 +178,12 @@ def percentile_text(score: Score, metric: str) -> str | None:
     )
 
 
+VERIFICATION_NOTE = (
+    "u: standard uncertainty of the solution. In brackets: 95 % interval, which reaches 0 for an exact engine. Frozen: "
+    "distance of a scene in which nothing moves. It says nothing of reality."
+)
+
+
 def verification_text(one: Verification) -> str:
     """Return how far an engine is from the solution of its scene, and how far a scene is in which nothing moves."""
 

@@ -9,6 +9,7 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
     SCORE_METRICS,
+    VERIFICATION_NOTE,
     discretization_text,
     normalized_score,
     percentile_text,
@@ -168,12 +169,6 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             row["shift"] = score.release_offset_s
         rows.append(row)
     return rows or ([common] if is_real else [])
-
-
-VERIFICATION_NOTE = (
-    "u: standard uncertainty of the solution. In brackets: 95 % interval, which reaches 0 for an exact engine. Frozen: "
-    "distance of a scene in which nothing moves. It says nothing of reality."
-)
 
 
 def verification_table(results: Sequence[Result]) -> Table:
