@@ -14,6 +14,7 @@ from gauge_envs.envs.episode import reward_terms
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.deviation import sampled_frames
 from gauge_envs.evaluation.score import score_trajectory
+from gauge_envs.evaluation.verification import verify
 from gauge_envs.files import data_folder
 from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
