@@ -60,9 +60,11 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
     """Return scores of results beside the published ones, what the numbers mean, and what was not run and why."""
     ran = [result for result in results if result.error is None]
     tables = []
+    verified = [one for one in ran if one.score.verification is not None]
     if rows := [row for result in ran for row in _score_rows(result)]:
-        tables.append(_score_table(ran, rows))
-    if verified := [one for one in ran if one.score.verification is not None]:
+        title = "Validation: is the motion like real trials?" if verified else ""
+        tables.append(_score_table(rows, title=title))
+    if verified:
         tables.append(verification_table(verified))
     if budget and any(result.score.budget for result in ran):
         tables.append(_budget_table(ran))
@@ -72,10 +74,10 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
     return Document(parts=[*tables, *lines, *_outcomes(results)])
 
 
-def _score_table(results: Sequence[Result], rows: Sequence[dict[str, Any]]) -> Table:
+def _score_table(rows: Sequence[dict[str, Any]], *, title: str) -> Table:
     grades = sorted({str(row["grade"]) for row in rows})
     return Table(
-        title="Validation: is the motion like real trials?",
+        title=title,
         columns=(
             EXPERIMENT,
             Column("grade", "grade", place=Place.HEADING),
