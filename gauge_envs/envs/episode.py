@@ -408,6 +408,7 @@ class Episode:
             self.band,
             times_s=times_s,
             values=values,
+            markers_m=self._markers_m,
             backend=self._backend,
         )
 

@@ -130,7 +130,8 @@ def experiment_sensitivities(
 
 def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
     """Return the published RMSE of real trials that normalizes a score against a band; None without one."""
-    baseline = experiment.baselines.get("rmse") if band.normalized_by_baseline else None
+    is_usable = band.normalized_by_baseline and not experiment.impossible_scores
+    baseline = experiment.baselines.get("rmse") if is_usable else None
     # A reference of a user may state a mean of 0, which normalizes nothing.
     return baseline if baseline is not None and baseline.mean else None
 

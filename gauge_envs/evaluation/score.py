@@ -36,6 +36,7 @@ from gauge_envs.evaluation.swing import (
     swing_notes,
 )
 from gauge_envs.evaluation.uncertainty import BudgetEntry
+from gauge_envs.evaluation.verification import Verification, verify
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
@@ -232,6 +233,8 @@ class Score:
         explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
             without sensitivities of the engine.
         sensitivities: Engine and settings of these sensitivities.
+        verification: How far the episode is from the solution of its scene, for grades `law` and `model`. None for
+            other grades, and where a model is compared by markers whose positions are not known.
         rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
             reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.
@@ -289,6 +292,7 @@ class Score:
     refused: tuple[str, ...] = ()
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
+    verification: Verification | None = None
     rmse_without: Mapping[str, float] = field(default_factory=dict, hash=False)
     withheld: str | None = None
     edited: bool = False
@@ -336,6 +340,7 @@ def score_trajectory(
     *,
     times_s: FloatArray,
     values: FloatArray,
+    markers_m: FloatArray | None = None,
     backend: str | None = None,
     sensitivities: Sensitivities | None = None,
 ) -> Score:
@@ -348,6 +353,8 @@ def score_trajectory(
             the 30 Hz frames; more samples make the release offset more precise. Samples after the last frame let the
             simulation be shifted to earlier times.
         values: g(t) at those times, shape [sample_count, coordinate_count].
+        markers_m: Positions of the markers at the frames [m], shape [frame_count, marker_count, 3], which solved models
+            of cloth and foam are compared by; None if they are not known.
         backend: Engine of the trajectory with its default settings, whose sensitivities say what inputs can explain;
             None for other settings, or one of unknown origin.
         sensitivities: Measured sensitivities that replace the stored ones of the engine.
@@ -390,6 +397,7 @@ def score_trajectory(
         unit=experiment.score.observable.unit,
         withheld=None if band is None else band.withheld,
         edited=experiment.edited,
+        verification=verify(band, frames=frames, markers_m=markers_m),
         **scores,
     )
 
@@ -420,7 +428,8 @@ def _band_scores(
     frames: FloatArray,
     sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
-    baselines = experiment.baselines if band.normalized_by_baseline else {}
+    is_usable = band.normalized_by_baseline and not experiment.impossible_scores
+    baselines = experiment.baselines if is_usable else {}
     simulated = band.project(frames)
     deviations = band_deviations(experiment, band, times_s=times_s, values=values)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.

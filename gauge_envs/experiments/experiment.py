@@ -118,6 +118,24 @@ class Experiment:
         )
 
     @property
+    def impossible_scores(self) -> str:
+        """Published scores that geometry forbids, so that they have another unit or observable; empty without any."""
+        most = self.score.observable.largest_distance(len(self.coordinates))
+        found = [
+            f"{metric.upper()} of {engine} {line.mean * over:.3g} {line.unit}"
+            for metric, line in self.baselines.items()
+            for engine, over in line.engines.items()
+            if most is not None and over is not None and line.mean * over > most
+        ]
+        if not found:
+            return ""
+        unit = self.score.observable.unit
+        return (
+            f"{len(self.coordinates)} coordinates of g(t) differ by {most:.3g} {unit} at most, and published are "
+            f"{', '.join(found)}: their unit or observable is another one"
+        )
+
+    @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates of g(t), as `cube.x`, `marker-3` or `face-3`."""
         return coordinate_names(

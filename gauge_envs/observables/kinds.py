@@ -1,5 +1,6 @@
 """The kinds of generalized trajectory, their units, and the names of their coordinates."""
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 
@@ -26,6 +27,16 @@ class Observable(StrEnum):
         if self in (Observable.CURVATURE, Observable.LINE_CURVATURE):
             return "rad"
         return "mm^2" if self is Observable.FACE_AREA else "mm"
+
+    def largest_distance(self, width: int) -> float | None:
+        """Return the largest root mean square distance between two motions, in the unit of g(t); None without a bound.
+
+        Turning angles lie in [0, pi], so that `width` of them differ by sqrt(width) pi at most.
+
+        Args:
+            width: Number of coordinates of g(t).
+        """
+        return math.sqrt(width) * math.pi if self is Observable.LINE_CURVATURE else None
 
 
 def coordinate_names(

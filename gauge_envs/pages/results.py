@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.verification import Verification
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import (
@@ -177,45 +178,54 @@ def percentile_text(score: Score, metric: str) -> str | None:
     )
 
 
-def model_text(score: Score, backend: str | None) -> str:
-    """Return how well an engine solves the model, and the same without its own part in the reference."""
+VERIFICATION_NOTE = (
+    "u: standard uncertainty of the solution. In brackets: 95 % interval, which reaches 0 for an exact engine. Frozen: "
+    "distance of a scene in which nothing moves. It says nothing of reality."
+)
 
-    def amount(error: float) -> str:
-        text = with_unit(score_text(error), score.unit)
-        if not score.rmse_normalized or not score.rmse:
+
+def verification_text(one: Verification) -> str:
+    """Return how far an engine is from the solution of its scene, and how far a scene is in which nothing moves."""
+
+    def amount(distance: float) -> str:
+        text = with_unit(score_text(distance), one.unit)
+        if one.uncertainty is None:
             return text
-        return f"{text}, {percent_text(error / score.rmse * score.rmse_normalized)} % of the scatter of real trials"
+        return f"{text}, {score_text(distance / one.uncertainty)} u"
 
-    text = f"solves the model to {amount(score.rmse or 0.0)}"
-    if score.rmse_95 is not None:
-        ends = " to ".join(score_text(end) for end in score.rmse_95)
-        text += f" (95 % interval {with_unit(ends, score.unit)})"
-    if backend is not None and backend in score.rmse_without:
-        *first, last = sorted(set(score.rmse_without) - {backend})
-        others = f"{', '.join(first)} and {last}" if first else last
-        apart = amount(score.rmse_without[backend])
-        text += f"; it helped to make this reference: to the solution of {others} alone {apart}"
-    return text
+    text = f"solves its scene to {amount(one.distance)}"
+    if one.distance_95 is not None and one.uncertainty is not None:
+        low, high = (score_text(end / one.uncertainty) for end in one.distance_95)
+        text += f" [{low}, {high}]"
+    text += f", in {one.quantity}"
+    if one.frozen:
+        text += f"; a scene in which nothing moves is {amount(one.frozen)} away"
+    return f"{text}; {one.verdict}"
 
+
+NO_MARKERS = "no verification: the solution is compared by markers, whose positions the result does not have"
 
 MAX_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""
 
 
-def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterator[str]:
+def reality_lines(name: str, score: Score) -> Iterator[str]:
     """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
 
-    Of a reference of grade `model` they say how well the engine solves the model.
+    Of a law or a solved model they say how well the engine solves the scene.
 
     Args:
         name: Name of the result.
         score: Its score.
-        backend: Name of its engine; None is unknown.
     """
     if score.primary is None:
         return
-    if score.grade == BandGrade.MODEL:
-        yield f"{name}: {model_text(score, backend)}."
+    if not BandGrade(score.grade).is_real:
+        yield (
+            f"{name}: {NO_MARKERS}."
+            if score.verification is None
+            else f"{name}: {verification_text(score.verification)}."
+        )
         return
     percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
     if percentile is not None and count is not None:

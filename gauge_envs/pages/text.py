@@ -20,9 +20,8 @@ NORMALIZED_NOTE = (
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
-    BandGrade.MODEL: "how well an engine solves the calibrated scene, and nothing of reality; over the scatter of real "
-    "trials where known",
+    BandGrade.LAW: "a closed form with calibrated parameters: how well an engine solves the scene, and not reality",
+    BandGrade.MODEL: "how well an engine solves the calibrated scene, and nothing of reality",
     BandGrade.NONE: "no reference: RMSE and DTW are not scored",
 }
 

@@ -82,6 +82,8 @@ class Band:
             of another span than the baseline.
         points: Positions of the markers at the same frames, from which rewards are, of a band in other coordinates;
             else None.
+        is_exact: Whether the mean is a closed form that solves the stated scene exactly. `uncertainty` then says how
+            far reality, and not an engine, may be from it.
     """
 
     grade: BandGrade
@@ -99,6 +101,7 @@ class Band:
     trials: FloatArray | None = None
     normalized_by_baseline: bool = True
     points: Band | None = None
+    is_exact: bool = False
 
     def __post_init__(self) -> None:
         for name in (

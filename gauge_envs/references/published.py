@@ -317,6 +317,7 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
         measured=np.ones(len(positions), dtype=bool),
         trial_count=None,
         source=f"{law.body} carried by {law.carrier}, {law.condition}; sigma from the paper's Table 5",
+        is_exact=True,
     )
 
 
@@ -360,6 +361,7 @@ def uncontacted_band(
         source=f"{law.body}: {law.condition}; sigma is {nominal}{'' if uncertainty_mm is None else ' and of the law'}",
         uncertainty=np.where(known, sigma, np.nan),
         normalized_by_baseline=False,
+        is_exact=isinstance(law, FlightLaw | SlideLaw | SwingLaw),
     )
 
 

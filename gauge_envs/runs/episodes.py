@@ -137,6 +137,7 @@ def with_measured_uncertainty(
                 band,
                 times_s=times_s,
                 values=values,
+                markers_m=result.trajectory.markers_m(),
                 backend=request.backend,
                 sensitivities=measured,
             )
@@ -311,5 +312,7 @@ def _finished(
         settings=settings_record(planned.backend, episode.settings),
         versions={**engine_versions, **versions()},
         error=None,
-        trajectory=RecordedTrajectory.of(episode.experiment, *recorded.dense),
+        trajectory=RecordedTrajectory.of(
+            episode.experiment, *recorded.dense, markers_m=recorded.markers_m
+        ),
     )

@@ -45,6 +45,8 @@ class RecordedTrajectory:
         samples: g(t) at those times, shape [sample_count, coordinate_count]; None for a value that is not finite.
         later_times_s: Times after the last frame [s], which the release alignment needs; shape [later_count].
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
+        markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
+            markers.
     """
 
     unit: str
@@ -53,6 +55,7 @@ class RecordedTrajectory:
     samples: list[list[float | None]]
     later_times_s: list[float] = field(default_factory=list)
     later_samples: list[list[float | None]] = field(default_factory=list)
+    markers_mm: list[list[float | None]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for times_s, samples in (
@@ -75,6 +78,7 @@ class RecordedTrajectory:
         experiment: Experiment,
         times_s: NDArray[np.float64],
         samples: NDArray[np.float64],
+        markers_m: NDArray[np.float64] | None = None,
     ) -> RecordedTrajectory:
         """Return the record of a generalized trajectory, split at the last frame.
 
@@ -82,7 +86,9 @@ class RecordedTrajectory:
             experiment: The experiment of the trajectory.
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
+            markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
         """
+        has_markers = markers_m is not None and markers_m.size > 0
         count = int(
             np.searchsorted(
                 times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6
@@ -96,7 +102,15 @@ class RecordedTrajectory:
             samples=rows[:count],
             later_times_s=times_s[count:].tolist(),
             later_samples=rows[count:],
+            markers_mm=json_ready(_rounded_mm(markers_m)) if has_markers else [],
         )
+
+    def markers_m(self) -> NDArray[np.float64] | None:
+        """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not recorded."""
+        if not self.markers_mm:
+            return None
+        rows = np.array(self.markers_mm, dtype=np.float64)
+        return 1e-3 * rows.reshape(len(rows), -1, 3)
 
     def arrays(
         self, *, later: bool = False
@@ -112,6 +126,15 @@ class RecordedTrajectory:
             dtype=np.float64,
         )
         return np.array(times_s), samples.reshape(len(times_s), len(self.coordinates))
+
+
+MARKER_DECIMALS = 4
+"""Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
+
+
+def _rounded_mm(markers_m: NDArray[np.float64] | None) -> list[list[float]]:
+    rows = 1e3 * np.asarray(markers_m)
+    return np.round(rows.reshape(len(rows), -1), MARKER_DECIMALS).tolist()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,6 +53,7 @@ def score_file(
         band,
         times_s=trajectory.times_s,
         values=trajectory.values,
+        markers_m=trajectory.markers_m,
         backend=origin.backend,
     )
     result = Result(
@@ -77,7 +78,10 @@ def score_file(
         ),
         asset=asset_record(experiment),
         trajectory=RecordedTrajectory.of(
-            experiment, trajectory.times_s, trajectory.values
+            experiment,
+            trajectory.times_s,
+            trajectory.values,
+            markers_m=trajectory.markers_m,
         ),
     )
     return result, trajectory.interpolated_frames

@@ -12,11 +12,13 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from gauge_envs.envs.episode import reward_text
+from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
+from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord, load_imported
@@ -260,11 +262,27 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "sigma_source": shown and shown.sigma_source.value,
         "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
+        "impossible": experiment.impossible_scores,
         "withheld": band and band.withheld,
         "unsolved": unsolved.model_dump()
         if used is None and unsolved is not None
         else None,
         "reward": reward_text(reward_band(experiment, used)),
+        "power": _power(experiment, used),
+    }
+
+
+def _power(experiment: Experiment, used: Band | None) -> dict[str, Any] | None:
+    """Return what the reference tells, with the distances in units of what it leaves open."""
+    found = reference_power(experiment, used)
+    if found is None:
+        return None
+    return {
+        "unit": found.unit,
+        "scale": found.scale,
+        "scale_text": found.scale_text,
+        "told": dict(found.told),
+        "not_told": found.not_told,
     }
 
 

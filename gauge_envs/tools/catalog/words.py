@@ -19,6 +19,7 @@ from gauge_envs.pages.text import (
     score_text,
     shortened,
     vector_text,
+    with_unit,
 )
 from gauge_envs.references.bands import SigmaSource
 from gauge_envs.references.grades import BandGrade
@@ -88,6 +89,7 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
         "grade": grade_text(reference),
         "reference": reference["source"] or reference["law"] or "none",
+        **_power_facts(reference["power"]),
         "reward": reference["reward"],
     }
     if asset is not None:
@@ -95,6 +97,20 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         if asset["kind"] != AssetKind.EXPERIMENT:
             facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
     return facts | _band_facts(values)
+
+
+def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
+    """Return which changes of the scene the reference tells, and which it does not."""
+    if power is None:
+        return {}
+    sizes = [f"{name} {size:.3g}" for name, size in power["told"].items()]
+    scale = with_unit(f"{power['scale']:.3g}", power["unit"])
+    facts = {
+        "tells": f"{', '.join(sizes) or 'nothing'} (distances over {scale}, {power['scale_text']})"
+    }
+    if power["not_told"]:
+        facts["tells not"] = ", ".join(power["not_told"])
+    return facts
 
 
 def grade_text(reference: Mapping[str, Any]) -> str:
@@ -285,6 +301,8 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
         facts["normalized"] = (
             "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
         )
+    elif reference["impossible"]:
+        facts["normalized"] = f"no: {reference['impossible']}"
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = (
             "no: the published baseline is of another span of the motion"

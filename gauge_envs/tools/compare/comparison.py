@@ -153,6 +153,16 @@ class ExperimentComparison:
         return grade_name(self.grade, withheld=self.withheld)
 
     @property
+    def is_verified(self) -> bool:
+        """Whether a result is compared with the solution of its scene, and not with reality."""
+        return any(
+            result.score.verification is not None
+            for cell in self.cells
+            if cell is not None
+            for result in cell.results
+        )
+
+    @property
     def primary(self) -> str:
         """Metric that reports show first: `rmse_aligned` if the experiment starts with a release, else `rmse`."""
         results = [

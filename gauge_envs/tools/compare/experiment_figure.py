@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.verification import point_lengths, verification_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import (
     ENGINES,
@@ -38,7 +39,7 @@ from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselin
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.compare.comparison import Cell
 from gauge_envs.tools.compare.distance import distances_over_time
 
@@ -57,6 +58,10 @@ BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8
 MAX_LEGEND_ENTRIES = 12
 MIN_RANGE = 0.02
 """Smallest range of a panel without a band, relative to that of the widest panel of the experiment."""
+MOST_PANELS = 6
+"""Largest number of coordinates with a panel each."""
+SMALLEST_SHARE = 1e-5
+"""Smallest distance that is drawn, over the largest one."""
 MAX_ALIGNED = 2
 """Largest number of curves that are drawn a second time, aligned to the release."""
 
@@ -129,6 +134,10 @@ def draw_experiment(
     )
     bars = _bar_groups(results[0].id, series)
     names = band.coordinates if band is not None else _axis_names(results[0])
+    # Dozens of curves say nothing on a page; their distance from the mean does.
+    has_errors = len(names) > MOST_PANELS
+    if has_errors:
+        names = ("distance",)
     # Without a reference, how far the engines are apart is all there is to see.
     with_distance = band is None and len(series) > 1
     rows = len(names) + with_distance
@@ -142,7 +151,9 @@ def draw_experiment(
         axes[-1].tick_params(labelbottom=row == rows - 1)
     if with_distance:
         _draw_distances(axes[-1], series)
-    if band is None:
+    if has_errors and band is not None:
+        _draw_errors(axes[0], series, band)
+    elif band is None:
         _draw_coordinates(axes[: len(names)], series)
     else:
         for column, axis in enumerate(axes):
@@ -301,6 +312,61 @@ def _draw_results(
     margin = 0.04 * (high - low)
     axis.set_ylim(low - margin, high + margin)
     axis.set_xlim(0.0, end)
+
+
+def _draw_errors(axis: Axes, series: Sequence[_Series], band: Band) -> None:
+    """Draw the distance from the mean at each frame, what the reference leaves open, and that of a frozen scene."""
+    compared = verification_band(band) or band
+    start = compared.mean[int(np.isfinite(compared.mean).any(axis=1).argmax())]
+    has_markers = compared is not band
+    spread = compared.sigma if compared.uncertainty is None else compared.uncertainty
+    name = "1 sigma" if compared.uncertainty is None else "u of the reference"
+    times_s = np.arange(len(compared.mean)) / FRAME_RATE_HZ
+    axis.fill_between(
+        times_s, point_lengths(spread, compared), facecolor=ONE_SIGMA, label=name
+    )
+    axis.plot(
+        times_s,
+        point_lengths(compared.mean - start, compared),
+        color=REAL,
+        lw=1.1,
+        ls="--",
+        label="a scene in which nothing moves",
+    )
+    for one in series:
+        for number, result in enumerate(one.results):
+            errors = _errors(result, band, compared)
+            if errors is None:
+                continue
+            axis.plot(
+                times_s[: len(errors)],
+                errors,
+                color=one.color,
+                lw=one.width,
+                alpha=one.alpha,
+                label=one.legend if number == 0 else None,
+            )
+    axis.set_yscale("log")
+    axis.set_ylim(bottom=SMALLEST_SHARE * axis.get_ylim()[1])
+    what = "markers" if has_markers else "g(t)"
+    axis.set_ylabel(f"distance of {what} from the reference [{compared.unit}]")
+    axis.set_xlim(0.0, times_s[-1])
+    tidy_axis(axis)
+
+
+def _errors(result: Result, band: Band, compared: Band) -> NDArray[np.float64] | None:
+    """Return the distance of a result from the mean at each frame; None without the markers that are compared."""
+    recorded = _recorded(result)
+    if compared is not band:
+        markers_m = recorded.markers_m()
+        if markers_m is None:
+            return None
+        motion = 1e3 * markers_m.reshape(len(markers_m), -1)
+    else:
+        motion = band.project(recorded.arrays()[1][::SAMPLES_PER_FRAME])
+    padded = np.full(compared.mean.shape, np.nan)
+    padded[: len(motion)] = motion[: len(padded)]
+    return point_lengths(padded - compared.mean, compared)
 
 
 def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
@@ -478,23 +544,20 @@ class _Bar:
 def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
     groups: dict[str, list[_Bar]] = {}
+    is_solved = any(
+        result.score.grade in (BandGrade.LAW, BandGrade.MODEL)
+        for one in series
+        for result in one.results
+    )
     if any(
         result.score.primary == ALIGNED.key for one in series for result in one.results
     ):
         groups[ALIGNED.title] = [_own_bar(one, ALIGNED.key) for one in series]
     for metric, line in published_baselines(short_id(name)).items():
-        if metric == "el":
+        # Published scores are distances from real trials; those from a law or a solved model are numerical errors.
+        if metric == "el" or (is_solved and not SCORE_METRICS[metric].is_event):
             continue
         bars = [_own_bar(one, metric) for one in series]
-        is_solved = any(
-            result.score.grade == BandGrade.MODEL
-            for one in series
-            for result in one.results
-        )
-        if is_solved and not SCORE_METRICS[metric].is_event:
-            # Published scores are distances from real trials, and these are numerical errors.
-            groups[f"{SCORE_METRICS[metric].title}, against the solved model"] = bars
-            continue
         for (engine, title), color in zip(
             PUBLISHED_ENGINES.items(), ENGINES, strict=True
         ):

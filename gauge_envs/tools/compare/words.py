@@ -6,12 +6,14 @@ from functools import partial
 from typing import Any
 
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.evaluation.verification import Verification
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.results import (
     ALIGNED,
     PLAIN,
     SCORE_METRICS,
+    VERIFICATION_NOTE,
     configuration_parts,
     versions_text,
 )
@@ -100,8 +102,10 @@ def comparison_document(
     """
     rows = comparison_rows(comparison, metrics)
     tables: list[Table] = []
-    if rows:
-        tables.append(_score_table(comparison, rows))
+    if validated := _validation_rows(comparison, rows):
+        tables.append(_score_table(comparison, validated))
+    if any(one.is_verified for one in comparison.experiments):
+        tables.append(_verification_table(comparison))
     if any(
         len(one.ranks) > 1 for grade in comparison.grades for one in grade.experiments
     ):
@@ -131,9 +135,27 @@ def comparison_document(
 def short_tables(comparison: Comparison) -> list[Table]:
     """Return the ranks within each grade, and the score of each experiment that comes first: no pairs."""
     first: dict[str, dict[str, Any]] = {}
-    for row in comparison_rows(comparison):
+    for row in _validation_rows(comparison, comparison_rows(comparison)):
         first.setdefault(row["id"], row)
-    return [_ranking_table(comparison), _score_table(comparison, [*first.values()])]
+    tables = [_ranking_table(comparison)]
+    if first:
+        tables.append(_score_table(comparison, [*first.values()]))
+    if any(one.is_verified for one in comparison.experiments):
+        tables.append(_verification_table(comparison))
+    return tables
+
+
+def _validation_rows(
+    comparison: Comparison, rows: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return the rows that compare with reality: a law or a solved model has those of events alone."""
+    verified = {one.id for one in comparison.experiments if one.is_verified}
+    return [
+        row
+        for row in rows
+        if row["id"] not in verified
+        or (row["metric"] is not None and SCORE_METRICS[row["metric"]].is_event)
+    ]
 
 
 # --- rows ------------------------------------------------------------------------------------------------------------
@@ -194,6 +216,12 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
         "normalized": spread_row(normalized=True),
         "normalized_95": metric and cell.interval_95(metric),
         "percentile": metric and cell.percentile(metric),
+        "verification": [
+            None
+            if result.score.verification is None
+            else asdict(result.score.verification)
+            for result in cell.results
+        ],
         "wall_s_per_sim_s": cell.wall_s_per_sim_s,
         "settings": ran[0].settings if ran else None,
         "versions": ran[0].versions if ran else None,
@@ -320,6 +348,63 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
             )
         ),
     )
+
+
+def _verification_table(comparison: Comparison) -> Table:
+    """Return how well each configuration solves the scenes of laws and solved models."""
+    rows = []
+    for one in comparison.experiments:
+        found = [
+            [
+                result.score.verification
+                for result in (() if cell is None else cell.results)
+                if result.score.verification is not None
+            ]
+            for cell in one.cells
+        ]
+        if first := next((group[0] for group in found if group), None):
+            rows.append(
+                {
+                    "id": one.id,
+                    "grade": first.grade,
+                    "quantity": first.quantity,
+                    "frozen": with_unit(score_text(first.frozen), first.unit),
+                    "cells": [verification_cell(group) for group in found],
+                }
+            )
+    return Table(
+        title="Verification: distance from the solution of the scene",
+        columns=(
+            EXPERIMENT,
+            Column("grade", "reference", place=Place.HEADING),
+            Column("quantity", "compared"),
+            Column("frozen", "frozen", is_number=True),
+            *(
+                Column("", label, partial(_verified_cell, index), is_number=True)
+                for index, label in enumerate(comparison.labels)
+            ),
+        ),
+        rows=rows,
+        notes=(VERIFICATION_NOTE,),
+    )
+
+
+def _verified_cell(index: int, row: Mapping[str, Any]) -> str:
+    return str(row["cells"][index])
+
+
+def verification_cell(repeats: Sequence[Verification]) -> str:
+    """Return the mean distance of repeats, over u where the solution has one, with the interval of a single run."""
+    if not repeats:
+        return "-"
+    first = repeats[0]
+    mean = sum(one.distance for one in repeats) / len(repeats)
+    if first.uncertainty is None:
+        return with_unit(score_text(mean), first.unit)
+    ends = None
+    if len(repeats) == 1 and first.distance_95 is not None:
+        ends = [end / first.uncertainty for end in first.distance_95]
+    return f"{interval_text(mean / first.uncertainty, ends)} u"
 
 
 def _score_cell(index: int, row: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
     SCORE_METRICS,
+    VERIFICATION_NOTE,
     discretization_text,
     normalized_score,
     percentile_text,
@@ -58,7 +59,13 @@ LABEL = Column("label", "", place=Place.HEADING)
 def summary_document(results: Sequence[Result], *, budget: bool = False) -> Document:
     """Return scores of results beside the published ones, what the numbers mean, and what was not run and why."""
     ran = [result for result in results if result.error is None]
-    tables = [_score_table(ran)] if ran else []
+    tables = []
+    verified = [one for one in ran if one.score.verification is not None]
+    if rows := [row for result in ran for row in _score_rows(result)]:
+        title = "Validation: is the motion like real trials?" if verified else ""
+        tables.append(_score_table(rows, title=title))
+    if verified:
+        tables.append(verification_table(verified))
     if budget and any(result.score.budget for result in ran):
         tables.append(_budget_table(ran))
     if any(result.deformation is not None for result in ran):
@@ -67,9 +74,10 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
     return Document(parts=[*tables, *lines, *_outcomes(results)])
 
 
-def _score_table(results: Sequence[Result]) -> Table:
-    grades = sorted({result.score.grade for result in results})
+def _score_table(rows: Sequence[dict[str, Any]], *, title: str) -> Table:
+    grades = sorted({str(row["grade"]) for row in rows})
     return Table(
+        title=title,
         columns=(
             EXPERIMENT,
             Column("grade", "grade", place=Place.HEADING),
@@ -104,7 +112,7 @@ def _score_table(results: Sequence[Result]) -> Table:
                 wide_only=True,
             ),
         ),
-        rows=[row for result in results for row in _score_rows(result)],
+        rows=rows,
         notes=(
             "",
             NORMALIZED_NOTE,
@@ -126,6 +134,8 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
     if result.diverged:
         return [common | {"score": Outcome.DIVERGED.value}]
     score, baselines = result.score, published_baselines(short_id(result.id))
+    # A distance to a law or a solved model says nothing of reality. Events are compared with real ones at any grade.
+    is_real = BandGrade(score.grade).is_real or score.verification is None
     rows: list[dict[str, Any]] = []
     # The aligned score comes first where the experiment starts with a release, else after the raw one.
     order = ("rmse", ALIGNED.key) if score.primary == "rmse" else (ALIGNED.key, "rmse")
@@ -134,7 +144,8 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         raw, normalized = raw_score(score, key), normalized_score(score, key)
         if (normalized if metric is ALIGNED else raw) is None and line is None:
             continue
-        is_solved = score.grade == BandGrade.MODEL and not metric.is_event
+        if not is_real and not metric.is_event:
+            continue
         is_partial = metric.is_normalized and raw is not None and normalized is None
         row: dict[str, Any] = common | {
             "metric": metric.title,
@@ -149,9 +160,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             if normalized is None
             else interval_text(normalized, score_interval(score, key)),
             # Published scores are of the whole motion and of reality. Some laws hold for its first frames alone.
-            "engines": None
-            if line is None or is_partial or is_solved
-            else line.engines,
+            "engines": None if line is None or is_partial else line.engines,
         }
         if key == "rmse":
             row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
@@ -161,7 +170,53 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         elif metric is ALIGNED:
             row["shift"] = score.release_offset_s
         rows.append(row)
-    return rows or [common]
+    return rows or ([common] if is_real else [])
+
+
+def verification_table(results: Sequence[Result]) -> Table:
+    """Return how well engines solve the scenes of laws and solved models."""
+    rows = []
+    for result in results:
+        one = result.score.verification
+        assert one is not None, "results with a verification"
+        interval = None
+        if one.distance_95 is not None and one.uncertainty is not None:
+            interval = [end / one.uncertainty for end in one.distance_95]
+        rows.append(
+            {
+                "id": result.id,
+                "grade": one.grade,
+                "label": result_label(result),
+                "quantity": one.quantity,
+                "distance": with_unit(score_text(one.distance), one.unit),
+                "in_u": None
+                if one.distance_in_u is None
+                else interval_text(one.distance_in_u, interval),
+                "frozen": with_unit(score_text(one.frozen), one.unit),
+                "power": one.power,
+                "verdict": one.verdict,
+                "convergence": discretization_text(
+                    result, convergence_rows(result.backend, result.id)
+                ),
+            }
+        )
+    return Table(
+        title="Verification: does the engine solve the stated scene?",
+        columns=(
+            EXPERIMENT,
+            Column("grade", "reference", place=Place.HEADING),
+            LABEL,
+            Column("quantity", "compared"),
+            Column("distance", "distance", is_number=True),
+            Column("in_u", "over u", is_number=True),
+            Column("frozen", "frozen", is_number=True),
+            Column("power", "frozen over u", score_text, is_number=True),
+            Column("verdict", "verdict"),
+            Column("convergence", "discretization", place=Place.BELOW),
+        ),
+        rows=rows,
+        notes=(VERIFICATION_NOTE,),
+    )
 
 
 def _budget_table(results: Sequence[Result]) -> Table:
@@ -245,7 +300,8 @@ def _deformation_table(results: Sequence[Result]) -> Table:
 def _remarks(result: Result) -> Iterator[str]:
     """Yield what the table does not say of a result."""
     name = short_id(result.id)
-    yield from reality_lines(name, result.score, result.backend)
+    if result.score.verification is None:
+        yield from reality_lines(name, result.score)
     yield from (f"{name}: no interval of {reason}." for reason in result.score.refused)
     if result.score.implied:
         yield _implied_line(name, result.score)

@@ -239,7 +239,7 @@ def _causes(site: Site, results: Results) -> Parts:
     lines = [
         join([site.swatch(index), line])
         for index, result in results.items()
-        for line in reality_lines(site.labels[index], result.score, result.backend)
+        for line in reality_lines(site.labels[index], result.score)
     ]
     return [Heading("The distance in words"), listed(lines)] if lines else []
 

@@ -1,0 +1,113 @@
+"""What a reference can tell: how far changes of its scene move the score, in units of what it leaves open."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
+from gauge_envs.evaluation.verification import (
+    LEAST_POWER,
+    point_lengths,
+    verification_band,
+    verify,
+)
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band
+from gauge_envs.references.power import power_rows
+
+EXACT_SCALE_SHARE = 0.01
+"""Share of the motion that stands for the uncertainty of an exact solution. It is a choice."""
+
+AT_REST_SCALE_MM = 1.0
+"""Distance that stands for it where the solution is at rest [mm]. It is a choice."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Power:
+    """What a reference can tell.
+
+    Attributes:
+        unit: Unit of `scale`.
+        scale: What the reference leaves open: u of a solution, 1 % of the motion where that is exact, or the mean
+            distance of real trials.
+        scale_text: What it is, in words.
+        frozen: Distance of a scene in which nothing moves, over the scale.
+        changes: Distance that each change of the scene moves the motion, over the scale; None for a scene that fails.
+    """
+
+    unit: str
+    scale: float
+    scale_text: str
+    frozen: float
+    changes: Mapping[str, float | None]
+
+    @property
+    def told(self) -> Mapping[str, float]:
+        """Changes that move the score by at least `LEAST_POWER`, a scene in which nothing moves first."""
+        sizes = {"nothing moves": self.frozen, **self.changes}
+        return {
+            name: size
+            for name, size in sizes.items()
+            if size is not None and size >= LEAST_POWER
+        }
+
+    @property
+    def not_told(self) -> list[str]:
+        """Changes that it does not tell."""
+        return [
+            name
+            for name, size in self.changes.items()
+            if size is not None and size < LEAST_POWER
+        ]
+
+
+def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
+    """Return what a reference can tell; None without a reference, or for one without any scale.
+
+    Args:
+        experiment: The experiment, with its calibrated scene.
+        band: Its reference.
+    """
+    if band is None:
+        return None
+    compared = verification_band(band)
+    if compared is not None:
+        motion = np.nan_to_num(compared.mean)
+        markers_m = (
+            None if band.points is None else 1e-3 * motion.reshape(len(motion), -1, 3)
+        )
+        one = verify(band, frames=motion, markers_m=markers_m)
+        assert one is not None, "a law or a model"
+        unit, frozen = one.unit, one.frozen
+        scale, text = one.uncertainty, "u, the uncertainty of the solution"
+        if scale is None and frozen > 0.0:
+            scale = EXACT_SCALE_SHARE * frozen
+            text = "1 % of the motion, as the solution is exact"
+        elif scale is None:
+            scale, text = AT_REST_SCALE_MM, "1 mm, as the solution is exact and at rest"
+    else:
+        start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
+        moved = point_lengths(band.mean - start, band)
+        unit, frozen = band.unit, float(np.sqrt(np.nanmean(np.square(moved))))
+        published = band_baseline(experiment, band)
+        scale, text = aligned_baseline(band), "the mean aligned distance of real trials"
+        if scale is None or experiment.scene.drivers:
+            scale = None if published is None else published.mean
+            text = "the published mean distance of real trials"
+        if scale is None:
+            sigmas = point_lengths(band.sigma, band)
+            scale = float(np.sqrt(np.nanmean(np.square(sigmas))))
+            text = "the uncertainty of the trial"
+    if not scale:
+        return None
+    return Power(
+        unit=unit,
+        scale=scale,
+        scale_text=text,
+        frozen=frozen / scale,
+        changes={
+            row.change: None if row.distance is None else row.distance / scale
+            for row in power_rows(experiment.name)
+        },
+    )

@@ -1,0 +1,184 @@
+"""Verification: how well an engine solves the stated scene, in units of what its solution leaves open.
+
+A law or a solved model answers another question than real trials do (ASME V&V 20): not whether a scene is like
+reality, but whether an engine solves it. So a distance to them has fields of its own, and is never divided by the
+scatter of real trials.
+
+A solved model of cloth or foam is compared by the positions of its markers: they see the motion, where the published
+observables of some scenes do not (a swinging sheet stays developable, so that its angle deficits vanish).
+
+Interval. An observed distance d = |x - r| has the error e of the reference r, whose root mean square is the stated
+uncertainty u. By the triangle inequality the true distance L obeys |d - L| <= |e|. Whatever the correlation of e over
+frames and coordinates, a normal e has |e| <= 1.96 u with a probability of at least 95 %. It is 95 % where e has one
+direction, and larger otherwise (Szekely and Bakirov, "Extremal probabilities for Gaussian quadratic forms", 2003). So
+[d - 1.96 u, d + 1.96 u] holds L in at least 95 % of cases, and reaches 0 for an exact engine.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.scene.geometry import FloatArray
+
+COVERAGE_FACTOR = 1.96
+"""Half width of a 95 % interval over the standard uncertainty."""
+
+LEAST_POWER = 5.0
+"""Distance of a scene in which nothing moves, in units of u, below which a reference tells nothing. It is a choice."""
+
+MARKER_AXES = 3
+"""Coordinates of a marker."""
+
+MOST_NAMED = 4
+"""Number of coordinates that are named one by one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """Distance of an episode from the solution of its scene.
+
+    Attributes:
+        grade: Grade of the reference: `law` or `model`.
+        quantity: What is compared, as `positions of 63 markers`.
+        unit: Unit of the distances.
+        distance: Root mean square over the compared frames; over markers too where these are compared.
+        distance_95: 95 % interval of the distance from the exact solution; None where the reference is exact.
+        uncertainty: Standard uncertainty u of the reference, in the same norm; None where it is exact.
+        frozen: Distance of a scene in which nothing moves, in the same norm.
+        frames: Number of compared frames.
+    """
+
+    grade: str
+    quantity: str
+    unit: str
+    distance: float
+    distance_95: tuple[float, float] | None
+    uncertainty: float | None
+    frozen: float
+    frames: int
+
+    @property
+    def distance_in_u(self) -> float | None:
+        """The distance over u; None without u."""
+        return self.distance / self.uncertainty if self.uncertainty else None
+
+    @property
+    def power(self) -> float | None:
+        """The distance of a scene in which nothing moves, over u; None without u."""
+        return self.frozen / self.uncertainty if self.uncertainty else None
+
+    @property
+    def share_of_motion(self) -> float | None:
+        """The distance over that of a scene in which nothing moves; None where the solution is at rest."""
+        return self.distance / self.frozen if self.frozen else None
+
+    @property
+    def verdict(self) -> str:
+        """What the distance says, in words."""
+        if self.uncertainty is None:
+            return "the solution is exact: the distance is the error"
+        if self.frozen < LEAST_POWER * self.uncertainty:
+            return "tells nothing: a scene in which nothing moves is as near"
+        if self.distance <= COVERAGE_FACTOR * self.uncertainty:
+            return "no difference from the solution is seen"
+        return "differs from the solution"
+
+
+def verification_band(band: Band | None) -> Band | None:
+    """Return the band that verification compares with, that of markers where there is one; None for other grades."""
+    if band is None or band.grade not in (BandGrade.LAW, BandGrade.MODEL):
+        return None
+    return band.points or band
+
+
+def verify(
+    band: Band | None, *, frames: FloatArray, markers_m: FloatArray | None
+) -> Verification | None:
+    """Return how far an episode is from the solution of its scene.
+
+    Args:
+        band: Reference of the score.
+        frames: g(t) at the 30 Hz frames, in the band's unit, shape [frame_count, coordinate_count].
+        markers_m: Positions of the markers at the frames [m], shape [frame_count, marker_count, 3]; None if unknown.
+
+    Returns:
+        The verification; None for other grades than `law` and `model`, and where markers are compared but unknown.
+    """
+    errors = frame_errors(band, frames=frames, markers_m=markers_m)
+    compared = verification_band(band)
+    if errors is None or compared is None or band is None:
+        return None
+    count = compared_points(compared)
+    if count > 1:
+        quantity = f"positions of {count} markers"
+    elif len(compared.coordinates) > MOST_NAMED:
+        quantity = f"{len(compared.coordinates)} coordinates of g(t)"
+    else:
+        quantity = ", ".join(compared.coordinates)
+    start = compared.mean[int(np.isfinite(compared.mean).any(axis=1).argmax())]
+    stated = None if band.is_exact else compared.uncertainty
+    distance = _root_mean_square(errors)
+    uncertainty = (
+        None if stated is None else _root_mean_square(point_lengths(stated, compared))
+    )
+    reach = COVERAGE_FACTOR * (uncertainty or 0.0)
+    return Verification(
+        grade=band.grade.value,
+        quantity=quantity,
+        unit=compared.unit,
+        distance=distance,
+        distance_95=(max(distance - reach, 0.0), distance + reach)
+        if uncertainty
+        else None,
+        uncertainty=uncertainty,
+        frozen=_root_mean_square(point_lengths(compared.mean - start, compared)),
+        frames=int(np.isfinite(errors).sum()),
+    )
+
+
+def frame_errors(
+    band: Band | None, *, frames: FloatArray, markers_m: FloatArray | None
+) -> FloatArray | None:
+    """Return the distance from the solution at each frame, root mean square over markers, shape [frame_count].
+
+    It is NaN at frames at which the solution is not known. None as for `verify`, whose arguments these are.
+    """
+    compared = verification_band(band)
+    if compared is None or band is None:
+        return None
+    if band.points is None:
+        return point_lengths(compared.project(frames) - compared.mean, compared)
+    if markers_m is None or not markers_m.size:
+        return None
+    positions_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
+    return point_lengths(positions_mm - compared.mean, compared)
+
+
+def compared_points(compared: Band) -> int:
+    """Return the number of markers whose positions are the coordinates of a band; 1 for other coordinates."""
+    names = compared.coordinates
+    is_of_markers = names[0].startswith("marker-") and names[0].endswith(".x")
+    return len(names) // MARKER_AXES if is_of_markers else 1
+
+
+def point_lengths(values: FloatArray, compared: Band) -> FloatArray:
+    """Return the length of values at each frame, root mean square over markers where these are compared.
+
+    Args:
+        values: Values in the coordinates of the band, shape [frame_count, C].
+        compared: The band; its coordinates `marker-0.x` are those of markers.
+
+    Returns:
+        Lengths over known coordinates, NaN at frames at which the mean is not known, shape [frame_count].
+    """
+    known = np.isfinite(compared.mean)
+    count = compared_points(compared)
+    squares = np.where(known, np.square(values), 0.0).sum(axis=1) / count
+    return np.where(known.any(axis=1), np.sqrt(squares), np.nan)
+
+
+def _root_mean_square(lengths: FloatArray) -> float:
+    return math.sqrt(float(np.nanmean(np.square(lengths))))

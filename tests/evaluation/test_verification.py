@@ -1,0 +1,151 @@
+"""Verification: distances by hand, coverage of the interval for errors of any correlation, power of references."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.verification import (
+    LEAST_POWER,
+    Verification,
+    verification_band,
+    verify,
+)
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.scene.geometry import FloatArray
+
+FRAMES = 40
+
+
+def solution(uncertainty_mm: FloatArray | None, *, markers: int = 0) -> Band:
+    """Return a body, or markers, that move by 100 mm along x in `FRAMES` frames."""
+    mean = np.zeros((FRAMES, 3 * max(markers, 1)))
+    mean[:, ::3] = np.linspace(0.0, 100.0, FRAMES)[:, None]
+    band = Band(
+        grade=BandGrade.MODEL,
+        unit="mm",
+        coordinates=tuple(
+            f"marker-{n // 3}.{'xyz'[n % 3]}" for n in range(mean.shape[1])
+        )
+        if markers
+        else ("x", "y", "z"),
+        projection=np.eye(mean.shape[1]),
+        mean=mean,
+        sigma=np.zeros_like(mean),
+        measured=np.ones(FRAMES, dtype=bool),
+        trial_count=None,
+        source="a test",
+        uncertainty=uncertainty_mm,
+    )
+    return replace(band, points=band) if markers else band
+
+
+def verified(band: Band, motion_mm: FloatArray) -> Verification:
+    markers = None if band.points is None else 1e-3 * motion_mm.reshape(FRAMES, -1, 3)
+    found = verify(band, frames=motion_mm, markers_m=markers)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("markers", [0, 5])
+def test_a_shift_of_3_mm_is_a_distance_of_3_mm_of_a_body_and_of_each_marker(
+    markers: int,
+) -> None:
+    u_mm = 0.5
+    width = 3 * max(markers, 1)
+    band = solution(np.full((FRAMES, width), u_mm / np.sqrt(3.0)), markers=markers)
+    moved = np.array(band.mean)
+    moved[:, 1::3] += 3.0
+    found = verified(band, moved)
+    assert found.distance == pytest.approx(3.0)
+    assert found.uncertainty == pytest.approx(u_mm)
+    assert found.distance_in_u == pytest.approx(6.0)
+    assert found.distance_95 == pytest.approx((3.0 - 1.96 * u_mm, 3.0 + 1.96 * u_mm))
+    assert found.verdict.startswith("differs")
+    # The mean square of 100 k / 39 for k = 0 to 39.
+    steps = np.arange(FRAMES) / (FRAMES - 1)
+    assert found.frozen == pytest.approx(100.0 * np.sqrt(np.mean(steps**2)))
+
+
+def test_a_frozen_scene_has_the_distance_that_is_stated_and_differs() -> None:
+    band = solution(np.full((FRAMES, 15), 1.0), markers=5)
+    found = verified(band, np.tile(band.mean[0], (FRAMES, 1)))
+    assert found.distance == pytest.approx(found.frozen)
+    assert found.share_of_motion == pytest.approx(1.0)
+    assert found.verdict.startswith("differs")
+
+
+def test_a_reference_that_nothing_differs_from_tells_nothing() -> None:
+    band = solution(np.full((FRAMES, 3), 50.0))
+    found = verified(band, np.array(band.mean))
+    assert found.power is not None and found.power < LEAST_POWER
+    assert found.verdict.startswith("tells nothing")
+
+
+def test_an_exact_solution_has_no_interval() -> None:
+    band = replace(solution(np.full((FRAMES, 3), 1.0)), is_exact=True)
+    found = verified(band, np.array(band.mean))
+    assert (found.distance, found.distance_95, found.uncertainty) == (0.0, None, None)
+
+
+def test_markers_are_needed_where_they_are_compared_and_trials_verify_nothing() -> None:
+    band = solution(np.ones((FRAMES, 15)), markers=5)
+    assert verify(band, frames=np.array(band.mean), markers_m=None) is None
+    real = replace(solution(None), grade=BandGrade.TRIALS)
+    assert verify(real, frames=np.array(real.mean), markers_m=None) is None
+    assert verify(None, frames=np.array(real.mean), markers_m=None) is None
+
+
+@pytest.mark.parametrize("shapes", [1, 2, 5, 60])
+@pytest.mark.parametrize("true_in_u", [0.0, 0.5, 1.0, 2.0, 5.0])
+def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directions(
+    shapes: int, true_in_u: float
+) -> None:
+    random = np.random.default_rng([7, shapes, int(10 * true_in_u)])
+    band = solution(np.full((FRAMES, 3), 1.0 / np.sqrt(3.0)))
+    worlds = 600
+    inside = 0
+    for _ in range(worlds):
+        # Errors of the reference along orthonormal shapes with shares of u^2 that sum to 1.
+        directions = np.linalg.qr(random.standard_normal((3 * FRAMES, shapes)))[0]
+        shares = random.dirichlet(np.ones(shapes))
+        parts = np.sqrt(shares) * random.standard_normal(shapes)
+        error = (np.sqrt(FRAMES) * directions @ parts).reshape(FRAMES, 3)
+        offset = random.standard_normal((FRAMES, 3))
+        offset *= true_in_u / np.sqrt(np.square(offset).sum() / FRAMES)
+        found = verified(band, np.array(band.mean) + offset - error)
+        assert found.distance_95 is not None
+        low, high = found.distance_95
+        inside += low <= true_in_u <= high
+    # Three standard deviations of 600 draws at 95 %.
+    assert inside / worlds >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / worlds)
+
+
+def references() -> list[tuple[str, Band]]:
+    found = []
+    for variant in variants():
+        band = reference_band(load_experiment(variant.name))
+        if band is not None and verification_band(band) is not None:
+            found.append((variant.name, band))
+    return found
+
+
+def test_every_solved_reference_tells_a_scene_in_which_nothing_moves() -> None:
+    powers = {}
+    for name, band in references():
+        compared = verification_band(band)
+        assert compared is not None
+        motion = np.nan_to_num(compared.mean)
+        markers = (
+            None if band.points is None else 1e-3 * motion.reshape(len(motion), -1, 3)
+        )
+        found = verify(band, frames=motion, markers_m=markers)
+        assert found is not None
+        if found.power is not None:
+            powers[name] = found.power
+    weak = {name: power for name, power in powers.items() if power < LEAST_POWER}
+    assert len(powers) > 30 and not weak
