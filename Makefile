@@ -22,7 +22,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
 
-.PHONY: demo test check lint slow test-engines test-genesis test-matrix attack bench size gallery docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix bench size gallery docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -62,11 +62,6 @@ test-genesis: $(VENV)-genesis/.installed
 test-matrix: $(VENV)/.installed
 	$(BIN)/python -m scripts matrix $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
 	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
-
-# Damaged files for all parsers, for 20 minutes of processor time; the next call goes on where this one ended.
-attack: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[onnx,rerun]"
-	$(BIN)/python studies/robustness/attack.py --state $(VENV)/attack
 
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed

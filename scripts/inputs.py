@@ -66,7 +66,7 @@ class Row:
         name: Name of the row.
         writes: Patterns of the files; `{engine}` and `{family}` stand for the engine and the family that they are of.
         cost: Time that it takes to make them anew, and what that needs.
-        builder: Module of `scripts` that writes them; empty for a row with a command.
+        builder: Module that writes them, of `scripts` if it has no dots; empty for a row with a command.
         command: What writes them in place of a builder, in words.
         measured: Whether their inputs tell that they are current; else their contents do, which are quick to compute.
         tasks: Families of experiments that they run, `benchmark` for those of the benchmark, `*` for all.

@@ -52,7 +52,7 @@ COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
 """Pages whose code needs a user's own environment or results, or an engine that may be absent."""
 
 README_WORDS = 900
-NOTE_WORDS = 600
+NOTE_WORDS = 300
 COMMANDS_WORDS = 1600
 
 
@@ -114,7 +114,7 @@ def test_every_study_has_a_note() -> None:
         for folder in (ROOT / "studies").iterdir()
         if folder.is_dir() and folder.name != "__pycache__"
     ]
-    assert len(folders) > 15
+    assert 0 < len(folders) <= 15
     assert [
         folder.name for folder in folders if not (folder / "README.md").is_file()
     ] == []

@@ -11,8 +11,8 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv, VectorEnv
-from worlds import measured
 
+from benchmarks.worlds import measured
 from gauge_envs import GaugeEnv
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo

@@ -8,7 +8,8 @@ import resource
 import numpy as np
 import pytest
 from places import ROOT
-from published_scores import late_score
+
+from studies.published_scores.published_scores import late_score
 
 pytest.importorskip("sapien")
 

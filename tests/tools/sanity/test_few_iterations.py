@@ -6,23 +6,25 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-import few_iterations
 import numpy as np
 import pytest
-from few_iterations import (
+
+from studies.few_iterations import few_iterations
+from studies.few_iterations.few_iterations import (
     CASES,
     COLUMNS,
     MAPPED,
     Case,
+    G,
+    Options,
     Push,
     acceleration,
     braking_share,
+    feet,
     force_acceleration,
     speed_share,
     start_from,
 )
-from few_iterations_gait import OPTIONS, robot, standing_slip, targets
-from sliding_bodies import G, Options, feet
 
 STUDY = Path(few_iterations.__file__).parent
 CUBE = CASES[0]
@@ -99,30 +101,6 @@ def test_body_that_is_held_disobeys_its_contact_forces() -> None:
 
 def test_integrator_that_moves_by_forces_lets_the_cube_slide() -> None:
     assert acceleration(CUBE, Options(integrator="implicitfast")) > 0.9 * CUBE.law
-
-
-def test_map_separates_bodies_that_stick_and_slide() -> None:
-    assert few_iterations.spread([0.0, 0.1, 0.9, 1.0])[:2] == ["50%", "50%"]
-
-
-def test_feet_of_a_robot_slip_too_little() -> None:
-    slips = {
-        name: standing_slip(options, 0.3, 25.0) for name, options in OPTIONS.items()
-    }
-    assert slips["100 / 50, elliptic"] == pytest.approx(
-        slips["100 / 50, pyramidal"], rel=0.1
-    )
-    assert slips["1 / 5, pyramidal"] < 0.5 * slips["100 / 50, pyramidal"]
-
-
-def test_gait_starts_from_the_standing_pose_and_is_periodic() -> None:
-    step_s = robot(OPTIONS["1 / 5, pyramidal"], 0.6).opt.timestep
-    wanted = targets(np.ones(21), step_s)
-    assert np.ptp(wanted[: round(0.3 / step_s)], axis=0).max() == 0.0
-    moving = wanted[round(1.0 / step_s) :]
-    # Front left and rear right are in phase only if both pairs of legs have the same parameters, as here.
-    np.testing.assert_allclose(moving[:, 0:3], moving[:, 9:12])
-    assert np.ptp(moving[:, 1]) > 0.1
 
 
 def test_the_study_has_the_table_of_cases() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from places import ROOT
 
 cv2 = pytest.importorskip("cv2")
 
+from handheld import SIZE_PX, shot  # noqa: E402
 from PIL import Image  # noqa: E402
 from typer.testing import CliRunner  # noqa: E402
 
@@ -37,9 +37,6 @@ from gauge_envs.tools.video.phone_films import (  # noqa: E402
 )
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
-
-sys.path.insert(0, str(ROOT / "studies" / "handheld"))
-from handheld import SIZE_PX, shot  # noqa: E402
 
 
 def run(*words: object) -> Any:
