@@ -22,7 +22,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
 
-.PHONY: demo test check lint slow test-engines test-genesis test-matrix bench size gallery docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix mutants bench size gallery docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -62,6 +62,10 @@ test-genesis: $(VENV)-genesis/.installed
 test-matrix: $(VENV)/.installed
 	$(BIN)/python -m scripts matrix $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
 	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
+
+# Small faults in the core, and the share that the tests notice: hours of processor time; an interrupted call goes on.
+mutants: $(VENV)/.installed
+	$(BIN)/python scripts/mutants.py run --seed $(or $(SEED),1)
 
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed

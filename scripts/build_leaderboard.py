@@ -1,14 +1,17 @@
 """Run this suite's own submissions of `leaderboard/`: each engine by its default preset and out of the box.
 
 A result that exists is kept if it is of the same episode and versions. Afterwards `gauge leaderboard check leaderboard`
-checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the tables.
+checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the page.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
+import tarfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +19,9 @@ from typing import Any
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.tools.leaderboard.archive import ARCHIVE
 from gauge_envs.tools.leaderboard.submission import (
+    RESULTS_FOLDER,
     STATEMENT_FILE,
     board_experiments,
     installed_package,
@@ -72,6 +77,27 @@ def statement(
     return "\n".join(lines) + "\n"
 
 
+@contextmanager
+def unpacked(folder: Path) -> Iterator[Path]:
+    """Yield the folder with the result files of a submission, which become its archive again."""
+    archive, results = folder / ARCHIVE, folder / RESULTS_FOLDER
+    if archive.exists():
+        with tarfile.open(archive) as stream:
+            stream.extractall(folder, filter="data")
+    yield results
+    with tarfile.open(archive, "w:xz", preset=9) as stream:
+        for file in sorted(results.glob("*.json")):
+            stream.add(file, f"{RESULTS_FOLDER}/{file.name}", filter=without_owner)
+    shutil.rmtree(results)
+
+
+def without_owner(member: tarfile.TarInfo) -> tarfile.TarInfo:
+    """Return a file of an archive without what depends on the machine."""
+    return member.replace(
+        mtime=0, mode=0o644, uid=0, gid=0, uname="", gname="", deep=False
+    )
+
+
 def submit(
     engine: str, folder: Path, configuration: str, settings: Mapping[str, Any]
 ) -> None:
@@ -81,10 +107,11 @@ def submit(
         for name in board_experiments(folder.parents[2])
     ]
     declined = []
-    for result in run_many(requests, out=folder / "results", resume=True):
-        if result.error is not None:
-            print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
-            declined.append(result.id.removeprefix("GAUGE/"))
+    with unpacked(folder) as results:
+        for result in run_many(requests, out=results, resume=True):
+            if result.error is not None:
+                print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
+                declined.append(result.id.removeprefix("GAUGE/"))
     (folder / STATEMENT_FILE).write_text(
         statement(engine, configuration, settings, declined), encoding="utf-8"
     )

@@ -11,22 +11,32 @@ import tempfile
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import approval
 import fork_server
 import gymnasium
 import numpy as np
 import pytest
 from hostile import install
+from typer.testing import CliRunner
 
 import gauge_envs
 from gauge_envs import files, registry
 from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.runs import isolation
 from gauge_envs.scene import Scene
 from gauge_envs.tools.catalog import listing, overview
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--approve", action="store_true", help="write the files of tests/approved anew"
+    )
 
 
 def pytest_configure() -> None:
@@ -92,6 +102,39 @@ def gauge_data_dir(
     folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
     return folder
+
+
+@pytest.fixture
+def approved(
+    request: pytest.FixtureRequest, tmp_path: Path, gauge_data_dir: Path
+) -> Callable[[str, str], None]:
+    """Compares a text with the file of a name in `tests/approved`, as in `approved("cli/list", result.stdout)`.
+
+    The last part of the name stands as a string in the test, so that a file without a test is found.
+    """
+    folders = {"TMP": tmp_path, "DATA": gauge_data_dir, "HOME": Path.home()}
+
+    def check(name: str, text: str) -> None:
+        difference = approval.difference(
+            name,
+            approval.without_machine(text, folders),
+            approve=request.config.getoption("--approve"),
+        )
+        if difference:
+            command = (
+                f"python -m pytest --approve {request.node.nodeid.partition('[')[0]}"
+            )
+            pytest.fail(f"{difference}\n\nIf this is right: {command}", pytrace=False)
+
+    return check
+
+
+@pytest.fixture
+def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Runs the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
+    monkeypatch.chdir(tmp_path)
+    runner = CliRunner(env=approval.TERMINAL)
+    return lambda *words: runner.invoke(app, list(map(str, words)))
 
 
 @pytest.fixture

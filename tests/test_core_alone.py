@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 from places import ROOT
@@ -66,7 +65,7 @@ ONE_OF_EACH_GROUP = (
 
 
 @pytest.fixture(scope="module")
-def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def core(tmp_path_factory):
     """A folder with the core of the package, its data, and a start file that hides the packages of guests."""
     folder = tmp_path_factory.mktemp("core")
     package = folder / "gauge_envs"
@@ -85,7 +84,7 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def python(core: Path, *arguments: str) -> str:
+def python(core, *arguments):
     """What a program that sees only the core prints."""
     environment = {**os.environ, "PYTHONPATH": str(core)}
     done = subprocess.run(
@@ -100,12 +99,12 @@ def python(core: Path, *arguments: str) -> str:
     return done.stdout
 
 
-def gauge(core: Path, *arguments: str) -> str:
+def gauge(core, *arguments):
     code = f"import sys; sys.argv = ['gauge', *{list(arguments)!r}]; from gauge_command import main; main()"
     return python(core, "-c", code)
 
 
-def test_the_copy_is_used_and_guests_are_absent(core: Path) -> None:
+def test_the_copy_is_used_and_guests_are_absent(core):
     shown = python(core, "-c", "import gauge_envs; print(gauge_envs.__file__)")
     assert Path(shown.strip()).is_relative_to(core)
     for package in GUEST_PACKAGES:
@@ -116,33 +115,31 @@ def test_the_copy_is_used_and_guests_are_absent(core: Path) -> None:
         )
 
 
-def test_the_core_lists_all_ids_on_its_engine(core: Path) -> None:
+def test_the_core_lists_all_ids_on_its_engine(core):
     rows = [json.loads(line) for line in gauge(core, "list", "--json").splitlines()]
     assert [row["id"] for row in rows] == [variant.id for variant in variants()]
     assert {tuple(row["backends"]) for row in rows} == {("mujoco",)}
 
 
-def test_the_core_shows_an_experiment(core: Path) -> None:
+def test_the_core_shows_an_experiment(core):
     (shown,) = map(
         json.loads, gauge(core, "show", "SlopeSlider-2-wood", "--json").splitlines()
     )
     assert [row["engine"] for row in shown["engines"]] == ["mujoco"]
 
 
-def test_the_help_has_only_commands_of_the_core(core: Path) -> None:
+def test_the_help_has_only_commands_of_the_core(core):
     shown = gauge(core, "--help")
     assert "score" in shown and "sanity" not in shown and "leaderboard" not in shown
 
 
-def scored(text: str) -> list[dict[str, Any]]:
+def scored(text):
     """Rows of `gauge run` without times."""
     rows = [json.loads(line) for line in text.splitlines()]
     return [{key: row[key] for key in ("id", "outcome", "score")} for row in rows]
 
 
-def test_the_core_runs_and_scores_as_the_whole_package(
-    core: Path, tmp_path: Path
-) -> None:
+def test_the_core_runs_and_scores_as_the_whole_package(core, tmp_path):
     command = ("run", "SlopeSlider-2-*", "BouncingBall-rubber", "--json", "--out")
     assert scored(gauge(core, *command, str(tmp_path / "core"))) == scored(
         gauge(ROOT, *command, str(tmp_path / "all"))
@@ -160,5 +157,5 @@ def test_the_core_runs_and_scores_as_the_whole_package(
         ),
     ],
 )
-def test_the_core_builds_and_steps(core: Path, names: tuple[str, ...]) -> None:
+def test_the_core_builds_and_steps(core, names):
     assert python(core, "-c", STEPPED, *names).split() == list(names)

@@ -6,7 +6,6 @@ import ast
 import sys
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
@@ -53,11 +52,11 @@ INSTALLED_LATER = {"bench", "data", "docs", "onnx", "ray", "rerun", "rl", "slurm
 Files = Mapping[str, tuple[set[str], set[str]]]
 
 
-def canonical(name: str) -> str:
+def canonical(name):
     return name.lower().replace("_", "-")
 
 
-def declared(requirements: list[str]) -> set[str]:
+def declared(requirements):
     names = {canonical(Requirement(requirement).name) for requirement in requirements}
     return names - {canonical(PROJECT["name"])}
 
@@ -74,10 +73,10 @@ ELSEWHERE = {"tools/sanity/gauge_probe.py": {"mjlab"}}
 """Imports of a program that runs in the Python of a training stack."""
 
 
-def imported(text: str) -> tuple[set[str], set[str]]:
+def imported(text):
     """Distributions that a file imports: all of them, and those that it imports as soon as it is imported itself."""
     everything, at_once = set(), set()
-    waiting: list[tuple[ast.AST, bool]] = [(ast.parse(text), False)]
+    waiting = [(ast.parse(text), False)]
     while waiting:
         node, is_later = waiting.pop()
         is_later = (
@@ -101,12 +100,12 @@ def imported(text: str) -> tuple[set[str], set[str]]:
     return everything, at_once
 
 
-def _for_types(node: ast.AST) -> bool:
+def _for_types(node):
     return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
 
 
 @pytest.fixture(scope="module")
-def files() -> Files:
+def files():
     """What each file of the package imports, as of `imported`."""
     return {
         file.relative_to(PACKAGE).as_posix(): imported(file.read_text(encoding="utf-8"))
@@ -114,7 +113,7 @@ def files() -> Files:
     }
 
 
-def test_every_import_is_of_a_declared_dependency(files: Files) -> None:
+def test_every_import_is_of_a_declared_dependency(files):
     allowed = BASE.union(*EXTRAS.values())
     undeclared = {}
     for file, (names, _) in files.items():
@@ -124,12 +123,12 @@ def test_every_import_is_of_a_declared_dependency(files: Files) -> None:
     assert undeclared == {}
 
 
-def test_every_declared_dependency_is_imported_or_has_a_reason(files: Files) -> None:
+def test_every_declared_dependency_is_imported_or_has_a_reason(files):
     used = set().union(*(names for names, _ in files.values()))
     assert BASE.union(*EXTRAS.values()) - used - set(INDIRECT) == set()
 
 
-def test_extras_are_imported_at_first_use(files: Files) -> None:
+def test_extras_are_imported_at_first_use(files):
     extras = set().union(*EXTRAS.values()) - BASE
     at_once = {
         file: names & extras for file, (_, names) in files.items() if names & extras
@@ -167,13 +166,11 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
     ],
     ids=["module", "name", "function", "types", "own"],
 )
-def test_the_scan_finds_imports_wherever_they_are(
-    text: str, everything: set[str], at_once: set[str]
-) -> None:
+def test_the_scan_finds_imports_wherever_they_are(text, everything, at_once):
     assert imported(text) == (everything, at_once)
 
 
-def test_every_requirement_has_a_lower_bound() -> None:
+def test_every_requirement_has_a_lower_bound():
     extras = [
         one
         for requirements in PROJECT["optional-dependencies"].values()
@@ -189,9 +186,7 @@ def test_every_requirement_has_a_lower_bound() -> None:
     assert without == []
 
 
-def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed() -> (
-    None
-):
+def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed():
     found = newest()
     assert list(found) == sorted(found)
     extras = sorted(PROJECT["optional-dependencies"].keys() - INSTALLED_LATER)
@@ -199,7 +194,7 @@ def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed
         assert requirement.specifier.contains(found[requirement.name]), requirement
 
 
-def test_constraints_are_the_lower_bounds(tmp_path: Path) -> None:
+def test_constraints_are_the_lower_bounds(tmp_path):
     file = tmp_path / "pyproject.toml"
     file.write_text(
         '[project]\nname = "mine"\ndependencies = ["numpy>=1.26", "mujoco>=4.0,<5"]\n'
@@ -215,7 +210,7 @@ def test_constraints_are_the_lower_bounds(tmp_path: Path) -> None:
     ]
 
 
-def test_a_requirement_without_a_lower_bound_is_named(tmp_path: Path) -> None:
+def test_a_requirement_without_a_lower_bound_is_named(tmp_path):
     file = tmp_path / "pyproject.toml"
     file.write_text(
         '[project]\nname = "mine"\ndependencies = ["numpy<3"]\n', encoding="utf-8"

@@ -19,7 +19,7 @@ import pytest
         "gauge_envs.envs.wrappers",
     ],
 )
-def test_examples(name: str) -> None:
+def test_examples(name):
     outcome = doctest.testmod(importlib.import_module(name))
     assert outcome.attempted > 0
     assert outcome.failed == 0

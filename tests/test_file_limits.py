@@ -8,7 +8,6 @@ import stat
 import struct
 import tracemalloc
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -47,20 +46,20 @@ from gauge_envs.tools.usd.reader import from_usd
 NAME = "SlopeSlider-2-wood"
 
 
-def fifo(file: Path) -> None:
+def fifo(file):
     os.mkfifo(file)
 
 
-def device(file: Path) -> None:
+def device(file):
     file.symlink_to("/dev/zero")
 
 
-def sparse(file: Path) -> None:
+def sparse(file):
     with file.open("wb") as stream:
         stream.truncate(10**12)
 
 
-def folder(file: Path) -> None:
+def folder(file):
     file.mkdir()
 
 
@@ -69,7 +68,7 @@ SPECIAL = {
     "1e+06 MB, the limit is": (sparse,),
 }
 
-READERS: dict[str, Callable[[Path], object]] = {
+READERS = {
     "result.json": load_result,
     "g.csv": lambda file: read_trajectory(file, load_experiment(NAME)),
     "g.npz": lambda file: read_trajectory(file, load_experiment(NAME)),
@@ -91,9 +90,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     ("reason", "make"),
     [(reason, make) for reason, made in SPECIAL.items() for make in made],
 )
-def test_only_regular_files_of_limited_size_are_read(
-    name: str, reason: str, make: Callable[[Path], None], tmp_path: Path
-) -> None:
+def test_only_regular_files_of_limited_size_are_read(name, reason, make, tmp_path):
     file = tmp_path / name
     make(file)
     with pytest.raises(GaugeError) as caught:
@@ -135,7 +132,7 @@ COMPOSED = {
 
 
 @pytest.fixture
-def places(tmp_path: Path) -> SimpleNamespace:
+def places(tmp_path):
     """A folder of a stranger, with a file outside that is no layer and no table."""
     inside = tmp_path / "inside"
     inside.mkdir()
@@ -151,9 +148,7 @@ def places(tmp_path: Path) -> SimpleNamespace:
 
 @pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "link.usda"])
 @pytest.mark.parametrize("key", ["usd", "band.file"])
-def test_an_experiment_file_names_no_file_outside_its_folder(
-    key: str, name: str, places: SimpleNamespace
-) -> None:
+def test_an_experiment_file_names_no_file_outside_its_folder(key, name, places):
     name = name.format(secret=places.secret)
     file = places.inside / "own.toml"
     usd, band = (name, "") if key == "usd" else ("scene.usda", BAND.format(file=name))
@@ -165,9 +160,7 @@ def test_an_experiment_file_names_no_file_outside_its_folder(
     assert key in str(caught.value) and SECRET not in str(caught.value)
 
 
-def test_files_outside_are_read_if_the_user_trusts_the_file(
-    places: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_outside_are_read_if_the_user_trusts_the_file(places, monkeypatch):
     (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
     file = places.inside / "own.toml"
     file.write_text(OWN.format(usd="../scene.usda", band=""))
@@ -175,7 +168,7 @@ def test_files_outside_are_read_if_the_user_trusts_the_file(
     assert load_experiment_file(file).frame_count == 19
 
 
-def test_a_link_to_an_experiment_file_finds_its_layer(places: SimpleNamespace) -> None:
+def test_a_link_to_an_experiment_file_finds_its_layer(places):
     (places.inside / "own.toml").write_text(OWN.format(usd="scene.usda", band=""))
     whole = places.inside.parent / "whole"
     whole.symlink_to(places.inside)
@@ -186,9 +179,7 @@ def test_a_link_to_an_experiment_file_finds_its_layer(places: SimpleNamespace) -
     "name", ["../secret.usda", "{secret}", "./link.usda", "file:///etc/passwd"]
 )
 @pytest.mark.parametrize("kind", COMPOSED)
-def test_a_layer_refers_to_no_file_outside_its_folder(
-    kind: str, name: str, places: SimpleNamespace
-) -> None:
+def test_a_layer_refers_to_no_file_outside_its_folder(kind, name, places):
     name = name.format(secret=places.secret)
     file = places.inside / "own.usda"
     file.write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
@@ -198,9 +189,7 @@ def test_a_layer_refers_to_no_file_outside_its_folder(
     assert SECRET not in str(caught.value)
 
 
-def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(
-    places: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(places, monkeypatch):
     (places.inside / "parts").mkdir()
     (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
     (places.inside / "parts" / "part.usda").write_text(
@@ -218,9 +207,7 @@ def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(
     assert from_usd(file, duration_s=1.0).bodies
 
 
-def test_a_file_that_grows_while_it_is_read_is_limited(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path, monkeypatch):
     file = tmp_path / "a"
     file.write_bytes(b"1234567")
     monkeypatch.setattr("gauge_envs.files._check_regular", lambda *_: None)
@@ -229,13 +216,13 @@ def test_a_file_that_grows_while_it_is_read_is_limited(
         read_regular(file, 6)
 
 
-def test_a_name_with_a_null_character_is_an_error() -> None:
+def test_a_name_with_a_null_character_is_an_error():
     with pytest.raises(OSError, match="null character"):
         read_regular(Path("a\0b"), 10)
 
 
 @pytest.mark.parametrize("mask", [0o002, 0o022, 0o077])
-def test_modes_follow_the_umask(mask: int, tmp_path: Path) -> None:
+def test_modes_follow_the_umask(mask, tmp_path):
     before = os.umask(mask)
     try:
         write_whole(tmp_path / "a.json", b"{}")
@@ -255,7 +242,7 @@ def test_modes_follow_the_umask(mask: int, tmp_path: Path) -> None:
         (b"[" + b"{}," * 1_000_001 + b"0]", "1000002 objects and lists"),
     ],
 )
-def test_json_is_limited(content: bytes, reason: str) -> None:
+def test_json_is_limited(content, reason):
     with pytest.raises(ValueError, match=reason):
         json_document(content)
 
@@ -271,12 +258,12 @@ def test_json_is_limited(content: bytes, reason: str) -> None:
         (b"a = '\xff'", "utf-8"),
     ],
 )
-def test_toml_is_limited(content: bytes, reason: str) -> None:
+def test_toml_is_limited(content, reason):
     with pytest.raises(ValueError, match=reason):
         toml_document(content)
 
 
-def npz(**members: bytes) -> bytes:
+def npz(**members):
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():
@@ -284,7 +271,7 @@ def npz(**members: bytes) -> bytes:
     return stream.getvalue()
 
 
-def npy(values: np.ndarray) -> bytes:
+def npy(values):
     stream = io.BytesIO()
     np.save(stream, values)
     return stream.getvalue()
@@ -292,7 +279,7 @@ def npy(values: np.ndarray) -> bytes:
 
 @pytest.mark.parametrize("dtype", ["f8", ">f4", "i2", "u1", "?"])
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_arrays_are_those_of_numpy(dtype: str, order: str) -> None:
+def test_arrays_are_those_of_numpy(dtype, order):
     values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype, order=order)
     (found,) = npz_arrays(
         npz(a=npy(values), b=b"damaged"), ["a", "gone"], MEGABYTE
@@ -301,7 +288,7 @@ def test_arrays_are_those_of_numpy(dtype: str, order: str) -> None:
     assert found.dtype == values.dtype
 
 
-def test_an_array_that_is_not_used_is_not_read() -> None:
+def test_an_array_that_is_not_used_is_not_read():
     content = npz(a=npy(np.ones(3)), bomb=npy(np.zeros(5_000_000)))
     tracemalloc.start()
     npz_arrays(content, ["a"], MEGABYTE)
@@ -314,7 +301,7 @@ def test_an_array_that_is_not_used_is_not_read() -> None:
         npz_arrays(content, ["a", "bomb"], MEGABYTE)
 
 
-def test_a_header_that_states_more_than_the_file_holds_is_refused() -> None:
+def test_a_header_that_states_more_than_the_file_holds_is_refused():
     header = npy(np.ones((1, 1))).replace(b"(1, 1)", b"(9**9,)")
     for content in (
         header,
@@ -325,9 +312,7 @@ def test_a_header_that_states_more_than_the_file_holds_is_refused() -> None:
             npz_arrays(npz(a=content), ["a"], MEGABYTE)
 
 
-def test_a_trajectory_in_a_bomb_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trajectory_in_a_bomb_is_refused(tmp_path, monkeypatch):
     assert trajectory_file.MOST_ARRAY_BYTES < 300 * MEGABYTE
     monkeypatch.setattr(trajectory_file, "MOST_ARRAY_BYTES", 30 * MEGABYTE)
     file = tmp_path / "g.npz"
@@ -339,7 +324,7 @@ def test_a_trajectory_in_a_bomb_is_refused(
         read_trajectory(file, load_experiment(NAME))
 
 
-def test_a_table_that_is_no_csv_is_refused(tmp_path: Path) -> None:
+def test_a_table_that_is_no_csv_is_refused(tmp_path):
     file = tmp_path / "band.csv"
     file.write_text(f"frame,{'x' * 200_000}\n")
     with pytest.raises(ReferenceFileError, match="line 1: is not CSV in UTF-8: "):
@@ -351,7 +336,7 @@ def test_a_table_that_is_no_csv_is_refused(tmp_path: Path) -> None:
 HEADER = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n'
 
 
-def exponential(levels: int) -> str:
+def exponential(levels):
     """A layer in which each class refers ten times to the one before it."""
     layers = ['class "L0" { double a = 1 }']
     for level in range(1, levels):
@@ -377,18 +362,14 @@ def exponential(levels: int) -> str:
     ],
     ids=["many prims", "exponential"],
 )
-def test_a_layer_of_too_many_prims_is_refused(
-    text: str, reason: str, tmp_path: Path
-) -> None:
+def test_a_layer_of_too_many_prims_is_refused(text, reason, tmp_path):
     file = tmp_path / "bomb.usda"
     file.write_text(text)
     with pytest.raises(AssetError, match=reason):
         from_usd(file, duration_s=1.0)
 
 
-def test_a_file_that_the_child_cannot_read_is_not_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path, monkeypatch):
     """A damaged layer took 4 GB before USD found the damage; the child stops at its limit."""
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(HEADER + 'def "World" {}\n')
@@ -400,9 +381,7 @@ def test_a_file_that_the_child_cannot_read_is_not_opened(
         from_usd(file)
 
 
-def test_a_binary_layer_with_an_endless_array_is_not_opened(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_binary_layer_with_an_endless_array_is_not_opened(tmp_path, monkeypatch):
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(
         HEADER
@@ -435,9 +414,7 @@ def test_a_binary_layer_with_an_endless_array_is_not_opened(
     ],
     ids=["height field", "replicate", "arena"],
 )
-def test_a_model_that_takes_all_memory_is_refused(
-    body: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_that_takes_all_memory_is_refused(body, reason, tmp_path, monkeypatch):
     assert files.child_refusal.__kwdefaults__["cpu_s"] == files.CHILD_CPU_S
     monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 2)
     file = tmp_path / "bomb.xml"
@@ -447,7 +424,7 @@ def test_a_model_that_takes_all_memory_is_refused(
 
 
 @pytest.mark.parametrize("step", ["nan", "0", "-1", "1e-320"])
-def test_a_time_step_that_is_no_step_is_refused(step: str, tmp_path: Path) -> None:
+def test_a_time_step_that_is_no_step_is_refused(step, tmp_path):
     file = tmp_path / "step.xml"
     file.write_text(f'<mujoco><option timestep="{step}"/></mujoco>')
     with pytest.raises(AssetError, match=r"timestep|MuJoCo cannot load"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -14,13 +13,11 @@ from gauge_envs.errors import first_fault
 from gauge_envs.files import csv_text, write_whole
 
 
-def test_a_failed_write_leaves_the_old_content(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):
     file = tmp_path / "a.json"
     write_whole(file, b"old")
 
-    def crash(*_: object) -> None:
+    def crash(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("gauge_envs.files.os.fsync", crash)
@@ -33,7 +30,7 @@ def test_a_failed_write_leaves_the_old_content(
     assert file.read_bytes() == b"new"
 
 
-def test_a_file_takes_the_place_of_no_device_and_no_folder(tmp_path: Path) -> None:
+def test_a_file_takes_the_place_of_no_device_and_no_folder(tmp_path):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     (tmp_path / "device").symlink_to(os.devnull)
@@ -76,9 +73,7 @@ class Drawing(BaseModel):
         (3, "", " (given: 3)"),
     ],
 )
-def test_the_first_fault_has_a_place_and_a_reason(
-    values: object, place: str, reason: str
-) -> None:
+def test_the_first_fault_has_a_place_and_a_reason(values, place, reason):
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate(values)
     found_place, found_reason = first_fault(caught.value)
@@ -90,7 +85,7 @@ def test_the_first_fault_has_a_place_and_a_reason(
     )
 
 
-def test_the_noun_of_a_field_can_be_chosen() -> None:
+def test_the_noun_of_a_field_can_be_chosen():
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate({"name": "a", "colour": 1})
     assert first_fault(caught.value, noun="setting") == ("colour", "unknown setting")
@@ -105,7 +100,7 @@ def test_the_noun_of_a_field_can_be_chosen() -> None:
         b"\xef\xbb\xbf# 1; 2\r\nframe;mean.x\r\n0;1,5\r\n",
     ],
 )
-def test_csv_of_a_spreadsheet_is_read(content: bytes) -> None:
+def test_csv_of_a_spreadsheet_is_read(content):
     assert [row for row in csv.reader(csv_text(content)) if row[0][0] != "#"] == [
         ["frame", "mean.x"],
         ["0", "1.5"],

@@ -12,7 +12,6 @@ import shutil
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,9 +25,9 @@ COMMANDS = TABLE.commands(ROOT)
 TIMEOUT_S = 300.0
 
 
-def page_runs() -> dict[tuple[str, str], list[Command]]:
+def page_runs():
     """Commands to run for each environment and page; a page's default ones come along, as later ones need them."""
-    needed: dict[str, set[str]] = defaultdict(set)
+    needed = defaultdict(set)
     for command in COMMANDS:
         if command.skip is None:
             needed[command.page].add(command.environment)
@@ -49,12 +48,12 @@ RUNS = page_runs()
 
 
 @pytest.fixture(scope="module")
-def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def commands_of(tmp_path_factory):
     """The folder of an environment's commands, made on first use."""
     wheel = build_wheel(tmp_path_factory.mktemp("wheel"))
-    made: dict[str, Path] = {}
+    made = {}
 
-    def make(environment: str) -> Path:
+    def make(environment):
         if environment not in made:
             folder = tmp_path_factory.mktemp(environment) / "venv"
             extras = TABLE.environments[environment]
@@ -69,12 +68,12 @@ def commands_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 @pytest.mark.slow
 @pytest.mark.parametrize(("environment", "page"), list(RUNS), ids=map("-".join, RUNS))
 def test_commands_of_a_page(
-    commands_of: Callable[[str], Path],
-    environment: str,
-    page: str,
-    tmp_path: Path,
-    gauge_data_dir: Path,
-) -> None:
+    commands_of,
+    environment,
+    page,
+    tmp_path,
+    gauge_data_dir,
+):
     checkout = tmp_path / "checkout"
     checkout.mkdir()
     shutil.copytree(ROOT / "examples", checkout / "examples")
@@ -110,7 +109,7 @@ def test_commands_of_a_page(
         )
 
 
-def test_the_first_command_of_a_reader_is_run() -> None:
+def test_the_first_command_of_a_reader_is_run():
     texts = [command.text for command in RUNS["default", "README.md"]]
     assert "gauge sanity HalfCheetah-v5" in texts
     assert [command.text for command in RUNS["plot", "scripts"]] == [
@@ -118,7 +117,7 @@ def test_the_first_command_of_a_reader_is_run() -> None:
     ]
 
 
-def test_a_page_names_the_extras_that_its_commands_need() -> None:
+def test_a_page_names_the_extras_that_its_commands_need():
     missing = [
         f"{page}: {extra}"
         for environment, page in RUNS
@@ -132,19 +131,19 @@ def test_a_page_names_the_extras_that_its_commands_need() -> None:
     assert missing == []
 
 
-def test_every_rule_is_of_use() -> None:
+def test_every_rule_is_of_use():
     used = {id(TABLE.rule(command.page, command.text)) for command in COMMANDS}
     assert [rule["command"] for rule in TABLE.rules if id(rule) not in used] == []
 
 
-def test_every_environment_of_the_table_is_defined() -> None:
+def test_every_environment_of_the_table_is_defined():
     named = {rule["environment"] for rule in TABLE.rules if "environment" in rule}
     named |= set(TABLE.page_environments.values()) | set(TABLE.scripts.values())
     assert named <= set(TABLE.environments)
     assert all(("skip" in rule) != ("environment" in rule) for rule in TABLE.rules)
 
 
-def test_blocks_give_commands_without_comments_and_prompts() -> None:
+def test_blocks_give_commands_without_comments_and_prompts():
     page = (
         "text\n```sh\ngauge list   # all ids\n# a comment\n\n$ gauge run 'a#b' \\\n  --out results\n```\n"
         "```python\nimport gauge_envs\n```\n```{code-block} bash\nmake test\n```\n"
@@ -156,7 +155,7 @@ def test_blocks_give_commands_without_comments_and_prompts() -> None:
     ]
 
 
-def test_the_first_rule_decides(tmp_path: Path) -> None:
+def test_the_first_rule_decides(tmp_path):
     file = tmp_path / "table.toml"
     file.write_text(
         'pages = ["*.md"]\n[page_environments]\n[page_folders]\n[scripts]\n'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -42,7 +41,7 @@ suffixes = [".drift"]
 
 
 @pytest.fixture
-def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def foreign(tmp_path, monkeypatch):
     """A package of another author, found by its entry point."""
     folder = tmp_path / "drift_tools"
     folder.mkdir()
@@ -64,12 +63,12 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     clear()
 
 
-def clear() -> None:
+def clear():
     registry.instruments.cache_clear()
     registry.command_lines.cache_clear()
 
 
-def test_each_folder_with_a_declaration_is_an_instrument() -> None:
+def test_each_folder_with_a_declaration_is_an_instrument():
     folder = Path(registry.__file__).parent / "tools"
     declared = {file.parent.name for file in folder.glob("*/instrument.toml")}
     assert declared == {one.name for one in registry.bundled_instruments()}
@@ -79,8 +78,8 @@ def test_each_folder_with_a_declaration_is_an_instrument() -> None:
 
 
 def test_a_foreign_instrument_has_its_commands_listings_and_scene_files(
-    foreign: Path,
-) -> None:
+    foreign,
+):
     shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["--help"]).stdout
     # Those of this package come first, whatever position another one asks for.
     assert shown.index(" list ") < shown.index(" drift ")
@@ -92,8 +91,8 @@ def test_a_foreign_instrument_has_its_commands_listings_and_scene_files(
 
 
 def test_a_foreign_instrument_cannot_take_a_command_of_this_package(
-    foreign: Path,
-) -> None:
+    foreign,
+):
     text = DECLARATION.replace("drift =", "list =")
     (foreign / "instrument.toml").write_text(text, encoding="utf-8")
     assert registry.instruments_by("commands")["list"].name == "catalog"
@@ -108,9 +107,7 @@ def test_a_foreign_instrument_cannot_take_a_command_of_this_package(
         ('module = "layers"', "", "module"),
     ],
 )
-def test_a_wrong_declaration_is_an_error_that_names_the_file(
-    foreign: Path, old: str, new: str, place: str
-) -> None:
+def test_a_wrong_declaration_is_an_error_that_names_the_file(foreign, old, new, place):
     (foreign / "instrument.toml").write_text(
         DECLARATION.replace(old, new), encoding="utf-8"
     )
@@ -119,6 +116,6 @@ def test_a_wrong_declaration_is_an_error_that_names_the_file(
     assert place in str(caught.value) and str(foreign) in str(caught.value)
 
 
-def test_a_scene_file_that_nobody_reads_is_an_error_with_the_known_suffixes() -> None:
+def test_a_scene_file_that_nobody_reads_is_an_error_with_the_known_suffixes():
     with pytest.raises(RegistryError, match=r"'\.fbx'; known: .*\.usda"):
         registry.scene_files(".fbx")

@@ -5,9 +5,8 @@ from __future__ import annotations
 import ast
 import shutil
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
-from pathlib import Path
 
 import pytest
 from places import ROOT
@@ -29,7 +28,7 @@ ENTRY_LIMIT = 16
 Edges = Mapping[str, set[str]]
 
 
-def modules(root: Path) -> dict[str, Path]:
+def modules(root):
     """Every module of the package in a folder, by its dotted name."""
     files = sorted((root / PACKAGE).rglob("*.py"))
     return {
@@ -40,7 +39,7 @@ def modules(root: Path) -> dict[str, Path]:
     }
 
 
-def import_edges(root: Path) -> dict[str, set[str]]:
+def import_edges(root):
     """Modules of the package that each module imports: at the top, in functions, and for type checkers alone."""
     found = modules(root)
     return {
@@ -48,7 +47,7 @@ def import_edges(root: Path) -> dict[str, set[str]]:
     }
 
 
-def _imported(name: str, file: Path, found: Mapping[str, Path]) -> Iterator[str]:
+def _imported(name, file, found):
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     for level, module, names in _statements(file.read_text(encoding="utf-8")):
         parents = (
@@ -62,9 +61,9 @@ def _imported(name: str, file: Path, found: Mapping[str, Path]) -> Iterator[str]
 
 
 @cache
-def _statements(text: str) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
+def _statements(text):
     """Every import in a file: dots before the module, the module, and the names that are taken from it."""
-    statements: list[tuple[int, str, tuple[str, ...]]] = []
+    statements = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
             statements += [(0, alias.name, ()) for alias in node.names]
@@ -79,15 +78,15 @@ def _statements(text: str) -> tuple[tuple[int, str, tuple[str, ...]], ...]:
     return tuple(statements)
 
 
-def first_level(name: str) -> str:
+def first_level(name):
     return name.split(".")[1] if "." in name else ""
 
 
-def cycles(edges: Edges) -> list[list[str]]:
+def cycles(edges):
     """Sets of modules that can reach each other through imports."""
-    reach: dict[str, set[str]] = {}
+    reach = {}
     for start in edges:
-        seen: set[str] = set()
+        seen = set()
         waiting = [start]
         while waiting:
             new = edges[waiting.pop()] - seen
@@ -101,7 +100,7 @@ def cycles(edges: Edges) -> list[list[str]]:
     return sorted(sorted(group) for group in groups if group)
 
 
-def not_downward(edges: Edges) -> list[str]:
+def not_downward(edges):
     """Imports between first-level modules that do not point to a lower layer."""
     between = {
         (a, b)
@@ -116,7 +115,7 @@ def not_downward(edges: Edges) -> list[str]:
     )
 
 
-def entries(root: Path) -> set[str]:
+def entries(root):
     """Modules and packages on the first level."""
     files = (root / PACKAGE).iterdir()
     return {
@@ -126,20 +125,20 @@ def entries(root: Path) -> set[str]:
     }
 
 
-def test_no_two_files_import_each_other() -> None:
+def test_no_two_files_import_each_other():
     assert cycles(import_edges(ROOT)) == []
 
 
-def test_every_import_points_to_a_lower_layer() -> None:
+def test_every_import_points_to_a_lower_layer():
     assert not_downward(import_edges(ROOT)) == []
 
 
-def test_the_first_level_is_small_and_has_a_place_in_the_stack() -> None:
+def test_the_first_level_is_small_and_has_a_place_in_the_stack():
     assert entries(ROOT) - {"__init__"} == set(RANK) - {""}
     assert len(entries(ROOT)) <= ENTRY_LIMIT
 
 
-def past_doors(edges: Edges) -> list[str]:
+def past_doors(edges):
     """Imports of a module inside another instrument; only the door of its folder is for others.
 
     The bench declares no instrument: its scenes and measurements are there for all of them.
@@ -165,7 +164,7 @@ def past_doors(edges: Edges) -> list[str]:
     return sorted(found)
 
 
-def test_an_instrument_is_used_through_its_door() -> None:
+def test_an_instrument_is_used_through_its_door():
     assert past_doors(import_edges(ROOT)) == []
 
 
@@ -173,14 +172,14 @@ def test_an_instrument_is_used_through_its_door() -> None:
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Path:
+def copy(tmp_path):
     shutil.copytree(
         ROOT / PACKAGE, tmp_path / PACKAGE, ignore=shutil.ignore_patterns("__pycache__")
     )
     return tmp_path
 
 
-def plant(root: Path, file: str, text: str) -> dict[str, set[str]]:
+def plant(root, file, text):
     path = root / PACKAGE / file
     path.write_text(f"{path.read_text(encoding='utf-8')}\n{text}\n", encoding="utf-8")
     return import_edges(root)
@@ -197,7 +196,7 @@ def plant(root: Path, file: str, text: str) -> dict[str, set[str]]:
     ],
     ids=["module", "name", "relative", "function", "types"],
 )
-def test_an_upward_import_is_found(copy: Path, statement: str) -> None:
+def test_an_upward_import_is_found(copy, statement):
     edges = plant(copy, "pages/html.py", statement)
     assert not_downward(edges) == ["gauge_envs.pages.html imports gauge_envs.cli.app"]
     assert any(
@@ -206,12 +205,12 @@ def test_an_upward_import_is_found(copy: Path, statement: str) -> None:
     )
 
 
-def test_an_import_of_the_package_itself_is_found(copy: Path) -> None:
+def test_an_import_of_the_package_itself_is_found(copy):
     edges = plant(copy, "envs/env.py", "from gauge_envs import variants")
     assert not_downward(edges) == ["gauge_envs.envs.env imports gauge_envs"]
 
 
-def test_an_import_within_a_layer_is_found(copy: Path) -> None:
+def test_an_import_within_a_layer_is_found(copy):
     edges = plant(
         copy, "references/tables.py", "from gauge_envs.backends import registry"
     )
@@ -220,7 +219,7 @@ def test_an_import_within_a_layer_is_found(copy: Path) -> None:
     ]
 
 
-def test_a_cycle_within_a_package_is_found(copy: Path) -> None:
+def test_a_cycle_within_a_package_is_found(copy):
     (copy / PACKAGE / "scene" / "first.py").write_text(
         "from gauge_envs.scene import second\n", encoding="utf-8"
     )
@@ -232,7 +231,7 @@ def test_a_cycle_within_a_package_is_found(copy: Path) -> None:
     )
 
 
-def test_an_import_past_a_door_is_found(copy: Path) -> None:
+def test_an_import_past_a_door_is_found(copy):
     edges = plant(
         copy,
         "tools/site/build.py",
@@ -243,6 +242,6 @@ def test_an_import_past_a_door_is_found(copy: Path) -> None:
     ]
 
 
-def test_an_entry_without_a_layer_is_found(copy: Path) -> None:
+def test_an_entry_without_a_layer_is_found(copy):
     (copy / PACKAGE / "utils.py").touch()
     assert entries(copy) - {"__init__"} != set(RANK) - {""}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,11 +32,11 @@ CORE = sorted(file for room in CORE_ROOMS for file in (PACKAGE / room).rglob("*.
 ID = re.compile(rf"(GAUGE/)?({'|'.join(FAMILIES)})(-[\w*-]*)?")
 
 
-def named(text: str) -> list[str]:
+def named(text):
     return [name for name in NAMES if re.search(rf"\b{name}\b", text)]
 
 
-def ids_in_code(text: str) -> Iterator[str]:
+def ids_in_code(text):
     """Strings that are the name of a family or an id. Those inside a sentence are examples of messages."""
     for node in ast.walk(ast.parse(text)):
         if (
@@ -48,7 +47,7 @@ def ids_in_code(text: str) -> Iterator[str]:
             yield node.value
 
 
-def test_the_searches_find_a_name() -> None:
+def test_the_searches_find_a_name():
     assert len(NAMES) > 20 and len(BACKENDS) > 30 and len(CORE) > 60
     assert named("if scene.name == 'SlopeSlider-2-wood':") == ["SlopeSlider"]
     assert list(
@@ -62,11 +61,11 @@ def test_the_searches_find_a_name() -> None:
 @pytest.mark.parametrize(
     "path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix()
 )
-def test_no_backend_names_a_task(path: Path) -> None:
+def test_no_backend_names_a_task(path):
     assert named(path.read_text(encoding="utf-8")) == []
 
 
-def test_the_core_treats_no_task_specially() -> None:
+def test_the_core_treats_no_task_specially():
     found = {
         path.name: list(ids_in_code(path.read_text(encoding="utf-8"))) for path in CORE
     }

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import matplotlib
 import pytest
@@ -15,21 +13,19 @@ from places import ROOT
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
-def cells(notebook: Path) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads(notebook.read_text(encoding="utf-8"))[
-        "cells"
-    ]
+def cells(notebook):
+    found = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
     return found
 
 
-def run(notebook: Path) -> dict[str, Any]:
+def run(notebook):
     """Run the code of a notebook in one namespace, and return it; the first cell installs."""
     code = [
         "".join(cell["source"])
         for cell in cells(notebook)
         if cell["cell_type"] == "code"
     ]
-    namespace: dict[str, Any] = {"__name__": "__main__"}
+    namespace = {"__name__": "__main__"}
     for number, text in enumerate(code[1:], start=2):
         exec(compile(text, f"{notebook.name}, code {number}", "exec"), namespace)
     return namespace
@@ -37,8 +33,8 @@ def run(notebook: Path) -> dict[str, Any]:
 
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(
-    notebook: Path,
-) -> None:
+    notebook,
+):
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
         "project"
     ]["optional-dependencies"]
@@ -54,19 +50,19 @@ def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(
 
 
 @pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _elsewhere(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     matplotlib.use("Agg")
 
 
-def test_your_engine() -> None:
+def test_your_engine():
     found = run(ROOT / "examples" / "notebooks" / "your_engine.ipynb")
     # MuJoCo's 3.33 mm is on the README; the law of Coulomb with the same friction is as far.
     assert found["mujoco_score"].rmse_aligned == pytest.approx(3.33, abs=0.005)
     assert found["score"].rmse_aligned == pytest.approx(3.33, abs=0.15)
 
 
-def test_training_setup() -> None:
+def test_training_setup():
     found = run(ROOT / "examples" / "notebooks" / "training_setup.ipynb")
     before = {row.phenomenon: row.verdict.value for row in found["before"].rows}
     assert (
@@ -75,7 +71,7 @@ def test_training_setup() -> None:
     assert {row.verdict.value for row in found["after"].rows} == {"inside"}
 
 
-def test_trials_to_settings() -> None:
+def test_trials_to_settings():
     found = run(ROOT / "examples" / "notebooks" / "trials_to_settings.ipynb")
     # 0.2571 is the mean of all twenty in scoring/facts/slope_slider_30deg_summary.toml, made by another program.
     assert found["friction"] == pytest.approx(0.2571, abs=3 * found["error"])

@@ -14,7 +14,7 @@ from places import ROOT
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory):
     out = tmp_path_factory.mktemp("wheel")
     # The wheel is built from the sdist.
     command = [
@@ -34,7 +34,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return next(out.glob("*.whl"))
 
 
-def test_wheel_carries_the_data(wheel: Path) -> None:
+def test_wheel_carries_the_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert (
         sum(
@@ -55,9 +55,7 @@ def test_wheel_carries_the_data(wheel: Path) -> None:
 
 
 @pytest.mark.slow  # `make test-matrix` installs the wheel too, and runs more than this.
-def test_installed_wheel_makes_an_environment_outside_the_checkout(
-    wheel: Path, tmp_path: Path
-) -> None:
+def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_path):
     venv.create(tmp_path / "venv", with_pip=True)
     python = tmp_path / "venv" / "bin" / "python"
     # Where PYTHONPATH leads to another copy with the same version, pip installs nothing and succeeds.
@@ -114,7 +112,7 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(
     assert "75 ids in 22 families" in listed.stdout
 
 
-def test_importing_is_light() -> None:
+def test_importing_is_light():
     script = (
         "import sys, gauge_envs\n"
         "print([m for m in ('matplotlib', 'warp', 'newton', 'cv2', 'pandas', 'torch', 'huggingface_hub', 'pxr')"

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -21,15 +19,15 @@ PUBLISHERS = {("release.yml", "publish"), ("docs.yml", "publish")}
 """Jobs that may write, each in an environment of its own."""
 
 
-def workflow(file: Path) -> dict[str, Any]:
+def workflow(file):
     return yaml.safe_load(file.read_text(encoding="utf-8"))
 
 
-def steps(file: Path) -> list[dict[str, Any]]:
+def steps(file):
     return [step for job in workflow(file)["jobs"].values() for step in job["steps"]]
 
 
-def test_the_version_is_the_same_everywhere() -> None:
+def test_the_version_is_the_same_everywhere():
     version = PROJECT["project"]["version"]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     headings = re.findall(
@@ -48,7 +46,7 @@ def test_the_version_is_the_same_everywhere() -> None:
     assert stated == []
 
 
-def test_a_workflow_may_only_read_but_to_publish() -> None:
+def test_a_workflow_may_only_read_but_to_publish():
     for file in WORKFLOWS:
         content = workflow(file)
         assert content["permissions"] == {"contents": "read"}
@@ -62,7 +60,7 @@ def test_a_workflow_may_only_read_but_to_publish() -> None:
         assert "secrets." not in file.read_text(encoding="utf-8")
 
 
-def test_actions_are_of_a_stated_version() -> None:
+def test_actions_are_of_a_stated_version():
     used = [
         step["uses"] for file in WORKFLOWS for step in steps(file) if "uses" in step
     ]
@@ -72,7 +70,7 @@ def test_actions_are_of_a_stated_version() -> None:
     ] == []
 
 
-def test_releases_are_installed_on_the_versions_that_the_package_states() -> None:
+def test_releases_are_installed_on_the_versions_that_the_package_states():
     stated = [
         text.rpartition(" ")[2]
         for text in PROJECT["project"]["classifiers"]
@@ -84,7 +82,7 @@ def test_releases_are_installed_on_the_versions_that_the_package_states() -> Non
 
 
 @pytest.mark.parametrize("file", WORKFLOWS, ids=lambda file: file.name)
-def test_commands_of_a_workflow_exist(file: Path) -> None:
+def test_commands_of_a_workflow_exist(file):
     targets = re.findall(
         r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
     )

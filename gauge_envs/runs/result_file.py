@@ -92,8 +92,20 @@ def write_result(result: Result, file: Path) -> None:
 
 def load_result(file: Path) -> Result:
     """Read a result file."""
+    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be read: {cause}")):
+        text = read_regular(file, MAX_RESULT_BYTES)
+    return parse_result(text, str(file))
+
+
+def parse_result(text: bytes, name: str) -> Result:
+    """Return the result that the content of a result file states.
+
+    Args:
+        text: Content of the file.
+        name: Its name in messages.
+    """
     try:
-        content = json_document(read_regular(file, MAX_RESULT_BYTES))
+        content = json_document(text)
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
         # Files of older versions lack these keys; they have the defaults of that time.
@@ -112,17 +124,13 @@ def load_result(file: Path) -> Result:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
         _check(result)
-    except OSError as error:
-        raise ResultFileError(
-            f"{file}: cannot be read: {error.strerror or error}"
-        ) from error
     except ValidationError as error:
         place, reason = first_fault(error)
         raise ResultFileError(
-            f"{file}: not a result file: {place}: {reason}"
+            f"{name}: not a result file: {place}: {reason}"
         ) from error
     except (ValueError, UnknownNameError) as error:
-        raise ResultFileError(f"{file}: not a result file: {error}") from error
+        raise ResultFileError(f"{name}: not a result file: {error}") from error
     return result
 
 

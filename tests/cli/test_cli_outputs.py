@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.cli.output import Progress, echo
 
-
-def gauge(*arguments: Any) -> Any:
-    return CliRunner(env={"COLUMNS": "200"}).invoke(app, list(map(str, arguments)))
+Gauge = Callable[..., Any]
 
 
 @pytest.fixture
-def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_check(monkeypatch):
     """Make every check an error of the test."""
 
-    def fail(*_: object) -> None:
+    def fail(*_):
         raise AssertionError("a check ran")
 
     monkeypatch.setattr("gauge_envs.tools.conformance.matrix.run_column", fail)
@@ -29,9 +26,7 @@ def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_check")
 @pytest.mark.parametrize("suffix", [".json", ".html"])
-def test_a_matrix_has_its_place_before_its_checks_run(
-    suffix: str, tmp_path: Path
-) -> None:
+def test_a_matrix_has_its_place_before_its_checks_run(gauge, suffix, tmp_path):
     folder, pipe, file = (
         tmp_path / f"a{suffix}",
         tmp_path / f"b{suffix}",
@@ -62,9 +57,7 @@ def test_a_matrix_has_its_place_before_its_checks_run(
         (["--to", "mujoco:"], "two worlds have the name 'mujoco, "),
     ],
 )
-def test_worlds_of_a_transfer_are_checked_before_they_run(
-    options: list[str], reason: str
-) -> None:
+def test_worlds_of_a_transfer_are_checked_before_they_run(gauge, options, reason):
     common = [
         "numpy:mean",
         "--trust",
@@ -79,15 +72,15 @@ def test_worlds_of_a_transfer_are_checked_before_they_run(
 
 
 def test_a_name_of_a_file_reaches_the_terminal_as_text(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    capsys,
+):
     for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
         echo(text)
     assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
 
 
 @pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
-def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
+def test_a_law_uses_a_finite_share_of_its_limit(gauge, fraction):
     result = gauge(
         "transfer",
         "envelope",
@@ -100,8 +93,8 @@ def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
 
 
 def test_the_time_left_is_told_without_the_step_that_loads_the_engine(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    monkeypatch, capsys
+):
     seconds = iter(
         [0.0, 60.0, 72.0]
     )  # the start, and the ends of two steps of 12 s, of which the first also loads

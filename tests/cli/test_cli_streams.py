@@ -10,16 +10,13 @@ import signal
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from forks import Case, run_forks
 from hostile import install
 from places import ROOT
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ResultFileError
 from gauge_envs.runs import batch
 
@@ -59,7 +56,7 @@ FRAME_OF_THE_COMMAND = r'File ".*gauge_(command\.py|envs/)'
 
 
 @pytest.fixture(autouse=True, scope="module")
-def interrupts_reach_children() -> Iterator[None]:
+def interrupts_reach_children():
     """A shell starts background jobs with SIGINT ignored, which children would inherit."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -69,7 +66,7 @@ def interrupts_reach_children() -> Iterator[None]:
 Outcomes = dict[str, subprocess.CompletedProcess[str]]
 
 
-def environment() -> dict[str, str]:
+def environment():
     """Environment of a process that imports this package, and whose output is buffered."""
     kept = {
         name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"
@@ -78,7 +75,7 @@ def environment() -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
+def outcomes(tmp_path_factory):
     """Outcomes of commands with streams of their own, that get Ctrl-C, or with a hostile backend installed.
 
     A hostile backend answers in a process of its own.
@@ -116,9 +113,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
 
 
 @pytest.mark.parametrize("command", ["run", "list"])
-def test_what_engines_print_never_reaches_json(
-    outcomes: Outcomes, command: str
-) -> None:
+def test_what_engines_print_never_reaches_json(outcomes, command):
     done = outcomes[f"hostile: {command}"]
     ids = {json.loads(line)["id"] for line in done.stdout.splitlines()}
     assert ids == {
@@ -128,7 +123,7 @@ def test_what_engines_print_never_reaches_json(
     assert "a line of C code" in done.stderr
 
 
-def test_a_run_goes_on_after_an_engine_that_crashes(outcomes: Outcomes) -> None:
+def test_a_run_goes_on_after_an_engine_that_crashes(outcomes):
     done = outcomes["hostile: run"]
     failed, finished = map(json.loads, done.stdout.splitlines())
     assert (failed["outcome"], finished["outcome"]) == ("failed", "finished")
@@ -137,42 +132,24 @@ def test_a_run_goes_on_after_an_engine_that_crashes(outcomes: Outcomes) -> None:
     assert done.returncode == 1
 
 
-def test_progress_has_a_line_for_each_episode_without_a_terminal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
-    lines = [
-        line
-        for line in result.stderr.splitlines()
-        if line.startswith(("1/3 ", "2/3 ", "3/3 "))
-    ]
-    assert lines[0] == "1/3 SlopeSlider-2-wood on mujoco: finished"
-    assert len(lines) == 3
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("command", ["fabrics", "list", "run"])
-def test_a_full_device_is_an_error_without_a_traceback(
-    outcomes: Outcomes, command: str
-) -> None:
+def test_a_full_device_is_an_error_without_a_traceback(outcomes, command):
     done = outcomes[f"full: {command}"]
     assert done.returncode == 2
     assert "error: the output cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_closed_pipe_ends_the_command_quietly(outcomes: Outcomes) -> None:
+def test_a_closed_pipe_ends_the_command_quietly(outcomes):
     assert "Traceback" not in outcomes["pipe"].stderr
     assert outcomes["pipe"].returncode == 1
 
 
-def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_shows_what_is_done_and_how_to_go_on(gauge, monkeypatch):
     write, count = batch.write_result, 0
 
-    def full_after_one(*arguments: object) -> None:
+    def full_after_one(*arguments):
         nonlocal count
         count += 1
         if count > 1:
@@ -181,9 +158,8 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
             )
         write(*arguments)
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(batch, "write_result", full_after_one)
-    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["run", "SlopeSlider-2-*"])
+    result = gauge("run", "SlopeSlider-2-*")
     assert result.exit_code == 2
     assert "No space left on device" in result.stderr
     assert "1 finished; results in results; --resume continues" in " ".join(
@@ -192,20 +168,17 @@ def test_a_full_disk_shows_what_is_done_and_how_to_go_on(
     assert "SlopeSlider-2-wood" in result.stderr
 
 
-def test_an_engine_that_exits_ends_no_command_without_a_word(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def exits(*_: object, **__: object) -> None:
+def test_an_engine_that_exits_ends_no_command_without_a_word(gauge, monkeypatch):
+    def exits(*_, **__):
         raise SystemExit(0)
 
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("gauge_envs.tools.catalog.overview.stored_rows", exits)
-    result = CliRunner().invoke(app, ["list"])
+    result = gauge("list")
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr
 
 
-def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
+def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path):
     code = (
         "import os, signal, sys\n"
         "class Finder:\n"
@@ -267,7 +240,7 @@ finally:
 """A command of which a fork gets Ctrl-C at every 20,000th call or return of a function: the clock has no part in it."""
 
 
-def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
+def test_ctrl_c_is_quiet_at_every_moment(tmp_path):
     """Until the first line of the command runs, Python itself handles the signal."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MOMENTS],
@@ -290,13 +263,13 @@ def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", DROPPED)
-def test_ctrl_c_counts_where_a_library_drops_it(outcomes: Outcomes, how: str) -> None:
+def test_ctrl_c_counts_where_a_library_drops_it(outcomes, how):
     done = outcomes[f"Ctrl-C: {how}"]
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
 
 
 @pytest.mark.parametrize("closed", CLOSED)
-def test_a_command_runs_without_its_streams(closed: str, outcomes: Outcomes) -> None:
+def test_a_command_runs_without_its_streams(closed, outcomes):
     done = outcomes[f"closed: {closed}"]
     assert done.returncode == 0 and "Traceback" not in done.stderr
     assert (NAME in done.stdout) == ("stdout" not in closed)

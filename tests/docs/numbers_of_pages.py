@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from pathlib import Path
 
 from places import ROOT
 
@@ -38,7 +36,7 @@ STUDY = re.compile(
 )
 
 
-def visible(text: str) -> str:
+def visible(text):
     """Text of a page without code blocks and generated parts, which other tests compare with what makes them."""
     text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
     text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "", text)
@@ -50,7 +48,7 @@ def visible(text: str) -> str:
     )
 
 
-def blocks(text: str) -> Iterator[tuple[str, str]]:
+def blocks(text):
     """Yield each paragraph, list item, row and heading of a page in one line, with the text that introduces it.
 
     A list or a table is introduced by the paragraph right before it if that ends with a colon, a row by the head of its
@@ -69,7 +67,7 @@ def blocks(text: str) -> Iterator[tuple[str, str]]:
         current = f"{current} {line.strip()}".strip()
 
 
-def shown(text: str) -> str:
+def shown(text):
     """What a page shows as written by a script, or as the output of its code and commands."""
     parts = re.findall(
         r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL
@@ -85,7 +83,7 @@ def shown(text: str) -> str:
 
 
 @cache
-def numbers_of_study(name: str) -> tuple[float, ...]:
+def numbers_of_study(name):
     """Every number in the note and in the tables of a study, or in its findings if it ended, without its sign."""
     folder = ROOT / "studies" / name
     if not folder.is_dir():
@@ -98,7 +96,7 @@ def numbers_of_study(name: str) -> tuple[float, ...]:
     return values(text)
 
 
-def values(text: str) -> tuple[float, ...]:
+def values(text):
     """Numbers of a text, without their signs."""
     plain = re.sub(r"(?<=\d)[, ](?=\d{3}\b)", "", text)
     return tuple(
@@ -106,7 +104,7 @@ def values(text: str) -> tuple[float, ...]:
     )
 
 
-def is_among(number: str, known: Iterable[float]) -> bool:
+def is_among(number, known):
     """Whether a known number, rounded as this one is, equals it."""
     (value,) = values(number)
     places = len(number.partition(".")[2]) if "e" not in number else None
@@ -116,7 +114,7 @@ def is_among(number: str, known: Iterable[float]) -> bool:
     )
 
 
-def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
+def sourceless(page, phrases):
     """Blocks of a page with numbers that no source is known of.
 
     Args:
@@ -153,6 +151,6 @@ def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
     return found
 
 
-def one_line(text: str) -> str:
+def one_line(text):
     """Text with each paragraph, item and row in one line."""
     return "\n".join(block for block, _ in blocks(text))

@@ -9,24 +9,22 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from inspect import getsource
-from typing import Any, get_args
+from typing import get_args
 
 import gymnasium as gym
 from places import ROOT
 from test_docs import NOTE_WORDS
 
-from gauge_envs import Score, load_experiment, reference_band, variants
-from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.registry import command_lines
 
 DEGREE = math.pi / 180.0
 
 
-def of(name: str) -> Any:
+def of(name):
     """A value of the package by its module and name, as `files.MOST_TOML_BYTES`."""
     module, _, constant = name.rpartition(".")
     return getattr(
@@ -34,37 +32,37 @@ def of(name: str) -> Any:
     )
 
 
-def mb(name: str) -> str:
+def mb(name):
     return f"{of(name) / 1e6:g} MB"
 
 
-def quoted(module: str, text: str) -> str:
+def quoted(module, text):
     """A text that a module of the package has word for word."""
     assert text in getsource(import_module(f"gauge_envs.{module}"))
     return text
 
 
-def toml(file: str) -> Mapping[str, Any]:
+def toml(file):
     return tomllib.loads((ROOT / file).read_text(encoding="utf-8"))
 
 
-def law_frames(name: str) -> int:
+def law_frames(name):
     """Frames that the law of an experiment scores."""
     band = reference_band(load_experiment(name))
     assert band is not None
     return int(band.measured.sum())
 
 
-def step(settings: SteppedSettings) -> str:
+def step(settings):
     return f"1/{1.0 / settings.timestep_s:.0f} s"
 
 
-def presets(engine: str) -> Mapping[str, Any]:
+def presets(engine):
     return of(f"backends.{engine}.settings.PRESETS")
 
 
 @cache
-def columns() -> Mapping[tuple[str, str], Mapping[str, Any]]:
+def columns():
     """Results of the conformance checks, by engine and configuration."""
     matrix = json.loads(
         (ROOT / "scoring" / "conformance.json").read_text(encoding="utf-8")
@@ -75,22 +73,22 @@ def columns() -> Mapping[tuple[str, str], Mapping[str, Any]]:
     }
 
 
-def count(engine: str, *statuses: str, configuration: str = "default") -> int:
+def count(engine, *statuses, configuration="default"):
     """Number of checks of an engine with some statuses; of all its checks if none is given."""
     findings = columns()[engine, configuration].values()
     return sum(not statuses or finding["status"] in statuses for finding in findings)
 
 
-def measured(engine: str, check: str, configuration: str = "out_of_box") -> float:
+def measured(engine, check, configuration="out_of_box"):
     return float(columns()[engine, configuration][check]["measured"])
 
 
-def expected(check: str) -> float:
+def expected(check):
     return float(columns()["mujoco", "default"][check]["expected"])
 
 
 @cache
-def score(name: str, parameters: str = "calibrated") -> Score:
+def score(name, parameters="calibrated"):
     """The score of an experiment in MuJoCo with default settings."""
     env = gym.make(f"GAUGE/{name}", parameters=parameters)
     env.reset(seed=0)
@@ -102,14 +100,14 @@ def score(name: str, parameters: str = "calibrated") -> Score:
     return info["score"]
 
 
-def real_mm(name: str) -> float:
+def real_mm(name):
     """Mean distance of single real trials from their mean [mm]."""
     found = score(name)
     return found.rmse / found.rmse_normalized
 
 
 @cache
-def limit(task: str) -> str:
+def limit(task):
     """Limit of a control task with its uncertainty."""
     env = gym.make(f"GAUGE/{task}").unwrapped
     found = env.limit
@@ -118,14 +116,14 @@ def limit(task: str) -> str:
     return f"{found.value:.{places}f} +- {found.sigma:.{places}f}{'' if found.unit == '1' else f' {found.unit}'}"
 
 
-def limits(task: str) -> str:
+def limits(task):
     return ", ".join(
         limit(f"{task}-Limit-{material}") for material in ("wood", "plastic", "metal")
     )
 
 
 @cache
-def configurations() -> Mapping[str, Mapping[str, Any]]:
+def configurations():
     """Values of the popular configurations, by each of their targets."""
     rows = json.loads(
         (ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8")
@@ -133,16 +131,16 @@ def configurations() -> Mapping[str, Mapping[str, Any]]:
     return {target: row["values"] for row in rows for target in row["targets"]}
 
 
-def real_value(phenomenon: str) -> float:
+def real_value(phenomenon):
     """Value of a phenomenon of the sanity check in reality."""
     return float(of("tools.sanity.phenomena.phenomenon")(phenomenon).reality.value)
 
 
-def tolerance(phenomenon: str) -> float:
+def tolerance(phenomenon):
     return float(of("tools.sanity.phenomena.phenomenon")(phenomenon).reality.tolerance)
 
 
-def met(target: str, check: str) -> float:
+def met(target, check):
     """Effective friction of a cube in a popular configuration over its stated one [%]."""
     gravity, slope = of("scene.GRAVITY_M_PER_S2"), 30.0 * DEGREE
     coulomb = gravity * math.sin(slope) - real_value("slide-wood")
@@ -151,7 +149,7 @@ def met(target: str, check: str) -> float:
     )
 
 
-def jitter(phrase: str) -> str:
+def jitter(phrase):
     found = of("Jitter")()
     return phrase.format(
         position=f"{1e3 * found.position_m:g} mm",
@@ -173,7 +171,7 @@ EVERYWHERE = (
 """Phrases that any page may have. All intervals are of 95 %."""
 
 
-def engines() -> dict[str, list[str]]:
+def engines():
     """Steps, sizes and constants of presets, and results of the conformance checks."""
     checks = f"the {count('mujoco')} [conformance checks](conformance.md#results)"
     sapien = presets("physx")["out_of_box"]
@@ -306,7 +304,7 @@ def engines() -> dict[str, list[str]]:
     }
 
 
-def control() -> list[str]:
+def control():
     """Limits, ranges and tolerances of the control tasks."""
     family = {
         name: of(f"tools.control.{name.lower()}.{name}Limit")
@@ -365,7 +363,7 @@ def control() -> list[str]:
     ]
 
 
-def readers() -> dict[str, list[str]]:
+def readers():
     """Limits of what is read, and tolerances of imports and submissions."""
     start, baseline, motion = (
         of(f"tools.leaderboard.trajectory.{name}")
@@ -437,7 +435,7 @@ def readers() -> dict[str, list[str]]:
     }
 
 
-def stated_friction(target: str) -> float:
+def stated_friction(target):
     """Friction that a target states for its feet on the ground."""
     rows = json.loads(
         (ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8")
@@ -445,7 +443,7 @@ def stated_friction(target: str) -> float:
     return next(float(row["friction"]) for row in rows if target in row["targets"])
 
 
-def sanity() -> dict[str, list[str]]:
+def sanity():
     """Rules of the sanity check, and what it found in popular configurations."""
     visible, found = of("tools.sanity.model.VISIBLE_WITHIN"), configurations()
     popular = "docs/sanity_popular.md"
@@ -502,15 +500,15 @@ def sanity() -> dict[str, list[str]]:
     }
 
 
-def tolerance_of_gravity() -> float:
+def tolerance_of_gravity():
     return float(of("tools.sanity.target_checks.GRAVITY_ROW").reality.tolerance)
 
 
-def good_step_s() -> float:
+def good_step_s():
     return float(toml("examples/sanity/good.toml")["settings"]["timestep_s"])
 
 
-def withheld_count() -> int:
+def withheld_count():
     bands = (
         reference_band(load_experiment(variant.name), use_withheld=True)
         for variant in variants()
@@ -518,7 +516,7 @@ def withheld_count() -> int:
     return sum(band is not None and band.withheld is not None for band in bands)
 
 
-def scores() -> dict[str, list[str]]:
+def scores():
     """What simulations of MuJoCo score, and laws of the normal distribution."""
     cube, ball = score("SlopeSlider-2-wood"), score("BouncingBall-rubber")
     restitution, recorded = (
@@ -592,7 +590,7 @@ def scores() -> dict[str, list[str]]:
     }
 
 
-def recipes() -> list[str]:
+def recipes():
     """Ranges and tolerances of `gauge recipe`."""
     mass, step_s, friction = (
         of(f"tools.recipes.aim.{name}_RANGE{unit}") for name, unit in RANGES
@@ -619,7 +617,7 @@ def recipes() -> list[str]:
 RANGES = (("MASS", "_KG"), ("TIMESTEP", "_S"), ("FRICTION", ""))
 
 
-def others() -> dict[str, list[str]]:
+def others():
     """Pages with few numbers."""
     crate = toml("examples/usd_experiment/crate.toml")
     table = (
@@ -663,7 +661,7 @@ def others() -> dict[str, list[str]]:
 
 
 @cache
-def stated() -> dict[str, list[str]]:
+def stated():
     """Phrases of each page."""
     tables = (
         engines(),
@@ -673,7 +671,7 @@ def stated() -> dict[str, list[str]]:
         others(),
         {"docs/control.md": control(), "docs/recipes.md": recipes()},
     )
-    merged: dict[str, list[str]] = {}
+    merged = {}
     for page, phrases in (item for table in tables for item in table.items()):
         merged.setdefault(page, []).extend(phrases)
     return merged

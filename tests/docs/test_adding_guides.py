@@ -8,10 +8,8 @@ import importlib.util
 import re
 import shlex
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import mujoco
 import mutations
@@ -33,7 +31,7 @@ Parts = tuple[ModuleType, dict[str, str]]
 RUNNER = CliRunner()
 
 
-def blocks(page: str, language: str) -> list[str]:
+def blocks(page, language):
     text = (ROOT / "docs" / page).read_text(encoding="utf-8")
     return re.findall(
         rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
@@ -41,9 +39,7 @@ def blocks(page: str, language: str) -> list[str]:
 
 
 @pytest.fixture
-def parts(
-    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Parts:
+def parts(request, tmp_path, monkeypatch):
     """Import the file of a guide under the name that it would have in the package."""
     named = {
         "".join(re.findall(r"\A# (\S+\.py)\n", block)): block
@@ -65,11 +61,11 @@ def parts(
     return module, named
 
 
-def guide(page: str) -> pytest.MarkDecorator:
+def guide(page):
     return pytest.mark.parametrize("parts", [page], indirect=True)
 
 
-def outputs(page: str, start: str) -> list[str]:
+def outputs(page, start):
     """Run the commands of a guide that have a start, and return what they print."""
     lines = [
         line
@@ -85,7 +81,7 @@ def outputs(page: str, start: str) -> list[str]:
     return [one.stdout for one in results]
 
 
-def value_of(code: str, names: dict[str, Any]) -> Any:
+def value_of(code, names):
     """Return the value of the one expression of a block."""
     (statement,) = ast.parse(code).body
     assert isinstance(statement, ast.Expr)
@@ -95,7 +91,7 @@ def value_of(code: str, names: dict[str, Any]) -> Any:
 @pytest.mark.parametrize(
     "page", ["adding_a_check.md", "adding_a_phenomenon.md", "adding_a_stack.md"]
 )
-def test_the_tests_that_a_guide_runs_exist(page: str) -> None:
+def test_the_tests_that_a_guide_runs_exist(page):
     lines = [
         line
         for block in blocks(page, "sh")
@@ -114,9 +110,7 @@ def test_the_tests_that_a_guide_runs_exist(page: str) -> None:
 
 
 @guide("adding_a_check.md")
-def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(
-    parts: Parts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkeypatch):
     module, others = parts
     family = module.__name__.rpartition(".")[2]
     monkeypatch.setattr(model, "FAMILIES", (*model.FAMILIES, family))
@@ -155,8 +149,8 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(
 
 @guide("adding_a_phenomenon.md")
 def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_planted(
-    parts: Parts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    parts, monkeypatch
+):
     module, others = parts
     text = (ROOT / "docs" / "adding_a_phenomenon.md").read_text(encoding="utf-8")
     ((name, file, function),) = re.findall(r'`([\w-]+) = \["(\w+)", "(\w+)"\]`', text)
@@ -186,11 +180,9 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
 
 
 @guide("adding_a_phenomenon.md")
-def test_the_phenomenon_reads_a_known_motion(
-    parts: Parts, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_phenomenon_reads_a_known_motion(parts, monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
-    moved: Callable[..., Any] = importlib.import_module("sanity_cases").moved
+    moved = importlib.import_module("sanity_cases").moved
     drift = parts[0].drift()
     times = [0.0, 0.25, 0.5]
     across = drift.scenario.scene.body("board").pose.rotation.apply(
@@ -204,7 +196,7 @@ def test_the_phenomenon_reads_a_known_motion(
 
 
 @pytest.fixture
-def tiny(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> Parts:
+def tiny(parts, monkeypatch):
     text = (ROOT / "docs" / "adding_a_stack.md").read_text(encoding="utf-8")
     (name,) = re.findall(r'Add `"(\w+)"` to `STACKS`', text)
     assert parts[0].__name__ == f"{stacks.__name__}.{name}"
@@ -213,7 +205,7 @@ def tiny(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> Parts:
 
 
 @guide("adding_a_stack.md")
-def test_the_stack_is_read_and_its_change_is_printed(tiny: Parts) -> None:
+def test_the_stack_is_read_and_its_change_is_printed(tiny):
     (content,) = blocks("adding_a_stack.md", "yaml")
     Path("run.tiny").write_text(content, encoding="utf-8")
     read = configuration(Path("run.tiny"))
@@ -227,8 +219,8 @@ def test_the_stack_is_read_and_its_change_is_printed(tiny: Parts) -> None:
 
 @guide("adding_a_stack.md")
 def test_reading_what_the_stack_writes_gives_the_settings_back(
-    tiny: Parts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tiny, tmp_path, monkeypatch
+):
     monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
     dialects = importlib.import_module("test_sanity_dialects")
     names = dict(vars(dialects))
@@ -264,9 +256,7 @@ def test_reading_what_the_stack_writes_gives_the_settings_back(
         ("physics: 4", "physics is 4, and a table is expected"),
     ],
 )
-def test_the_stack_refuses_what_it_cannot_read(
-    tiny: Parts, content: str, says: str
-) -> None:
+def test_the_stack_refuses_what_it_cannot_read(tiny, content, says):
     Path("run.tiny").write_text(content, encoding="utf-8")
     with pytest.raises(TargetError, match=says):
         configuration(Path("run.tiny"))

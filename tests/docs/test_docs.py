@@ -10,10 +10,7 @@ import shlex
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import pytest
 from places import ROOT
@@ -56,11 +53,11 @@ NOTE_WORDS = 300
 COMMANDS_WORDS = 1600
 
 
-def name_of(page: Path) -> str:
+def name_of(page):
     return str(page.relative_to(ROOT))
 
 
-def fenced(page: Path, language: str) -> list[str]:
+def fenced(page, language):
     """Code blocks of a page in a language."""
     return re.findall(
         rf"^```{language}\n(.*?)^```$",
@@ -69,7 +66,7 @@ def fenced(page: Path, language: str) -> list[str]:
     )
 
 
-def prose(page: Path) -> str:
+def prose(page):
     """Text of a page without its code blocks and code spans."""
     text = re.sub(
         r"^```.*?^```$",
@@ -83,7 +80,7 @@ def prose(page: Path) -> str:
 # --- the README ------------------------------------------------------------------------------------------------------
 
 
-def test_the_readme_is_short() -> None:
+def test_the_readme_is_short():
     assert len(README.read_text(encoding="utf-8").split()) <= README_WORDS
 
 
@@ -93,7 +90,7 @@ def test_the_readme_is_short() -> None:
 @pytest.mark.parametrize(
     "note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of
 )
-def test_a_note_of_a_study_is_short_and_in_the_list(note: Path) -> None:
+def test_a_note_of_a_study_is_short_and_in_the_list(note):
     text = note.read_text(encoding="utf-8")
     assert len(text.split()) <= NOTE_WORDS
     assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == [
@@ -108,7 +105,7 @@ def test_a_note_of_a_study_is_short_and_in_the_list(note: Path) -> None:
     assert [name for name in quoted if not any(note.parent.glob(name))] == []
 
 
-def test_every_study_has_a_note() -> None:
+def test_every_study_has_a_note():
     folders = [
         folder
         for folder in (ROOT / "studies").iterdir()
@@ -128,7 +125,7 @@ SCRIPTS = [
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
-def test_scripts_import_names_that_exist(script: Path) -> None:
+def test_scripts_import_names_that_exist(script):
     """Scripts that take minutes are not run by tests, so that a renamed function would break them unseen."""
     for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
         if (
@@ -145,7 +142,7 @@ def test_scripts_import_names_that_exist(script: Path) -> None:
 # --- links -----------------------------------------------------------------------------------------------------------
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """Anchors of the headings of a page, as GitHub and MyST make them."""
     text = re.sub(
         r"^```.*?^```$",
@@ -159,14 +156,14 @@ def anchors(page: Path) -> set[str]:
     }
 
 
-def links(page: Path) -> list[str]:
+def links(page):
     """Targets of the links and pictures of a page that lead to files of the repository."""
     targets = re.findall(r"\]\(([^)\s]+)\)", prose(page))
     return [target for target in targets if "://" not in target]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_to_files_and_headings(page: Path) -> None:
+def test_links_lead_to_files_and_headings(page):
     broken = []
     for link in links(page):
         path, _, anchor = link.partition("#")
@@ -176,7 +173,7 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
     assert broken == []
 
 
-def test_every_page_is_in_the_table_of_contents() -> None:
+def test_every_page_is_in_the_table_of_contents():
     listed = {"index"}
     for page in (
         DOCS / "index.md",
@@ -214,11 +211,11 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     ids=name_of,
 )
 def test_python_blocks_run_and_print_what_they_state(
-    page: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    page,
+    tmp_path,
+    monkeypatch,
+    capsys,
+):
     monkeypatch.chdir(tmp_path)
     for block in fenced(page, "toml"):
         if match := re.match(r"# (tasks/\w+\.toml)\n", block):
@@ -237,7 +234,7 @@ def test_python_blocks_run_and_print_what_they_state(
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if p.name in COMPILED_ONLY], ids=name_of
 )
-def test_other_python_blocks_compile_and_import(page: Path) -> None:
+def test_other_python_blocks_compile_and_import(page):
     for block in fenced(page, "python"):
         compile(block, page.name, "exec")
         for module, names in re.findall(
@@ -249,7 +246,7 @@ def test_other_python_blocks_compile_and_import(page: Path) -> None:
             ] == []
 
 
-def test_the_tutorial_quotes_its_task_file() -> None:
+def test_the_tutorial_quotes_its_task_file():
     (quoted,) = fenced(DOCS / "tutorial.md", "toml")
     file = (ROOT / "tasks" / "bouncing_ball.toml").read_text(encoding="utf-8")
     tables = quoted.strip().split("\n\n")
@@ -260,7 +257,7 @@ def test_the_tutorial_quotes_its_task_file() -> None:
 # --- commands --------------------------------------------------------------------------------------------------------
 
 
-def commands(page: Path) -> list[list[str]]:
+def commands(page):
     """Commands `gauge ...` in the shell blocks of a page, without comments."""
     lines = [
         line
@@ -271,7 +268,7 @@ def commands(page: Path) -> list[list[str]]:
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
-def mentioned(page: Path) -> list[list[str]]:
+def mentioned(page):
     """Commands with arguments in the text and the tables of a page."""
     text = re.sub(
         r"^```.*?^```$",
@@ -284,7 +281,7 @@ def mentioned(page: Path) -> list[list[str]]:
     ]
 
 
-def command_of(words: list[str]) -> tuple[Any, list[str]]:
+def command_of(words):
     """The command of words, and its arguments."""
     name = next(
         name for name in (" ".join(words[:2]), words[0]) if name in command_lines()
@@ -292,20 +289,20 @@ def command_of(words: list[str]) -> tuple[Any, list[str]]:
     return load_command(name), words[len(name.split()) :]
 
 
-def parse(words: list[str]) -> None:
+def parse(words):
     """Raise where an option is unknown or misses its value, or an argument is too many or missing."""
     command, arguments = command_of(words)
     command.make_context(command.name, arguments)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
-def test_commands_have_the_options_that_are_shown(page: Path) -> None:
+def test_commands_have_the_options_that_are_shown(page):
     for words in commands(page):
         parse(words)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if mentioned(p)], ids=name_of)
-def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
+def test_sentences_name_commands_and_options_that_exist(page):
     unknown = []
     for words in mentioned(page):
         command, arguments = command_of(words)
@@ -322,7 +319,7 @@ def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
     assert unknown == []
 
 
-def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
+def test_the_page_of_commands_lists_every_command_with_an_example():
     page = DOCS / "commands.md"
     rows = re.findall(
         r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$",
@@ -335,7 +332,7 @@ def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
         parse(shlex.split(example))
 
 
-def test_the_page_of_commands_is_short() -> None:
+def test_the_page_of_commands_is_short():
     assert (
         len((DOCS / "commands.md").read_text(encoding="utf-8").split())
         <= COMMANDS_WORDS
@@ -345,7 +342,7 @@ def test_the_page_of_commands_is_short() -> None:
 # --- public names ----------------------------------------------------------------------------------------------------
 
 
-def documented_modules() -> dict[str, set[str]]:
+def documented_modules():
     """Modules on the pages of the API reference, each with the names that are left out there."""
     modules = {}
     for page in sorted((DOCS / "api").glob("*.md")):
@@ -359,7 +356,7 @@ def documented_modules() -> dict[str, set[str]]:
     return modules
 
 
-def documented_names() -> Iterator[tuple[str, str, Any]]:
+def documented_names():
     """Module, name and value of every public name on the pages of the API reference."""
     for module, left_out in documented_modules().items():
         imported = importlib.import_module(module)
@@ -372,16 +369,16 @@ PUBLIC = ("gauge_envs", "gauge_envs.scene", "gauge_envs.backends", "gauge_envs.e
 
 
 @pytest.mark.parametrize("module", PUBLIC)
-def test_every_public_module_is_on_the_pages(module: str) -> None:
+def test_every_public_module_is_on_the_pages(module):
     assert module in documented_modules()
 
 
-def is_described(value: Any) -> bool:
+def is_described(value):
     """Whether a docstring is due: of classes and functions, not of type aliases and constants."""
     return inspect.isclass(value) or inspect.isfunction(value)
 
 
-def test_every_public_class_and_function_has_a_docstring() -> None:
+def test_every_public_class_and_function_has_a_docstring():
     names = list(documented_names())
     assert len(names) > 80
     bare = [
@@ -392,7 +389,7 @@ def test_every_public_class_and_function_has_a_docstring() -> None:
     assert bare == []
 
 
-def test_no_public_name_is_on_the_pages_twice() -> None:
+def test_no_public_name_is_on_the_pages_twice():
     objects = [
         (id(value), name)
         for _, name, value in documented_names()
@@ -404,7 +401,7 @@ def test_no_public_name_is_on_the_pages_twice() -> None:
 @pytest.mark.parametrize(
     "engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"]
 )
-def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
+def test_the_page_of_an_engine_lists_its_presets(engine):
     settings = importlib.import_module(f"gauge_envs.backends.{engine}.settings")
     presets = {
         *settings.PRESETS,
@@ -415,7 +412,7 @@ def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
     assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == presets
 
 
-def test_the_glossary_defines_each_term_once() -> None:
+def test_the_glossary_defines_each_term_once():
     rows = re.findall(
         r"^\| (.+?) \| .+ \|$",
         (DOCS / "glossary.md").read_text(encoding="utf-8"),
@@ -430,7 +427,7 @@ def test_the_glossary_defines_each_term_once() -> None:
 
 
 @pytest.mark.slow
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+def test_the_site_builds_without_a_warning(tmp_path):
     for package in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(package, reason="extra 'docs' is not installed")
     run = subprocess.run(

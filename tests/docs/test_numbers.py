@@ -38,12 +38,12 @@ WHAT_TO_DO = """Numbers without a source. For each, choose one:
 """
 
 
-def name_of(page: Path) -> str:
+def name_of(page):
     return str(page.relative_to(ROOT))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_every_number_of_a_page_has_a_source(page: Path) -> None:
+def test_every_number_of_a_page_has_a_source(page):
     tested = [phrase for phrase, _ in stated.TESTED.get(name_of(page), ())]
     bare = sourceless(
         page, [*stated.stated().get(name_of(page), ()), *tested, *stated.EVERYWHERE]
@@ -51,7 +51,7 @@ def test_every_number_of_a_page_has_a_source(page: Path) -> None:
     assert not bare, "\n".join([WHAT_TO_DO, *bare])
 
 
-def test_pages_state_what_code_and_data_give() -> None:
+def test_pages_state_what_code_and_data_give():
     absent = []
     for page, phrases in stated.stated().items():
         text = one_line((ROOT / page).read_text(encoding="utf-8"))
@@ -65,9 +65,7 @@ def test_pages_state_what_code_and_data_give() -> None:
     ("page", "phrase", "file"),
     [(page, *one) for page, of in stated.TESTED.items() for one in of],
 )
-def test_a_test_has_the_numbers_that_a_page_takes_from_it(
-    page: str, phrase: str, file: str
-) -> None:
+def test_a_test_has_the_numbers_that_a_page_takes_from_it(page, phrase, file):
     assert phrase in one_line((ROOT / page).read_text(encoding="utf-8"))
     source = (ROOT / file).read_text(encoding="utf-8")
     known = (*values(source), *(100.0 * number for number in values(source)))
@@ -104,7 +102,7 @@ It prints 0.31 and not 2.5 s.
 """
 
 
-def test_a_planted_number_is_found(tmp_path: Path) -> None:
+def test_a_planted_number_is_found(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
     found = [one.partition("   in: ")[0] for one in sourceless(page, ["at 1/540 s"])]
@@ -117,7 +115,7 @@ def test_a_planted_number_is_found(tmp_path: Path) -> None:
     ]
 
 
-def test_a_number_is_known_if_it_is_rounded() -> None:
+def test_a_number_is_known_if_it_is_rounded():
     assert is_among("0.45", [0.4512]) and not is_among("0.46", [0.4512])
     assert 0.96 in numbers_of_study("transfer")
     assert values("1,000,000 of 60 000, -3.5e-2") == (1e6, 6e4, 0.035)

@@ -28,7 +28,7 @@ ENGINES = tuple(
 )
 
 
-def test_a_trial_starts_as_measured() -> None:
+def test_a_trial_starts_as_measured():
     shots = single_shots(NAME)
     assert shots is not None
     env = gymnasium.make(ID)
@@ -52,7 +52,7 @@ def test_a_trial_starts_as_measured() -> None:
     env.close()
 
 
-def test_the_seed_selects_the_trial() -> None:
+def test_the_seed_selects_the_trial():
     env = gymnasium.make(ID)
     assert env.reset(seed=7)[1]["trial"] == 7
     assert env.reset(seed=475)[1]["trial"] == 1
@@ -62,7 +62,7 @@ def test_the_seed_selects_the_trial() -> None:
     env.close()
 
 
-def test_the_score_is_against_the_own_trial() -> None:
+def test_the_score_is_against_the_own_trial():
     env = gymnasium.make(ID)
     env.reset(options={"trial": 5})
     inner = env.unwrapped
@@ -86,7 +86,7 @@ def test_the_score_is_against_the_own_trial() -> None:
     env.close()
 
 
-def test_overridden_starts_have_no_reference() -> None:
+def test_overridden_starts_have_no_reference():
     assert (
         reference_band(load_experiment(NAME, {"cube.position_m": (0.0, 0.0, 0.5)}))
         is None
@@ -96,7 +96,7 @@ def test_overridden_starts_have_no_reference() -> None:
         with_trial(load_experiment("BouncingBall-rubber"), 0)
 
 
-def test_worlds_and_repeats_toss_one_trial_each() -> None:
+def test_worlds_and_repeats_toss_one_trial_each():
     results = run_episodes(RunRequest(NAME, seed=3, repeats=2))
     assert [result.jitter for result in results] == [{"trial": 3}, {"trial": 4}]
     worlds = gymnasium.make_vec(ID, num_envs=2)
@@ -111,10 +111,10 @@ def test_worlds_and_repeats_toss_one_trial_each() -> None:
     worlds.close()
 
 
-def test_stored_repeats_are_found_again(tmp_path) -> None:
+def test_stored_repeats_are_found_again(tmp_path):
     request = RunRequest(NAME, seed=1, repeats=2)
     first = list(run_many([request], isolate=False, out=tmp_path))
-    notes: list[str] = []
+    notes = []
     again = list(
         run_many(
             [request], isolate=False, out=tmp_path, resume=True, notify=notes.append
@@ -127,9 +127,7 @@ def test_stored_repeats_are_found_again(tmp_path) -> None:
 
 @pytest.mark.parametrize("engine", [*ENGINES, "drake"])
 @pytest.mark.parametrize("inertia", [8.1e-4, 1.6e-3])
-def test_an_impact_depends_on_the_stated_moment_of_inertia(
-    engine: str, inertia: float
-) -> None:
+def test_an_impact_depends_on_the_stated_moment_of_inertia(engine, inertia):
     """A drop on one corner without friction: an impulse J at the arm r changes the spin by r x J / I."""
     start = {
         "cube.position_m": (0.0, 0.0, 0.3),

@@ -9,12 +9,9 @@ import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from ctypes.util import find_library
 from functools import cache
-from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -28,7 +25,6 @@ from places import ROOT
 from gauge_envs import (
     GaugeEnv,
     Jitter,
-    Score,
     ScoreEpisode,
     find_variant,
     load_experiment,
@@ -44,14 +40,14 @@ ALL_KINDS = (RIGID, DRIVEN, SOFT)
 GUIDE = ROOT / "docs" / "ecosystem.md"
 
 
-def step_on(env: gymnasium.Env, count: int, *, seed: int = 0) -> list[tuple]:
+def step_on(env, count, *, seed=0):
     """Steps with the same random actions each time; where an action has nothing to say, with that."""
     space = copy.deepcopy(env.action_space)
     space.seed(seed)
     return [env.step(space.sample()) for _ in range(count)]
 
 
-def run_to_end(env: gymnasium.Env) -> tuple[float, dict[str, Any]]:
+def run_to_end(env):
     """Sum of rewards and last info of an episode with zero actions."""
     env.reset(seed=0)
     total, over, info = 0.0, False, {}
@@ -62,7 +58,7 @@ def run_to_end(env: gymnasium.Env) -> tuple[float, dict[str, Any]]:
     return total, info
 
 
-def same_steps(ours: list[tuple], theirs: list[tuple]) -> bool:
+def same_steps(ours, theirs):
     return all(
         a[1:] == b[1:]
         and a[0].keys() == b[0].keys()
@@ -78,9 +74,7 @@ def same_steps(ours: list[tuple], theirs: list[tuple]) -> bool:
     "copied", [copy.deepcopy, copy.copy, lambda env: pickle.loads(pickle.dumps(env))]
 )
 @pytest.mark.parametrize("name", [*ALL_KINDS, "FoamBending-soft"])
-def test_a_copy_goes_on_bit_for_bit(
-    name: str, copied: Callable[[gymnasium.Env], gymnasium.Env]
-) -> None:
+def test_a_copy_goes_on_bit_for_bit(name, copied):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     env.reset(seed=4, options={} if name.endswith("-soft") else {"jitter": True})
     step_on(env, 3)
@@ -95,7 +89,7 @@ def test_a_copy_goes_on_bit_for_bit(
     )
 
 
-def test_a_copy_has_a_life_of_its_own() -> None:
+def test_a_copy_has_a_life_of_its_own():
     env = gymnasium.make(f"GAUGE/{RIGID}")
     env.reset(seed=0)
     step_on(env, 2)
@@ -108,7 +102,7 @@ def test_a_copy_has_a_life_of_its_own() -> None:
     assert run_to_end(env) == expected
 
 
-def test_a_pickle_within_wrappers_keeps_backend_settings_and_parameters() -> None:
+def test_a_pickle_within_wrappers_keeps_backend_settings_and_parameters():
     env = wrappers.RecordEpisodeStatistics(
         gymnasium.make(
             f"GAUGE/{RIGID}",
@@ -130,7 +124,7 @@ def test_a_pickle_within_wrappers_keeps_backend_settings_and_parameters() -> Non
     assert theirs["episode"]["l"] == ours["episode"]["l"] == 18
 
 
-def layers(env: gymnasium.Env) -> list[gymnasium.Env]:
+def layers(env):
     found = [env]
     while isinstance(found[-1], gymnasium.Wrapper):
         found.append(found[-1].env)
@@ -138,7 +132,7 @@ def layers(env: gymnasium.Env) -> list[gymnasium.Env]:
 
 
 @pytest.mark.parametrize("name", [RIGID, pytest.param(DRIVEN, marks=pytest.mark.slow)])
-def test_a_pickle_goes_on_in_another_process(name: str, tmp_path: Path) -> None:
+def test_a_pickle_goes_on_in_another_process(name, tmp_path):
     env = gymnasium.make(f"GAUGE/{name}")
     env.reset(seed=4, options={"jitter": True})
     step_on(env, 3)
@@ -157,7 +151,7 @@ def test_a_pickle_goes_on_in_another_process(name: str, tmp_path: Path) -> None:
     )
 
 
-def test_random_numbers_go_on_too() -> None:
+def test_random_numbers_go_on_too():
     env = GaugeEnv(RIGID)
     env.reset(seed=3)
     other = pickle.loads(pickle.dumps(env))
@@ -165,7 +159,7 @@ def test_random_numbers_go_on_too() -> None:
     assert np.array_equal(other.np_random.random(5), env.np_random.random(5))
 
 
-def test_pickles_before_the_start_and_after_the_end() -> None:
+def test_pickles_before_the_start_and_after_the_end():
     env = pickle.loads(pickle.dumps(GaugeEnv(RIGID)))
     with pytest.raises(EpisodeError, match="reset"):
         env.step(0)
@@ -182,7 +176,7 @@ def test_pickles_before_the_start_and_after_the_end() -> None:
     assert diverged.score().rmse is None
 
 
-def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
+def test_a_pickle_of_another_version_of_the_engine_is_refused():
     env = GaugeEnv(RIGID)
     env.versions = {"mujoco": "3.0.0"}
     with pytest.raises(BackendError, match=r"3\.0\.0"):
@@ -193,7 +187,7 @@ def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
 @pytest.mark.parametrize(
     "name", [RIGID, DRIVEN, SOFT, "TextileFlinging-satin", "FoamStretching-soft"]
 )
-def test_newton_environments_pickle(name: str) -> None:
+def test_newton_environments_pickle(name):
     pytest.importorskip("newton")
     env = gymnasium.make(f"GAUGE/{name}", backend="newton")
     env.reset(seed=0)
@@ -202,7 +196,7 @@ def test_newton_environments_pickle(name: str) -> None:
     assert same_steps(step_on(env, 3), step_on(other, 3))
 
 
-def test_what_the_package_returns_pickles() -> None:
+def test_what_the_package_returns_pickles():
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)
     experiment = load_experiment("SlopeSlider-3-metal", {"cube.friction": 0.2})
@@ -227,7 +221,7 @@ def test_what_the_package_returns_pickles() -> None:
 # --- specs -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
+def test_a_spec_rebuilds_the_run_with_all_its_arguments():
     env = gymnasium.make(
         "GAUGE/FoamStretching-soft",
         parameters=MappingProxyType({"foam.young_modulus_pa": np.float32(50000.0)}),
@@ -254,21 +248,21 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments() -> None:
         ]
 
 
-def test_what_was_not_made_by_make_has_no_spec() -> None:
+def test_what_was_not_made_by_make_has_no_spec():
     assert GaugeEnv(RIGID).spec is None
     assert str(GaugeEnv(RIGID)) == "<GaugeEnv instance>"
     assert GaugeVectorEnv(RIGID).spec is None
     assert str(GaugeVectorEnv(RIGID)) == "GaugeVectorEnv(num_envs=1)"
 
 
-def test_an_array_among_the_parameters_becomes_numbers() -> None:
+def test_an_array_among_the_parameters_becomes_numbers():
     place = np.array(load_experiment(RIGID).scene.body("cube").pose.position_m)
     env = gymnasium.make(f"GAUGE/{RIGID}", parameters={"cube.position_m": place})
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.experiment.scene == load_experiment(RIGID).scene
 
 
-def test_what_no_spec_can_hold_is_named() -> None:
+def test_what_no_spec_can_hold_is_named():
     with pytest.raises(ParameterError, match=r"settings\['impratio'\].*1j"):
         gymnasium.make(f"GAUGE/{RIGID}").unwrapped.spec = EnvSpec(
             id=f"GAUGE/{RIGID}",
@@ -283,7 +277,7 @@ def test_what_no_spec_can_hold_is_named() -> None:
 @needs_opengl
 @pytest.mark.parametrize("name", ALL_KINDS)
 @pytest.mark.parametrize("wrapped", [True, False])
-def test_gymnasiums_checker_passes_with_pictures(name: str, wrapped: bool) -> None:
+def test_gymnasiums_checker_passes_with_pictures(name, wrapped):
     env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", width=80, height=60)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -297,12 +291,12 @@ def test_gymnasiums_checker_passes_with_pictures(name: str, wrapped: bool) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALL_KINDS)
 def test_stable_baselines_checker_is_content_with_what_the_guide_makes(
-    name: str,
-) -> None:
+    name,
+):
     checker = pytest.importorskip(
         "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
     )
-    scope: dict[str, Any] = {"gym": gymnasium, "np": np}
+    scope = {"gym": gymnasium, "np": np}
     exec(
         next(block for block in fenced("python") if "def for_learning" in block), scope
     )
@@ -314,11 +308,11 @@ def test_stable_baselines_checker_is_content_with_what_the_guide_makes(
 # --- wrappers --------------------------------------------------------------------------------------------------------
 
 
-def flat(env: gymnasium.Env) -> gymnasium.Env:
+def flat(env):
     return wrappers.FlattenObservation(env)
 
 
-def flat_halved(env: gymnasium.Env) -> gymnasium.Env:
+def flat_halved(env):
     space = gymnasium.spaces.flatten_space(env.observation_space)
     halved = gymnasium.spaces.Box(0.5 * space.low, 0.5 * space.high, dtype=space.dtype)
     return wrappers.TransformObservation(
@@ -326,7 +320,7 @@ def flat_halved(env: gymnasium.Env) -> gymnasium.Env:
     )
 
 
-def flat_normalized(env: gymnasium.Env) -> gymnasium.Env:
+def flat_normalized(env):
     return wrappers.NormalizeObservation(flat(env))
 
 
@@ -340,7 +334,7 @@ LAYERS = (
 
 
 @cache
-def plain_score(name: str) -> Score:
+def plain_score(name):
     return run_to_end(gymnasium.make(f"GAUGE/{name}"))[1]["score"]
 
 
@@ -351,9 +345,7 @@ def plain_score(name: str) -> Score:
         pytest.param(SOFT, flat, marks=pytest.mark.slow),
     ],
 )
-def test_wrappers_go_before_and_after_the_score(
-    name: str, layer: Callable[[gymnasium.Env], gymnasium.Env]
-) -> None:
+def test_wrappers_go_before_and_after_the_score(name, layer):
     after = layer(gymnasium.make(f"GAUGE/{name}"))
     before = ScoreEpisode(layer(GaugeEnv(name)))
     infos = []
@@ -364,7 +356,7 @@ def test_wrappers_go_before_and_after_the_score(
     assert infos[0]["score"] == infos[1]["score"] == plain_score(name)
 
 
-def test_episode_statistics_are_those_of_the_episode() -> None:
+def test_episode_statistics_are_those_of_the_episode():
     total, info = run_to_end(
         wrappers.RecordEpisodeStatistics(gymnasium.make(f"GAUGE/{RIGID}"))
     )
@@ -372,7 +364,7 @@ def test_episode_statistics_are_those_of_the_episode() -> None:
     assert info["episode"]["r"] == pytest.approx(total, abs=1e-5)
 
 
-def test_a_flat_observation_is_all_entries_by_name() -> None:
+def test_a_flat_observation_is_all_entries_by_name():
     env = gymnasium.make(f"GAUGE/{DRIVEN}")
     dictionary, _ = env.reset(seed=0)
     vector, _ = flat(env).reset(seed=0)
@@ -381,7 +373,7 @@ def test_a_flat_observation_is_all_entries_by_name() -> None:
     )
 
 
-def test_an_episode_that_is_cut_short_has_no_score() -> None:
+def test_an_episode_that_is_cut_short_has_no_score():
     limited = gymnasium.make(f"GAUGE/{RIGID}", max_episode_steps=5)
     for env in (limited, ScoreEpisode(wrappers.TimeLimit(GaugeEnv(RIGID), 5))):
         info = run_to_end(env)[1]
@@ -390,7 +382,7 @@ def test_an_episode_that_is_cut_short_has_no_score() -> None:
 
 
 @needs_opengl
-def test_a_list_of_pictures_can_be_asked_for() -> None:
+def test_a_list_of_pictures_can_be_asked_for():
     env = gymnasium.make(
         f"GAUGE/{RIGID}", render_mode="rgb_array_list", width=80, height=60
     )
@@ -399,7 +391,7 @@ def test_a_list_of_pictures_can_be_asked_for() -> None:
 
 
 @needs_opengl
-def test_a_video_shows_the_fall(tmp_path: Path) -> None:
+def test_a_video_shows_the_fall(tmp_path):
     pytest.importorskip("moviepy", reason="extra 'video' is not installed")
     import imageio_ffmpeg  # comes with moviepy
 
@@ -425,7 +417,7 @@ def test_a_video_shows_the_fall(tmp_path: Path) -> None:
     assert np.abs(frames[0] - frames[-1]).max() > 80
 
 
-def ball_row(picture: np.ndarray) -> float:
+def ball_row(picture):
     """Mean row of what is as dark as the rubber ball; its shadow is lighter."""
     rows = np.nonzero(picture.max(axis=2) < 90)[0]
     assert len(rows) > 20
@@ -435,7 +427,7 @@ def ball_row(picture: np.ndarray) -> float:
 # --- the guide -------------------------------------------------------------------------------------------------------
 
 
-def fenced(language: str) -> list[str]:
+def fenced(language):
     """Code blocks of the guide in a language."""
     return re.findall(
         rf"^```{language}\n(.*?)^```$",
@@ -445,7 +437,7 @@ def fenced(language: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_blocks_of_the_guide_run(tmp_path: Path) -> None:
+def test_blocks_of_the_guide_run(tmp_path):
     blocks = fenced("python")
     assert len(blocks) > 6
     if not find_library("EGL") and not find_library("OSMesa"):

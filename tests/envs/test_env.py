@@ -5,14 +5,12 @@ from __future__ import annotations
 import inspect
 import statistics
 import warnings
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Unpack, get_type_hints
 
 import gymnasium
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from gymnasium.utils.env_checker import check_env
 from places import RIGID
 
@@ -22,12 +20,7 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import reward_terms
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import (
-    ActionError,
     EpisodeError,
-    ParameterError,
-    TaskFileError,
-    UnknownNameError,
-    UnsupportedSceneError,
 )
 from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.references.models import unsolved_scenes
@@ -41,9 +34,9 @@ SHORT = tuple(
 )
 
 
-def one_of_a_kind(names: Iterable[str]) -> list[ParameterSet]:
+def one_of_a_kind(names):
     """Parameters of which the default run has the first material of each experiment, and `-m slow` the others."""
-    seen: set[str] = set()
+    seen = set()
     found = []
     for name in names:
         kind = name.rpartition("-")[0]
@@ -52,7 +45,7 @@ def one_of_a_kind(names: Iterable[str]) -> list[ParameterSet]:
     return found
 
 
-def test_75_ids_in_22_families_are_registered() -> None:
+def test_75_ids_in_22_families_are_registered():
     # What an experiment file states runs as GAUGE/Asset; control tasks and experiments beyond the benchmark are extra.
     beyond = {variant.id for variant in gauge_envs.beyond_variants()}
     extra = {"GAUGE/Asset", *(task.id for task in control_tasks()), *beyond}
@@ -70,7 +63,7 @@ def test_75_ids_in_22_families_are_registered() -> None:
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(RIGID))
-def test_gymnasiums_checker_passes(name: str) -> None:
+def test_gymnasiums_checker_passes(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -82,7 +75,7 @@ def test_gymnasiums_checker_passes(name: str) -> None:
 @pytest.mark.parametrize(
     "name", one_of_a_kind(v.name for v in gauge_envs.variants() if v.name not in RIGID)
 )
-def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
+def test_every_deformable_id_steps_inside_its_spaces(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, _ = env.reset(seed=0)
     action = (
@@ -107,14 +100,14 @@ def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
     assert (reward == 0.0) == (info["reference"] in ("none", "end"))
 
 
-def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
+def test_curvature_of_a_hanging_cloth_is_nothing():
     env = gymnasium.make("GAUGE/TextileFlinging-satin")
     observation, _ = env.reset(seed=0)
     assert np.linalg.norm(observation["observable"]) < 0.01
 
 
 @pytest.mark.parametrize("proxy", ["node", "material"])
-def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
+def test_foam_markers_follow_the_grip(proxy, rollout):
     # The law needs no fine mesh.
     env, trajectory, _ = rollout(
         "FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05}
@@ -139,7 +132,7 @@ def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
         "TextileBending-satin",
     ],
 )
-def test_material_points_start_at_the_markers(name: str) -> None:
+def test_material_points_start_at_the_markers(name):
     env = gymnasium.make(f"GAUGE/{name}", marker_proxy="material")
     observation, _ = env.reset(seed=0)
     markers = env.unwrapped.experiment.scene.markers.positions_m
@@ -153,23 +146,8 @@ def test_material_points_start_at_the_markers(name: str) -> None:
     assert np.isfinite(observation["markers"]).all()
 
 
-def test_unknown_marker_proxy() -> None:
-    with pytest.raises(ParameterError, match="'material' or 'node'"):
-        gauge_envs.GaugeEnv("FoamStretching-soft", marker_proxy="nearest")
-
-
-def test_too_fine_a_cloth_for_its_contact_thickness() -> None:
-    with pytest.raises(
-        ParameterError,
-        match=r"a thickness of 4 mm, but its cells of 3\.33 mm must be larger",
-    ):
-        gymnasium.make("GAUGE/Funnel-satin", settings={"cell_m": 1 / 300})
-
-
 @pytest.mark.parametrize("name", one_of_a_kind(SHORT))
-def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(
-    name: str, rollout
-) -> None:
+def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(name, rollout):
     # Neither depends on the step.
     settings = {"timestep_s": 1 / 900}
     env, trajectory, info = rollout(name, settings=settings)
@@ -192,7 +170,7 @@ def test_an_episode_has_the_published_frames_and_repeats_bit_for_bit(
         "Pendulum-metal",
     ],
 )
-def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
+def test_reset_repeats_the_trajectory_of_the_long_ones(name):
     env = gymnasium.make(f"GAUGE/{name}")
     trajectories = []
     for _ in range(2):
@@ -204,7 +182,7 @@ def test_reset_repeats_the_trajectory_of_the_long_ones(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", RIGID)
-def test_episode_starts_from_the_published_pose(name: str) -> None:
+def test_episode_starts_from_the_published_pose(name):
     env = gymnasium.make(f"GAUGE/{name}")
     observation, info = env.reset(seed=0)
     scene = env.unwrapped.experiment.scene
@@ -217,7 +195,7 @@ def test_episode_starts_from_the_published_pose(name: str) -> None:
     assert info["reference"] == (band.grade if band else "none")
 
 
-def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
+def test_reward_is_minus_the_mean_abs_z(rollout):
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
     env.reset(seed=0)
     rewards = [env.step(0)[1] for _ in range(18)]
@@ -230,7 +208,7 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
     assert min(rewards) < -0.1
 
 
-def test_reward_is_zero_without_a_reference() -> None:
+def test_reward_is_zero_without_a_reference():
     env = gymnasium.make("GAUGE/RopeWinding-rubber")
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
@@ -239,8 +217,8 @@ def test_reward_is_zero_without_a_reference() -> None:
 
 @pytest.mark.parametrize("name", ["CantileverBeam-hard", "WallBreaking-wood"])
 def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_nothing_scored(
-    name: str,
-) -> None:
+    name,
+):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
     observation, info = env.reset(seed=0)
     assert (env.band, info["reference"]) == (None, "end")
@@ -271,7 +249,7 @@ def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_no
     )
 
 
-def test_observation_is_si_and_consistent_with_the_motion() -> None:
+def test_observation_is_si_and_consistent_with_the_motion():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     observation = [env.step(0)[0] for _ in range(5)][-1]
@@ -288,7 +266,7 @@ def test_observation_is_si_and_consistent_with_the_motion() -> None:
     )
 
 
-def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
+def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
     env = gymnasium.make("GAUGE/Turntable-1-wood")
     angles = []
     for action in (0.0, 1.0):
@@ -304,7 +282,7 @@ def test_zero_action_replays_the_recorded_motion_and_others_add_to_it() -> None:
     )
 
 
-def test_reset_forgets_earlier_actions() -> None:
+def test_reset_forgets_earlier_actions():
     env = gymnasium.make("GAUGE/Turntable-1-wood")
     runs = []
     for warm_up in (False, True):
@@ -319,7 +297,7 @@ def test_reset_forgets_earlier_actions() -> None:
     assert np.array_equal(*runs)
 
 
-def test_law_bands_carry_the_body() -> None:
+def test_law_bands_carry_the_body():
     env = gymnasium.make("GAUGE/Turntable-1-metal").unwrapped
     plate = env.experiment.scene.body("plate").pose.position_m
     arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
@@ -329,7 +307,7 @@ def test_law_bands_carry_the_body() -> None:
     assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_scores_against_real_trials(rollout) -> None:
+def test_scores_against_real_trials(rollout):
     limits = {"wood": (0.45, 0.95), "plastic": (0.92, 1.10), "metal": (0.80, 0.78)}
     for material, (rmse, dtw) in limits.items():
         score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
@@ -338,7 +316,7 @@ def test_scores_against_real_trials(rollout) -> None:
         assert score.dtw_normalized <= dtw
 
 
-def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
+def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
     calibrated = rollout("BouncingBall-rubber")[2]["score"]
     effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
     recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
@@ -351,7 +329,7 @@ def test_bouncing_ball_error_is_release_restitution_and_height(rollout) -> None:
     assert (recorded.percentile_aligned, effective.percentile_aligned) == (0.0, 100.0)
 
 
-def test_slower_body_is_scored_as_slower(rollout) -> None:
+def test_slower_body_is_scored_as_slower(rollout):
     signed = [
         rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2][
             "score"
@@ -364,7 +342,7 @@ def test_slower_body_is_scored_as_slower(rollout) -> None:
 # --- divergence ---
 
 
-def test_a_finite_explosion_terminates_and_says_why() -> None:
+def test_a_finite_explosion_terminates_and_says_why():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     env.unwrapped.simulation.data.qvel[0] = 500.0
@@ -377,7 +355,7 @@ def test_a_finite_explosion_terminates_and_says_why() -> None:
         env.step(0)
 
 
-def test_energy_from_nowhere_terminates_below_the_speed_limit() -> None:
+def test_energy_from_nowhere_terminates_below_the_speed_limit():
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
     env.reset(seed=0)
     scene = env.unwrapped.experiment.scene
@@ -389,7 +367,7 @@ def test_energy_from_nowhere_terminates_below_the_speed_limit() -> None:
     assert "energy" in info["diverged"]
 
 
-def test_nan_terminates() -> None:
+def test_nan_terminates():
     env = gymnasium.make("GAUGE/BouncingBall-rubber")
     env.reset(seed=0)
     simulation = env.unwrapped.simulation
@@ -402,99 +380,7 @@ def test_nan_terminates() -> None:
 # --- misuse ---
 
 
-def test_unknown_id_backend_material_and_parameters() -> None:
-    with pytest.raises(gymnasium.error.NameNotFound):
-        gymnasium.make("GAUGE/SlopeSlid-2-wood")
-    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
-        gauge_envs.GaugeEnv("SlopeSlider-2-wod")
-    with pytest.raises(UnknownNameError, match="mujoco"):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", backend="mujocoo")
-    with pytest.raises(ParameterError, match="calibrated"):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters="fitted")
-
-
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        ({"cubes.friction": 0.3}, "cubes"),
-        ({"cube.frict": 0.3}, "frict"),
-        ({"cube.friction": -0.3}, "friction"),
-        ({"cube.mass_kg": 0.0}, "mass_kg"),
-        ({"cube.position_m": (0.0, 0.0)}, "position_m"),
-        ({"cube.restitution": float("nan")}, "restitution"),
-    ],
-)
-def test_impossible_overrides_are_named(overrides: dict, message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        gymnasium.make("GAUGE/SlopeSlider-2-wood", parameters=overrides)
-
-
-@pytest.mark.parametrize(
-    "action", [1, -1, "0", None, 0.5, np.array([0.0, 0.0]), np.nan]
-)
-def test_wrong_action_where_nothing_is_driven(action: object) -> None:
-    env = gymnasium.make("GAUGE/SlopeSlider-2-wood").unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ActionError):
-        env.step(action)
-
-
-@pytest.mark.parametrize(
-    "action",
-    [
-        np.array([np.nan]),
-        np.array([1.5]),
-        np.zeros(2),
-        0.0,
-        "left",
-        None,
-        np.array([np.inf]),
-    ],
-)
-def test_wrong_action_where_a_body_is_driven(action: object) -> None:
-    env = gymnasium.make("GAUGE/Turntable-1-wood").unwrapped
-    env.reset(seed=0)
-    with pytest.raises(ActionError):
-        env.step(action)
-    assert env.step(np.zeros(1))[4]["frame"] == 1
-
-
-def test_step_before_reset_and_after_the_end() -> None:
-    env = gauge_envs.GaugeEnv("SlopeContact-wood")
-    with pytest.raises(EpisodeError, match="reset"):
-        env.step(0)
-    with pytest.raises(EpisodeError):
-        env.trajectory()
-    env.reset(seed=0)
-    for _ in range(9):
-        env.step(0)
-    with pytest.raises(EpisodeError, match="over"):
-        env.step(0)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        gymnasium.make("GAUGE/SlopeContact-wood").step(0)
-
-
-def test_unknown_reset_option_and_render_mode() -> None:
-    env = gymnasium.make("GAUGE/SlopeContact-wood")
-    with pytest.raises(ParameterError, match="jitterr"):
-        env.reset(options={"jitterr": True})
-    with pytest.raises(ParameterError, match="rgb_array"):
-        gauge_envs.GaugeEnv("SlopeContact-wood", render_mode="human")
-
-
-@pytest.mark.usefixtures("rigid_only")
-@pytest.mark.parametrize(
-    "name", ["Funnel-satin", "FoamTwisting-soft", "RopeWinding-rubber"]
-)
-def test_an_unsupported_id_says_so_at_make(name: str) -> None:
-    with pytest.raises(
-        UnsupportedSceneError,
-        match=r"deformable body.*no other backend of this package can",
-    ):
-        gymnasium.make(f"GAUGE/{name}")
-
-
-def test_spec_rebuilds_the_run() -> None:
+def test_spec_rebuilds_the_run():
     env = gymnasium.make(
         "GAUGE/SlopeSlider-2-wood",
         parameters={"cube.friction": 0.2},
@@ -505,14 +391,7 @@ def test_spec_rebuilds_the_run() -> None:
     assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings
 
 
-def test_a_damaged_task_file_is_named(tmp_path) -> None:
-    path = tmp_path / "broken.toml"
-    path.write_text("family = ")
-    with pytest.raises(TaskFileError, match=r"broken\.toml"):
-        gauge_envs.load_task(path)
-
-
-def test_signatures_list_the_arguments_of_environments() -> None:
+def test_signatures_list_the_arguments_of_environments():
     declared = get_type_hints(EnvArguments)
     del declared["variant"]
     declared.pop("_", None)  # the mark of keyword-only fields

@@ -25,11 +25,11 @@ SILENT = "GAUGE/RopeWinding-rubber"
 
 
 @pytest.fixture(autouse=True)
-def _nothing_was_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def _nothing_was_reported(monkeypatch):
     monkeypatch.setattr(arguments, "_warned", set())
 
 
-def warnings_of(make) -> list[warnings.WarningMessage]:
+def warnings_of(make):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         make()
@@ -38,7 +38,7 @@ def warnings_of(make) -> list[warnings.WarningMessage]:
     ]
 
 
-def test_make_warns_once_for_each_id_at_the_line_of_the_caller() -> None:
+def test_make_warns_once_for_each_id_at_the_line_of_the_caller():
     (first,) = warnings_of(lambda: gymnasium.make(SILENT))
     assert Path(first.filename) == Path(__file__)
     assert str(first.message) == (
@@ -49,13 +49,13 @@ def test_make_warns_once_for_each_id_at_the_line_of_the_caller() -> None:
     assert len(warnings_of(lambda: gymnasium.make("GAUGE/WallBreaking-wood"))) == 1
 
 
-def test_make_vec_and_dm_env_warn_too() -> None:
+def test_make_vec_and_dm_env_warn_too():
     (vector,) = warnings_of(lambda: gymnasium.make_vec(SILENT, num_envs=2))
     assert Path(vector.filename) == Path(__file__)
     assert len(warnings_of(lambda: load("WallBreaking-wood"))) == 1
 
 
-def test_the_warning_offers_a_withheld_band() -> None:
+def test_the_warning_offers_a_withheld_band():
     # A foam of another stiffness is not the one that was solved.
     other = {"foam.young_modulus_pa": 1e5}
     (warning,) = warnings_of(
@@ -72,11 +72,11 @@ def test_the_warning_offers_a_withheld_band() -> None:
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "Turntable-1-wood", "Turntable-Limit-wood"]
 )
-def test_ids_with_a_reward_and_control_tasks_are_silent(name: str) -> None:
+def test_ids_with_a_reward_and_control_tasks_are_silent(name):
     assert warnings_of(lambda: gymnasium.make(f"GAUGE/{name}")) == []
 
 
-def test_make_says_where_a_reference_ends() -> None:
+def test_make_says_where_a_reference_ends():
     (warning,) = warnings_of(lambda: gymnasium.make("GAUGE/SlopeContact-wood"))
     assert str(warning.message) == (
         "GAUGE/SlopeContact-wood: its reference of grade law ends at 0.13 of 0.30 s. Later rewards are 0."
@@ -84,14 +84,14 @@ def test_make_says_where_a_reference_ends() -> None:
 
 
 @pytest.mark.slow
-def test_the_class_itself_and_runs_are_silent() -> None:
+def test_the_class_itself_and_runs_are_silent():
     assert warnings_of(lambda: gauge_envs.GaugeEnv("RopeWinding-rubber")) == []
     assert warnings_of(lambda: run_episode(RunRequest("RopeWinding-rubber"))) == []
     # A run reports the grade itself. It does not use up the warning of the id.
     assert len(warnings_of(lambda: gymnasium.make(SILENT))) == 1
 
 
-def test_a_warning_that_is_an_error_is_raised_each_time() -> None:
+def test_a_warning_that_is_an_error_is_raised_each_time():
     with warnings.catch_warnings():
         warnings.simplefilter("error", NoRewardWarning)
         for _ in range(2):
@@ -99,7 +99,7 @@ def test_a_warning_that_is_an_error_is_raised_each_time() -> None:
                 gymnasium.make(SILENT)
 
 
-def test_an_experiment_file_is_asked_for_a_band(tmp_path: Path) -> None:
+def test_an_experiment_file_is_asked_for_a_band(tmp_path):
     copy = tmp_path / "usd_experiment"
     shutil.copytree(ROOT / "examples" / "usd_experiment", copy)
     text = (copy / "crate.toml").read_text(encoding="utf-8")
@@ -118,13 +118,13 @@ def test_an_experiment_file_is_asked_for_a_band(tmp_path: Path) -> None:
     )
 
 
-def test_an_id_without_reward_passes_the_checks_of_gymnasium() -> None:
+def test_an_id_without_reward_passes_the_checks_of_gymnasium():
     env = gymnasium.make(SILENT)
     check_env(env.unwrapped, skip_render_check=True)
     assert env.reset(seed=0) and env.step(env.action_space.sample() * 0)[1] == 0.0
 
 
-def test_the_list_of_scored_ids_is_the_list_of_silent_ones() -> None:
+def test_the_list_of_scored_ids_is_the_list_of_silent_ones():
     listed = CliRunner().invoke(app, ["list", "--scored"]).stdout
     scored = {
         word.removeprefix("GAUGE/")

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from test_at_once import Together, zeros
+from test_at_once import zeros
+from together import Together
 
-from gauge_envs.backends.base import Recording, Worlds
+from gauge_envs.backends.base import Recording
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.newton.recordings import WarpKernels, device_array
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ActionError, BackendError, EpisodeError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.scene import Scene
 
 pytest.importorskip("warp")
 
@@ -32,9 +31,7 @@ class Recorded(Together):
     on_device = False
     plant: Plant | None = None
 
-    def record(
-        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
-    ) -> Recording:
+    def record(self, names, *, frame_count, samples, interval_s):
         count = (frame_count - 1) * samples + 1
         states = np.empty((count, len(self.worlds), len(names), 13))
         states[0] = self.body_states(names)
@@ -53,14 +50,10 @@ class Recorded(Together):
 
 
 @pytest.fixture(params=["numpy", "kernels"])
-def together(
-    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
-) -> Iterator[None]:
+def together(monkeypatch, request):
     monkeypatch.setattr(Recorded, "on_device", request.param == "kernels")
 
-    def build_worlds(
-        self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None
-    ) -> Worlds:
+    def build_worlds(self, scenes, settings=None):
         return Recorded([self.build(scene, settings) for scene in scenes])
 
     monkeypatch.setattr(BackendMuJoCo, "build_worlds", build_worlds)
@@ -68,7 +61,7 @@ def together(
     Recorded.plant = None
 
 
-def made(name: str, count: int = 4, **arguments: Any) -> GaugeVectorEnv:
+def made(name, count=4, **arguments):
     envs = gymnasium.make_vec(
         f"GAUGE/{name}", num_envs=count, score_arrays=True, **arguments
     ).unwrapped
@@ -76,9 +69,7 @@ def made(name: str, count: int = 4, **arguments: Any) -> GaugeVectorEnv:
     return envs
 
 
-def stepped(
-    envs: GaugeVectorEnv, disturb: Callable[[int], None] = lambda _: None
-) -> dict[str, np.ndarray]:
+def stepped(envs, disturb=lambda _: None):
     over, frame = False, 0
     while not over:
         disturb(frame)
@@ -87,7 +78,7 @@ def stepped(
     return envs.score_arrays()
 
 
-def assert_scores(one: Any, other: Any) -> None:
+def assert_scores(one, other):
     assert one.keys() == other.keys()
     for key, values in one.items():
         np.testing.assert_allclose(
@@ -95,7 +86,7 @@ def assert_scores(one: Any, other: Any) -> None:
         )
 
 
-def assert_same_records(one: GaugeVectorEnv, other: GaugeVectorEnv) -> None:
+def assert_same_records(one, other):
     for first, second in zip(one.episodes, other.episodes, strict=True):
         mine, its = first.trajectory(), second.trajectory()
         for key in vars(mine):
@@ -112,7 +103,7 @@ def assert_same_records(one: GaugeVectorEnv, other: GaugeVectorEnv) -> None:
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "NonsmoothContact-1-wood"]
 )
-def test_a_rollout_is_stepping(name: str, together: None) -> None:
+def test_a_rollout_is_stepping(name, together):
     rolled, loop = made(name), made(name)
     for envs in (rolled, loop):
         envs.reset(seed=3, options={"jitter": True})
@@ -130,12 +121,12 @@ def test_a_rollout_is_stepping(name: str, together: None) -> None:
     assert first[4]["frame"].tolist() == [0] * 4
 
 
-def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together: None) -> None:
+def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together):
     rolled, loop = made("BouncingBall-rubber"), made("BouncingBall-rubber")
     for envs in (rolled, loop):
         envs.reset(seed=0)
 
-    def kick(envs: GaugeVectorEnv, world: int) -> None:
+    def kick(envs, world):
         envs.worlds.worlds[world].simulation.data.qvel[0] = 900.0
 
     # World 1 is kicked before its first frame, and world 2 before its fifth.
@@ -145,7 +136,7 @@ def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together: None) 
     )
     advance, calls = rolled.worlds.advance, []
 
-    def kicked(seconds: float) -> None:
+    def kicked(seconds):
         if len(calls) % 6 == 0 and len(calls) // 6 in kicks:
             kick(rolled, kicks[len(calls) // 6])
         calls.append(seconds)
@@ -161,12 +152,10 @@ def test_worlds_that_diverge_are_found_in_the_frame_of_stepping(together: None) 
 
 
 @pytest.mark.parametrize("fault", ["position", "speed", "sample"])
-def test_a_world_that_diverges_after_its_last_frame_is_aligned_less(
-    fault: str, together: None
-) -> None:
+def test_a_world_that_diverges_after_its_last_frame_is_aligned_less(fault, together):
     last = load_experiment("SlopeSlider-2-wood").frame_count - 1
 
-    def plant(positions: np.ndarray, states: np.ndarray) -> None:
+    def plant(positions, states):
         if fault == "sample":
             positions[(last + 2) * 6 + 3, 1] = np.nan
         else:
@@ -188,7 +177,7 @@ def test_a_world_that_diverges_after_its_last_frame_is_aligned_less(
     assert_scores(result.scores, envs.score_arrays())
 
 
-def test_a_planted_fault_in_one_world_changes_its_score_alone(together: None) -> None:
+def test_a_planted_fault_in_one_world_changes_its_score_alone(together):
     envs = made("SlopeSlider-2-wood")
     envs.reset(seed=0, options={"jitter": True})
     right = envs.rollout().scores
@@ -203,7 +192,7 @@ def test_a_planted_fault_in_one_world_changes_its_score_alone(together: None) ->
         assert np.flatnonzero(wrong[key] != right[key]).tolist() == [2]
 
 
-def test_without_a_record_on_the_host_a_reset_must_follow(together: None) -> None:
+def test_without_a_record_on_the_host_a_reset_must_follow(together):
     envs = made("SlopeSlider-2-wood", 2)
     with pytest.raises(EpisodeError, match="call reset before rollout"):
         envs.rollout()
@@ -224,7 +213,7 @@ def test_without_a_record_on_the_host_a_reset_must_follow(together: None) -> Non
         envs.rollout()
 
 
-def test_actions_are_checked(together: None) -> None:
+def test_actions_are_checked(together):
     envs = made("SlopeSlider-2-wood", 2)
     envs.reset(seed=0)
     for actions in (np.ones((18, 2), dtype=int), np.zeros((17, 2), dtype=int)):
@@ -233,7 +222,7 @@ def test_actions_are_checked(together: None) -> None:
     assert envs.rollout(np.zeros((18, 2), dtype=int)).device == "cpu"
 
 
-def test_an_engine_that_records_nothing_is_stepped_and_says_so() -> None:
+def test_an_engine_that_records_nothing_is_stepped_and_says_so():
     envs = made("SlopeSlider-2-wood", 2)
     envs.reset(seed=0)
     result = envs.rollout()
@@ -246,7 +235,7 @@ def test_an_engine_that_records_nothing_is_stepped_and_says_so() -> None:
         Together([]).record(["cube"], frame_count=2, samples=6, interval_s=1 / 180)
 
 
-def test_a_driven_experiment_is_stepped_with_its_actions() -> None:
+def test_a_driven_experiment_is_stepped_with_its_actions():
     actions = np.full(
         (load_experiment("SlopeSlider-3-wood").frame_count - 1, 1, 1), 0.5
     )
@@ -267,7 +256,7 @@ def test_a_driven_experiment_is_stepped_with_its_actions() -> None:
     )
 
 
-def test_each_world_is_judged_by_its_own_masses() -> None:
+def test_each_world_is_judged_by_its_own_masses():
     scene = load_experiment("BouncingBall-rubber").scene
     heavy = replace(
         scene,
@@ -295,7 +284,7 @@ def test_each_world_is_judged_by_its_own_masses() -> None:
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "NonsmoothContact-3-wood", "BouncingBall-rubber"]
 )
-def test_newton_records_what_it_steps(name: str) -> None:
+def test_newton_records_what_it_steps(name):
     pytest.importorskip("newton")
     rolled, loop = made(name, 3, backend="newton"), made(name, 3, backend="newton")
     for envs in (rolled, loop):

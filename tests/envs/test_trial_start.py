@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -24,15 +20,15 @@ SLIDE, BALL, SWING = "SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-meta
 
 
 @pytest.fixture
-def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+def imported(tmp_path, monkeypatch):
     """Imports trials of a variant, whose recorded body has the positions [mm] that a function gives to each trial."""
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "data"))
 
     def run(
-        name: str,
-        positions_mm: Callable[[int, np.ndarray], np.ndarray],
-        rotations: Callable[[int, np.ndarray], Rotation | None] = lambda *_: None,
-    ) -> None:
+        name,
+        positions_mm,
+        rotations=lambda *_: None,
+    ):
         experiment = load_experiment(name)
         times_s = np.arange(experiment.frame_count + 12)[:, None] / 30
         for number in range(3):
@@ -50,12 +46,12 @@ def imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., N
     return run
 
 
-def start_of(name: str) -> np.ndarray:
+def start_of(name):
     experiment = load_experiment(name)
     return np.array(experiment.scene.body(experiment.recorded[0]).pose.position_m)
 
 
-def thrown(number: int, times_s: np.ndarray) -> np.ndarray:
+def thrown(number, times_s):
     """A ball that is thrown with (0.1 number, 0, 0.4) m/s, from a place that depends on the number."""
     start = np.add(start_of(BALL), (0.0, 2e-3 * number, 1e-3))
     path = (
@@ -67,9 +63,7 @@ def thrown(number: int, times_s: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("trial", [0, 2])
-def test_a_ball_starts_and_flies_as_its_trial(
-    trial: int, imported: Callable[..., None]
-) -> None:
+def test_a_ball_starts_and_flies_as_its_trial(trial, imported):
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     observation, _ = env.reset(seed=0, options={"trial": trial})
@@ -90,8 +84,8 @@ def test_a_ball_starts_and_flies_as_its_trial(
 
 
 def test_a_reset_without_the_option_returns_to_the_calibrated_start(
-    imported: Callable[..., None],
-) -> None:
+    imported,
+):
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     first, _ = env.reset(seed=0)
@@ -100,7 +94,7 @@ def test_a_reset_without_the_option_returns_to_the_calibrated_start(
     np.testing.assert_array_equal(first["bodies"], again["bodies"])
 
 
-def test_a_result_states_the_trial(imported: Callable[..., None]) -> None:
+def test_a_result_states_the_trial(imported):
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     env.reset(seed=0, options={"trial": 1})
@@ -111,14 +105,14 @@ def test_a_result_states_the_trial(imported: Callable[..., None]) -> None:
     assert episode_result(env, info).jitter == {"trial": 1}
 
 
-def test_worlds_start_from_the_trial(imported: Callable[..., None]) -> None:
+def test_worlds_start_from_the_trial(imported):
     imported(BALL, thrown)
     envs = gymnasium.make_vec(f"GAUGE/{BALL}", num_envs=2)
     observations, _ = envs.reset(seed=0, options={"trial": 2})
     assert observations["bodies"][:, 0, 7] == pytest.approx([0.2, 0.2])
 
 
-def test_a_cube_moves_and_slides_on_its_face(imported: Callable[..., None]) -> None:
+def test_a_cube_moves_and_slides_on_its_face(imported):
     off_m, speed = np.array([1e-3, 2e-3, 3e-3]), np.array([0.2, 0.1, 0.3])
     imported(
         SLIDE, lambda _, times_s: 1e3 * (start_of(SLIDE) + off_m + times_s * speed)
@@ -144,14 +138,14 @@ FRAME = Rotation.from_euler("xyz", (20.0, -70.0, 130.0), degrees=True)
 """Body frame of the motion capture, relative to that of the scene."""
 
 
-def spinning(name: str, spin: np.ndarray) -> Callable[[int, np.ndarray], Rotation]:
+def spinning(name, spin):
     """Orientations that start at a yaw and a tilt of each trial, and rotate with a spin, in the body frame `FRAME`."""
     pose = load_experiment(name).scene.body(load_experiment(name).recorded[0]).pose
     normal = face_normal(pose)
     across = np.cross(normal, [0.0, 1.0, 0.0])
     across /= np.linalg.norm(across)
 
-    def rotations(number: int, times_s: np.ndarray) -> Rotation:
+    def rotations(number, times_s):
         start = Rotation.from_rotvec(np.radians(YAWS_DEG[number]) * normal)
         start = (
             Rotation.from_rotvec(np.radians(TILT_DEG * (number - 1)) * across) * start
@@ -162,8 +156,8 @@ def spinning(name: str, spin: np.ndarray) -> Callable[[int, np.ndarray], Rotatio
 
 
 def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(
-    imported: Callable[..., None],
-) -> None:
+    imported,
+):
     before = load_experiment(SLIDE).scene.body("cube")
     normal = face_normal(before.pose)
 
@@ -183,8 +177,8 @@ def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(
 
 
 def test_a_ball_starts_with_the_spin_of_its_trial(
-    imported: Callable[..., None],
-) -> None:
+    imported,
+):
     spin = np.array([3.0, -5.0, 7.0])
     imported(BALL, thrown, spinning(BALL, spin))
     env = gymnasium.make(f"GAUGE/{BALL}")
@@ -193,8 +187,8 @@ def test_a_ball_starts_with_the_spin_of_its_trial(
 
 
 def test_trials_without_orientations_keep_that_of_the_scene(
-    tmp_path: Path, imported: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, imported, monkeypatch
+):
     monkeypatch.setattr(
         "test_trial_start.body_asset",
         lambda positions, _: dict(zip("xyz", positions.T.tolist(), strict=True)),
@@ -206,7 +200,7 @@ def test_trials_without_orientations_keep_that_of_the_scene(
     assert cube.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
 
 
-def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> None:
+def test_a_pendulum_rotates_about_its_hinge(imported):
     before = load_experiment(SWING).scene
     hinge, ball = before.joints[0], before.body("ball")
     arm, axis = (
@@ -214,7 +208,7 @@ def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> No
         np.asarray(hinge.axis),
     )
 
-    def swinging(_: int, times_s: np.ndarray) -> np.ndarray:
+    def swinging(_, times_s):
         angles = 0.01 + 0.3 * times_s
         return 1e3 * (
             hinge.anchor_m + np.cos(angles) * arm + np.sin(angles) * np.cross(axis, arm)
@@ -239,17 +233,13 @@ def test_a_pendulum_rotates_about_its_hinge(imported: Callable[..., None]) -> No
         ({"start": 1}, "only the options 'jitter' and 'trial', got 'start'"),
     ],
 )
-def test_what_is_no_trial_is_refused(
-    options: dict[str, Any], message: str, imported: Callable[..., None]
-) -> None:
+def test_what_is_no_trial_is_refused(options, message, imported):
     imported(BALL, thrown)
     with pytest.raises(ParameterError, match=message):
         gymnasium.make(f"GAUGE/{BALL}").reset(options=options)
 
 
-def test_without_an_import_the_error_names_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_an_import_the_error_names_the_command(tmp_path, monkeypatch):
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
     with pytest.raises(
         ParameterError, match=r"none were imported\. Run `gauge data import DIR` first"
@@ -257,10 +247,8 @@ def test_without_an_import_the_error_names_the_command(
         gymnasium.make(f"GAUGE/{BALL}").reset(options={"trial": 0})
 
 
-def test_markers_and_gaps_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, imported: Callable[..., None]
-) -> None:
-    def gap(number: int, times_s: np.ndarray) -> np.ndarray:
+def test_markers_and_gaps_are_refused(tmp_path, monkeypatch, imported):
+    def gap(number, times_s):
         positions = thrown(number, times_s)
         positions[1 if number == 1 else 9] = np.nan
         return positions

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from io import StringIO
-from typing import Any
 
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows
+from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import score_text
 
@@ -44,13 +43,13 @@ TABLE = Table(
 )
 
 
-def printed(shown: Shown, width: int = 80, *, wide: bool = False) -> list[str]:
+def printed(shown, width=80, *, wide=False):
     stream = StringIO()
     Console(file=stream, width=width).print(Terminal(shown, wide))
     return stream.getvalue().splitlines()
 
 
-def test_a_terminal_has_headings_cells_and_lines_below() -> None:
+def test_a_terminal_has_headings_cells_and_lines_below():
     assert printed(TABLE) == [
         "",
         "Scores",
@@ -67,7 +66,7 @@ def test_a_terminal_has_headings_cells_and_lines_below() -> None:
     assert printed(TABLE, wide=True)[2] == "  first [mm]  second"
 
 
-def test_markdown_has_all_columns_in_all_rows() -> None:
+def test_markdown_has_all_columns_in_all_rows():
     assert as_markdown(TABLE).splitlines() == [
         "**Scores**",
         "",
@@ -81,11 +80,11 @@ def test_markdown_has_all_columns_in_all_rows() -> None:
     ]
 
 
-def test_json_has_the_rows_themselves() -> None:
+def test_json_has_the_rows_themselves():
     assert json.loads(json.dumps(as_rows(TABLE), allow_nan=False)) == list(ROWS)
 
 
-def test_rows_can_be_objects() -> None:
+def test_rows_can_be_objects():
     @dataclass
     class Row:
         name: str
@@ -99,7 +98,7 @@ def test_rows_can_be_objects() -> None:
     assert as_rows(table) == [{"name": "cube", "size": 0.05}]
 
 
-def test_a_table_without_rows_or_for_wide_terminals_alone() -> None:
+def test_a_table_without_rows_or_for_wide_terminals_alone():
     assert printed(Table(columns=TABLE.columns, rows=())) == ["none"]
     table = Table(columns=(Column("a", "a"),), rows=[{"a": 1}], wide_only=True)
     assert printed(table) == []
@@ -123,7 +122,7 @@ NAMED = Table(
 )
 
 
-def test_a_long_first_cell_gets_lines_of_its_own() -> None:
+def test_a_long_first_cell_gets_lines_of_its_own():
     assert printed(NAMED, 45) == [
         "phenomenon             reality  default  this",
         "friction of wood on a board of ten degrees",
@@ -132,7 +131,7 @@ def test_a_long_first_cell_gets_lines_of_its_own() -> None:
     ]
 
 
-def test_columns_that_do_not_fit_are_written_below_the_row() -> None:
+def test_columns_that_do_not_fit_are_written_below_the_row():
     assert printed(NAMED, 30) == [
         "phenomenon       reality",
         "friction of wood on a board of",
@@ -144,7 +143,7 @@ def test_columns_that_do_not_fit_are_written_below_the_row() -> None:
     ]
 
 
-def test_long_titles_are_wrapped_at_blanks() -> None:
+def test_long_titles_are_wrapped_at_blanks():
     columns = (
         Column("a", "metric"),
         Column("b", "mujoco, contact_solimp=0.95", is_number=True),
@@ -177,9 +176,7 @@ WORDS = st.lists(
     places=st.lists(st.sampled_from(Place), min_size=8, max_size=8),
     width=st.integers(30, 120),
 )
-def test_no_line_is_too_long_and_no_word_is_lost(
-    titles: list[str], cells: list[list[str]], places: list[Place], width: int
-) -> None:
+def test_no_line_is_too_long_and_no_word_is_lost(titles, cells, places, width):
     columns = (
         Column("0", "first"),
         *(
@@ -187,9 +184,7 @@ def test_no_line_is_too_long_and_no_word_is_lost(
             for index, title in enumerate(titles[1:], start=1)
         ),
     )
-    rows: list[dict[str, Any]] = [
-        {str(index): text for index, text in enumerate(line)} for line in cells
-    ]
+    rows = [{str(index): text for index, text in enumerate(line)} for line in cells]
     lines = printed(Table(columns=columns, rows=rows), width)
     assert max(map(len, lines)) <= width
     words = {word.strip(";") for line in lines for word in line.split()}
@@ -201,7 +196,7 @@ def test_no_line_is_too_long_and_no_word_is_lost(
     }
 
 
-def test_facts_have_their_texts_beside_the_names_and_long_names_above() -> None:
+def test_facts_have_their_texts_beside_the_names_and_long_names_above():
     facts = Facts(
         {"episode": "19 frames at 30 Hz", "floor with torso, head and 5 more": "0.02 1"}
     )
@@ -215,7 +210,7 @@ def test_facts_have_their_texts_beside_the_names_and_long_names_above() -> None:
 
 
 @pytest.mark.parametrize("text", ["[red]", "[/]", "a [b] c"])
-def test_brackets_are_text(text: str) -> None:
+def test_brackets_are_text(text):
     assert printed(Table(columns=(Column("a", text),), rows=[{"a": text}])) == [
         text,
         text,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -19,12 +17,10 @@ from gauge_envs.references.imported import SpreadRecord
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.tools import sanity
 from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
 from gauge_envs.tools.dataset.words import import_document
-from gauge_envs.tools.sanity.model import Report
 
 IDS = (
     "SlopeSlider-2-wood",
@@ -47,7 +43,7 @@ Print = Callable[..., str]
 
 
 @pytest.fixture(scope="module")
-def results() -> list[Result]:
+def results():
     """Results of four experiments on MuJoCo, and the same under another engine's name."""
     ours = [run_episode(RunRequest(name)) for name in IDS]
     return [
@@ -60,18 +56,18 @@ def results() -> list[Result]:
 
 
 @pytest.fixture(scope="module")
-def report() -> Report:
+def report():
     """The sanity check of HalfCheetah-v5, with some of its phenomena."""
     return sanity.check(sanity.configuration("HalfCheetah-v5"), only=SANITY_ROWS)
 
 
 @pytest.fixture
 def gauge(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    results: list[Result],
-    report: Report,
-) -> Print:
+    tmp_path,
+    monkeypatch,
+    results,
+    report,
+):
     """Prints the output of a command at a width; the folder holds the results."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report)
@@ -79,7 +75,7 @@ def gauge(
     for result in results:
         write_result(result, tmp_path / "results" / result_file_name(result))
 
-    def run(width: int, *arguments: str) -> str:
+    def run(width, *arguments):
         outcome = CliRunner(env={"COLUMNS": str(width)}).invoke(app, list(arguments))
         # The robot has flags.
         assert outcome.exit_code == (arguments[0] == "sanity"), outcome.output
@@ -89,20 +85,18 @@ def gauge(
 
 
 @pytest.fixture(scope="module")
-def unlimited() -> dict[tuple[str, ...], set[str]]:
+def unlimited():
     """Words of commands at a width that has room for everything."""
     return {}
 
 
-def words_of(
-    gauge: Print, unlimited: dict[tuple[str, ...], set[str]], *command: str
-) -> set[str]:
+def words_of(gauge, unlimited, *command):
     if command not in unlimited:
         unlimited[command] = words(gauge(UNLIMITED, *command))
     return unlimited[command]
 
 
-def words(text: str) -> set[str]:
+def words(text):
     return {word.strip(";:") for word in text.split()}
 
 
@@ -126,11 +120,11 @@ COMMANDS = (
 @pytest.mark.parametrize("width", [80, pytest.param(120, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_a_table_fits_the_terminal_and_breaks_no_word(
-    gauge: Print,
-    unlimited: dict[tuple[str, ...], set[str]],
-    command: tuple[str, ...],
-    width: int,
-) -> None:
+    gauge,
+    unlimited,
+    command,
+    width,
+):
     text = gauge(width, *command)
     assert max(map(len, text.splitlines())) <= width
     # An id or a number that is cut or broken is another word.
@@ -145,15 +139,13 @@ WIDE = tuple(
 
 
 @pytest.mark.parametrize("command", WIDE, ids=" ".join)
-def test_wide_shows_all_columns_at_any_width(
-    gauge: Print, command: tuple[str, ...]
-) -> None:
+def test_wide_shows_all_columns_at_any_width(gauge, command):
     text = gauge(80, *command, "--format", "wide")
     assert max(map(len, text.splitlines())) <= 80
     assert words(gauge(UNLIMITED, *command, "--format", "wide")) <= words(text)
 
 
-def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
+def test_ids_are_whole_and_on_one_line(gauge):
     assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {
         variant.id for variant in variants()
     }
@@ -177,14 +169,12 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
         (("sanity", "HalfCheetah-v5"), 120),
     ],
 )
-def test_a_table_takes_few_lines_at_80_columns(
-    gauge: Print, command: tuple[str, ...], most: int
-) -> None:
+def test_a_table_takes_few_lines_at_80_columns(gauge, command, most):
     assert len(gauge(80, *command).splitlines()) <= most
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_an_import_fits_the_terminal(width: int) -> None:
+def test_an_import_fits_the_terminal(width):
     variant = find_variant("NonsmoothContact-1-plastic")
     lines = published_baselines(variant.name)
     rows = tuple(
@@ -196,11 +186,11 @@ def test_an_import_fits_the_terminal(width: int) -> None:
         )
         for metric, line in lines.items()
     )
-    driver: Any = SimpleNamespace(
+    driver = SimpleNamespace(
         body="board", trial_count=20, residual_mm=0.12, residual_deg=0.34, start_offset_mm=1.2, scatter_mm=0.5,
         scatter_deg=None,
     )  # fmt: skip
-    record: Any = SimpleNamespace(drivers=[driver])
+    record = SimpleNamespace(drivers=[driver])
     one = ImportedTrials(
         variant=variant, record=record, used=20, left_out=1, rows=rows, findings=()
     )

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.listing import list_rows
 from gauge_envs.tools.conformance import words
@@ -32,20 +30,20 @@ WOOD, PLASTIC, METAL = (
 )
 
 
-def plain(result: Result) -> str:
+def plain(result):
     """A result without the times of its making, to the last bit."""
     return json.dumps(replace(result, wall_s=None, cpu_s=None, created="").to_dict())
 
 
-def test_results_have_the_same_bits_in_another_process() -> None:
+def test_results_have_the_same_bits_in_another_process():
     requests = [RunRequest("SlopeSlider-3-metal", seed=2, repeats=2)]
     here, there = run_many(requests), run_many(requests, isolate=True)
     assert list(map(plain, here)) == list(map(plain, there))
 
 
 def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     found = []
     for stated in (None, "4"):
         if stated is None:
@@ -58,7 +56,7 @@ def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(
     assert found == ["1", None, "4", "4"]
 
 
-def test_engines_that_die_cost_one_episode_each(installed: Callable[..., None]) -> None:
+def test_engines_that_die_cost_one_episode_each(installed):
     installed("crash", "hard-exit", "exit")
     causes = {
         "crash": "the engine's process died with signal 11 (segmentation fault)",
@@ -77,7 +75,7 @@ def test_engines_that_die_cost_one_episode_each(installed: Callable[..., None]) 
         assert result.outcome.value == "failed" and cause in str(result.error)
 
 
-def test_an_engine_that_hangs_costs_its_episode(installed: Callable[..., None]) -> None:
+def test_an_engine_that_hangs_costs_its_episode(installed):
     installed("hang")
     (hung,) = run_many(
         [RunRequest(PLASTIC, backend="hang")], isolate=None, time_limit_s=3.0
@@ -89,8 +87,8 @@ def test_an_engine_that_hangs_costs_its_episode(installed: Callable[..., None]) 
 
 
 def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(
-    installed: Callable[..., None],
-) -> None:
+    installed,
+):
     installed("crash")
     requests = [RunRequest(variant, backend="crash") for variant in (PLASTIC, METAL)]
     results = list(run_many(requests, isolate=True))
@@ -98,9 +96,7 @@ def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(
     assert "signal 11 (segmentation fault)" in str(results[0].error)
 
 
-def test_a_setting_that_json_does_not_have_costs_its_episode(
-    installed: Callable[..., None], tmp_path: Path
-) -> None:
+def test_a_setting_that_json_does_not_have_costs_its_episode(installed, tmp_path):
     installed("no-json")
     broken, healthy = run_many(
         [RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)], out=tmp_path / "out"
@@ -109,14 +105,12 @@ def test_a_setting_that_json_does_not_have_costs_its_episode(
     assert healthy.error is None
 
 
-def test_lists_name_broken_engines_with_their_cause(
-    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lists_name_broken_engines_with_their_cause(installed, monkeypatch):
     """Each engine outside this package answers in another process."""
     causes = {"at-import": "SystemExit: 3", "supports-crash": "segmentation fault"}
     installed("well", *causes)
     monkeypatch.setattr(listing, "backend_names", lambda: ("mujoco", "well", *causes))
-    notes: list[str] = []
+    notes = []
     (row,) = list_rows([find_variant(WOOD)], notify=notes.append)
     assert row["backends"]["mujoco"] == row["backends"]["well"] == []
     check_causes(row["backends"], notes, causes)
@@ -126,9 +120,7 @@ def test_lists_name_broken_engines_with_their_cause(
     assert "SystemExit" in errors["at-import"]
 
 
-def check_causes(
-    lacking: dict[str, list[str]], notes: list[str], causes: dict[str, str]
-) -> None:
+def check_causes(lacking, notes, causes):
     """Check that a list and its notes name each broken engine with its cause."""
     for name, cause in causes.items():
         assert cause in lacking[name][0]
@@ -136,9 +128,7 @@ def check_causes(
     assert len(notes) == len(causes)
 
 
-def test_a_list_waits_for_no_engine_that_hangs(
-    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_list_waits_for_no_engine_that_hangs(installed, monkeypatch):
     installed("supports-hang")
     monkeypatch.setattr(listing, "backend_names", lambda: ("mujoco", "supports-hang"))
     monkeypatch.setattr(listing, "QUERY_LIMIT_S", 1.0)
@@ -147,9 +137,7 @@ def test_a_list_waits_for_no_engine_that_hangs(
     assert "time limit of 1 s" in row["backends"]["supports-hang"][0]
 
 
-def test_one_process_asks_broken_engines_too(
-    installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_process_asks_broken_engines_too(installed, monkeypatch):
     causes = {
         "other-name": "the class has the name 'another'",
         "no-backend": "expected a Backend",
@@ -159,7 +147,7 @@ def test_one_process_asks_broken_engines_too(
     }
     installed("well", *causes)
     monkeypatch.setattr(listing, "is_bundled", lambda name: True)
-    notes: list[str] = []
+    notes = []
     backends = list_rows([find_variant(WOOD)], notify=notes.append)[0]["backends"]
     assert backends["mujoco"] == backends["well"] == []
     check_causes(backends, notes, causes)
@@ -169,8 +157,8 @@ def test_one_process_asks_broken_engines_too(
 
 
 def test_settings_are_checked_in_the_other_process(
-    installed: Callable[..., None],
-) -> None:
+    installed,
+):
     installed("well")
     with pytest.raises(GaugeError, match="MuJoCo setting 'nope'"):
         check_requests(
@@ -179,7 +167,7 @@ def test_settings_are_checked_in_the_other_process(
 
 
 @pytest.mark.usefixtures("real_children")
-def test_a_worker_goes_on_after_an_error_and_after_a_crash() -> None:
+def test_a_worker_goes_on_after_an_error_and_after_a_crash():
     with Worker(20.0) as worker:
         with pytest.raises(GaugeError, match="unknown experiment"):
             worker.call(find_variant, "nothing")
@@ -191,7 +179,7 @@ def test_a_worker_goes_on_after_an_error_and_after_a_crash() -> None:
         assert worker.call(os.getpid) != first
 
 
-def wait_for_the_end_of(process: int) -> None:
+def wait_for_the_end_of(process):
     """Wait for a process that ends at once; one that sleeps for 10 minutes fails after 5."""
     state = Path(f"/proc/{process}/stat")
     end_s = time.monotonic() + 300.0
@@ -202,7 +190,7 @@ def wait_for_the_end_of(process: int) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_worker_in_a_call_ends_with_its_parent() -> None:
+def test_a_worker_in_a_call_ends_with_its_parent():
     code = (
         "import os, time; from gauge_envs.runs.isolation import Worker; worker = Worker(); "
         "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 600.0)"
@@ -217,7 +205,7 @@ def test_a_worker_in_a_call_ends_with_its_parent() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_the_time_limit_also_ends_what_a_worker_started(tmp_path: Path) -> None:
+def test_the_time_limit_also_ends_what_a_worker_started(tmp_path):
     with Worker(5.0) as worker:
         with pytest.raises(CrashError, match="time limit of 5 s"):
             worker.call(os.system, f"echo $$ > {tmp_path / 'started'}; sleep 600")
@@ -226,17 +214,17 @@ def test_the_time_limit_also_ends_what_a_worker_started(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("limit_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_time_limit_is_positive_and_finite(limit_s: float) -> None:
+def test_a_time_limit_is_positive_and_finite(limit_s):
     with pytest.raises(ParameterError, match="time limit"):
         run_many([RunRequest(WOOD)], isolate=True, time_limit_s=limit_s)
 
 
-def take_memory(gigabytes: float) -> None:
+def take_memory(gigabytes):
     held = bytearray(int(gigabytes * 1e9))
     time.sleep(600.0 + 0.0 * len(held))
 
 
-def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
+def test_a_memory_limit_ends_the_call_and_not_the_program():
     # The message tells the memory limit from the time limit, so a slow machine needs no bound of its own.
     with Worker(120.0, memory_limit_gb=0.5) as worker:
         with pytest.raises(
@@ -246,7 +234,7 @@ def test_a_memory_limit_ends_the_call_and_not_the_program() -> None:
         assert worker.call(os.getpid) > 0
 
 
-def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> None:
+def test_a_run_under_a_memory_limit_goes_on(installed):
     installed("greedy")
     requests = [RunRequest(variant, backend="greedy") for variant in (PLASTIC, METAL)]
     results = list(
@@ -257,6 +245,6 @@ def test_a_run_under_a_memory_limit_goes_on(installed: Callable[..., None]) -> N
 
 
 @pytest.mark.parametrize("limit_gb", [0.0, -1.0, float("nan")])
-def test_a_memory_limit_is_positive(limit_gb: float) -> None:
+def test_a_memory_limit_is_positive(limit_gb):
     with pytest.raises(ParameterError, match="memory limit"):
         run_many([RunRequest(WOOD)], isolate=True, memory_limit_gb=limit_gb)

@@ -9,7 +9,6 @@ import random
 import signal
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -31,14 +30,14 @@ COMMAND = [
 ]
 
 
-def run(folder: Path) -> None:
+def run(folder):
     with open(os.devnull, "w") as nothing:  # noqa: PTH123
         os.dup2(nothing.fileno(), 1)
         os.dup2(nothing.fileno(), 2)
     app([*COMMAND, str(folder)])
 
 
-def contents(folder: Path) -> dict[str, str]:
+def contents(folder):
     """The results of a folder by file name, without the times of their making; each must be complete."""
     return {
         file.name: json.dumps(
@@ -50,7 +49,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.slow
-def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path: Path) -> None:
+def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path):
     process = multiprocessing.get_context("fork").Process
     moments = random.Random(0)
     start = time.monotonic()
@@ -86,7 +85,7 @@ def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path: Path) -> 
     assert partial > KILL_COUNT // 10
 
 
-def test_files_that_a_killed_run_left_are_removed_later(tmp_path: Path) -> None:
+def test_files_that_a_killed_run_left_are_removed_later(tmp_path):
     old, new, other = (
         tmp_path / name
         for name in (

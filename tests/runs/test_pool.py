@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import pytest
 from sweep_workers import HereWorker, mortal_worker
@@ -21,7 +19,7 @@ from gauge_envs.runs.pool import (
     run_tasks,
 )
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.machines import RayWorker
 
 WOOD = "SlopeSlider-2-wood"
@@ -35,14 +33,14 @@ class Step:
     number: int = 0
 
 
-def steps(backend: str, count: int) -> list[Step]:
+def steps(backend, count):
     return [Step(backend, number) for number in range(count)]
 
 
 # --- the order of tasks ---
 
 
-def test_a_worker_stays_with_its_engine_and_keeps_the_order() -> None:
+def test_a_worker_stays_with_its_engine_and_keeps_the_order():
     queue = TaskQueue([*steps("a", 2), *steps("b", 2), Step("a", 2)])
     order, last = [], None
     while (task := queue.take(last)) is not None:
@@ -51,7 +49,7 @@ def test_a_worker_stays_with_its_engine_and_keeps_the_order() -> None:
     assert order == [*steps("a", 3), *steps("b", 2)]
 
 
-def test_workers_share_the_engines_and_then_the_rest_of_one() -> None:
+def test_workers_share_the_engines_and_then_the_rest_of_one():
     queue = TaskQueue([*steps("a", 1), *steps("b", 3)])
     first, second = queue.take(None), queue.take(None)
     assert first == Step("a") and second == Step("b")
@@ -60,7 +58,7 @@ def test_workers_share_the_engines_and_then_the_rest_of_one() -> None:
     assert queue.take("b") is None
 
 
-def test_a_cleared_queue_gives_nothing() -> None:
+def test_a_cleared_queue_gives_nothing():
     queue = TaskQueue(steps("a", 3))
     queue.clear()
     assert queue.take(None) is None
@@ -74,11 +72,11 @@ class Place(HereWorker):
 
     closed = 0
 
-    def close(self) -> None:
+    def close(self):
         self.closed += 1
 
 
-def test_every_task_is_done_once_on_any_number_of_workers() -> None:
+def test_every_task_is_done_once_on_any_number_of_workers():
     for count in (1, 2, 5):
         workers = [Place() for _ in range(count)]
         done = list(
@@ -88,8 +86,8 @@ def test_every_task_is_done_once_on_any_number_of_workers() -> None:
         assert all(worker.closed for worker in workers)
 
 
-def test_an_error_ends_the_run_and_closes_the_workers() -> None:
-    def perform(worker: Place, task: Step) -> int:
+def test_an_error_ends_the_run_and_closes_the_workers():
+    def perform(worker, task):
         if task.number == 3:
             raise ZeroDivisionError("a mistake in the program")
         return task.number
@@ -101,17 +99,17 @@ def test_an_error_ends_the_run_and_closes_the_workers() -> None:
         assert all(worker.closed for worker in workers)
 
 
-def test_a_closed_run_waits_for_what_its_workers_do_and_starts_nothing_more() -> None:
+def test_a_closed_run_waits_for_what_its_workers_do_and_starts_nothing_more():
     started = threading.Semaphore(0)
     go_on = threading.Event()
-    done: list[int] = []
+    done = []
 
     class Slow(Place):
-        def close(self) -> None:
+        def close(self):
             super().close()
             go_on.set()
 
-    def perform(worker: Place, task: Step) -> int:
+    def perform(worker, task):
         if task.number > 0:
             started.release()
             go_on.wait()
@@ -130,7 +128,7 @@ def test_a_closed_run_waits_for_what_its_workers_do_and_starts_nothing_more() ->
 # --- processes ---
 
 
-def test_repeats_that_die_together_run_one_by_one() -> None:
+def test_repeats_that_die_together_run_one_by_one():
     results = mortal_worker(1).run(
         RunRequest(WOOD, settings={"timestep_s": 1 / 360}, repeats=3)
     )
@@ -142,10 +140,10 @@ def test_repeats_that_die_together_run_one_by_one() -> None:
     assert results[1].error == "died"
 
 
-def test_a_worker_that_is_closed_while_it_runs_calls_nothing_a_failure() -> None:
+def test_a_worker_that_is_closed_while_it_runs_calls_nothing_a_failure():
     worker = mortal_worker(0)
 
-    def closes(function: Any, request: RunRequest) -> list[Result]:
+    def closes(function, request):
         worker.close()
         raise GaugeError("died")
 
@@ -154,7 +152,7 @@ def test_a_worker_that_is_closed_while_it_runs_calls_nothing_a_failure() -> None
         worker.run(RunRequest(WOOD, repeats=4))
 
 
-def test_a_closed_worker_starts_no_process() -> None:
+def test_a_closed_worker_starts_no_process():
     worker = ProcessWorker(Limits())
     worker.close()
     with pytest.raises(WorkerClosedError, match="closed"):
@@ -174,23 +172,23 @@ class RayTaskError(RayError):
 
 
 @pytest.fixture
-def ray(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], ModuleType]:
+def ray(monkeypatch):
     """Return Ray whose first actors die in their first call."""
 
-    def made(losses: int) -> ModuleType:
+    def made(losses):
         left = [losses]
 
         class Actor:
-            def __init__(self, limits: Limits) -> None:
+            def __init__(self, limits):
                 self.run = SimpleNamespace(remote=lambda request: request)
 
-        def get(request: RunRequest) -> list[Result]:
+        def get(request):
             if left[0]:
                 left[0] -= 1
                 raise RayError("the machine is gone\nand more")
             return HereWorker().run(request)
 
-        module: Any = ModuleType("ray")
+        module = ModuleType("ray")
         module.remote = lambda **options: lambda kind: SimpleNamespace(remote=Actor)
         module.get = get
         module.kill = lambda actor: None
@@ -204,9 +202,7 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], ModuleType]:
 
 
 @pytest.mark.parametrize("losses", [0, 2])
-def test_a_lost_actor_costs_nothing(
-    ray: Callable[[int], ModuleType], losses: int
-) -> None:
+def test_a_lost_actor_costs_nothing(ray, losses):
     ray(losses)
     (result,) = RayWorker(Limits()).run(
         RunRequest(WOOD, settings={"timestep_s": 1 / 360})
@@ -215,8 +211,8 @@ def test_a_lost_actor_costs_nothing(
 
 
 def test_a_request_that_always_loses_its_actor_fails(
-    ray: Callable[[int], ModuleType],
-) -> None:
+    ray,
+):
     ray(3)
     (result,) = RayWorker(Limits()).run(RunRequest(WOOD))
     assert result.outcome is Outcome.FAILED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from gauge_envs.errors import MissingExtraError
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import (
-    Replay,
     ReplayError,
     load_or_replay,
     replay,
@@ -20,29 +18,29 @@ from gauge_envs.runs.replay import (
     replayed_experiment,
 )
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.result import RecordedTrajectory
 from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.scene.jitter import Jitter
 
 
-def first_file(folder: Path, request: RunRequest) -> Path:
+def first_file(folder, request):
     list(run_many([request], out=folder))
     return sorted(folder.glob("*.json"))[0]
 
 
 @pytest.fixture(scope="module")
-def slide_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def slide_file(tmp_path_factory):
     return first_file(
         tmp_path_factory.mktemp("results"), RunRequest("SlopeSlider-2-wood")
     )
 
 
 @pytest.fixture
-def slide(slide_file: Path) -> Result:
+def slide(slide_file):
     return load_result(slide_file)
 
 
-def test_poses_are_those_of_the_trajectory(slide: Result) -> None:
+def test_poses_are_those_of_the_trajectory(slide):
     made = replay(slide)
     assert slide.trajectory is not None
     _, values = slide.trajectory.arrays()
@@ -55,9 +53,7 @@ def test_poses_are_those_of_the_trajectory(slide: Result) -> None:
 @pytest.mark.parametrize(
     "name", ["Pendulum-metal", "SlopeSlider-3-metal", "BouncingBall-rubber"]
 )
-def test_tethered_driven_and_colliding_bodies_have_the_same_bits(
-    name: str, tmp_path: Path
-) -> None:
+def test_tethered_driven_and_colliding_bodies_have_the_same_bits(name, tmp_path):
     request = RunRequest(
         name, settings={"timestep_s": 1 / 360} if name.startswith("Pendulum") else None
     )
@@ -66,7 +62,7 @@ def test_tethered_driven_and_colliding_bodies_have_the_same_bits(
     assert made.poses.shape[1] == len(made.bodies)
 
 
-def test_a_jittered_repeat_starts_where_it_started(tmp_path: Path) -> None:
+def test_a_jittered_repeat_starts_where_it_started(tmp_path):
     list(
         run_many(
             [
@@ -82,7 +78,7 @@ def test_a_jittered_repeat_starts_where_it_started(tmp_path: Path) -> None:
     assert np.linalg.norm(starts[0] - starts[1]) > 1e-4
 
 
-def test_one_bit_of_the_trajectory_is_found(slide: Result) -> None:
+def test_one_bit_of_the_trajectory_is_found(slide):
     trajectory = slide.trajectory
     assert trajectory is not None
     samples = [list(row) for row in trajectory.samples]
@@ -97,12 +93,12 @@ def test_one_bit_of_the_trajectory_is_found(slide: Result) -> None:
         replay(changed)
 
 
-def test_another_setting_is_found(slide: Result) -> None:
+def test_another_setting_is_found(slide):
     with pytest.raises(ReplayError, match="differs from the result"):
         replay(replace(slide, settings_given={"timestep_s": 1 / 900}))
 
 
-def test_another_version_is_named(slide: Result) -> None:
+def test_another_version_is_named(slide):
     changed = replace(
         slide,
         versions=slide.versions | {"mujoco": "0.1"},
@@ -114,7 +110,7 @@ def test_another_version_is_named(slide: Result) -> None:
         replay(changed)
 
 
-def test_a_result_of_another_length_is_found(slide: Result) -> None:
+def test_a_result_of_another_length_is_found(slide):
     trajectory = slide.trajectory
     assert trajectory is not None
     shorter = RecordedTrajectory(
@@ -129,10 +125,8 @@ def test_a_result_of_another_length_is_found(slide: Result) -> None:
         replay(replace(slide, trajectory=shorter))
 
 
-def test_an_engine_that_is_not_installed_is_named(
-    slide: Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(name: str) -> dict[str, str]:
+def test_an_engine_that_is_not_installed_is_named(slide, monkeypatch):
+    def missing(name):
         raise MissingExtraError(f"backend {name!r}", "newton", ImportError("newton"))
 
     monkeypatch.setattr(replay_module, "versions_of", missing)
@@ -140,12 +134,12 @@ def test_an_engine_that_is_not_installed_is_named(
         replay(slide)
 
 
-def test_a_trajectory_file_has_no_replay(slide: Result) -> None:
+def test_a_trajectory_file_has_no_replay(slide):
     with pytest.raises(ReplayError, match="trajectory file"):
         replay(replace(slide, backend=None))
 
 
-def test_a_model_file_is_no_part_of_the_result(slide: Result) -> None:
+def test_a_model_file_is_no_part_of_the_result(slide):
     asset = {
         "file": "slide.xml",
         "kind": "model",
@@ -160,13 +154,11 @@ def test_a_model_file_is_no_part_of_the_result(slide: Result) -> None:
 # --- the file beside the result ---
 
 
-def forbidden(result: Result, *, views_per_frame: int | None = None) -> Replay:
+def forbidden(result, *, views_per_frame=None):
     raise AssertionError("the episode ran again")
 
 
-def test_the_file_beside_the_result_spares_the_run(
-    slide_file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_file_beside_the_result_spares_the_run(slide_file, monkeypatch):
     result = load_result(slide_file)
     made = load_or_replay(result, slide_file)
     assert replay_path(slide_file).is_file()
@@ -178,8 +170,8 @@ def test_the_file_beside_the_result_spares_the_run(
 
 @pytest.mark.parametrize("damage", ["other result", "cut", "text"])
 def test_a_file_of_another_result_or_a_damaged_one_does_not_count(
-    damage: str, slide_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    damage, slide_file, tmp_path, monkeypatch
+):
     result, file = load_result(slide_file), tmp_path / slide_file.name
     write_result(result, file)
     load_or_replay(result, file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,7 +19,7 @@ NAME = "SlopeSlider-2-wood"
 CRATE = ROOT / "examples" / "usd_experiment" / "crate.toml"
 
 
-def test_name_id_and_variant_are_the_same_request() -> None:
+def test_name_id_and_variant_are_the_same_request():
     named = RunRequest(NAME)
     assert named.variant == find_variant(NAME)
     assert named == RunRequest(f"GAUGE/{NAME}") == RunRequest(find_variant(NAME))
@@ -40,12 +39,12 @@ def test_name_id_and_variant_are_the_same_request() -> None:
         {"jitter": Jitter()},
     ],
 )
-def test_requests_of_other_runs_differ(changes: dict) -> None:
+def test_requests_of_other_runs_differ(changes):
     assert replace(RunRequest(NAME), **changes) != RunRequest(NAME)
     assert replace(RunRequest(NAME), **changes) == RunRequest(NAME, **changes)
 
 
-def test_a_request_is_frozen() -> None:
+def test_a_request_is_frozen():
     with pytest.raises(FrozenInstanceError):
         RunRequest(NAME).seed = 1
 
@@ -58,22 +57,22 @@ def test_a_request_is_frozen() -> None:
         ({"marker_proxy": "nearest"}, "'material' or 'node'"),
     ],
 )
-def test_values_out_of_range(options: dict, message: str) -> None:
+def test_values_out_of_range(options, message):
     with pytest.raises(ParameterError, match=message):
         RunRequest(NAME, **options)
 
 
-def test_an_unknown_variant_is_refused_at_once() -> None:
+def test_an_unknown_variant_is_refused_at_once():
     with pytest.raises(UnknownNameError, match=NAME):
         RunRequest("SlopeSlider-2-wod")
 
 
-def test_only_the_variant_is_positional() -> None:
+def test_only_the_variant_is_positional():
     with pytest.raises(TypeError, match="positional"):
         RunRequest(NAME, "newton")
 
 
-def test_the_calibrated_experiment_exists_where_the_parameters_are_wrong() -> None:
+def test_the_calibrated_experiment_exists_where_the_parameters_are_wrong():
     request = RunRequest(NAME, parameters={"cubes.friction": 0.3})
     with pytest.raises(ParameterError, match="cubes"):
         request.experiment()
@@ -83,8 +82,8 @@ def test_the_calibrated_experiment_exists_where_the_parameters_are_wrong() -> No
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "SlopeSlider-3-wood", "CubeToss-acrylic"]
 )
-def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name: str) -> None:
-    changes: dict[str, Any] = {"settings": {"timestep_s": 1 / 3600}}
+def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
+    changes = {"settings": {"timestep_s": 1 / 3600}}
     if name == "SlopeSlider-2-wood":
         changes |= {
             "parameters": {"cube.friction": 0.2},
@@ -115,7 +114,7 @@ def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name: str) -
     env.close()
 
 
-def test_an_experiment_file_runs_as_the_asset_id() -> None:
+def test_an_experiment_file_runs_as_the_asset_id():
     request = RunRequest(str(CRATE))
     assert request.variant == str(CRATE)
     env = gymnasium.make("GAUGE/Asset", asset=CRATE)

@@ -7,9 +7,6 @@ import functools
 import hashlib
 import json
 import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from rich.console import Console
@@ -28,14 +25,14 @@ HOSTILE = "mujoco\n# heading\n![picture](http://a.b/c)\x1b[2J|`:smile:`$\\frac{$
 
 
 @pytest.fixture(scope="module")
-def content() -> dict[str, Any]:
+def content():
     """Content of a valid result file."""
     return json.loads(
         json.dumps(run_episode(RunRequest(NAME, backend="mujoco")).to_dict())
     )
 
 
-def asset(**changes: Any) -> dict[str, Any]:
+def asset(**changes):
     return {
         "file": "a.usda",
         "kind": "usd",
@@ -77,9 +74,7 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize(("key", "value", "reason"), DAMAGES)
-def test_one_damaged_file_is_skipped(
-    key: str, value: Any, reason: str, content: dict[str, Any], tmp_path: Path
-) -> None:
+def test_one_damaged_file_is_skipped(key, value, reason, content, tmp_path):
     damaged = copy.deepcopy(content)
     place = damaged
     *path, last = key.split(".")
@@ -97,9 +92,7 @@ def test_one_damaged_file_is_skipped(
         assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
 
 
-def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(
-    content: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(content, tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(content | {"jitter": {"trial": 0}}))
     digest = hashlib.sha256(b'{"trial": 0}').hexdigest()[:8]
     assert (
@@ -108,9 +101,7 @@ def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(
     )
 
 
-def test_a_result_whose_scene_cannot_be_built_is_skipped(
-    content: dict[str, Any], tmp_path: Path
-) -> None:
+def test_a_result_whose_scene_cannot_be_built_is_skipped(content, tmp_path):
     (tmp_path / "a.json").write_text(
         json.dumps(content | {"parameters": {"ghost.friction": 1.0}})
     )
@@ -133,9 +124,7 @@ def test_a_result_whose_scene_cannot_be_built_is_skipped(
         assert list((tmp_path / kind).glob("*.png"))
 
 
-def test_the_id_of_an_experiment_file_leads_to_no_other_folder(
-    content: dict[str, Any], tmp_path: Path
-) -> None:
+def test_the_id_of_an_experiment_file_leads_to_no_other_folder(content, tmp_path):
     stranger = content | {
         "asset": asset(kind="experiment", edited=False),
         "id": "GAUGE/Asset-../../escaped",
@@ -147,7 +136,7 @@ def test_the_id_of_an_experiment_file_leads_to_no_other_folder(
 
 
 @pytest.fixture
-def hostile(content: dict[str, Any], tmp_path: Path) -> Path:
+def hostile(content, tmp_path):
     """A folder with a result whose texts try to leave their place."""
     folder = tmp_path / "results"
     folder.mkdir()
@@ -161,7 +150,7 @@ def hostile(content: dict[str, Any], tmp_path: Path) -> Path:
     return folder
 
 
-def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
+def test_markdown_gets_no_heading_picture_or_code(hostile):
     result = CliRunner().invoke(app, ["compare", str(hostile), "--format", "markdown"])
     assert result.exit_code == 0
     assert not [line for line in result.stdout.splitlines() if line.startswith("#")]
@@ -180,7 +169,7 @@ def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
-def test_a_terminal_gets_no_escapes_of_a_file(command: str, hostile: Path) -> None:
+def test_a_terminal_gets_no_escapes_of_a_file(command, hostile):
     result = CliRunner(env={"COLUMNS": "400"}).invoke(
         app, [command, str(hostile), "--format", "wide"]
     )
@@ -192,10 +181,8 @@ def test_a_terminal_gets_no_escapes_of_a_file(command: str, hostile: Path) -> No
     )
 
 
-def test_styles_of_a_terminal_stay(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    original: Callable[..., Console] = Console
+def test_styles_of_a_terminal_stay(monkeypatch, capsys):
+    original = Console
     monkeypatch.setattr(
         output,
         "Console",
@@ -207,7 +194,7 @@ def test_styles_of_a_terminal_stay(
     assert capsys.readouterr().out == "\x1b[31merror:\x1b[0m a\\x1b[2Jb :smile:\n"
 
 
-def test_a_dollar_sign_starts_no_formula(hostile: Path, tmp_path: Path) -> None:
+def test_a_dollar_sign_starts_no_formula(hostile, tmp_path):
     for kind in ("experiments", "compare", "diagnose"):
         result = CliRunner().invoke(
             app, ["plot", str(hostile), "--kind", kind, "--out", str(tmp_path / kind)]

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         deciding_text as deciding_text,
         mean_rank_text as mean_rank_text,
         p_text as p_text,
+        short_tables as short_tables,
         verdict_text as verdict_text,
     )
 else:

@@ -128,6 +128,14 @@ def comparison_document(
     )
 
 
+def short_tables(comparison: Comparison) -> list[Table]:
+    """Return the ranks within each grade, and the score of each experiment that comes first: no pairs."""
+    first: dict[str, dict[str, Any]] = {}
+    for row in comparison_rows(comparison):
+        first.setdefault(row["id"], row)
+    return [_ranking_table(comparison), _score_table(comparison, [*first.values()])]
+
+
 # --- rows ------------------------------------------------------------------------------------------------------------
 
 

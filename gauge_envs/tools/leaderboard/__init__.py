@@ -7,7 +7,7 @@ A submission is one configuration of one version of an engine:
     leaderboard/<engine>/<version>/<configuration>/
         submission.toml         what was run, by whom, and why experiments are left out
         README.md               optional
-        results/*.json          result files of `gauge run`, one for each experiment
+        results.tar.xz          result files of `gauge run`, one for each experiment; or a folder `results`
 
 No number of a submission is believed. Scores are computed anew from the trajectory in each file, and a sample of the
 episodes can be run again. `docs/leaderboard.md` states each rule.

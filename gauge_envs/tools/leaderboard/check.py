@@ -18,9 +18,10 @@ from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.runs.result_file import parse_result, result_file_name
 from gauge_envs.tools.leaderboard.reruns import Rerun, rerun, rerun_sample
 from gauge_envs.tools.leaderboard.submission import (
+    RESULTS_FOLDER,
     STATEMENT_FILE,
     Fault,
     Statement,
@@ -185,13 +186,15 @@ def _check_submission(
         for key, reason in _path_faults(folder, statement)
     ]
     names = board_experiments(root)
-    results, seen, found = _checked_results(files, statement, root, names, advance)
+    results, seen, found = _checked_results(
+        folder, root, files, statement, names, advance
+    )
     faults += found
     faults += [
         Fault(file=where, key=key, reason=reason)
         for key, reason in _coverage_faults(statement, seen, names)
     ]
-    content = files.sha256(folder)
+    content = files.sha256()
     reruns: list[Rerun] = []
     by_id = {result.id: file for file, result in results.items()}
     if rerun_count:
@@ -250,9 +253,10 @@ def _path_faults(folder: Path, statement: Statement) -> Found:
 
 
 def _checked_results(
+    folder: Path,
+    root: Path,
     files: SubmissionFiles,
     statement: Statement,
-    root: Path,
     names: Collection[str],
     advance: Callable[[str], None],
 ) -> tuple[dict[str, Result], set[str], list[Fault]]:
@@ -261,15 +265,19 @@ def _checked_results(
     faults: list[Fault] = []
     earlier: dict[str, str] = {}
     engine_versions: dict[str, str] | None = None
-    for file in files.results:
-        name = relative_name(file, root)
+    for inner, read in files.results.items():
+        name = relative_name(folder / inner, root)
         advance(name)
         try:
-            result = load_result(file)
-        except ResultFileError as error:
-            faults.append(Fault(file=name, reason=str(error).removeprefix(f"{file}: ")))
+            result = parse_result(read(), name)
+        except OSError as error:
+            reason = f"cannot be read: {error.strerror or error}"
+            faults.append(Fault(file=name, reason=reason))
             continue
-        found = list(_result_faults(file, result, statement, names))
+        except ResultFileError as error:
+            faults.append(Fault(file=name, reason=str(error).removeprefix(f"{name}: ")))
+            continue
+        found = list(_result_faults(inner, result, statement, names))
         first = earlier.setdefault(result.id, name)
         if first != name:
             found.append(
@@ -303,7 +311,7 @@ def _checked_results(
 
 
 def _result_faults(
-    file: Path, result: Result, statement: Statement, names: Collection[str]
+    file: str, result: Result, statement: Statement, names: Collection[str]
 ) -> Found:
     """Yield what a result states that the submission or the rules of the leaderboard do not allow."""
     if short_id(result.id) not in names:
@@ -350,7 +358,7 @@ def _result_faults(
         )
     if "gauge-envs" not in result.versions:
         yield "versions.gauge-envs", "is missing"
-    if file.name != result_file_name(result):
+    if file != f"{RESULTS_FOLDER}/{result_file_name(result)}":
         yield (
             "",
             f"is named otherwise than gauge run names it: {result_file_name(result)}",

@@ -6,9 +6,9 @@ import hashlib
 import os
 import re
 from base64 import urlsafe_b64encode
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
@@ -26,6 +26,7 @@ from gauge_envs.files import (
     toml_document,
 )
 from gauge_envs.runs.result_file import MAX_RESULT_BYTES
+from gauge_envs.tools.leaderboard.archive import ARCHIVE, archived_files
 
 STATEMENT_FILE = "submission.toml"
 
@@ -181,26 +182,34 @@ class SubmissionFiles:
 
     Attributes:
         statement: The `submission.toml`; None if it is missing or unsafe.
-        results: Result files, sorted by name.
+        results: How each result file is read, by its name in the submission, sorted by name.
         faults: What is missing, unexpected or unsafe.
     """
 
     statement: Path | None = None
-    results: list[Path] = field(default_factory=list)
+    results: dict[str, Callable[[], bytes]] = field(default_factory=dict)
     faults: list[Fault] = field(default_factory=list)
 
-    def sha256(self, folder: Path) -> str:
-        """Return a hash over names and contents of all files, which changes with any; empty if one cannot be read."""
+    def sha256(self) -> str:
+        """Return a hash over names and contents of all files, which changes with any; empty if one cannot be read.
+
+        It is the same before and after the results are put into an archive.
+        """
+        readers = dict(self.results)
+        if self.statement is not None:
+            readers = {STATEMENT_FILE: _reader(self.statement)} | readers
         digest = hashlib.sha256()
-        for file in filter(None, (self.statement, *self.results)):
+        for name, read in readers.items():
             try:
-                content = hashlib.sha256(
-                    read_regular(file, MAX_RESULT_BYTES)
-                ).hexdigest()
+                content = hashlib.sha256(read()).hexdigest()
             except OSError:
                 return ""
-            digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
+            digest.update(f"{name} {content}\n".encode())
         return digest.hexdigest()
+
+
+def _reader(file: Path) -> Callable[[], bytes]:
+    return partial(read_regular, file, MAX_RESULT_BYTES)
 
 
 def _entries(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
@@ -316,12 +325,16 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
                 if fault := _file_fault(file, inner, root, suffix=".json"):
                     files.faults.append(fault)
                 else:
-                    files.results.append(file)
+                    files.results[f"{RESULTS_FOLDER}/{file.name}"] = _reader(file)
                     total += inner.st_size
-        elif fault := _file_fault(path, status, root, names=(STATEMENT_FILE, README)):
+        elif fault := _file_fault(
+            path, status, root, names=(STATEMENT_FILE, README, ARCHIVE)
+        ):
             files.faults.append(fault)
         elif path.name == STATEMENT_FILE:
             files.statement = path
+        elif path.name == ARCHIVE:
+            _add_archive(path, root, files)
     where = relative_name(folder, root)
     if files.statement is None and not any(
         fault.file.endswith(STATEMENT_FILE) for fault in files.faults
@@ -330,8 +343,24 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
     if total > MAX_TOTAL_BYTES:
         reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MAX_TOTAL_BYTES / MEGABYTE:.0f} MB"
         files.faults.append(Fault(file=where, reason=reason))
-        files.results = []
+        files.results = {}
     return files
+
+
+def _add_archive(file: Path, root: Path, files: SubmissionFiles) -> None:
+    """Add the result files of an archive, or a fault."""
+    name = relative_name(file, root)
+    if (file.parent / RESULTS_FOLDER).exists():
+        reason = f"is beside {RESULTS_FOLDER}: one of the two is expected"
+        files.faults.append(Fault(file=name, reason=reason))
+        return
+    try:
+        found = archived_files(read_regular(file, MAX_RESULT_BYTES), MAX_TOTAL_BYTES)
+    except (OSError, ValueError) as error:
+        files.faults.append(Fault(file=name, reason=str(error)))
+        return
+    for inner in sorted(found):
+        files.results[inner] = partial(found.__getitem__, inner)
 
 
 def _file_fault(

@@ -3,11 +3,11 @@
 from dataclasses import asdict
 from typing import Any
 
-from gauge_envs.pages.document import Document, Heading, as_rows
+from gauge_envs.pages.document import Document, Heading, Paragraph, as_rows
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
-from gauge_envs.tools.compare import compare, comparison_document
+from gauge_envs.tools.compare import compare, comparison_document, short_tables
 from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
 
 RESULTS = Column(
@@ -148,11 +148,19 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
         *([apart] if apart.rows else ()),
         *(compared.parts if comparison.experiments else ()),
     )
+    page = (
+        standing,
+        *([apart] if apart.rows else ()),
+        *(short_tables(comparison) if comparison.experiments else ()),
+        Paragraph(
+            "Ranks in each experiment, all metrics and all pairs: gauge leaderboard table."
+        ),
+    )
     rows = [{"record": "submission"} | row for row in (*standing.rows, *apart.rows)]
     return Document(
         parts=parts,
         rows=rows + as_rows(compared),
-        markdown=(Heading("Leaderboard", 1), *parts),
+        markdown=(Heading("Leaderboard", 1), *page),
     )
 
 

@@ -6,21 +6,19 @@ and phenomena are measured again.
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
-from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DeclinedError
-from gauge_envs.tools.sanity.measure import Measured, Measurements, Subject
+from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
     Cause,
+    Settings,
     SettingTrial,
-    TrainingConfiguration,
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
@@ -40,7 +38,7 @@ SAME_DEVIATION = 0.5
 def find_cause(
     measurements: Measurements,
     phenomenon: Phenomenon,
-    settings: Mapping[str, Any],
+    settings: Settings,
     configured: Measured,
     default: Measured,
     dialect: Dialect = TOML,
@@ -86,7 +84,7 @@ class _Search:
 
     measurements: Measurements
     phenomenon: Phenomenon
-    settings: Mapping[str, Any]
+    settings: Settings
     configured: Measured
     default: Measured
     dialect: Dialect
@@ -369,7 +367,7 @@ class Alternative:
 
 
 def alternatives(
-    measurements: Measurements, scenario: Scenario, settings: Mapping[str, Any]
+    measurements: Measurements, scenario: Scenario, settings: Settings
 ) -> dict[str, list[Alternative]]:
     """Return the other values of each setting, by its name.
 
@@ -407,9 +405,9 @@ def alternatives(
 def _in_force(
     measurements: Measurements,
     scenario: Scenario,
-    settings: Mapping[str, Any],
+    settings: Settings,
     label: str | None,
-) -> Iterator[tuple[str, Mapping[str, Any]]]:
+) -> Iterator[tuple[str, Settings]]:
     """Yield a reference; nothing when the backend has no such preset or cannot build the scene."""
     try:
         force = measurements.in_force(scenario, settings)
@@ -418,15 +416,15 @@ def _in_force(
     yield label or preset_label(force), force
 
 
-def preset_label(force: Mapping[str, Any]) -> str:
+def preset_label(force: Settings) -> str:
     """Return the text for the preset of settings in force."""
     return f"this package's preset {force.get('preset', 'default')}"
 
 
 def _values(
     name: str,
-    configured: Mapping[str, Any],
-    references: Sequence[tuple[str, Mapping[str, Any]]],
+    configured: Settings,
+    references: Sequence[tuple[str, Settings]],
 ) -> Iterator[Alternative]:
     """Yield each other value of a setting once."""
     was = _comparable(
@@ -453,7 +451,7 @@ def _values(
                 yield Alternative(name=name, value=value, was=was, source=label)
 
 
-def _reference_value(name: str, force: Mapping[str, Any], step_s: float | None) -> Any:
+def _reference_value(name: str, force: Settings, step_s: float | None) -> Any:
     """Return the value of a reference; for contact constants of a recipe, those of its lasting contacts."""
     value = force[name]
     if value is None and force.get("newton_material"):
@@ -471,189 +469,3 @@ def _comparable(name: str, value: Any) -> Any:
     """Return a value in the form in which it is compared and pasted."""
     value = ABSENT.get(name) if value is None else value
     return tuple(value) if isinstance(value, list) else value
-
-
-# --- cure ------------------------------------------------------------------------------------------------------------
-
-RECOMMENDED_MUJOCO: Mapping[str, Any] = {
-    "timestep_s": 0.002,
-    "integrator": "implicitfast",
-    "cone": "elliptic",
-    "impratio": 100.0,
-    "iterations": 100,
-    "ls_iterations": 50,
-    "contact_solref": (0.004, 1.0),
-    "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0),
-    "contact_margin_m": 0.0,
-}
-"""Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
-
-RECOMMENDED_PHYSX: Mapping[str, Any] = {
-    "solver": "TGS",
-    "position_iterations": 10,
-    "velocity_iterations": 1,
-}
-"""The same for PhysX, in the dialect of a training stack."""
-
-AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
-"""Recommended settings that are kept where the target has more."""
-
-STEP = "timestep_s"
-"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
-
-MOST_CHANGES = 3
-"""Most settings that are changed one after the other."""
-
-MOST_COMPARED = 3
-"""Most changes, of those that mend most, whose harm to other rows is measured."""
-
-LARGEST_DEVIATION = 1000.0
-"""Deviation at which errors no longer count as larger."""
-
-
-MOST_CANDIDATES = 5
-"""Most sets of changes that are applied to the target."""
-
-FEW_ITERATIONS = (
-    {"iterations": 4, "ls_iterations": 20},
-    {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"},
-)
-"""Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
-
-
-def candidates_of(
-    configuration: TrainingConfiguration,
-    flagged: Sequence[Subject],
-    others: Sequence[Subject],
-    dialect: Dialect,
-    named: Collection[str] = (),
-) -> list[dict[str, Any]]:
-    """Return sets of changes that may mend flagged rows: single ones, further ones beside them, recommended settings.
-
-    Args:
-        configuration: The checked configuration.
-        flagged: Subjects that are visible or wrong, and count.
-        others: Other subjects that count.
-        dialect: Dialect of the target.
-        named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
-    """
-    if not flagged:
-        return []
-    found: list[dict[str, Any]] = []
-    least: dict[str, Any] = {}
-    if (
-        configuration.settings.get("iterations", math.inf)
-        < FEW_ITERATIONS[0]["iterations"]
-    ):
-        # Other changes let a body slide that starts to move, and not one that has rested.
-        found += [
-            {k: v for k, v in few.items() if configuration.settings.get(k) != v}
-            for few in FEW_ITERATIONS
-        ]
-        least = found[0]
-    found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
-    if recommended := _recommended(configuration):
-        # Of many, the last one is tried too.
-        found = [*found[: MOST_CANDIDATES - 1], recommended]
-    return list(
-        {
-            json.dumps(json_ready(one), sort_keys=True): one
-            for one in found[:MOST_CANDIDATES]
-        }.values()
-    )
-
-
-def _greedy(
-    flagged: Sequence[Subject],
-    others: Sequence[Subject],
-    dialect: Dialect,
-    named: Collection[str],
-) -> Iterator[dict[str, Any]]:
-    """Yield the single change that mends most, then it with further ones; each must mend a further flag.
-
-    Of the changes that mend most, the one with the fewest new flags is taken.
-    """
-    candidates = [one for one in _candidates(flagged) if dialect.writes(one.name)]
-    changes: dict[str, Any] = {}
-    left = list(flagged)
-    while left and candidates and len(changes) < MOST_CHANGES:
-        scored = [
-            (_score(left, {**changes, one.name: one.value}), one) for one in candidates
-        ]
-        # First the flags that a change mends, then no shorter step, then whether it is named for a row, then closeness.
-        scored.sort(
-            key=lambda pair: (
-                pair[0][0],
-                pair[1].name != STEP,
-                pair[1].name in named,
-                pair[0][1],
-            ),
-            reverse=True,
-        )
-        harms = [
-            _new_flags(others, {**changes, one.name: one.value})
-            for _, one in scored[:MOST_COMPARED]
-        ]
-        net = [
-            count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)
-        ]
-        (count, _), best = scored[net.index(max(net))]
-        if not count:
-            return
-        changes[best.name] = best.value
-        yield dict(changes)
-        left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
-        candidates = [one for one in candidates if one.name not in changes]
-
-
-def _new_flags(others: Sequence[Subject], changes: Mapping[str, Any]) -> int:
-    """Return the number of rows that are visible or wrong only with the changes."""
-    return sum(subject.worst(changes).verdict.is_off for subject in others)
-
-
-def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
-    found: dict[str, Alternative] = {}
-    for subject in flagged:
-        for settings in subject.sets.values():
-            try:
-                several = alternatives(
-                    subject.measurements, subject.phenomenon.scenario, settings
-                )
-            except DeclinedError:
-                continue
-            for one in (one for values in several.values() for one in values):
-                found.setdefault(json.dumps([one.name, one.value]), one)
-    return list(found.values())
-
-
-def _score(
-    subjects: Sequence[Subject], changes: Mapping[str, Any]
-) -> tuple[int, float]:
-    """Return how many subjects are inside with changes, and minus the sum of all deviations."""
-    outcomes = [subject.worst(changes) for subject in subjects]
-    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
-    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
-
-
-def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
-    """Return the recommended settings that differ from the target's; a shorter step and more iterations are kept.
-
-    A settings file has none, since its backend's preset is what it differs from.
-    """
-    recommended: Mapping[str, Any] = {}
-    if configuration.is_model:
-        recommended = RECOMMENDED_MUJOCO
-    elif configuration.backend == "physx" and configuration.language != TOML.name:
-        recommended = RECOMMENDED_PHYSX
-    changes = {}
-    for name, value in recommended.items():
-        was = configuration.settings.get(
-            name, 0.0 if name == "contact_margin_m" else None
-        )
-        if name == STEP and was is not None and was <= value:
-            continue
-        if name in AT_LEAST and was is not None and was >= value:
-            continue
-        if (tuple(was) if isinstance(was, list) else was) != value:
-            changes[name] = value
-    return changes

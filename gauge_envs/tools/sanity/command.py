@@ -35,7 +35,6 @@ class ReportFormat(StrEnum):
     MARKDOWN = "markdown"
     JSON = "json"
     JUNIT = "junit"
-    SARIF = "sarif"
     GITHUB = "github"
 
 
@@ -58,7 +57,7 @@ ReportForm = Annotated[
     ReportFormat,
     typer.Option(
         "--format",
-        help="wide has all columns; --json is short for json; junit, sarif, github for CI.",
+        help="wide has all columns; --json is short for json; junit and github for CI.",
     ),
 ]
 

@@ -21,10 +21,8 @@ from gauge_envs.files import json_ready, versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.measure import (
-    Engine,
     Measurements,
     TimeLimitError,
-    simulation_limit_s,
     subject_of,
 )
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
@@ -155,17 +153,11 @@ def compare(
     chosen = selection(only, include_deformables=include_deformables)
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
-        names = dict.fromkeys(target.backend for target in targets)
-        engines = {
-            name: stack.enter_context(
-                closing(Engine(name, simulation_limit_s(time_limit_s)))
-            )
-            for name in names
-        }
-        limit_s = math.inf if time_limit_s is None else time_limit_s
         known = {
-            name: Measurements(engine, time_limit_s=limit_s)
-            for name, engine in engines.items()
+            name: stack.enter_context(
+                closing(Measurements(name, time_limit_s=time_limit_s))
+            )
+            for name in dict.fromkeys(target.backend for target in targets)
         }
         sides = [_Side(target, known[target.backend]) for target in targets]
         rows = [_step_row(sides)]
@@ -177,11 +169,9 @@ def compare(
             if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)
         ]
         measured = {one.id: _measured_row(one, sides) for one in simulated}
-    found = {
-        name: version
-        for engine in engines.values()
-        for name, version in engine.versions.items()
-    }
+    found: dict[str, str] = {}
+    for one in known.values():
+        found |= one.versions
     return Comparison(
         trained=targets[0],
         deployed=targets[1],

@@ -24,6 +24,7 @@ from gauge_envs.tools.sanity.model import (
     Curve,
     Need,
     PhenomenonResult,
+    Settings,
     TrainingConfiguration,
     Verdict,
 )
@@ -48,19 +49,7 @@ OF_CONTACTS = (
 )
 """Starts of names of settings without effect where nothing can touch."""
 
-_Run = Callable[[Backend, Scenario, Mapping[str, Any]], Any]
-
-
-def simulation_limit_s(time_limit_s: float | None) -> float:
-    """Return the time limit of one simulation in another process [s], from that of a whole check.
-
-    A limit of less than a second would leave no time to start the process.
-    """
-    return (
-        SIMULATION_LIMIT_S
-        if time_limit_s is None
-        else min(max(time_limit_s, 1.0), SIMULATION_LIMIT_S)
-    )
+_Run = Callable[[Backend, Scenario, Settings], Any]
 
 
 class EngineDiedError(DivergedError):
@@ -79,35 +68,30 @@ class Engine:
         time_limit_s: Time limit of a simulation in another process [s].
     """
 
-    _backend: Backend | None
-
     def __init__(
         self, engine: Backend | str, time_limit_s: float = SIMULATION_LIMIT_S
     ) -> None:
         self._worker = Worker(time_limit_s)
-        if (
-            isinstance(engine, str)
-            and engine in backend_names()
-            and not is_bundled(engine)
-        ):
-            self.name, self._backend = engine, None
-            try:
-                self.versions = self._worker.call(versions_of, engine)
-            except CrashError as error:
-                raise CrashError(
-                    f"backend {engine!r} cannot be imported: {error}"
-                ) from None
-            return
-        self._backend = backend(engine) if isinstance(engine, str) else engine
-        self.name, self.versions = self._backend.name, self._backend.versions()
+        self._backend: Backend | None = None
+        if isinstance(engine, str):
+            if engine in backend_names() and not is_bundled(engine):
+                self.name = engine
+                try:
+                    self.versions = self._worker.call(versions_of, engine)
+                except CrashError as error:
+                    raise CrashError(
+                        f"backend {engine!r} cannot be imported: {error}"
+                    ) from None
+                return
+            engine = backend(engine)
+        self._backend = engine
+        self.name, self.versions = engine.name, engine.versions()
 
     def close(self) -> None:
         """End the process of the engine."""
         self._worker.close()
 
-    def call(
-        self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]
-    ) -> Any:
+    def call(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
         """Return the value of a function of the backend, a scenario and settings."""
         if self._backend is not None:
             return function(self._backend, scenario, settings)
@@ -125,7 +109,7 @@ class Engine:
 
 
 def _outcome_of(
-    function: _Run, name: str, scenario: Scenario, settings: Mapping[str, Any]
+    function: _Run, name: str, scenario: Scenario, settings: Settings
 ) -> tuple[Any, tuple[str, ...] | None, str | None]:
     """Return the value of a function of a backend and a scenario, or why it declined or diverged."""
     try:
@@ -161,23 +145,37 @@ class Measurements:
     """Measures phenomena on one engine, and caches rollouts by scenario and settings.
 
     Args:
-        engine: The engine, or a backend that runs in this process.
-        time_limit_s: Time after which no rollout starts any more [s].
+        engine: A backend, or the name of an installed one.
+        time_limit_s: Time after which no rollout starts any more [s]; None for no limit. It bounds each simulation in
+            another process too, to a second at least, in which a process starts.
     """
 
     def __init__(
-        self, engine: Engine | Backend, *, time_limit_s: float = math.inf
+        self, engine: Backend | str, *, time_limit_s: float | None = None
     ) -> None:
-        self._engine = engine if isinstance(engine, Engine) else Engine(engine)
-        self._ends_s = time.monotonic() + time_limit_s
+        limit_s = math.inf if time_limit_s is None else time_limit_s
+        self._engine = Engine(engine, min(max(limit_s, 1.0), SIMULATION_LIMIT_S))
+        self._ends_s = time.monotonic() + limit_s
         self._in_force: dict[tuple[str, str], dict[str, Any] | DeclinedError] = {}
         self._rollouts: dict[
             tuple[str, str], Rollout | DeclinedError | DivergedError
         ] = {}
 
-    def in_force(
-        self, scenario: Scenario, settings: Mapping[str, Any]
-    ) -> dict[str, Any]:
+    @property
+    def engine(self) -> str:
+        """Name of the engine."""
+        return self._engine.name
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """Versions of the engine's packages."""
+        return self._engine.versions
+
+    def close(self) -> None:
+        """End the process of the engine."""
+        self._engine.close()
+
+    def in_force(self, scenario: Scenario, settings: Settings) -> dict[str, Any]:
         """Return every numerical setting that a scenario runs with."""
         key = _key(scenario, settings)
         if key not in self._in_force:
@@ -194,7 +192,7 @@ class Measurements:
             raise known
         return known
 
-    def measure(self, phenomenon: Phenomenon, settings: Mapping[str, Any]) -> Measured:
+    def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
         rollout = self._rollout(phenomenon.scenario, settings)
         if isinstance(rollout, DeclinedError):
@@ -206,7 +204,7 @@ class Measurements:
         return judged(phenomenon, rollout)
 
     def _rollout(
-        self, scenario: Scenario, settings: Mapping[str, Any]
+        self, scenario: Scenario, settings: Settings
     ) -> Rollout | DeclinedError | DivergedError:
         key = _key(scenario, settings)
         if key not in self._rollouts:
@@ -227,7 +225,7 @@ class Measurements:
         return self._rollouts[key]
 
 
-def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
+def _key(scenario: Scenario, settings: Settings) -> tuple[str, str]:
     if not scenario.scene.contacts:
         settings = {
             name: value
@@ -362,11 +360,11 @@ class Subject:
 
     measurements: Measurements
     phenomenon: Phenomenon
-    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    sets: Mapping[str, Settings] = field(default_factory=dict)
     inapplicable: str = ""
     advisory: str = ""
 
-    def measured(self, changes: Mapping[str, Any] | None = None) -> dict[str, Measured]:
+    def measured(self, changes: Settings | None = None) -> dict[str, Measured]:
         """Return the outcome with each set, with some settings changed."""
         return {
             geoms: self.measurements.measure(
@@ -375,7 +373,7 @@ class Subject:
             for geoms, settings in self.sets.items()
         }
 
-    def worst(self, changes: Mapping[str, Any] | None = None) -> Measured:
+    def worst(self, changes: Settings | None = None) -> Measured:
         """Return the worst outcome of all sets, with some settings changed."""
         return worst_of(self.measured(changes))[1]
 
@@ -400,7 +398,7 @@ def subject_of(
             subject,
             inapplicable="round fingertips: their torsional friction alone holds a torque",
         )
-    sets: dict[str, Mapping[str, Any]] = dict(judged_contacts.contact_sets)
+    sets: dict[str, Settings] = dict(judged_contacts.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:
@@ -457,7 +455,7 @@ def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
     )
 
 
-def _states_impact(subject: Subject, settings: Mapping[str, Any]) -> bool:
+def _states_impact(subject: Subject, settings: Settings) -> bool:
     """Return whether contacts have a rebound: one solref without it replaces an engine's restitution."""
     try:
         force = subject.measurements.in_force(subject.phenomenon.scenario, settings)

@@ -6,14 +6,18 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from scipy.special import stdtrit
 
 from gauge_envs.files import json_ready
+from gauge_envs.scene import Vector
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
+
+Settings: TypeAlias = Mapping[str, Any]
+"""Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
 
 UNREAD = "not known and not read"
 """Start of a note on keys that may be mistakes, which is shown even where nothing is flagged."""
@@ -86,11 +90,11 @@ class ContactGroup:
 
     geoms: str
     pair_count: int
-    constants: Mapping[str, Any]
+    constants: Settings
     is_used: bool = False
     is_held: bool = False
     is_point: bool = False
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Settings = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -229,14 +233,14 @@ class TrainingConfiguration:
     name: str
     source: str
     backend: str
-    settings: Mapping[str, Any]
+    settings: Settings
     origins: Mapping[str, str] = field(default_factory=dict)
     frame_skip: int | None = None
     contact_groups: tuple[ContactGroup, ...] = ()
     notes: tuple[str, ...] = ()
     inapplicable: Mapping[Need, str] = field(default_factory=dict)
-    gravity_m_per_s2: tuple[float, float, float] | None = None
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    gravity_m_per_s2: Vector | None = None
+    up: Vector = (0.0, 0.0, 1.0)
     is_model: bool = False
     foot_geometry: FootGeometry | None = None
     language: str = "toml"
@@ -376,7 +380,7 @@ class SettingTrial:
         on_default: Whether the backend's default was changed instead of the configuration.
     """
 
-    changes: Mapping[str, Any]
+    changes: Settings
     value: float | None
     on_default: bool = False
 
@@ -408,7 +412,7 @@ class Cure:
         new_flags: Rows that are visible or wrong only after the change.
     """
 
-    changes: Mapping[str, Any]
+    changes: Settings
     line: str
     flag_count: int
     mended_count: int

@@ -6,7 +6,7 @@ flag of such a target is run here, on the CPU. The first run of a kernel compile
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from importlib.metadata import version
 from typing import Any
@@ -20,6 +20,7 @@ from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.scene import Scene
+from gauge_envs.tools.sanity.model import Settings
 
 FEWEST_CONTACTS, CONTACTS_OF_BODY = 64, 16
 """Memory of a scene for contacts: a number, and more for each body. A brick of a wall has 7."""
@@ -55,7 +56,7 @@ class BackendMuJoCoWarp(BackendMuJoCo):
         return Support(missing)
 
     def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
+        self, scene: Scene, settings: Settings | None = None
     ) -> SimulationMuJoCoWarp:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
         chosen = settings_for(scene, settings)
@@ -67,7 +68,7 @@ class BackendMuJoCoWarp(BackendMuJoCo):
 class SimulationMuJoCoWarp(SimulationMuJoCo):
     """A scene on mujoco_warp. MuJoCo's data hold the state between the steps, so that it is driven and read there."""
 
-    def __init__(self, scene: Scene, settings: Mapping[str, Any], *built: Any) -> None:
+    def __init__(self, scene: Scene, settings: Settings, *built: Any) -> None:
         super().__init__(scene, settings, *built)
         self._most_contacts = FEWEST_CONTACTS + CONTACTS_OF_BODY * len(scene.bodies)
         self._captured: tuple[Callable[[], None], Any] | None = None

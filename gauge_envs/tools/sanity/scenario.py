@@ -18,6 +18,7 @@ from gauge_envs.runs.rollout import DeclinedError, Rollout, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.sanity.model import Settings
 
 FEWEST_SAMPLES = 5
 """A scene with fewer samples shows no motion."""
@@ -57,7 +58,7 @@ class Scenario:
     interval_s: float = 0.002
     change: Callable[[Scene], Scene] = field(default=_unchanged)
     nodes_of: tuple[str, ...] = ()
-    engine_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     released: str = ""
 
     @property
@@ -70,7 +71,7 @@ class Scenario:
         """The scene, driven as the task file states."""
         return self.change(load_experiment(self.variant, self.parameters).scene)
 
-    def scene_with(self, settings: Mapping[str, Any]) -> Scene:
+    def scene_with(self, settings: Settings) -> Scene:
         """Return the scene with the released body at the height at which the margin of settings lets it settle."""
         apart_m = settings.get("contact_margin_m") or 0.0
         if not (self.released and apart_m > 0.0):
@@ -86,9 +87,7 @@ class Scenario:
         )
 
 
-def run_scenario(
-    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
-) -> Rollout:
+def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Rollout:
     """Build a scenario's scene, run it and record it.
 
     It is driven and sampled every few steps, as many as fit in the scenario's interval, or every step. Settings without
@@ -121,16 +120,14 @@ def run_scenario(
 
 
 def settings_in_force(
-    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
+    backend: Backend, scenario: Scenario, settings: Settings
 ) -> dict[str, Any]:
     """Return every numerical setting that a scenario would run with, those of the preset included."""
     with closing(_built(backend, scenario, settings)) as simulation:
         return dict(simulation.settings)
 
 
-def _built(
-    backend: Backend, scenario: Scenario, settings: Mapping[str, Any]
-) -> Simulation:
+def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulation:
     support = scene_support(backend, scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
@@ -147,7 +144,7 @@ def _built(
         raise DeclinedError((f"{type(error).__name__}: {error}",)) from error
 
 
-def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, Any]:
+def _with_interval(settings: Settings, longest_s: float) -> dict[str, Any]:
     """Return settings with the drive interval for their step; unchanged without a step that an engine takes."""
     step = settings.get("timestep_s")
     if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
@@ -158,7 +155,7 @@ def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, A
     }
 
 
-def check_settings(name: str, settings: Mapping[str, Any]) -> None:
+def check_settings(name: str, settings: Settings) -> None:
     """Build a scene with settings of a backend."""
     if name not in backend_names() or is_bundled(name):
         _build_once(name, settings)
@@ -170,7 +167,7 @@ def check_settings(name: str, settings: Mapping[str, Any]) -> None:
             raise TargetError(f"backend {name!r}: {error}") from None
 
 
-def _build_once(name: str, settings: Mapping[str, Any]) -> None:
+def _build_once(name: str, settings: Settings) -> None:
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
     backend(name).build(
         load_experiment(TRIAL_VARIANT).scene, _with_interval(settings, 0.0)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
@@ -150,7 +150,7 @@ def _declined(row: PhenomenonResult, remark: str) -> PhenomenonResult:
 
 def _upright_gravity(
     configuration: TrainingConfiguration,
-) -> tuple[float, float, float]:
+) -> Vector:
     """Return standard gravity against the direction away from the ground [m/s^2]."""
     return vector(-GRAVITY_M_PER_S2 * np.asarray(configuration.up))
 

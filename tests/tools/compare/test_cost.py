@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 from cost_results import STEPS_S, made, sweep, wrong_step
@@ -13,16 +11,15 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ShapeError
 from gauge_envs.pages.document import as_markdown, as_rows
-from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import result_file_name, write_result
-from gauge_envs.tools.compare.cost import CostCurve, cost_curves, cost_document
+from gauge_envs.tools.compare.cost import cost_curves, cost_document
 
 
-def curves(results: list[Result]) -> list[CostCurve]:
+def curves(results):
     return cost_curves(results, [])
 
 
-def test_each_setting_has_a_row_with_its_errors_and_cost() -> None:
+def test_each_setting_has_a_row_with_its_errors_and_cost():
     (curve,) = curves(sweep())
     rows = as_rows(cost_document([curve]))
     steps_s = [row["effort"]["timestep_s"] for row in rows]
@@ -41,7 +38,7 @@ def test_each_setting_has_a_row_with_its_errors_and_cost() -> None:
     )
 
 
-def test_the_sufficient_step_is_the_largest_below_the_real_scatter() -> None:
+def test_the_sufficient_step_is_the_largest_below_the_real_scatter():
     (curve,) = curves(sweep())
     scatter = curve.measure.scatter
     assert scatter is not None
@@ -52,7 +49,7 @@ def test_the_sufficient_step_is_the_largest_below_the_real_scatter() -> None:
         assert is_below == (setting.step_s <= sufficient.step_s)
 
 
-def test_costs_are_relative_to_mujoco_with_its_defaults() -> None:
+def test_costs_are_relative_to_mujoco_with_its_defaults():
     usual = made(step_s=STEPS_S[1], given={}, cpu_s=0.1)
     slower = sweep(backend="rapier", steps_s=STEPS_S[1:2], cpu_s=0.4)
     document = cost_document(curves([usual, *slower]))
@@ -61,8 +58,8 @@ def test_costs_are_relative_to_mujoco_with_its_defaults() -> None:
     assert "| mujoco |" in as_markdown(document)
 
 
-def test_results_that_did_not_run_or_are_jittered_are_named() -> None:
-    notes: list[str] = []
+def test_results_that_did_not_run_or_are_jittered_are_named():
+    notes = []
     cost_curves(
         [*sweep(), *sweep(jitter={"position_m": 1e-3}), made(wall_s=None)], notes
     )
@@ -72,12 +69,12 @@ def test_results_that_did_not_run_or_are_jittered_are_named() -> None:
         curves([made(wall_s=None)])
 
 
-def test_the_command_writes_a_picture_a_table_and_all_numbers(tmp_path: Path) -> None:
+def test_the_command_writes_a_picture_a_table_and_all_numbers(tmp_path):
     pytest.importorskip("matplotlib")
     (tmp_path / "in").mkdir()
     for result in [*sweep(), *sweep(wrong_step, backend="rapier")]:
         write_result(result, tmp_path / "in" / result_file_name(result))
-    arguments: list[Any] = [
+    arguments = [
         "plot",
         tmp_path / "in",
         "--kind",

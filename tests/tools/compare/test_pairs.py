@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +11,6 @@ from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws, repeats_interval
 from gauge_envs.tools.compare.grades import (
     GradedExperiment,
-    PairComparison,
     compare_grade,
     compare_pairs,
 )
@@ -31,23 +28,21 @@ FloatArray = NDArray[np.float64]
 TRIAL_COUNT = 20
 
 
-def slides(errors: Sequence[float], **motion: float) -> World:
+def slides(errors, **motion):
     """Slides whose release hides some of an excess friction, and engines with a friction error each."""
     return World(
         motion=Slide(**{"release_s": 0.03, **motion}), engine_errors=tuple(errors)
     )
 
 
-def true_scores(world: World, *, aligned: bool) -> list[float]:
+def true_scores(world, *, aligned):
     kind = "aligned" if aligned else "raw"
     return [
         world.truth.ratio(kind, engine) for engine in range(len(world.engine_errors))
     ]
 
 
-def observed(
-    world: World, *, aligned: bool, random: np.random.Generator, name: str = "slide"
-) -> GradedExperiment:
+def observed(world, *, aligned, random, name="slide"):
     """One experimenter's scores of engines against the mean of 20 trials."""
     trials = world.trials(random, 1, TRIAL_COUNT)
     band = band_of(trials[0])
@@ -83,7 +78,7 @@ def observed(
     )
 
 
-def paired(experiments: Sequence[GradedExperiment]) -> PairComparison:
+def paired(experiments):
     (pair,) = compare_pairs(experiments, [(0, 1)])
     return pair
 
@@ -93,8 +88,8 @@ def paired(experiments: Sequence[GradedExperiment]) -> PairComparison:
     [pytest.param(0.0, True, marks=pytest.mark.slow), (0.01, False)],
 )
 def test_the_interval_of_a_mean_over_one_experiment_is_that_of_the_score_and_holds_it(
-    error: float, aligned: bool
-) -> None:
+    error, aligned
+):
     world = slides([error])
     (truth,) = true_scores(world, aligned=aligned)
     random = np.random.default_rng(3)
@@ -115,7 +110,7 @@ def test_the_interval_of_a_mean_over_one_experiment_is_that_of_the_score_and_hol
     assert held >= 0.91 * 150
 
 
-def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean() -> None:
+def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean():
     random = np.random.default_rng(8)
     for count, shared, own in [(4, 0.1, 0.1), (3, 0.02, 0.2), (8, 0.2, 0.05)]:
         held = 0
@@ -141,12 +136,12 @@ def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean() -> None:
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_repeats(
-    count: int,
-) -> None:
+    count,
+):
     """Scores that differ by their jittered starts alone; draws with replacement are right in 0.51, 0.75 and 0.87."""
     random = np.random.default_rng(5)
 
-    def scores() -> ScoreDraws:
+    def scores():
         values = 1.0 + 0.1 * random.standard_normal(count)
         drawn = np.repeat(values[:, None], 500, axis=1)
         none = np.zeros((count, 0))
@@ -166,7 +161,7 @@ def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_r
 
 
 @pytest.mark.slow
-def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one() -> None:
+def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one():
     worlds = (
         slides([0.03]),
         slides([0.03], constant=0.3, release_s=0.05),
@@ -187,9 +182,7 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one() -> None:
     assert held >= 0.91 * 200
 
 
-def test_identical_engines_are_never_distinguishable_and_a_large_difference_is() -> (
-    None
-):
+def test_identical_engines_are_never_distinguishable_and_a_large_difference_is():
     random = np.random.default_rng(11)
     for _ in range(50):
         same, apart = (
@@ -208,7 +201,7 @@ def test_identical_engines_are_never_distinguishable_and_a_large_difference_is()
         assert apart.probability_of_improvement > 0.99
 
 
-def test_the_sign_of_a_difference_is_that_of_students_test() -> None:
+def test_the_sign_of_a_difference_is_that_of_students_test():
     """The difference of two squared distances is linear in the mean, so its test is exact for normal trials."""
     random = np.random.default_rng(2)
     world = slides([0.03, 0.01])
@@ -229,7 +222,7 @@ def test_the_sign_of_a_difference_is_that_of_students_test() -> None:
         assert nearer == pytest.approx(expected, abs=0.03)
 
 
-def test_trials_that_drift_tell_no_engines_apart() -> None:
+def test_trials_that_drift_tell_no_engines_apart():
     """The same trials in another order do; their scores have no interval in the order of the drift."""
     world = slides([0.06, -0.06])
     drift = np.linspace(-1.0, 1.0, TRIAL_COUNT)

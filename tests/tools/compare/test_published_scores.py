@@ -10,7 +10,7 @@ from gauge_envs.runs.request import RunRequest
 from studies.published_scores.published_scores import Repeated, comparable, compare
 
 
-def test_rows_have_a_published_score_and_a_reference() -> None:
+def test_rows_have_a_published_score_and_a_reference():
     found = dict(comparable("genesis"))
     assert set(found["SlopeSlider-2-wood"]) == {"rmse", "dtw"}
     assert set(found["Pendulum-metal"]) == {"pd", "el"}
@@ -22,7 +22,7 @@ def test_rows_have_a_published_score_and_a_reference() -> None:
     } & set(found)
 
 
-def test_rows_hold_the_score_of_the_run() -> None:
+def test_rows_hold_the_score_of_the_run():
     rows = {
         row.metric: row
         for row in compare("mujoco", "contact", "newton", "BouncingBall-*")
@@ -42,9 +42,7 @@ def test_rows_hold_the_score_of_the_run() -> None:
 @pytest.mark.parametrize(
     ("reached", "repeated"), [(2.05, True), (1.95, True), (2.07, False), (None, False)]
 )
-def test_a_score_within_3_percent_is_repeated(
-    reached: float | None, repeated: bool
-) -> None:
+def test_a_score_within_3_percent_is_repeated(reached, repeated):
     row = Repeated(
         variant="A-wood",
         metric="rmse",

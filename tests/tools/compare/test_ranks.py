@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 # --- p-values --------------------------------------------------------------------------------------------------------
 
 
-def test_holm_against_a_computation_by_hand() -> None:
+def test_holm_against_a_computation_by_hand():
     # Sorted: 0.005 x 4, 0.01 x 3, 0.03 x 2, 0.04 x 1, and none below the one before it.
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.5, 0.6]) == [1.0, 1.0]
@@ -38,7 +38,7 @@ def test_holm_against_a_computation_by_hand() -> None:
     assert holm([]) == []
 
 
-def test_the_p_value_is_that_of_students_test_over_the_trials() -> None:
+def test_the_p_value_is_that_of_students_test_over_the_trials():
     """|g1 - r|^2 - |g2 - r|^2 is the mean over trials of a number that each trial has, if r is their mean."""
     random = np.random.default_rng(4)
     for count in (4, 10, 20):
@@ -67,7 +67,7 @@ def test_the_p_value_is_that_of_students_test_over_the_trials() -> None:
         )
 
 
-def test_a_common_baseline_does_not_change_a_p_value() -> None:
+def test_a_common_baseline_does_not_change_a_p_value():
     random = np.random.default_rng(5)
     common, baseline = (
         0.2 * random.standard_normal(4000),
@@ -85,7 +85,7 @@ def test_a_common_baseline_does_not_change_a_p_value() -> None:
     assert plain < 0.05
 
 
-def test_a_difference_that_no_table_shows_is_none() -> None:
+def test_a_difference_that_no_table_shows_is_none():
     near = scored(2.0, 2.0 + 0.9 * NEGLIGIBLE, 2.0 + 1.2 * NEGLIGIBLE)
     pairs = {
         (one.first, one.second): one
@@ -99,7 +99,7 @@ def test_a_difference_that_no_table_shows_is_none() -> None:
     assert pairs[0, 1].probability_of_improvement == 0.5
 
 
-def test_more_than_half_of_the_experiments_have_to_agree() -> None:
+def test_more_than_half_of_the_experiments_have_to_agree():
     small, sign = [0.01, 0.01, 0.01, 0.9], [-1.0, -2.0, -50.0, 1.0]
     # The third of four one-sided values, 0.005, times 2, for either direction times 2.
     assert majority_p_value(sign, small) == pytest.approx(0.02)
@@ -114,9 +114,7 @@ def test_more_than_half_of_the_experiments_have_to_agree() -> None:
 # --- ranks -----------------------------------------------------------------------------------------------------------
 
 
-def scored(
-    *scores: float, name: str = "exact", scatter: float = 0.0
-) -> GradedExperiment:
+def scored(*scores, name="exact", scatter=0.0):
     """Scores with independent errors of a standard deviation, by default none."""
     random = np.random.default_rng([7, *name.encode()])
     draws = []
@@ -127,7 +125,7 @@ def scored(
     return GradedExperiment(id=name, draws=tuple(draws), trial_count=20)
 
 
-def test_ranks_of_exact_scores_are_those_of_the_scores() -> None:
+def test_ranks_of_exact_scores_are_those_of_the_scores():
     (grade,) = compare_grade(
         "law", withheld=False, experiments=[scored(3.0, 1.0, 1.0, 2.0)]
     )
@@ -143,7 +141,7 @@ def test_ranks_of_exact_scores_are_those_of_the_scores() -> None:
     assert (one.distinguishable_count, one.pair_count) == (5, 6)
 
 
-def test_equal_engines_improve_with_a_probability_of_one_half() -> None:
+def test_equal_engines_improve_with_a_probability_of_one_half():
     exact, noisy = scored(1.0, 1.0), scored(1.0, 1.0, scatter=0.1)
     (same,), (alike,) = (compare_pairs([one], [(0, 1)]) for one in (exact, noisy))
     assert (same.probability_of_improvement, same.p_holm, same.distinguishable) == (
@@ -155,7 +153,7 @@ def test_equal_engines_improve_with_a_probability_of_one_half() -> None:
     assert not alike.distinguishable
 
 
-def test_the_mean_rank_is_the_sum_of_the_probabilities_that_others_are_closer() -> None:
+def test_the_mean_rank_is_the_sum_of_the_probabilities_that_others_are_closer():
     experiments = [scored(1.0, 1.1, 1.2, name=name, scatter=0.1) for name in ("a", "b")]
     (grade,) = compare_grade("trials", withheld=False, experiments=experiments)
     closer = {
@@ -174,7 +172,7 @@ def test_the_mean_rank_is_the_sum_of_the_probabilities_that_others_are_closer() 
         assert 1.0 <= low <= score.mean_rank.value <= high <= 3.0
 
 
-def test_one_experiment_with_scores_fifty_times_larger_does_not_decide() -> None:
+def test_one_experiment_with_scores_fifty_times_larger_does_not_decide():
     """The first is closer in three of four; by the mean score, the second would be closer by far."""
     usual = [scored(1.0, 2.0, name=name, scatter=0.05) for name in ("a", "b", "c")]
     (grade,) = compare_grade(
@@ -192,7 +190,7 @@ def test_one_experiment_with_scores_fifty_times_larger_does_not_decide() -> None
     assert (first.rank, second.rank) == (1, 2)
 
 
-def test_one_of_two_is_not_more_than_half() -> None:
+def test_one_of_two_is_not_more_than_half():
     (grade,) = compare_grade(
         "trials",
         withheld=False,
@@ -208,7 +206,7 @@ def test_one_of_two_is_not_more_than_half() -> None:
     assert [one.rank for one in grade.scores] == [1, 1]
 
 
-def test_other_constants_are_ranked_apart_and_their_pairs_say_so() -> None:
+def test_other_constants_are_ranked_apart_and_their_pairs_say_so():
     constants = ("calibrated", "effective", "calibrated", "effective")
     experiments = [scored(2.0, 0.2, 1.0, 0.1)]
     found = compare_grade(
@@ -239,9 +237,7 @@ def test_other_constants_are_ranked_apart_and_their_pairs_say_so() -> None:
 FRAMES = 12
 
 
-def equal_engines(
-    count: int, trial_count: int, size: float, random: np.random.Generator
-) -> GradedExperiment:
+def equal_engines(count, trial_count, size, random):
     """Engines that are equally far from the true mean, each in a direction of its own, and trials that scatter in all.
 
     Args:
@@ -273,9 +269,7 @@ def equal_engines(
     return GradedExperiment(id="equal", draws=tuple(draws), trial_count=trial_count)
 
 
-def wrong_realities(
-    count: int, trial_count: int, size: float, repeats: int
-) -> tuple[int, int]:
+def wrong_realities(count, trial_count, size, repeats):
     """Number of realities with a distinguishable pair, and with one that is so without a correction."""
     random = np.random.default_rng([11, count, trial_count])
     wrong = np.zeros(2, dtype=int)
@@ -289,7 +283,7 @@ def wrong_realities(
     return int(wrong[0]), int(wrong[1])
 
 
-def test_equal_engines_are_rarely_told_apart_though_pairs_alone_often_are() -> None:
+def test_equal_engines_are_rarely_told_apart_though_pairs_alone_often_are():
     corrected, alone = wrong_realities(8, 20, 3.0, 25)
     # 28 pairs of a true 5 % in all: more than 4 of 25 realities happen once in 140 runs.
     assert corrected <= 4
@@ -299,9 +293,7 @@ def test_equal_engines_are_rarely_told_apart_though_pairs_alone_often_are() -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0.3, 3.0, 10.0])
 @pytest.mark.parametrize("trial_count", [5, 10, 20])
-def test_of_18_equal_engines_none_is_told_apart_in_95_percent(
-    trial_count: int, size: float
-) -> None:
+def test_of_18_equal_engines_none_is_told_apart_in_95_percent(trial_count, size):
     corrected, _ = wrong_realities(18, trial_count, size, 300)
     # Of 300, a true 5 % gives at most 25 in 99 of 100 runs.
     assert corrected <= 25

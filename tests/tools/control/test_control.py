@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import gymnasium
 import mujoco
@@ -60,17 +59,17 @@ FAST = {"timestep_s": 1 / 1080}
 """The longest step that the default contacts allow, where the accuracy of the engine is not what is tested."""
 
 
-def make(name: str, **options: object) -> ControlEnv:
+def make(name, **options):
     env = gymnasium.make(f"GAUGE/{name}", **options).unwrapped
     assert isinstance(env, ControlEnv)
     return env
 
 
-def by_law(env: ControlEnv, fraction: float) -> LimitReport:
+def by_law(env, fraction):
     return play(env, lambda _: env.law_action(fraction))
 
 
-def rewards(env: gymnasium.Env, policy) -> tuple[list[float], dict]:
+def rewards(env, policy):
     observation, _ = env.reset(seed=0)
     paid, over = [], False
     while not over:
@@ -83,14 +82,14 @@ def rewards(env: gymnasium.Env, policy) -> tuple[list[float], dict]:
 # --- registration and interface ---
 
 
-def test_ids_are_extra_to_the_experiments() -> None:
+def test_ids_are_extra_to_the_experiments():
     assert len(NAMES) == 15
     assert {f"GAUGE/{name}" for name in NAMES} <= set(gymnasium.registry)
     assert not {variant.name for variant in variants()} & set(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_checkers_pass(name: str) -> None:
+def test_checkers_pass(name):
     env = make(name)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -99,7 +98,7 @@ def test_checkers_pass(name: str) -> None:
         check_env(env, skip_render_check=True)
 
 
-def test_checker_of_stable_baselines_passes() -> None:
+def test_checker_of_stable_baselines_passes():
     checker = pytest.importorskip(
         "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
     )
@@ -112,7 +111,7 @@ def test_checker_of_stable_baselines_passes() -> None:
         )
 
 
-def test_a_spec_builds_the_same_run() -> None:
+def test_a_spec_builds_the_same_run():
     env = gymnasium.make(
         "GAUGE/SlopeSlider-Limit-metal", parameters={"cube.friction": 0.2}
     )
@@ -125,7 +124,7 @@ def test_a_spec_builds_the_same_run() -> None:
 @pytest.mark.parametrize(
     "copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
 )
-def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
+def test_copies_go_on_from_where_they_are(name, copied):
     env = make(name)
     env.reset(seed=0)
     for _ in range(5):
@@ -138,7 +137,7 @@ def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
     assert np.array_equal(env.trajectory(), other.trajectory())
 
 
-def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
+def test_a_pickle_of_another_version_of_the_engine_is_refused():
     env = make("Turntable-Limit-wood")
     env.versions = {"mujoco": "3.0.0"}
     with pytest.raises(
@@ -148,7 +147,7 @@ def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
         pickle.loads(pickle.dumps(env))
 
 
-def test_misuse_is_an_error() -> None:
+def test_misuse_is_an_error():
     env = make("Turntable-Limit-wood")
     with pytest.raises(EpisodeError, match="reset before step"):
         env.step(np.zeros(1))
@@ -173,7 +172,7 @@ def test_misuse_is_an_error() -> None:
 
 
 @needs_opengl
-def test_picture_shows_the_board_tilting() -> None:
+def test_picture_shows_the_board_tilting():
     env = make("SlopeSlider-Limit-wood", render_mode="rgb_array", width=160, height=120)
     env.reset(seed=0)
     level = env.render()
@@ -183,7 +182,7 @@ def test_picture_shows_the_board_tilting() -> None:
     env.close()
 
 
-def test_command_line_tells_them_apart() -> None:
+def test_command_line_tells_them_apart():
     run = CliRunner().invoke
     listed = run(app, ["list"]).stdout.splitlines()
     assert listed[-1].startswith("75 ids")
@@ -201,7 +200,7 @@ def test_command_line_tells_them_apart() -> None:
 # --- limits and their uncertainty ---
 
 
-def test_ratio_and_z() -> None:
+def test_ratio_and_z():
     limit = Limit(
         quantity="q", unit="1", value=0.25, sigma=0.05, law="", sigma_source=""
     )
@@ -212,15 +211,15 @@ def test_ratio_and_z() -> None:
 
 @pytest.mark.parametrize("material", MATERIALS)
 def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(
-    material: str,
-) -> None:
+    material,
+):
     path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
     rows = [
         line
         for line in path.read_text(encoding="utf-8").splitlines()
         if not line.startswith("#")
     ]
-    trials: dict[str, list[tuple[float, float]]] = {}
+    trials = {}
     for row in csv.DictReader(rows):
         if row["material"] == material:
             trials.setdefault(row["trial"], []).append(
@@ -240,7 +239,7 @@ def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(
     )
 
 
-def test_slope_and_turntable_have_the_calibrated_friction() -> None:
+def test_slope_and_turntable_have_the_calibrated_friction():
     assert SlopeSliderLimit("metal").limit.value == 0.262758
     # The recording of SlopeSlider-3-metal has a kinetic friction of 0.251 +- 0.010.
     assert (
@@ -273,7 +272,7 @@ def test_slope_and_turntable_have_the_calibrated_friction() -> None:
         for name in STEADY
     ],
 )
-def test_law_holds_at_98_percent_and_not_at_102(name: str) -> None:
+def test_law_holds_at_98_percent_and_not_at_102(name):
     env = make(name)
     below = by_law(env, 0.98)
     assert below.ending in GOOD
@@ -284,7 +283,7 @@ def test_law_holds_at_98_percent_and_not_at_102(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEADY)
-def test_default_engine_pays_the_law(name: str) -> None:
+def test_default_engine_pays_the_law(name):
     assert engine_limit(make(name), bounds=(0.95, 1.05)) == pytest.approx(
         1.0, abs=0.006
     )
@@ -292,7 +291,7 @@ def test_default_engine_pays_the_law(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEADY)
-def test_newton_agrees(name: str) -> None:
+def test_newton_agrees(name):
     pytest.importorskip("newton")
     theirs, ours = make(name, backend="newton"), make(name)
     assert theirs.limit == ours.limit
@@ -303,7 +302,7 @@ def test_newton_agrees(name: str) -> None:
     assert by_law(theirs, 1.02).ending not in GOOD
 
 
-def test_engine_limit_of_soft_contacts() -> None:
+def test_engine_limit_of_soft_contacts():
     """A cube that is carried round creeps with half the contacts' time constant, 0.02 s, times omega^2 r."""
     settings = {
         "timestep_s": 1 / 540,
@@ -320,7 +319,7 @@ def test_engine_limit_of_soft_contacts() -> None:
 
 
 @pytest.mark.parametrize("task", [TurntableLimit, SlopeSliderLimit])
-def test_friction_used_is_that_of_the_contact_forces(task) -> None:
+def test_friction_used_is_that_of_the_contact_forces(task):
     """The engine's contact forces on the cube, tangential over normal, are what the kinematics ask for."""
     # The force at one instant scatters by 1 % with the slope's own step, 1/1800 s.
     env = task("wood", settings={"timestep_s": 1 / 9000})
@@ -346,7 +345,7 @@ def test_friction_used_is_that_of_the_contact_forces(task) -> None:
 
 
 @pytest.mark.parametrize("name", ["Turntable-Limit-metal", "SlopeSlider-Limit-metal"])
-def test_reward_is_the_friction_used_and_slipping_takes_it_back(name: str) -> None:
+def test_reward_is_the_friction_used_and_slipping_takes_it_back(name):
     env = make(name, settings=FAST)
     paid, _ = rewards(env, lambda _: env.law_action(0.95))
     assert sum(paid) == pytest.approx(env.trajectory()[1:, 2].sum())
@@ -363,7 +362,7 @@ def test_reward_is_the_friction_used_and_slipping_takes_it_back(name: str) -> No
 
 @pytest.mark.parametrize("name", ["Turntable-Limit-wood", "SlopeSlider-Limit-wood"])
 @pytest.mark.parametrize("seed", range(3))
-def test_no_policy_earns_more_than_the_law(name: str, seed: int) -> None:
+def test_no_policy_earns_more_than_the_law(name, seed):
     """Dithering about the limit: what exceeds it in one frame is lost in the next."""
     env = make(name, settings=FAST)
     random = np.random.default_rng(seed)
@@ -380,7 +379,7 @@ def test_no_policy_earns_more_than_the_law(name: str, seed: int) -> None:
     assert 0.0 < report.reached <= most
 
 
-def test_slipping_is_turning_on_the_spot_too() -> None:
+def test_slipping_is_turning_on_the_spot_too():
     """A cube on the axis is carried by next to no force, but a plate as slippery turns away under it."""
     plate = load_experiment("Turntable-1-wood").scene.body("plate").pose.position_m
     place = {
@@ -399,7 +398,7 @@ def test_slipping_is_turning_on_the_spot_too() -> None:
     )
 
 
-def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known() -> None:
+def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known():
     calibrated = make("SlopeSlider-Limit-metal")
     edge = calibrated.limit.value - 2.0 * calibrated.limit.sigma
     env = make("SlopeSlider-Limit-metal", parameters={"cube.friction": edge})
@@ -409,7 +408,7 @@ def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known() -> No
 # --- pendulum ---
 
 
-def test_pendulum_returns_at_most_one() -> None:
+def test_pendulum_returns_at_most_one():
     env = make("Pendulum-Limit-metal")
     for fraction in (0.9, 0.98):
         paid, _ = rewards(env, lambda _, fraction=fraction: env.law_action(fraction))
@@ -422,7 +421,7 @@ def test_pendulum_returns_at_most_one() -> None:
     assert sum(paid) == pytest.approx(1.0 / 1.02, abs=2e-3)
 
 
-def test_pendulum_braking_is_not_paid_back() -> None:
+def test_pendulum_braking_is_not_paid_back():
     env = make("Pendulum-Limit-metal")
     env.reset()
     observation = env.step(np.ones(1))[0]
@@ -435,7 +434,7 @@ def test_pendulum_braking_is_not_paid_back() -> None:
 @pytest.mark.parametrize(
     "engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
 )
-def test_applied_torque_swings_the_pendulum(engine: str) -> None:
+def test_applied_torque_swings_the_pendulum(engine):
     if engine == "newton":
         pytest.importorskip("newton")
     scene = PendulumLimit("metal").experiment.scene
@@ -475,7 +474,7 @@ def test_applied_torque_swings_the_pendulum(engine: str) -> None:
 @pytest.mark.parametrize(
     "engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)]
 )
-def test_applied_force_accelerates_a_free_body(engine: str) -> None:
+def test_applied_force_accelerates_a_free_body(engine):
     if engine == "newton":
         pytest.importorskip("newton")
     scene = load_experiment("BouncingBall-rubber").scene
@@ -489,7 +488,7 @@ def test_applied_force_accelerates_a_free_body(engine: str) -> None:
     assert moved == pytest.approx([0.5 * 0.1 / ball.mass_kg * 0.25, 0.0, 0.0], abs=1e-4)
 
 
-def test_an_engine_without_applied_forces_says_so() -> None:
+def test_an_engine_without_applied_forces_says_so():
     class Silent(SimulationMuJoCo):
         apply_wrench = World.apply_wrench
 
@@ -497,7 +496,7 @@ def test_an_engine_without_applied_forces_says_so() -> None:
         object.__new__(Silent).apply_wrench("ball", np.zeros(6))
 
 
-def test_unknown_control_task() -> None:
+def test_unknown_control_task():
     assert find_control_task("GAUGE/Turntable-Limit-wood").material == "wood"
     with pytest.raises(UnknownNameError, match="Turntable-Limit-wood"):
         find_control_task("Turntable-Limit-wod")
@@ -506,7 +505,7 @@ def test_unknown_control_task() -> None:
 # --- guide and example ---
 
 
-def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_blocks_of_the_guide_run(capsys):
     guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     code = "\n".join(
         re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL)
@@ -517,7 +516,7 @@ def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.splitlines() == stated
 
 
-def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
+def test_limits_of_the_guide_are_those_of_the_tasks():
     guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
     stated = re.findall(r"(0\.\d+) \+- (0\.\d+)(?=[,| ])", guide.partition("```")[0])
     limits = [
@@ -532,14 +531,14 @@ def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
 @pytest.mark.parametrize(
     ("task", "other"), [("Carry", "Turntable"), ("Push", "SlopeSlider")]
 )
-def test_the_guide_states_a_limit_of_two_tasks_once(task: str, other: str) -> None:
+def test_the_guide_states_a_limit_of_two_tasks_once(task, other):
     for material in ("wood", "plastic", "metal"):
         same, limit = (make(f"{name}-Limit-{material}").limit for name in (task, other))
         assert (same.value, same.sigma) == (limit.value, limit.sigma)
 
 
 @pytest.mark.slow
-def test_example_runs(tmp_path: Path) -> None:
+def test_example_runs(tmp_path):
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     script = ROOT / "examples" / "rl_sanity.py"
     ran = subprocess.run(

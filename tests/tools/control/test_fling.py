@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -22,11 +21,11 @@ LEAST_RATIO = 0.45
 
 
 @pytest.fixture(scope="module")
-def env() -> FlingLimit:
+def env():
     return FlingLimit("satin", settings=TRAINING)
 
 
-def test_limits_of_the_rod_are_those_of_the_recorded_motion(env: FlingLimit) -> None:
+def test_limits_of_the_rod_are_those_of_the_recorded_motion(env):
     """By differences of the motion of the experiment."""
     (motion,) = load_experiment("TextileFlinging-satin").scene.drivers[0].motions
     times_s = np.linspace(0.0, 1.35, 20_001)
@@ -44,7 +43,7 @@ def test_limits_of_the_rod_are_those_of_the_recorded_motion(env: FlingLimit) -> 
     assert env.limit.sigma / env.limit.value == pytest.approx(2.0 * 0.05 / 0.67)
 
 
-def areas_of(env: FlingLimit) -> np.ndarray:
+def areas_of(env):
     """Return the share of the cloth's mass at each node of the engine's mesh."""
     (cloth,) = env.experiment.scene.deformables
     grid = ClothGrid(cloth, env.simulation.settings["cell_m"])
@@ -52,7 +51,7 @@ def areas_of(env: FlingLimit) -> np.ndarray:
     return grid.vertex_areas_m2() / grid.vertex_areas_m2().sum()
 
 
-def test_observed_places_are_those_of_the_nodes(env: FlingLimit) -> None:
+def test_observed_places_are_those_of_the_nodes(env):
     random = np.random.default_rng(0)
     env.reset(seed=0)
     areas = areas_of(env)
@@ -70,9 +69,7 @@ def test_observed_places_are_those_of_the_nodes(env: FlingLimit) -> None:
     )
 
 
-def energies(
-    env: FlingLimit, policy: Callable[[float], float]
-) -> tuple[np.ndarray, np.ndarray]:
+def energies(env, policy):
     """Return sqrt(2 E / M) of the nodes, seen from the rod, and the sum of all changes of the rod's speed [m/s].
 
     Both are at the middle between two samples, at the frames of an episode.
@@ -82,7 +79,7 @@ def energies(
     seen, kinetic, spent, over = [], [], [], False
     read = env._places
 
-    def look() -> np.ndarray:
+    def look():
         (nodes_m,) = env.nodes_m().values()
         seen.append(nodes_m - [0.0, env._stage.offset_m[0], 0.0])
         return read()
@@ -101,7 +98,7 @@ def energies(
     return np.sqrt(np.maximum(kinetic, 0.0)), np.array(spent)
 
 
-def stretch_speed(env: FlingLimit) -> float:
+def stretch_speed(env):
     """Return sqrt(2 e) [m/s]: e is the energy per mass of the start over rest, as the cloth is not stretched yet."""
     env.reset(seed=0)
     for _ in range(60):
@@ -110,7 +107,7 @@ def stretch_speed(env: FlingLimit) -> float:
     return math.sqrt(-GRAVITY_M_PER_S2 * observation[1])
 
 
-def test_the_cloths_speed_grows_by_no_more_than_the_rods(env: FlingLimit) -> None:
+def test_the_cloths_speed_grows_by_no_more_than_the_rods(env):
     """Pushes of random length, in the simulation of the training."""
     stretch, nearest = stretch_speed(env), 0.0
     for seed in range(4):
@@ -128,7 +125,7 @@ def test_the_cloths_speed_grows_by_no_more_than_the_rods(env: FlingLimit) -> Non
     assert nearest > 0.7
 
 
-def test_the_laws_policy_reaches_more_than_half(env: FlingLimit) -> None:
+def test_the_laws_policy_reaches_more_than_half(env):
     paid, report = play_paid(env, lambda _: env.law_action(1.0))
     assert report.ending is Ending.REACHED
     assert LEAST_RATIO / 0.8 - 0.01 < report.ratio < 0.6
@@ -140,10 +137,10 @@ def test_the_laws_policy_reaches_more_than_half(env: FlingLimit) -> None:
     )
 
 
-def test_speed_that_is_not_counted_is_seen(env: FlingLimit) -> None:
+def test_speed_that_is_not_counted_is_seen(env):
     """A planted fault: the rod gets its speed back until the last push."""
 
-    def refilled(_: object) -> np.ndarray:
+    def refilled(_):
         if env.time_s < 2.0:
             env._left_m_per_s = env._speed_m_per_s
         return env.law_action(1.5)
@@ -151,7 +148,7 @@ def test_speed_that_is_not_counted_is_seen(env: FlingLimit) -> None:
     assert play_paid(env, refilled)[0] > 1.0
 
 
-def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env: FlingLimit) -> None:
+def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env):
     env.reset(seed=0)
     over = False
     rates = []
@@ -169,7 +166,7 @@ def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env: FlingLimit) ->
 
 
 @pytest.mark.slow
-def test_chance_stays_below_what_a_training_must_reach(env: FlingLimit) -> None:
+def test_chance_stays_below_what_a_training_must_reach(env):
     random = np.random.default_rng(0)
     ratios = [
         play_paid(env, lambda _: random.uniform(-1.0, 1.0, 1))[0] for _ in range(10)

@@ -15,9 +15,8 @@ from gauge_envs.tools.control.least_time import (
     REST_M_PER_S,
     TOLERANCE_M,
     TOLERANCE_RAD,
-    LeastTimeLimit,
 )
-from gauge_envs.tools.control.limit import Ending, LimitReport, pair_friction
+from gauge_envs.tools.control.limit import Ending, pair_friction
 from gauge_envs.tools.control.play import play
 from gauge_envs.tools.control.push import PushLimit
 from gauge_envs.tools.control.stage import FRAME_S, acceleration_to_rest
@@ -29,9 +28,7 @@ SLIDING = {"timestep_s": 1 / 3600}
 SETTINGS = {CarryLimit: FAST, PushLimit: SLIDING}
 
 
-def by_law(
-    env: LeastTimeLimit, fraction: float = 1.0, *, seed: int = 0
-) -> tuple[LimitReport, float]:
+def by_law(env, fraction=1.0, *, seed=0):
     """Return the report of the law's policy, and the sum of its rewards."""
     env.reset(seed=seed)
     paid, over = 0.0, False
@@ -45,9 +42,7 @@ def by_law(
 # --- the law ---
 
 
-def least_time_s(
-    task: type[LeastTimeLimit], distance_m: float, most: float, speed: float = 0.0
-) -> float:
+def least_time_s(task, distance_m, most, speed=0.0):
     """The least time from rest over a distance, with friction's mu g and the speed left at the end."""
     if task is PushLimit:  # Friction brakes all the way.
         return (math.sqrt(speed**2 + 2.0 * most * distance_m) - speed) / most
@@ -56,16 +51,14 @@ def least_time_s(
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 @pytest.mark.parametrize("speed", [0.0, 0.02, 0.3])
-def test_least_time_and_least_friction_are_inverse(
-    task: type[LeastTimeLimit], speed: float
-) -> None:
+def test_least_time_and_least_friction_are_inverse(task, speed):
     time_s = least_time_s(task, 0.5, 3.2, speed)
     assert task.least_deceleration_m_per_s2(0.5, time_s, speed) == pytest.approx(3.2)
     assert task.least_deceleration_m_per_s2(0.5, 1.1 * time_s, speed) < 3.2
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3])
-def test_linear_programs_find_no_shorter_carry(speed: float) -> None:
+def test_linear_programs_find_no_shorter_carry(speed):
     """The longest way in the law's time, over all accelerations of 400 pieces with |a| <= mu g, is the law's way."""
     most, count = 3.2, 400
     time_s = least_time_s(CarryLimit, 0.5, most, speed)
@@ -80,7 +73,7 @@ def test_linear_programs_find_no_shorter_carry(speed: float) -> None:
     assert -found.fun == pytest.approx(0.5, rel=1e-4)
 
 
-def test_a_frame_on_the_way_to_rest_leaves_the_braking_distance() -> None:
+def test_a_frame_on_the_way_to_rest_leaves_the_braking_distance():
     place, speed, times = 0.0, 0.0, 0
     while abs(place - 0.5) > 1e-3:
         acceleration = acceleration_to_rest(0.5 - place, speed, 3.0)
@@ -96,9 +89,7 @@ def test_a_frame_on_the_way_to_rest_leaves_the_braking_distance() -> None:
 @pytest.mark.parametrize(
     ("distance", "speed"), [(0.5, 0.0), (0.2, 1.0), (0.1, 1.0), (0.3, -0.5)]
 )
-def test_time_to_go_is_that_of_the_fastest_motion(
-    distance: float, speed: float
-) -> None:
+def test_time_to_go_is_that_of_the_fastest_motion(distance, speed):
     """By integration of the motion with the switching curve v |v| = 2 a x, which is time-optimal."""
     most, step = 3.2, 1e-5
     place, rate, time_s = distance, speed, 0.0
@@ -118,7 +109,7 @@ def test_time_to_go_is_that_of_the_fastest_motion(
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_carry_at_the_law(material: str) -> None:
+def test_carry_at_the_law(material):
     env = CarryLimit(material, settings=FAST)
     for seed in range(2):
         report, paid = by_law(env, seed=seed)
@@ -134,7 +125,7 @@ def test_carry_at_the_law(material: str) -> None:
     assert env.limit.value == pair_friction(env.experiment.scene, "cube", "plate")
 
 
-def test_the_goal_is_drawn_by_the_seed() -> None:
+def test_the_goal_is_drawn_by_the_seed():
     env = CarryLimit("wood", settings=FAST)
     goals = []
     for seed in (0, 1, 0):
@@ -145,7 +136,7 @@ def test_the_goal_is_drawn_by_the_seed() -> None:
     assert not np.allclose(goals[0], goals[1])
 
 
-def test_carry_with_more_friction_than_the_law_knows_is_seen() -> None:
+def test_carry_with_more_friction_than_the_law_knows_is_seen():
     """A planted fault: the simulated friction is 1.2 times that of the limit."""
     env = CarryLimit(
         "wood", settings=FAST, parameters={"cube.friction": 1.2 * 0.378789}
@@ -156,7 +147,7 @@ def test_carry_with_more_friction_than_the_law_knows_is_seen() -> None:
     assert paid > 1.02
 
 
-def test_a_plate_that_leaves_loses_the_cube() -> None:
+def test_a_plate_that_leaves_loses_the_cube():
     env = CarryLimit("wood", settings=FAST)
     report = play(env, lambda _: np.array([1.0, 1.0]))
     assert report.ending is Ending.LOST
@@ -167,7 +158,7 @@ def test_a_plate_that_leaves_loses_the_cube() -> None:
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_push_at_the_law(material: str) -> None:
+def test_push_at_the_law(material):
     env = PushLimit(material, settings=SLIDING)
     for seed in range(2):
         report, paid = by_law(env, seed=seed)
@@ -180,7 +171,7 @@ def test_push_at_the_law(material: str) -> None:
         assert 0.7 < paid <= 1.0
 
 
-def test_a_cube_coasts_as_far_as_friction_lets_it() -> None:
+def test_a_cube_coasts_as_far_as_friction_lets_it():
     """After one push, the way to rest is v^2 / (2 mu g)."""
     env = PushLimit("wood", settings=SLIDING)
     env.reset(seed=0)
@@ -198,7 +189,7 @@ def test_a_cube_coasts_as_far_as_friction_lets_it() -> None:
     )
 
 
-def test_a_pusher_that_passes_the_cube_ends_the_episode() -> None:
+def test_a_pusher_that_passes_the_cube_ends_the_episode():
     env = PushLimit("wood", settings=FAST)
     aside = iter([*[np.array([0.0, 1.0])] * 5, *[np.array([1.0, -1.0])] * 60])
     report = play(env, lambda _: next(aside))
@@ -210,9 +201,7 @@ def test_a_pusher_that_passes_the_cube_ends_the_episode() -> None:
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 @pytest.mark.parametrize("share", [0.6, 0.8, 1.0])
-def test_the_time_to_go_cancels_over_an_arrival(
-    task: type[LeastTimeLimit], share: float
-) -> None:
+def test_the_time_to_go_cancels_over_an_arrival(task, share):
     """Its decreases pay 1/3 whatever the way, and the rest is two thirds of the ratio."""
     report, paid = by_law(task("wood", settings=SETTINGS[task]), share, seed=3)
     assert report.ending is Ending.REACHED
@@ -221,8 +210,8 @@ def test_the_time_to_go_cancels_over_an_arrival(
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 def test_without_an_arrival_the_place_at_the_end_is_paid(
-    task: type[LeastTimeLimit],
-) -> None:
+    task,
+):
     env = task("wood", settings=FAST)
     for action, ending in (
         ((0.0, 0.0), Ending.MISSED),
@@ -249,7 +238,7 @@ def test_without_an_arrival_the_place_at_the_end_is_paid(
 
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
-def test_no_motion_beats_the_law(task: type[LeastTimeLimit]) -> None:
+def test_no_motion_beats_the_law(task):
     """Policies about the law's, with noise on the first actions: none needs more friction than there is."""
     env = task("wood", settings=SETTINGS[task])
     random = np.random.default_rng(0)
@@ -270,7 +259,7 @@ def test_no_motion_beats_the_law(task: type[LeastTimeLimit]) -> None:
     assert arrived >= 3
 
 
-def test_arrival_is_near_at_rest_and_not_turned() -> None:
+def test_arrival_is_near_at_rest_and_not_turned():
     env = gymnasium.make("GAUGE/Carry-Limit-metal", settings=FAST).unwrapped
     assert isinstance(env, CarryLimit)
     by_law(env, 0.9)

@@ -18,14 +18,14 @@ from gauge_envs.tools.control.throw import (
 )
 
 
-def test_height_after_one_impact_on_a_plate_without_stroke_or_speed() -> None:
+def test_height_after_one_impact_on_a_plate_without_stroke_or_speed():
     """A plate at rest in its middle gives e^2 h; the law's best place and speed give more."""
     assert highest_m(0.5, 0.6, GRAVITY_M_PER_S2, impacts=0) == 0.5
     assert highest_m(0.5, 0.6, GRAVITY_M_PER_S2, impacts=1) > 0.36 * 0.5
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.576733, 0.9])
-def test_height_is_the_best_of_all_places(restitution: float) -> None:
+def test_height_is_the_best_of_all_places(restitution):
     """Against all combinations of 101 places at each of two impacts."""
     places = np.linspace(-STROKE_M, STROKE_M, 101)
     heights = np.array([0.26])
@@ -40,7 +40,7 @@ def test_height_is_the_best_of_all_places(restitution: float) -> None:
     )
 
 
-def test_uncertainty_is_that_of_restitution_and_start() -> None:
+def test_uncertainty_is_that_of_restitution_and_start():
     limit = ThrowLimit("rubber").limit
     known = 0.576733
     drop = 0.451023 - 0.013297 - 0.15 - 0.03
@@ -50,7 +50,7 @@ def test_uncertainty_is_that_of_restitution_and_start() -> None:
     assert limit.value == pytest.approx(highest_m(drop, known, GRAVITY_M_PER_S2))
 
 
-def test_the_laws_policy_throws_nearly_as_high() -> None:
+def test_the_laws_policy_throws_nearly_as_high():
     env = ThrowLimit("rubber")
     env.reset(seed=0)
     paid, over = 0.0, False
@@ -66,14 +66,14 @@ def test_the_laws_policy_throws_nearly_as_high() -> None:
     )
 
 
-def test_a_higher_restitution_than_the_law_knows_is_seen() -> None:
+def test_a_higher_restitution_than_the_law_knows_is_seen():
     """A planted fault: the simulated restitution is 0.7 instead of 0.577."""
     env = ThrowLimit("rubber", parameters={"ball.restitution": 0.7})
     env.limit = ThrowLimit("rubber").limit
     assert play(env, lambda _: env.law_action(1.0)).ratio > 1.1
 
 
-def test_no_motion_beats_the_law() -> None:
+def test_no_motion_beats_the_law():
     env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1800})
     random = np.random.default_rng(1)
     reached = 0
@@ -90,14 +90,14 @@ def test_no_motion_beats_the_law() -> None:
     assert reached >= 3
 
 
-def test_a_plate_that_stays_beside_the_ball_loses_it() -> None:
+def test_a_plate_that_stays_beside_the_ball_loses_it():
     env = ThrowLimit("rubber")
     report = play(env, lambda _: np.zeros(2))
     assert report.ending is Ending.LOST
     assert report.reached == 0.0
 
 
-def edge_gain(offset: float, comes: float, restitution: float) -> float:
+def edge_gain(offset, comes, restitution):
     """Return the height over that of a flat impact after an impact on the plate's edge, an ideal one.
 
     Args:
@@ -114,7 +114,7 @@ def edge_gain(offset: float, comes: float, restitution: float) -> float:
     )
 
 
-def test_an_ideal_edge_throws_higher_than_the_law() -> None:
+def test_an_ideal_edge_throws_higher_than_the_law():
     """Why an impact at an edge ends the episode: the plate's speed along x throws too."""
     assert edge_gain(0.0, 2.0, 0.576733) == pytest.approx(1.0)
     assert (
@@ -124,11 +124,11 @@ def test_an_ideal_edge_throws_higher_than_the_law() -> None:
 
 
 @pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.096, 0.103])
-def test_an_impact_at_an_edge_loses_the_ball(aside_m: float) -> None:
+def test_an_impact_at_an_edge_loses_the_ball(aside_m):
     """The law's policy, with the ball beside the middle of the plate by a distance."""
     env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1800})
 
-    def aside(_: object) -> np.ndarray:
+    def aside(_):
         env._plate_x_m += aside_m
         action = env.law_action(1.0)
         env._plate_x_m -= aside_m

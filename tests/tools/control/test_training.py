@@ -19,7 +19,7 @@ LEAST_RATIO = 0.85
 
 
 @pytest.mark.slow
-def test_a_short_training_learns_to_throw(tmp_path: Path) -> None:
+def test_a_short_training_learns_to_throw(tmp_path):
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     script = ROOT / "examples" / "train_control.py"
     arguments = [
@@ -47,7 +47,7 @@ def test_a_short_training_learns_to_throw(tmp_path: Path) -> None:
     assert (tmp_path / "Throw-Limit-rubber-0.zip").stat().st_size > 10_000
 
 
-def test_chance_stays_below_what_the_training_must_reach() -> None:
+def test_chance_stays_below_what_the_training_must_reach():
     env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1080})
     random = np.random.default_rng(0)
     ratios = [

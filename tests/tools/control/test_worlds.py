@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import gauge_envs  # noqa: F401  # registers the ids
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.tools.control.vector import ControlVectorEnv
 
-CONSTANTS: list[dict[str, Any]] = [
+CONSTANTS = [
     {"cube.friction": 0.30},
     {"cube.friction": 0.42, "cube.mass_kg": 0.15},
     {},
@@ -27,9 +25,7 @@ EXTRAS = {
 }
 
 
-def singles(
-    task: str, constants: list[dict[str, Any]], **options: Any
-) -> gymnasium.vector.SyncVectorEnv:
+def singles(task, constants, **options):
     """Return separate environments, as Gymnasium steps them."""
     return gymnasium.vector.SyncVectorEnv(
         [
@@ -41,9 +37,7 @@ def singles(
     )
 
 
-def check(
-    task: str, constants: list[dict[str, Any]], *, steps: int, **options: Any
-) -> int:
+def check(task, constants, *, steps, **options):
     """Compare all that many worlds return with separate environments; return the number of episodes that ended."""
     worlds = gymnasium.make_vec(
         f"GAUGE/{task}", num_envs=len(constants), world_parameters=constants, **options
@@ -78,7 +72,7 @@ def check(
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "rapier"])
-def test_each_world_is_the_single_environment_bit_for_bit(engine: str) -> None:
+def test_each_world_is_the_single_environment_bit_for_bit(engine):
     """With restarts: worlds end in different frames, and draw their next goals on their own."""
     if engine != "mujoco":
         pytest.importorskip(EXTRAS[engine])
@@ -98,7 +92,7 @@ def test_each_world_is_the_single_environment_bit_for_bit(engine: str) -> None:
         ("Fling-Limit-satin", [{"textile.mass_kg": 0.02}, {}]),
     ],
 )
-def test_all_tasks_run_as_worlds(task: str, constants: list[dict[str, Any]]) -> None:
+def test_all_tasks_run_as_worlds(task, constants):
     check(
         task,
         constants,
@@ -110,7 +104,7 @@ def test_all_tasks_run_as_worlds(task: str, constants: list[dict[str, Any]]) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["newton", "pybullet", "physx", "drake"])
 @pytest.mark.parametrize("task", ["Carry-Limit-wood", "Pendulum-Limit-metal"])
-def test_other_engines_run_worlds_bit_for_bit(engine: str, task: str) -> None:
+def test_other_engines_run_worlds_bit_for_bit(engine, task):
     """Newton's worlds share a model, and restart alone in it."""
     pytest.importorskip(EXTRAS[engine])
     constants = CONSTANTS if task.startswith("Carry") else [{"ball.mass_kg": 0.25}, {}]
@@ -118,7 +112,7 @@ def test_other_engines_run_worlds_bit_for_bit(engine: str, task: str) -> None:
     assert ended >= (4 if task.startswith("Carry") else 1)
 
 
-def test_spaces_and_order_are_those_of_gymnasium() -> None:
+def test_spaces_and_order_are_those_of_gymnasium():
     envs = gymnasium.make_vec("GAUGE/Carry-Limit-wood", num_envs=2)
     assert isinstance(envs, ControlVectorEnv)
     assert envs.observation_space.shape == (2, 10)
@@ -130,7 +124,7 @@ def test_spaces_and_order_are_those_of_gymnasium() -> None:
     assert envs.render() is None
 
 
-def test_worlds_with_other_constants_differ() -> None:
+def test_worlds_with_other_constants_differ():
     """A batch in which all worlds have the constants of the first would pass a test of one world."""
     envs = gymnasium.make_vec(
         "GAUGE/Carry-Limit-wood",
@@ -144,7 +138,7 @@ def test_worlds_with_other_constants_differ() -> None:
     assert np.linalg.norm(observations[0, :2] - observations[1, :2]) > 1e-3
 
 
-def test_wrong_calls_are_named() -> None:
+def test_wrong_calls_are_named():
     with pytest.raises(
         ParameterError, match="world_parameters has 1 entries for 2 worlds"
     ):

@@ -34,7 +34,7 @@ from gauge_envs.tools.diagnose.error_budget import (
     diagnose_trajectory,
     stage_order,
 )
-from gauge_envs.tools.diagnose.model import BudgetStage, Diagnosis, StagePart
+from gauge_envs.tools.diagnose.model import BudgetStage
 from gauge_envs.tools.diagnose.words import diagnosis_document, draw_diagnoses, findings
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
@@ -79,7 +79,7 @@ def frames_s(frame_count):
     return np.arange(frame_count) / 30.0
 
 
-def part(diagnosis: Diagnosis, stage: BudgetStage) -> StagePart:
+def part(diagnosis, stage):
     """The part of one stage."""
     return next(one for one in diagnosis.parts if one.stage is stage)
 

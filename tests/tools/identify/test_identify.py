@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 from typer.testing import CliRunner
@@ -44,11 +42,11 @@ ARMATURE = "armature_kg_m2"
 MODULES = {"drake": "pydrake", "physx": "sapien", "rapier": "rapier3d"}
 
 
-def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0) -> Log:
+def swing(*, dry, viscous, armature, zero_rad=0.0):
     """A noisy log of 3 s of a pendulum whose equation SciPy integrates, from 0.5 rad at rest."""
     inertia = INERTIA_KG_M2 + MASS_KG * LENGTH_M**2 + armature
 
-    def slopes(_: float, state: NDArray[np.float64]) -> list[float]:
+    def slopes(_, state):
         angle, rate = state
         # A steep slope in place of the jump of dry friction; the swing does not stop within the log.
         friction = dry * np.tanh(rate / 1e-3) + viscous * rate
@@ -68,14 +66,14 @@ def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0)
     return Log("swing", times_s, (angles + zero_rad + noise)[:, None])
 
 
-def found_in(log: Log, *names: str, engine: str = "mujoco") -> Identified:
+def found_in(log, *names, engine="mujoco"):
     scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
     return identify(backend(engine), scene, [log], names, settings=STEP)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dry", "viscous"), [(0.01, 0.005), (0.02, 0.0), (0.0, 0.01)])
-def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> None:
+def test_friction_of_a_free_swing_is_told_apart(dry, viscous):
     found = found_in(
         swing(dry=dry, viscous=viscous, armature=0.004, zero_rad=0.1),
         DRY,
@@ -98,7 +96,7 @@ def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["newton", "pybullet", "physx", "rapier", "drake"])
-def test_friction_is_found_on_each_engine(engine: str) -> None:
+def test_friction_is_found_on_each_engine(engine):
     """One interval in twenty misses the truth, so each may be off by one and a half of its half width."""
     pytest.importorskip(MODULES.get(engine, engine))
     truth = {DRY: 0.01, VISCOUS: 0.005} | (
@@ -114,14 +112,14 @@ def test_friction_is_found_on_each_engine(engine: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_viscous_joint_does_not_fit_as_a_dry_one() -> None:
+def test_a_viscous_joint_does_not_fit_as_a_dry_one():
     (error,) = found_in(
         swing(dry=0.0, viscous=0.02, armature=0.004), DRY, ARMATURE
     ).error_rad["swing"]
     assert error > 5.0 * NOISE_RAD
 
 
-def servo_log(*, kp: float, kv: float, delay_s: float) -> Log:
+def servo_log(*, kp, kv, delay_s):
     """A noisy log of the closed form of a servo without gravity: steps of its command, of second order."""
     inertia = INERTIA_KG_M2
     frequency, damping = np.sqrt(kp / inertia), kv / (2.0 * np.sqrt(kp * inertia))
@@ -142,7 +140,7 @@ def servo_log(*, kp: float, kv: float, delay_s: float) -> Log:
     return Log("servo", times_s, (angle + noise)[:, None], command[:, None])
 
 
-def test_gains_and_delay_of_a_servo_are_found() -> None:
+def test_gains_and_delay_of_a_servo_are_found():
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
     log = servo_log(kp=0.8, kv=0.02, delay_s=0.05)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
@@ -173,7 +171,7 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
         for name in ("rapier", "physx", "pybullet", "drake", "newton")
     ],
 )
-def test_a_servo_is_found_on_each_engine_but_for_its_step(engine: str) -> None:
+def test_a_servo_is_found_on_each_engine_but_for_its_step(engine):
     """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less."""
     pytest.importorskip(MODULES.get(engine, engine))
     kp, kv = 0.8, 0.02
@@ -190,7 +188,7 @@ def test_a_servo_is_found_on_each_engine_but_for_its_step(engine: str) -> None:
     assert float(found.error_rad["servo"][0]) == pytest.approx(NOISE_RAD, rel=0.1)
 
 
-def test_noise_is_found_although_the_unknowns_take_up_some_of_it() -> None:
+def test_noise_is_found_although_the_unknowns_take_up_some_of_it():
     """White and lasting noise of which six slow waves were taken away: its variance, and that of its mean."""
     random, count, share, planted = np.random.default_rng(3), 400, 0.9, []
     times = np.arange(count) / count
@@ -212,7 +210,7 @@ def test_noise_is_found_although_the_unknowns_take_up_some_of_it() -> None:
     assert lasting == pytest.approx(2.0 + 2.0 * share / (1.0 - share), rel=0.25)
 
 
-def test_what_the_log_does_not_tell_apart_is_said() -> None:
+def test_what_the_log_does_not_tell_apart_is_said():
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
     found = identify(
@@ -226,7 +224,7 @@ def test_what_the_log_does_not_tell_apart_is_said() -> None:
     assert "kv_n_m_s_per_rad" in found.settings[2].unknown
 
 
-def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
+def test_a_log_that_tells_only_ratios_of_torques_is_said():
     """Without weight, an armature that is fitted scales with all torques."""
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", ARMATURE)
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
@@ -240,7 +238,7 @@ def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
     assert all("only ratios of torques" in one.unknown for one in found.settings)
 
 
-def test_an_engine_that_diverges_says_which_step_to_use() -> None:
+def test_an_engine_that_diverges_says_which_step_to_use():
     """RK4 needs kv times the step over the inertia below 2.78: at 1/540 s kv would have to be below 0.0150."""
     scene, times_s = one_joint(0.01, 0.0, 1e-5), np.arange(0.0, 0.5, 0.005)
     (hinge,) = scene.joints
@@ -272,8 +270,8 @@ def test_an_engine_that_diverges_says_which_step_to_use() -> None:
 
 
 def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     log = tmp_path / "log.csv"
     log.write_text(
         "time_s,position_rad\n"
@@ -298,8 +296,8 @@ def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(
     assert "a model file alone states no scene" in " ".join(refused.stderr.split())
 
 
-def test_a_chain_is_posed_by_the_angles_of_its_hinges() -> None:
-    def link(name: str, height_m: float) -> RigidBody:
+def test_a_chain_is_posed_by_the_angles_of_its_hinges():
+    def link(name, height_m):
         pose = Pose(position_m=(0.0, 0.0, height_m))
         return RigidBody(
             name=name,
@@ -366,14 +364,14 @@ HEADER = "time_s,position_rad,command_rad\n"
         ("time_s,position_rad,command_rad,torque_n_m\n" + "0,0,0,0\n", "not both"),
     ],
 )
-def test_a_bad_log_is_explained(tmp_path: Path, text: str, reason: str) -> None:
+def test_a_bad_log_is_explained(tmp_path, text, reason):
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(AssetError, match=reason):
         read_log(path)
 
 
-def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
+def test_a_log_of_two_joints_has_two_columns(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(
         "time_s,position_rad.a,position_rad.b\n"
@@ -392,7 +390,7 @@ def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["spreadsheet", "order", "npz"])
-def test_a_log_in_another_form_is_the_same(tmp_path: Path, form: str) -> None:
+def test_a_log_in_another_form_is_the_same(tmp_path, form):
     times_s = np.arange(30) / 50
     angles, commands = (
         np.column_stack([turn(times_s), turn(2 * times_s)]) for turn in (np.sin, np.cos)
@@ -433,12 +431,12 @@ def test_a_log_in_another_form_is_the_same(tmp_path: Path, form: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_servo_without_its_commands_is_not_followed() -> None:
+def test_a_servo_without_its_commands_is_not_followed():
     log = replace(servo_log(kp=0.8, kv=0.02, delay_s=0.05), command_rad=None)
     assert found_in(log, DRY, VISCOUS, ARMATURE).lost == [log.name]
 
 
-def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed() -> None:
+def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed():
     errors = {"swing": 0.03, "still": 0.002, "lost": 0.04}
     motion = {"swing": 0.1, "still": 0.002, "lost": 0.1}
     error_rad, motion_rad = (
@@ -455,7 +453,7 @@ def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed() -> No
     assert found.lost == ["lost"]
 
 
-def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path: Path) -> None:
+def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(
         "time_s,position_rad\n"
@@ -473,7 +471,7 @@ def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path: Path) -> None:
     assert "angles reach 30 rad, 4.8 turns: are they in degrees?" in said
 
 
-def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
+def test_a_wrong_request_is_refused(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(
         "time_s,position_rad\n"
@@ -496,7 +494,7 @@ def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
         assert reason in " ".join(result.stderr.split())
 
 
-def test_an_engine_without_the_term_declines() -> None:
+def test_an_engine_without_the_term_declines():
     class Plain(type(backend("mujoco"))):  # type: ignore[misc]
         features = frozenset()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +35,7 @@ PASSIVE = {DRY: 0.05, VISCOUS: 0.01, ARMATURE: 0.01}
 SERVO = {KP: 3.0, KV: 0.15, ARMATURE: 0.01}
 
 
-def mujoco_angles(lines: str, command: float, torque: Torque) -> Angles:
+def mujoco_angles(lines, command, torque):
     import mujoco
 
     joint, *servo = lines.splitlines()
@@ -58,7 +57,7 @@ def mujoco_angles(lines: str, command: float, torque: Torque) -> Angles:
     return np.array(angles)
 
 
-def pybullet_angles(lines: str, command: float, torque: Torque) -> Angles:
+def pybullet_angles(lines, command, torque):
     import pybullet
     from pybullet_utils.bullet_client import BulletClient
 
@@ -104,7 +103,7 @@ def pybullet_angles(lines: str, command: float, torque: Torque) -> Angles:
     return np.array(angles)
 
 
-def physx_angles(lines: str, command: float, torque: Torque) -> Angles:
+def physx_angles(lines, command, torque):
     import sapien
     from sapien import physx
 
@@ -136,7 +135,7 @@ def physx_angles(lines: str, command: float, torque: Torque) -> Angles:
     return np.array(angles)
 
 
-def rapier_angles(lines: str, command: float, torque: Torque) -> Angles:
+def rapier_angles(lines, command, torque):
     import rapier3d as rapier
 
     world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -G))
@@ -184,14 +183,14 @@ def rapier_angles(lines: str, command: float, torque: Torque) -> Angles:
     return np.array(angles)
 
 
-def newton_angles(lines: str, command: float, torque: Torque) -> Angles:
+def newton_angles(lines, command, torque):
     import newton
     import warp as wp
     from newton.solvers import SolverMuJoCo
 
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, -G))
     SolverMuJoCo.register_custom_attributes(builder)
-    made: dict[str, Any] = {"wp": wp, "newton": newton}
+    made = {"wp": wp, "newton": newton}
     exec(lines, made)
     inertia = wp.mat33(np.eye(3) * INERTIA_KG_M2)
     bob = builder.add_link(mass=MASS_KG, inertia=inertia, xform=wp.transform())
@@ -217,7 +216,7 @@ def newton_angles(lines: str, command: float, torque: Torque) -> Angles:
     return np.array(angles)
 
 
-def drake_angles(lines: str, command: float, torque: Torque) -> Angles:
+def drake_angles(lines, command, torque):
     from pydrake.math import RigidTransform
     from pydrake.multibody import plant as plants, tree
     from pydrake.systems.analysis import Simulator
@@ -284,9 +283,7 @@ MODULES = {"drake": "pydrake", "physx": "sapien", "rapier": "rapier3d"}
         for name in BUILT
     ],
 )
-def test_the_printed_lines_move_a_joint_as_the_backend_does(
-    name: str, terms: dict[str, float]
-) -> None:
+def test_the_printed_lines_move_a_joint_as_the_backend_does(name, terms):
     pytest.importorskip(MODULES.get(name, name))
     terms = {
         one: value
@@ -322,7 +319,7 @@ def test_the_printed_lines_move_a_joint_as_the_backend_does(
     left = {one: value for one, value in terms.items() if f": {one} =" in lines}
     assert not left or name in ("pybullet", "physx", "rapier"), left
 
-    def torque(angle: float, rate: float) -> float:
+    def torque(angle, rate):
         servo = -left.get(KP, 0.0) * angle - left.get(KV, 0.0) * rate
         return (
             float(np.clip(servo, -LIMIT_N_M, LIMIT_N_M)) - left.get(VISCOUS, 0.0) * rate

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import shutil
+import tarfile
 from base64 import urlsafe_b64encode
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,6 +28,7 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
+from gauge_envs.tools.leaderboard.archive import archived_files
 from gauge_envs.tools.leaderboard.reruns import rerun, rerun_sample
 from gauge_envs.tools.leaderboard.submission import installed_package
 from gauge_envs.tools.leaderboard.trajectory import (
@@ -727,6 +730,98 @@ def test_a_diverged_result_has_no_scores(board: Path) -> None:
     (one,) = check_leaderboard(board).submissions
     assert one.ok
     assert [result.outcome for result in one.results].count(Outcome.DIVERGED) == 1
+
+
+# --- archives of results ---------------------------------------------------------------------------------------------
+
+Member = tuple[str, bytes, bytes]
+
+
+def write_archive(folder: Path, members: list[Member]) -> None:
+    """Write `results.tar.xz` in place of the results of a submission: name, kind and content of each member."""
+    shutil.rmtree(folder / "results", ignore_errors=True)
+    with tarfile.open(folder / "results.tar.xz", "w:xz") as archive:
+        for name, kind, content in members:
+            member = tarfile.TarInfo(name)
+            member.type, member.size, member.linkname = kind, len(content), "/etc/x"
+            archive.addfile(member, io.BytesIO(content))
+
+
+def result_members(folder: Path) -> list[Member]:
+    return [
+        (f"results/{file.name}", tarfile.REGTYPE, file.read_bytes())
+        for file in sorted((folder / "results").iterdir())
+    ]
+
+
+def test_an_archive_is_checked_as_its_files_are(board: Path, honest: Path) -> None:
+    write_archive(submission(board), result_members(submission(board)))
+    assert check_leaderboard(board) == check_leaderboard(honest)
+    (again,) = check_leaderboard(board, rerun_count=1).submissions
+    assert again.ok and again.reruns[0].status.value == "equal"
+
+
+def test_a_wrong_score_in_an_archive_is_found(board: Path) -> None:
+    edit(result_file(board), set_value("score.rmse", 1.25))
+    write_archive(submission(board), result_members(submission(board)))
+    assert f"results/{result_file(board).name}: score.rmse: " in only_fault(board)
+
+
+A = ("results/a.json", tarfile.REGTYPE, b"{}")
+ARCHIVES = [
+    ("path", [("../a.json", *A[1:])], "../a.json is unexpected in it"),
+    ("folder", [("results/b/a.json", *A[1:])], "results/b/a.json is unexpected"),
+    ("hidden", [("results/.a.json", *A[1:])], "results/.a.json is unexpected in it"),
+    ("suffix", [("results/a.sh", *A[1:])], "results/a.sh is unexpected in it"),
+    ("link", [(A[0], tarfile.SYMTYPE, b"")], "results/a.json is unexpected in it"),
+    ("hard link", [(A[0], tarfile.LNKTYPE, b"")], "results/a.json is unexpected in it"),
+    ("device", [(A[0], tarfile.CHRTYPE, b"")], "results/a.json is unexpected in it"),
+    ("twice", [A, A], "results/a.json is in it twice"),
+]
+
+
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [row[1:] for row in ARCHIVES],
+    ids=[row[0] for row in ARCHIVES],
+)
+def test_an_archive_of_anything_else_is_refused(
+    members: list[Member], words: str, board: Path
+) -> None:
+    write_archive(submission(board), members)
+    assert f"results.tar.xz: {words}" in texts(check_leaderboard(board))
+
+
+def test_nothing_of_an_archive_beyond_the_limits_is_unpacked(
+    board: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_archive(submission(board), [A])
+    content = (submission(board) / "results.tar.xz").read_bytes()
+    assert archived_files(content, 10**6) == {A[0]: A[2]}
+    with pytest.raises(ValueError, match="one xz stream of at most 0 MB is expected"):
+        archived_files(content, 10**4)
+    monkeypatch.setattr("gauge_envs.tools.leaderboard.archive.MAX_RESULT_BYTES", 1)
+    with pytest.raises(ValueError, match=r"results/a.json has 0 MB, the limit is 0 MB"):
+        archived_files(content, 10**6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_damaged_archive_is_refused(share: float, board: Path) -> None:
+    write_archive(submission(board), result_members(submission(board)))
+    file = submission(board) / "results.tar.xz"
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    assert "results.tar.xz: " in texts(check_leaderboard(board))
+    file.write_bytes(b"x" + content)
+    assert "results.tar.xz: not a tar archive" in texts(check_leaderboard(board))
+
+
+def test_an_archive_beside_its_files_is_found(board: Path) -> None:
+    members = result_members(submission(board))
+    folder = Path(shutil.copytree(submission(board) / "results", board.parent / "kept"))
+    write_archive(submission(board), members)
+    folder.rename(submission(board) / "results")
+    assert "results.tar.xz: is beside results: one of the two" in only_fault(board)
 
 
 # --- folders and files -----------------------------------------------------------------------------------------------

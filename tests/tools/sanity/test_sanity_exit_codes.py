@@ -171,31 +171,6 @@ def test_junit_has_failures_errors_and_skipped_rows(monkeypatch) -> None:
     )
 
 
-def test_sarif_names_rule_level_and_place(monkeypatch, tmp_path: Path) -> None:
-    path = tmp_path / "robot.xml"
-    path.touch()
-    checked = report(CREEP, SLIDE, PERIOD, WALL)
-    checked = replace(
-        checked,
-        configuration=replace(checked.configuration, source=f"model file {path}"),
-    )
-    document = json.loads(run(monkeypatch, checked, "--format", "sarif").stdout)
-    (found,) = document["runs"]
-    assert document["version"] == "2.1.0"
-    assert [(one["ruleId"], one["level"]) for one in found["results"]] == [
-        ("creep-wood", "error"),
-        ("slide", "warning"),
-    ]
-    assert {one["id"] for one in found["tool"]["driver"]["rules"]} >= {
-        one["ruleId"] for one in found["results"]
-    }
-    location = found["results"][0]["locations"][0]["physicalLocation"][
-        "artifactLocation"
-    ]
-    assert location == {"uri": str(path)}
-    assert found["invocations"][0]["executionSuccessful"] is False
-
-
 def test_annotations_of_github_stay_on_one_line(monkeypatch) -> None:
     row = replace(CREEP, title="50 % creep\nof a cube")
     lines = run(

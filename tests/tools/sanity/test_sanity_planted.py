@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.tools.sanity import run
-from gauge_envs.tools.sanity.cause import RECOMMENDED_MUJOCO
+from gauge_envs.tools.sanity.cure import RECOMMENDED_MUJOCO
 from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import Report, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

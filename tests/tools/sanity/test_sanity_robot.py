@@ -10,6 +10,7 @@ import pytest
 from robot_faults import FAULTS, good_xml
 
 from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.cure import applied
 from gauge_envs.tools.sanity.model import (
     Need,
     PhenomenonResult,
@@ -21,7 +22,6 @@ from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import ROWS, growth
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import never_touches
-from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.target_checks import robot_row, target_rows
 

@@ -703,25 +703,3 @@ def test_a_settings_file_that_is_damaged_is_an_error(
     (tmp_path / name).write_bytes(content)
     with pytest.raises(TargetError, match=name):
         configuration(tmp_path / name)
-
-
-@pytest.mark.parametrize("mode", ["sync", "async"])
-def test_a_vector_environment_is_read_as_one_of_its_environments(mode: str) -> None:
-    vector = gymnasium.make_vec("Hopper-v5", 2, vectorization_mode=mode, frame_skip=2)
-    try:
-        read = configuration(vector)
-    finally:
-        vector.close()
-    single = configuration("Hopper-v5")
-    assert read.settings == single.settings
-    assert (read.frame_skip, single.frame_skip) == (2, 4)
-
-
-def test_a_vector_environment_of_this_suite_has_its_settings() -> None:
-    settings = {"timestep_s": 1 / 900}
-    vector = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", 2, settings=settings)
-    try:
-        read = configuration(vector)
-    finally:
-        vector.close()
-    assert (read.backend, read.settings["timestep_s"]) == ("mujoco", 1 / 900)

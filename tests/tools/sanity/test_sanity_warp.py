@@ -9,21 +9,20 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from test_sanity_target import heap
+from quadruped import quadruped_xml
 
-from gauge_envs.backends.mujoco.model_settings import option_settings
-from gauge_envs.errors import MissingExtraError, ParameterError, TargetError
+from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import Motion
 from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.cure import applied
 from gauge_envs.tools.sanity.measure import Measurements, subject_of
-from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
+from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
-from gauge_envs.tools.sanity.target_checks import capacity_row, target_rows
+from gauge_envs.tools.sanity.target_checks import target_rows
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
@@ -70,64 +69,20 @@ def test_captured_steps_are_those_of_mujoco_warp() -> None:
     assert np.abs(where - scene.body(cube).pose.position_m).max() > 0.0, "it moved"
 
 
-def test_a_model_of_mujoco_warp_has_the_same_constants() -> None:
-    model = heap(
-        option='timestep=".004" cone="elliptic" impratio="7" iterations="3" ls_iterations="9"'
-    )
-    own, there = configuration(model), configuration(on_warp(model)[0])
-    # mujoco_warp raises the tolerance to what single precision resolves.
-    assert there.settings["tolerance"] == 1e-6
-    names = (
-        "timestep_s",
-        "cone",
-        "impratio",
-        "iterations",
-        "ls_iterations",
-        "integrator",
-        "solver",
-    )
-    assert [there.settings[name] for name in names] == [
-        own.settings[name] for name in names
-    ]
-    assert [(one.pair_count, one.is_used) for one in there.contact_groups] == [
-        (one.pair_count, one.is_used) for one in own.contact_groups
-    ]
-    for one, other in zip(there.contact_groups, own.contact_groups, strict=True):
-        for name, value in other.constants.items():
-            np.testing.assert_allclose(
-                one.constants[name], value, rtol=1e-5, atol=1e-9, err_msg=name
-            )
-
-
-def test_a_model_of_mjx_keeps_the_names_of_its_geoms() -> None:
-    model = heap()
-    arrays = {
-        name: np.asarray(getattr(model, name))
-        for name in dir(model)
-        if isinstance(getattr(model, name), np.ndarray)
-    }
-    option = SimpleNamespace(
-        **{
-            name: getattr(model.opt, name)
-            for name in dir(model.opt)
-            if not name.startswith("_")
-        }
-    )
+def test_a_model_of_mjx_is_read_as_the_model_that_it_is_made_from() -> None:
+    model = mujoco.MjModel.from_xml_string(quadruped_xml())
+    names = [name for name in dir(model) if not name.startswith("_")]
+    parts = {name: getattr(model, name) for name in names if name != "opt"}
     kind = type("Model", (SimpleNamespace,), {"__module__": "mujoco.mjx._src.types"})
-    read = configuration(kind(**arrays, names=model.names, opt=option))
-    assert read.contact_groups[0].geoms.startswith("floor with ")
-    assert any("a1" in group.geoms for group in read.contact_groups)
-    expected = option_settings(model)
-    assert {name: read.settings[name] for name in ("cone", "solver", "iterations")} == {
-        name: expected[name] for name in ("cone", "solver", "iterations")
-    }
-    broken = kind(
-        **{**arrays, "geom_friction": np.zeros(4)}, names=model.names, opt=option
+    read = configuration(kind(**parts, opt=model.opt))
+    made_from = configuration(model)
+    assert read.name == "mjx.Model"
+    assert (read.settings, read.contact_groups) == (
+        made_from.settings,
+        made_from.contact_groups,
     )
-    with pytest.raises(
-        TargetError, match=r"give the mujoco\.MjModel that it is made from"
-    ):
-        configuration(broken)
+    assert read.foot_geometry == made_from.foot_geometry
+    assert any("runs on MJX" in note for note in read.notes)
 
 
 def test_without_the_package_the_extra_is_named(
@@ -151,27 +106,6 @@ def test_scenes_that_it_does_not_run() -> None:
     )
     with pytest.raises(ParameterError):
         backend.build(load_experiment("SlopeSlider-2-wood").scene, {"cone": "round"})
-
-
-@pytest.mark.slow
-def test_data_states_an_overflow() -> None:
-    model = mujoco.MjModel.from_xml_string(BALLS)
-    there, data = on_warp(model, njmax=5, naconmax=1)
-    with wp.ScopedDevice("cpu"):
-        mujoco_warp.forward(there, data)
-    read = configuration((there, data))
-    assert read.capacity is not None and read.capacity.limits == CapacityLimits(
-        njmax=5, naconmax=1, worlds=1
-    )
-    row = capacity_row(read, dialect("mjcf"))
-    # Two balls touch the floor, and there is place for one.
-    assert row is not None and row.verdict.value == "wrong" and row.cause is not None
-    assert "naconmax" in row.cause.settings
-    there, data = on_warp(model, njmax=20, naconmax=9)
-    with wp.ScopedDevice("cpu"):
-        mujoco_warp.forward(there, data)
-    row = capacity_row(configuration((there, data)), dialect("mjcf"))
-    assert row is not None and row.verdict.value == "inside"
 
 
 @pytest.mark.slow

@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64decode
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +21,6 @@ from gauge_envs.pages.text import score_text
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import replay
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.site import save_site
@@ -36,24 +33,24 @@ SETTINGS = {"timestep_s": 1 / 900}
 class Page(HTMLParser):
     """Elements and texts of a page."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.texts: list[str] = []
+        self.elements = []
+        self.texts = []
         self.feed(file.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))
 
-    def handle_data(self, data: str) -> None:
+    def handle_data(self, data):
         self.texts.append(data)
 
     @property
-    def text(self) -> str:
+    def text(self):
         return " ".join(self.texts)
 
     @property
-    def links(self) -> list[str]:
+    def links(self):
         return [
             value
             for _, attributes in self.elements
@@ -63,7 +60,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Result]:
+def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     # The cube of another friction has no reference.
     other = {"SlopeSlider-3-wood": {"cube.friction": 0.2}}
@@ -81,17 +78,17 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[Path, Result]:
 
 
 @pytest.fixture(scope="module")
-def site(results: dict[Path, Result], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(results, tmp_path_factory):
     out = tmp_path_factory.mktemp("site") / "site"
     assert save_site(results, out) == ()
     return out
 
 
-def pages(site: Path) -> list[Path]:
+def pages(site):
     return sorted(site.glob("*.html"))
 
 
-def test_every_link_leads_to_a_file_of_the_site(site: Path) -> None:
+def test_every_link_leads_to_a_file_of_the_site(site):
     assert len(pages(site)) == 2 + 3 + 1
     for file in pages(site):
         links = [link for link in Page(file).links if link != "data:,"]
@@ -100,7 +97,7 @@ def test_every_link_leads_to_a_file_of_the_site(site: Path) -> None:
             assert (site / link).is_file(), f"{file.name}: {link}"
 
 
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+def test_nothing_is_loaded_from_elsewhere(site):
     for file in (
         *pages(site),
         site / "assets" / "site.css",
@@ -111,9 +108,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         ), file.name
 
 
-def test_the_scores_are_those_of_the_results(
-    site: Path, results: dict[Path, Result]
-) -> None:
+def test_the_scores_are_those_of_the_results(site, results):
     overview, experiment = (
         Page(site / "index.html").text,
         Page(site / "experiment-SlopeSlider-2-wood.html").text,
@@ -132,9 +127,7 @@ def test_the_scores_are_those_of_the_results(
 
 
 @pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
-def test_the_first_page_says_whether_two_configurations_differ(
-    is_same: bool, tmp_path: Path
-) -> None:
+def test_the_first_page_says_whether_two_configurations_differ(is_same, tmp_path):
     # The default step given as a setting is another configuration of the same run.
     default = next(run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path))
     other = (
@@ -155,7 +148,7 @@ def test_the_first_page_says_whether_two_configurations_differ(
     assert f"{0 if is_same else 1} of 1 pairs are distinguishable" in experiment
 
 
-def test_an_experiment_without_a_reference_shows_distances(site: Path) -> None:
+def test_an_experiment_without_a_reference_shows_distances(site):
     assert "how far engines are apart" in Page(site / "index.html").text
     assert (
         "Distances between engines"
@@ -163,9 +156,7 @@ def test_an_experiment_without_a_reference_shows_distances(site: Path) -> None:
     )
 
 
-def test_replays_hold_the_poses_of_the_run(
-    site: Path, results: dict[Path, Result]
-) -> None:
+def test_replays_hold_the_poses_of_the_run(site, results):
     files = sorted((site / "data").glob("SlopeSlider-2-wood.*.js"))
     assert len(files) == 2
     key, data = json.loads(
@@ -183,7 +174,7 @@ def test_replays_hold_the_poses_of_the_run(
 EVIL = '"><img src=x onerror=alert(1)><script>alert(2)</script></style>'
 
 
-def tags(file: Path) -> list[str]:
+def tags(file):
     page = Page(file)
     assert not [
         key
@@ -194,7 +185,7 @@ def tags(file: Path) -> list[str]:
     return [tag for tag, _ in page.elements]
 
 
-def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) -> None:
+def test_hostile_texts_are_escaped(results, tmp_path):
     file, result = next(
         (file, one)
         for file, one in results.items()
@@ -243,11 +234,11 @@ def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) 
     ids=["damaged", "forged", "not a number", "other revision"],
 )
 def test_a_wrong_file_is_named_and_left_out(
-    change: Callable[[str], str],
-    reason: str,
-    results: dict[Path, Result],
-    tmp_path: Path,
-) -> None:
+    change,
+    reason,
+    results,
+    tmp_path,
+):
     source = tmp_path / "results"
     source.mkdir()
     good = next(
@@ -267,9 +258,7 @@ def test_a_wrong_file_is_named_and_left_out(
     assert "wrong.json" not in Page(tmp_path / "site" / "reproduce.html").text
 
 
-def test_lines_of_many_configurations_are_those_of_their_engines(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_lines_of_many_configurations_are_those_of_their_engines(results, tmp_path):
     result = next(
         result for result in results.values() if result.id == "GAUGE/SlopeSlider-2-wood"
     )
@@ -295,7 +284,7 @@ def test_lines_of_many_configurations_are_those_of_their_engines(
     assert {color for color, _ in lines} == {f"var(--c{number})" for number in range(4)}
 
 
-def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:
+def test_an_empty_folder_is_an_error(tmp_path):
     run = CliRunner().invoke(
         app, ["report", str(tmp_path), "--out", str(tmp_path / "site")]
     )
@@ -308,18 +297,14 @@ def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:
 # --- the folder ---
 
 
-def test_a_folder_with_something_else_is_refused(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_a_folder_with_something_else_is_refused(results, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
     with pytest.raises(ResultFileError, match="something else than a site"):
         save_site(results, tmp_path, replays=False)
     assert (tmp_path / "thesis.txt").read_text() == "mine"
 
 
-def test_a_new_site_replaces_the_whole_old_one(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_a_new_site_replaces_the_whole_old_one(results, tmp_path):
     out = tmp_path / "site"
     save_site(results, out, replays=False)
     first = dict(list(results.items())[:1])
@@ -328,14 +313,12 @@ def test_a_new_site_replaces_the_whole_old_one(
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-def test_an_interrupted_site_leaves_the_old_one(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_an_interrupted_site_leaves_the_old_one(results, tmp_path):
     out = tmp_path / "site"
     save_site(dict(list(results.items())[:1]), out, replays=False)
     before = sorted(path.name for path in out.rglob("*"))
 
-    def interrupt(name: str) -> None:
+    def interrupt(name):
         if name == "SlopeSlider-3-wood":
             raise KeyboardInterrupt
 
@@ -348,7 +331,7 @@ def test_an_interrupted_site_leaves_the_old_one(
 # --- numbers ---
 
 
-def test_a_quantized_position_is_within_half_a_step() -> None:
+def test_a_quantized_position_is_within_half_a_step():
     positions = np.random.default_rng(0).normal(size=(50, 3, 3)) * (1.0, 0.01, 0.0)
     one = quantized(positions)
     step, counts = (
@@ -362,8 +345,8 @@ def test_a_quantized_position_is_within_half_a_step() -> None:
 
 
 def test_the_ghost_has_the_real_values_along_the_measured_directions(
-    results: dict[Path, Result],
-) -> None:
+    results,
+):
     result = next(
         one for one in results.values() if one.id == "GAUGE/SlopeSlider-2-wood"
     )
@@ -379,7 +362,7 @@ def test_the_ghost_has_the_real_values_along_the_measured_directions(
     np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=0.02)
 
 
-def test_a_simplified_curve_is_near_all_samples() -> None:
+def test_a_simplified_curve_is_near_all_samples():
     x = np.linspace(0.0, 300.0, 1000)
     points = np.column_stack([x, 80.0 * np.abs(np.sin(x / 20.0))])
     few = simplified(points, 0.2)
@@ -387,7 +370,7 @@ def test_a_simplified_curve_is_near_all_samples() -> None:
     assert np.abs(np.interp(x, few[:, 0], few[:, 1]) - points[:, 1]).max() < 1.0
 
 
-def requests() -> Sequence[RunRequest]:
+def requests():
     return (
         RunRequest("SlopeSlider-2-wood", settings=SETTINGS, seed=3),
         RunRequest("SlopeSlider-2-wood", parameters={"cube.friction": 0.21}),
@@ -404,9 +387,7 @@ def requests() -> Sequence[RunRequest]:
 @pytest.mark.parametrize(
     "request_", requests(), ids=["settings", "overrides", "set", "repeats"]
 )
-def test_the_command_of_a_page_makes_the_same_results(
-    request_: RunRequest, tmp_path: Path
-) -> None:
+def test_the_command_of_a_page_makes_the_same_results(request_, tmp_path):
     made = list(run_many([request_]))
     command = run_command(made)
     assert command is not None
@@ -423,7 +404,7 @@ def test_the_command_of_a_page_makes_the_same_results(
         assert one.settings == other.settings
 
 
-def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
+def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot():
     rows = [
         ForestRow(
             label=name, color="red", value=value, interval=(0.5 * value, 2.0 * value)
@@ -437,7 +418,7 @@ def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot() -> None:
     assert "arrow in place of a dot" not in forest("scores", rows[1:])
 
 
-def test_a_page_says_when_its_reference_ends(site: Path) -> None:
+def test_a_page_says_when_its_reference_ends(site):
     # The law of a fall holds until the first contact, after frame 3 of 10.
     assert (
         "It ends at 0.10 s."
@@ -446,7 +427,7 @@ def test_a_page_says_when_its_reference_ends(site: Path) -> None:
     assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text
 
 
-def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site: Path) -> None:
+def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site):
     assert (
         "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -44,7 +43,7 @@ NAMES = (
 )
 
 
-def opened(page: Path, width: int, profile: Path) -> tuple[str, list[str]]:
+def opened(page, width, profile):
     """Return the document of a page after five seconds, and the messages of its scripts."""
     command = [
         BROWSER,
@@ -60,7 +59,7 @@ def opened(page: Path, width: int, profile: Path) -> tuple[str, list[str]]:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     requests = [
         RunRequest(name, settings=settings)
@@ -74,9 +73,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("width", [1200, 390])
-def test_every_page_opens_without_a_message(
-    width: int, site: Path, tmp_path: Path
-) -> None:
+def test_every_page_opens_without_a_message(width, site, tmp_path):
     pages = sorted(site.glob("*.html"))
     assert len(pages) == len(NAMES) + 3
     for page in pages:
@@ -88,7 +85,7 @@ def test_every_page_opens_without_a_message(
         )
 
 
-def test_a_broken_script_is_found(site: Path, tmp_path: Path) -> None:
+def test_a_broken_script_is_found(site, tmp_path):
     broken = tmp_path / "site"
     shutil.copytree(site, broken)
     script = broken / "assets" / "replay.js"
@@ -99,7 +96,7 @@ def test_a_broken_script_is_found(site: Path, tmp_path: Path) -> None:
     assert messages or "not a constructor" in document
 
 
-def test_a_missing_replay_is_named_on_the_page(site: Path, tmp_path: Path) -> None:
+def test_a_missing_replay_is_named_on_the_page(site, tmp_path):
     broken = tmp_path / "site"
     shutil.copytree(site, broken)
     shutil.rmtree(broken / "data")

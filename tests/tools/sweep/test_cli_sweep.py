@@ -6,16 +6,12 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import pytest
 from sweep_workers import HereWorker, contents, needs_rapier
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.tools.sweep import command
 
 FILE = """
@@ -28,7 +24,7 @@ timestep_s = [0.002777777777777778, 0.001388888888888889]
 
 
 @pytest.fixture
-def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+def gauge(tmp_path, monkeypatch):
     """Runs the command in a folder with `sweep.toml`, on workers in this process."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.toml").write_text(FILE)
@@ -38,11 +34,11 @@ def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     )
 
 
-def lines(result: Any) -> list[dict[str, Any]]:
+def lines(result):
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_plan_and_run(gauge: Any, tmp_path: Path) -> None:
+def test_plan_and_run(gauge, tmp_path):
     plan = gauge("sweep", "sweep.toml", "--out", "out", "--dry-run")
     assert plan.exit_code == 0 and not (tmp_path / "out").exists()
     assert "4 episodes, 4 left" in plan.stderr and "cost unknown" in plan.stderr
@@ -61,7 +57,7 @@ def test_plan_and_run(gauge: Any, tmp_path: Path) -> None:
     assert row["engine_s"] > 0.0
 
 
-def test_words_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
+def test_words_alone_are_the_file(gauge, tmp_path):
     gauge("sweep", "sweep.toml", "--out", "file")
     steps = "timestep_s=0.002777777777777778,0.001388888888888889"
     gauge(
@@ -77,7 +73,7 @@ def test_words_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
 
 
 @needs_rapier
-def test_words_and_options_replace_keys_of_the_file(gauge: Any) -> None:
+def test_words_and_options_replace_keys_of_the_file(gauge):
     options = [
         "backends=mujoco",
         "backends=rapier",
@@ -94,17 +90,17 @@ def test_words_and_options_replace_keys_of_the_file(gauge: Any) -> None:
     ]
 
 
-def test_json_has_a_line_for_each_new_result(gauge: Any) -> None:
+def test_json_has_a_line_for_each_new_result(gauge):
     rows = lines(gauge("sweep", "sweep.toml", "--out", "out", "--json"))
     assert len(rows) == 4 and {row["outcome"] for row in rows} == {"finished"}
     assert lines(gauge("sweep", "sweep.toml", "--out", "out", "--json")) == []
 
 
 def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
-    gauge: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    gauge, tmp_path, monkeypatch
+):
     class Interrupted(HereWorker):
-        def run(self, request: RunRequest) -> list[Result]:
+        def run(self, request):
             if len(self.requests) == 2:
                 raise KeyboardInterrupt
             return super().run(request)
@@ -124,9 +120,7 @@ def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
 
 
 @needs_rapier
-def test_exit_code_1_states_a_bad_outcome(
-    gauge: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_exit_code_1_states_a_bad_outcome(gauge, monkeypatch):
     foam = ["backends=rapier", "repeats=1", "--out", "out"]
     declined = gauge("sweep", "variants=FoamBending-soft", *foam)
     assert declined.exit_code == 1 and declined.stdout.split()[-5:] == [
@@ -177,15 +171,13 @@ def test_exit_code_1_states_a_bad_outcome(
         (["sweep.toml", "--out", "sweep.toml"], "results cannot be written there"),
     ],
 )
-def test_a_wrong_request_has_exit_code_2(
-    gauge: Any, arguments: list[str], message: str
-) -> None:
+def test_a_wrong_request_has_exit_code_2(gauge, arguments, message):
     result = gauge("sweep", *arguments)
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
 
 
-def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:
+def test_parts_together_are_the_sweep(gauge, tmp_path):
     for number in range(2):
         assert (
             gauge(
@@ -198,7 +190,7 @@ def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:
     assert again.exit_code == 0 and "4/4" not in again.stderr
 
 
-def test_the_slurm_script_states_the_sweep(gauge: Any, tmp_path: Path) -> None:
+def test_the_slurm_script_states_the_sweep(gauge, tmp_path):
     assert (
         gauge(
             "sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "3"
@@ -211,7 +203,7 @@ def test_the_slurm_script_states_the_sweep(gauge: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_slurm_script_runs_every_part(gauge: Any, tmp_path: Path) -> None:
+def test_the_slurm_script_runs_every_part(gauge, tmp_path):
     pytest.importorskip("submitit")
     gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "2")
     done = subprocess.run(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from gauge_envs.evaluation.score import Score
@@ -22,7 +20,7 @@ DURATION_S = 0.6
 
 
 @pytest.fixture
-def costs(tmp_path: Path) -> EarlierCosts:
+def costs(tmp_path):
     """Those of a folder with episodes of 2, 3 and 40 s with 216 steps, and of 10 s with 432."""
     create_folder(tmp_path)
     for seed, (wall_s, rate) in enumerate(
@@ -48,9 +46,7 @@ def costs(tmp_path: Path) -> EarlierCosts:
     ("rate", "expected_s"),
     [(180, 3.0), (360, 3.0), (540, 6.5), (720, 10.0), (1440, 20.0)],
 )
-def test_the_cost_follows_earlier_episodes(
-    costs: EarlierCosts, rate: int, expected_s: float
-) -> None:
+def test_the_cost_follows_earlier_episodes(costs, rate, expected_s):
     plan = plan_sweep(
         sweep_spec(
             {"variants": ["SlopeSlider-2-wood"], "settings": {"timestep_s": [1 / rate]}}
@@ -61,7 +57,7 @@ def test_the_cost_follows_earlier_episodes(
     assert cost.engine_s == pytest.approx(expected_s)
 
 
-def test_other_experiments_are_unknown(costs: EarlierCosts) -> None:
+def test_other_experiments_are_unknown(costs):
     plan = plan_sweep(
         sweep_spec({"variants": ["SlopeSlider-2-metal", "SlopeSlider-2-wood"]})
     )

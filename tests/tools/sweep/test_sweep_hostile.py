@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -22,29 +19,27 @@ from gauge_envs.tools.sweep.spec import sweep_spec
 NAME = "SlopeSlider-2-wood"
 
 
-def gauge(*arguments: Any) -> Any:
+def gauge(*arguments):
     return CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
 
 
 # --- files of a folder ---
 
 
-def dangling(file: Path) -> None:
+def dangling(file):
     file.symlink_to("nowhere")
 
 
-def loop(file: Path) -> None:
+def loop(file):
     file.symlink_to(file)
 
 
-def subfolder(file: Path) -> None:
+def subfolder(file):
     file.mkdir()
 
 
 @pytest.mark.parametrize("make", [dangling, loop, subfolder])
-def test_what_is_no_file_takes_no_part(
-    make: Callable[[Path], None], tmp_path: Path
-) -> None:
+def test_what_is_no_file_takes_no_part(make, tmp_path):
     make(tmp_path / "b.json")
     assert earlier_episodes(tmp_path) == {}
 
@@ -52,7 +47,7 @@ def test_what_is_no_file_takes_no_part(
 # --- sweep files and options ---
 
 
-def test_endless_combinations_are_refused() -> None:
+def test_endless_combinations_are_refused():
     settings = {f"a{number}": [1, 2] for number in range(15_000)}
     with pytest.raises(
         ParameterError,
@@ -78,20 +73,18 @@ def test_endless_combinations_are_refused() -> None:
         ("", ["--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT, as 0/16"),
     ],
 )
-def test_hostile_requests_have_exit_code_2(
-    text: str, options: list[str], message: str, tmp_path: Path
-) -> None:
+def test_hostile_requests_have_exit_code_2(text, options, message, tmp_path):
     file = tmp_path / "sweep.toml"
     file.write_text(f'variants = ["{NAME}"]\n{text}\n')
     result = gauge("sweep", file, "--dry-run", "--out", tmp_path / "out", *options)
     assert result.exit_code == 2 and message in " ".join(result.stderr.split())
 
 
-def test_there_are_no_more_workers_than_tasks() -> None:
+def test_there_are_no_more_workers_than_tasks():
     assert len(command._workers(None, 10**9, Limits(), 3)) == 3
 
 
-def test_the_slurm_script_takes_the_place_of_no_device(tmp_path: Path) -> None:
+def test_the_slurm_script_takes_the_place_of_no_device(tmp_path):
     (tmp_path / "sweep.toml").write_text(f'variants = ["{NAME}"]\n')
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

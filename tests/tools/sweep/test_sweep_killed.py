@@ -10,20 +10,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 from places import ROOT
 from sweep_workers import contents, needs_rapier, outcomes, swept
 
 from gauge_envs.runs.pool import Limits
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.tools.sweep.machines import ray_workers
 from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
 
-VALUES: dict[str, Any] = {
+VALUES = {
     "backends": ["mujoco", "rapier"],
     "variants": ["SlopeSlider-2-*"],
     "repeats": 2,
@@ -44,13 +41,13 @@ COMMAND = [
 ]
 
 
-def whole(folder: Path) -> dict[str, str]:
+def whole(folder):
     """The results of the sweep in one process."""
     assert len(swept(plan_sweep(sweep_spec(VALUES)), folder)) == COUNT
     return contents(folder)
 
 
-def children(pid: int) -> list[int]:
+def children(pid):
     """Processes that any thread of a process has started."""
     files = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(word) for file in files for word in file.read_text().split()]
@@ -60,8 +57,8 @@ def children(pid: int) -> list[int]:
 @pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
 @needs_rapier
 def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
-    tmp_path: Path,
-) -> None:
+    tmp_path,
+):
     expected = whole(tmp_path / "whole")
     folder, moments = tmp_path / "killed", random.Random(0)
     kills = []
@@ -101,8 +98,8 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
 @pytest.mark.slow
 @needs_rapier
 def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     ray = pytest.importorskip("ray")
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     expected = whole(tmp_path / "whole")
@@ -111,7 +108,7 @@ def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
         first = workers[0]
         run, calls = first.run, []
 
-        def run_and_kill(request: RunRequest) -> list[Result]:
+        def run_and_kill(request):
             calls.append(request)
             if len(calls) == 3:
                 ray.kill(first._actor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from sweep_workers import needs_rapier
@@ -14,7 +13,6 @@ from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.tools.sweep.plan import (
-    SweepPlan,
     content_sha256,
     episode_key,
     experiment_sha256,
@@ -27,18 +25,18 @@ from gauge_envs.tools.sweep.spec import sweep_spec
 WOOD = "SlopeSlider-2-wood"
 
 
-def planned(**values: Any) -> SweepPlan:
+def planned(**values):
     return plan_sweep(sweep_spec({"variants": [WOOD]} | values))
 
 
-def names(plan: SweepPlan) -> set[str]:
+def names(plan):
     return {run.file_name(seed) for run in plan.runs for seed in run.seeds}
 
 
 # --- keys ---
 
 
-def test_equal_sweeps_have_equal_names() -> None:
+def test_equal_sweeps_have_equal_names():
     first, second = (
         planned(repeats=2, settings={"iterations": [5, 10]}),
         planned(repeats=2, settings={"iterations": [10, 5]}),
@@ -60,26 +58,26 @@ def test_equal_sweeps_have_equal_names() -> None:
         {"presets": ["stack"]},
     ],
 )
-def test_any_other_content_has_other_names(other: dict[str, Any]) -> None:
+def test_any_other_content_has_other_names(other):
     assert not names(planned(repeats=2)) & names(planned(**{"repeats": 2} | other))
 
 
 def test_the_versions_of_engine_and_package_belong_to_the_key(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    monkeypatch,
+):
     before = names(planned())
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
     assert not before & names(planned())
 
 
-def test_more_repeats_keep_the_names_of_the_first_ones() -> None:
+def test_more_repeats_keep_the_names_of_the_first_ones():
     jitter = {"position_m": 0.001}
     assert names(planned(repeats=2, jitter=jitter)) < names(
         planned(repeats=5, jitter=jitter)
     )
 
 
-def test_settings_that_resolve_to_the_same_run_once() -> None:
+def test_settings_that_resolve_to_the_same_run_once():
     experiment = load_experiment(WOOD)
     default = settings_for(experiment.scene)
     plan = planned(
@@ -93,7 +91,7 @@ def test_settings_that_resolve_to_the_same_run_once() -> None:
 
 
 @pytest.mark.parametrize("name", ["mujoco", pytest.param("rapier", marks=needs_rapier)])
-def test_resolved_settings_are_those_in_force(name: str) -> None:
+def test_resolved_settings_are_those_in_force(name):
     engine, scene = backend(name), load_experiment(WOOD).scene
     simulation = engine.build(scene, {"timestep_s": 1 / 720})
     resolved = engine.resolved_settings(scene, {"timestep_s": 1 / 720})
@@ -102,19 +100,19 @@ def test_resolved_settings_are_those_in_force(name: str) -> None:
     simulation.close()
 
 
-def test_the_scene_belongs_to_the_hash_of_an_experiment() -> None:
+def test_the_scene_belongs_to_the_hash_of_an_experiment():
     experiment = load_experiment(WOOD)
     heavier = replace(experiment, scene=replace(experiment.scene, gravity_m_per_s2=9.8))
     assert experiment_sha256(experiment) == experiment_sha256(load_experiment(WOOD))
     assert experiment_sha256(heavier) != experiment_sha256(experiment)
 
 
-def test_every_experiment_has_a_hash_of_its_own() -> None:
+def test_every_experiment_has_a_hash_of_its_own():
     plan = planned(variants=["*"])
     assert len(plan.runs) == 75 == len({run.sha256 for run in plan.runs})
 
 
-def test_what_has_no_content_hash_is_refused() -> None:
+def test_what_has_no_content_hash_is_refused():
     assert (
         content_sha256({"a": (1, 2.5)})
         == content_sha256({"a": [1, 2.5]})
@@ -124,14 +122,14 @@ def test_what_has_no_content_hash_is_refused() -> None:
         content_sha256({1, 2})
 
 
-def test_keys_of_seeds_differ() -> None:
+def test_keys_of_seeds_differ():
     assert len({episode_key("0", seed) for seed in range(1000)}) == 1000
 
 
 # --- plans ---
 
 
-def test_a_billion_episodes_are_refused_with_their_number() -> None:
+def test_a_billion_episodes_are_refused_with_their_number():
     thousand = list(range(1, 1001))
     with pytest.raises(
         ParameterError,
@@ -161,20 +159,18 @@ def test_a_billion_episodes_are_refused_with_their_number() -> None:
         ({"settings": {"iterations": ["many"]}}, "MuJoCo setting 'iterations'"),
     ],
 )
-def test_what_would_fail_every_episode_is_refused_before_it_runs(
-    values: dict[str, Any], message: str
-) -> None:
+def test_what_would_fail_every_episode_is_refused_before_it_runs(values, message):
     with pytest.raises(GaugeError, match=message):
         planned(**values)
 
 
-def test_an_unknown_pattern_offers_names() -> None:
+def test_an_unknown_pattern_offers_names():
     with pytest.raises(UnknownNameError, match="did you mean"):
         planned(variants=["SlopeSlider-2-wodd"])
 
 
 @needs_rapier
-def test_a_setting_of_one_engine_stands_in_its_table() -> None:
+def test_a_setting_of_one_engine_stands_in_its_table():
     plan = planned(
         backends=["mujoco", "rapier"],
         settings={"mujoco": {"noslip_iterations": [0, 5]}},
@@ -183,12 +179,12 @@ def test_a_setting_of_one_engine_stands_in_its_table() -> None:
 
 
 @needs_rapier
-def test_declined_episodes_are_planned_with_the_reason() -> None:
+def test_declined_episodes_are_planned_with_the_reason():
     (run,) = planned(backends=["rapier"], variants=["FoamBending-soft"]).runs
     assert run.declined is not None and "rigid bodies only" in run.declined
 
 
-def test_default_jitter_is_that_of_a_run() -> None:
+def test_default_jitter_is_that_of_a_run():
     assert planned().runs[0].request.jitter is None
     jitter = planned(repeats=2).runs[0].request.jitter
     assert jitter is not None and jitter.position_m == 0.001
@@ -198,7 +194,7 @@ def test_default_jitter_is_that_of_a_run() -> None:
 
 
 @needs_rapier
-def test_only_engines_with_shared_worlds_run_repeats_together() -> None:
+def test_only_engines_with_shared_worlds_run_repeats_together():
     plan = planned(backends=["mujoco", "rapier"], repeats=4)
     assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [
         [0],
@@ -220,7 +216,7 @@ def test_only_engines_with_shared_worlds_run_repeats_together() -> None:
 
 
 @needs_rapier
-def test_parts_are_the_whole() -> None:
+def test_parts_are_the_whole():
     plan = planned(variants=["SlopeSlider-*"], backends=["mujoco", "rapier"])
     parts = [shard(plan, number, 4) for number in range(4)]
     assert [run for part in parts for run in part.runs] == list(plan.runs)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import pytest
 from sweep_workers import (
@@ -22,8 +19,8 @@ from sweep_workers import (
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep, remaining_tasks
+from gauge_envs.runs.result import Outcome
+from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
 from gauge_envs.tools.sweep.run import run_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
 
@@ -35,7 +32,7 @@ WOOD, PLASTIC, METAL = (
 QUICK = {"timestep_s": [1 / 360, 1 / 720]}
 
 
-def planned(**values: Any) -> SweepPlan:
+def planned(**values):
     return plan_sweep(
         sweep_spec({"variants": [WOOD], "repeats": 2, "settings": QUICK} | values)
     )
@@ -45,7 +42,7 @@ def planned(**values: Any) -> SweepPlan:
 
 
 @needs_rapier
-def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path: Path) -> None:
+def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path):
     results = swept(
         planned(backends=["mujoco", "rapier"]), tmp_path, HereWorker(), HereWorker()
     )
@@ -59,7 +56,7 @@ def test_results_are_those_of_gauge_run_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_worker_processes_give_the_same_bits(tmp_path: Path) -> None:
+def test_worker_processes_give_the_same_bits(tmp_path):
     plan = planned(settings={"timestep_s": [1 / 360]})
     swept(plan, tmp_path / "here")
     swept(plan, tmp_path / "there", ProcessWorker(Limits()), ProcessWorker(Limits()))
@@ -69,7 +66,7 @@ def test_worker_processes_give_the_same_bits(tmp_path: Path) -> None:
 # --- resuming ---
 
 
-def test_nothing_runs_twice(tmp_path: Path) -> None:
+def test_nothing_runs_twice(tmp_path):
     plan = planned()
     with closing(
         run_sweep(remaining_tasks(plan, ()), [HereWorker()], tmp_path)
@@ -90,7 +87,7 @@ def test_nothing_runs_twice(tmp_path: Path) -> None:
     assert swept(plan, tmp_path) == []
 
 
-def test_a_longer_sweep_takes_what_is_there(tmp_path: Path) -> None:
+def test_a_longer_sweep_takes_what_is_there(tmp_path):
     steps = {"timestep_s": [1 / 360]}
     swept(planned(settings=steps), tmp_path)
     worker = HereWorker()
@@ -98,20 +95,20 @@ def test_a_longer_sweep_takes_what_is_there(tmp_path: Path) -> None:
     assert len(worker.requests) == 6 - 2
 
 
-def test_a_damaged_result_is_moved_aside_and_runs_again(tmp_path: Path) -> None:
+def test_a_damaged_result_is_moved_aside_and_runs_again(tmp_path):
     plan = planned()
     swept(plan, tmp_path)
     file = min(tmp_path.glob("*.json"))
     file.write_text(file.read_text()[:1000])
-    notes: list[str] = []
+    notes = []
     assert len(swept(plan, tmp_path, notify=notes.append)) == 1
     assert len(notes) == 1 and file.name in notes[0] and "moved to" in notes[0]
     assert len(contents(tmp_path)) == 4
 
 
-def test_the_version_of_another_machine_is_a_failure(tmp_path: Path) -> None:
+def test_the_version_of_another_machine_is_a_failure(tmp_path):
     class OldWorker(HereWorker):
-        def run(self, request: RunRequest) -> list[Result]:
+        def run(self, request):
             results = super().run(request)
             for result in results:
                 result.versions["mujoco"] = "1.0"
@@ -129,9 +126,7 @@ def test_the_version_of_another_machine_is_a_failure(tmp_path: Path) -> None:
 # --- failures ---
 
 
-def test_a_worker_that_dies_costs_its_episode(
-    installed: Callable[..., None], tmp_path: Path
-) -> None:
+def test_a_worker_that_dies_costs_its_episode(installed, tmp_path):
     installed("crash")
     plan = planned(
         backends=["crash"],
@@ -154,7 +149,7 @@ def test_a_worker_that_dies_costs_its_episode(
     assert swept(plan, folder, worker) == [] == worker.requests
 
 
-def test_failures_run_again_on_request(tmp_path: Path) -> None:
+def test_failures_run_again_on_request(tmp_path):
     plan = planned(variants=[WOOD], repeats=1, settings={"timestep_s": [1 / 360]})
     (result,) = swept(plan, tmp_path, mortal_worker(0))
     assert (
@@ -168,7 +163,7 @@ def test_failures_run_again_on_request(tmp_path: Path) -> None:
 
 
 @needs_rapier
-def test_what_a_declined_scene_leaves(tmp_path: Path) -> None:
+def test_what_a_declined_scene_leaves(tmp_path):
     (result,) = swept(
         planned(
             backends=["rapier"], variants=["FoamBending-soft"], repeats=1, settings={}
@@ -179,9 +174,9 @@ def test_what_a_declined_scene_leaves(tmp_path: Path) -> None:
     assert len(list((tmp_path / "declined").glob("*.json"))) == 1
 
 
-def test_an_error_of_a_worker_ends_the_sweep(tmp_path: Path) -> None:
+def test_an_error_of_a_worker_ends_the_sweep(tmp_path):
     class Broken(HereWorker):
-        def run(self, request: RunRequest) -> list[Result]:
+        def run(self, request):
             raise ZeroDivisionError("a mistake in the program")
 
     with pytest.raises(ZeroDivisionError, match="a mistake"):

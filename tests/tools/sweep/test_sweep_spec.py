@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from gauge_envs.errors import ParameterError, SweepFileError
@@ -31,13 +29,13 @@ iterations = [20, 50, 100]
 """
 
 
-def spec_of(folder: Path, text: str):
+def spec_of(folder, text):
     file = folder / "sweep.toml"
     file.write_text(text, encoding="utf-8")
     return sweep_spec(load_sweep_file(file))
 
 
-def test_a_table_of_an_engine_replaces_the_common_list(tmp_path: Path) -> None:
+def test_a_table_of_an_engine_replaces_the_common_list(tmp_path):
     spec = spec_of(tmp_path, WHOLE)
     assert spec.setting_lists("mujoco") == {
         "preset": ["contact", "stack"],
@@ -48,7 +46,7 @@ def test_a_table_of_an_engine_replaces_the_common_list(tmp_path: Path) -> None:
     assert len(list(spec.setting_choices("mujoco"))) == 2 * 2 * 3
 
 
-def test_the_count_is_the_product_of_all_lists(tmp_path: Path) -> None:
+def test_the_count_is_the_product_of_all_lists(tmp_path):
     spec = spec_of(tmp_path, WHOLE)
     assert spec.episode_count() == (2 * 2 * 3 + 2 * 2 * 1) * 4 * 2 * 4
     jitter = spec.start_jitter
@@ -59,7 +57,7 @@ def test_the_count_is_the_product_of_all_lists(tmp_path: Path) -> None:
     )
 
 
-def test_an_experiment_file_is_beside_the_sweep_file(tmp_path: Path) -> None:
+def test_an_experiment_file_is_beside_the_sweep_file(tmp_path):
     assert spec_of(tmp_path, 'variants = ["crate.toml"]').variants == [
         str(tmp_path / "crate.toml")
     ]
@@ -121,21 +119,19 @@ def test_an_experiment_file_is_beside_the_sweep_file(tmp_path: Path) -> None:
         ("variants = ['../crate.toml']", "is outside the folder of sweep.toml"),
     ],
 )
-def test_a_wrong_file_is_named_with_key_and_reason(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
     with pytest.raises(SweepFileError) as caught:
         spec_of(tmp_path, text)
     assert str(caught.value).startswith(str(tmp_path / "sweep.toml"))
     assert message in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(SweepFileError, match="cannot be read"):
             load_sweep_file(path)
 
 
-def test_keywords_are_checked_as_a_file_is() -> None:
+def test_keywords_are_checked_as_a_file_is():
     with pytest.raises(ParameterError, match="unknown key; keys: backends"):
         sweep_spec({"variants": ["SlopeSlider-2-wood"], "engines": ["mujoco"]})

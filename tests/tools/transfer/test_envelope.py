@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +38,7 @@ FAST = {"timestep_s": 1 / 1080}
 # --- parameters ---
 
 
-def test_parameters_have_the_uncertainties_of_their_files() -> None:
+def test_parameters_have_the_uncertainties_of_their_files():
     found = {one.name: one for one in uncertain_parameters(load_experiment(SLIDE))}
     assert list(found) == [
         "cube.friction",
@@ -70,7 +69,7 @@ JOINTED = (
 
 
 @pytest.mark.parametrize("name", JOINTED)
-def test_constants_of_joints_are_parameters(name: str) -> None:
+def test_constants_of_joints_are_parameters(name):
     experiment = load_experiment(name)
     found = {one.name: one for one in uncertain_parameters(experiment)}
     hinges = (*experiment.scene.joints, *experiment.scene.body_hinges)
@@ -96,7 +95,7 @@ def test_constants_of_joints_are_parameters(name: str) -> None:
     )
 
 
-def test_an_envelope_of_trials_with_own_starts_is_that_of_the_first_trial() -> None:
+def test_an_envelope_of_trials_with_own_starts_is_that_of_the_first_trial():
     found = experiment_envelope("DoublePendulum-bars", samples=4)
     first = run_episode(RunRequest("DoublePendulum-bars")).score
     assert (found.quantity, found.unit, found.calibrated) == (
@@ -110,7 +109,7 @@ def test_an_envelope_of_trials_with_own_starts_is_that_of_the_first_trial() -> N
     assert found.values[2] == pytest.approx(again.rmse)
 
 
-def test_every_experiment_can_be_moved_along_its_parameters() -> None:
+def test_every_experiment_can_be_moved_along_its_parameters():
     for variant in variants():
         experiment = load_experiment(variant)
         parameters = uncertain_parameters(experiment)
@@ -120,7 +119,7 @@ def test_every_experiment_can_be_moved_along_its_parameters() -> None:
         assert (moved == experiment.scene) is (not parameters), variant.name
 
 
-def test_a_control_task_takes_the_sigma_of_its_limit() -> None:
+def test_a_control_task_takes_the_sigma_of_its_limit():
     env = make_control_env(TASK)
     friction = next(
         one for one in task_uncertainties(env) if one.key == "cube.friction"
@@ -128,7 +127,7 @@ def test_a_control_task_takes_the_sigma_of_its_limit() -> None:
     assert (friction.value, friction.std) == (env.limit.value, env.limit.sigma)
 
 
-def test_values_stay_physical() -> None:
+def test_values_stay_physical():
     friction = next(
         one
         for one in uncertain_parameters(load_experiment(SLIDE))
@@ -140,7 +139,7 @@ def test_values_stay_physical() -> None:
     }
 
 
-def test_points_are_normally_distributed() -> None:
+def test_points_are_normally_distributed():
     points = sobol_sigmas(4096, 3, seed=1)
     # A Sobol sequence of 4096 points is far closer than the 0.016 of random numbers.
     assert np.abs(points.mean(axis=0)).max() < 0.002
@@ -155,7 +154,7 @@ def test_points_are_normally_distributed() -> None:
 # --- envelopes ---
 
 
-def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
+def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses():
     """At 0.98 of the calibrated friction, open loop: it slips where friction is below 0.98 of the calibrated one."""
     found = control_envelope(
         TASK, policy=LawPolicy(fraction=0.98), samples=8, settings=FAST
@@ -175,7 +174,7 @@ def test_the_law_s_policy_fails_where_friction_is_below_what_it_uses() -> None:
     )
 
 
-def test_carry_pays_over_friction_as_the_law_says() -> None:
+def test_carry_pays_over_friction_as_the_law_says():
     """The same actions need the same friction where the cube holds, so their share of the limit is that over mu."""
     found = control_envelope(
         "Carry-Limit-wood",
@@ -197,7 +196,7 @@ def test_carry_pays_over_friction_as_the_law_says() -> None:
     )
 
 
-def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
+def test_a_policy_that_knows_the_constants_succeeds_everywhere():
     found = control_envelope(
         TASK, policy=LawPolicy(informed=True), samples=2, settings=FAST
     )
@@ -205,7 +204,7 @@ def test_a_policy_that_knows_the_constants_succeeds_everywhere() -> None:
     assert found.ratios == pytest.approx(np.full(2, 0.95), abs=0.005)
 
 
-def test_the_size_of_a_batch_changes_nothing() -> None:
+def test_the_size_of_a_batch_changes_nothing():
     found = experiment_envelope(SLIDE, samples=4, batch=3)
     assert found.quantity == "normalized RMSE"
     assert np.array_equal(
@@ -215,7 +214,7 @@ def test_the_size_of_a_batch_changes_nothing() -> None:
     assert found.calibrated == pytest.approx(0.41, abs=0.005)
 
 
-def test_experiments_without_a_band_have_a_deviation() -> None:
+def test_experiments_without_a_band_have_a_deviation():
     found = experiment_envelope(
         "SlopeSlider-3-wood", samples=2, settings={"timestep_s": 1 / 1080}
     )
@@ -223,7 +222,7 @@ def test_experiments_without_a_band_have_a_deviation() -> None:
     assert np.all(found.values > 0.0)
 
 
-def test_effects_are_those_of_a_known_function() -> None:
+def test_effects_are_those_of_a_known_function():
     parameters = uncertain_parameters(load_experiment(SLIDE))
     sigmas = sobol_sigmas(256, len(parameters))
     values = 3.0 + 0.5 * sigmas[:, 0] - 2.0 * sigmas[:, 2]
@@ -254,7 +253,7 @@ def test_effects_are_those_of_a_known_function() -> None:
 # --- command ---
 
 
-def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
+def test_command_reports_draws_and_writes(tmp_path):
     pytest.importorskip("matplotlib")
     arguments = [
         "transfer",
@@ -281,7 +280,7 @@ def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
         (["Turntable-Limit-wood", "samples=5"], "power of 2"),
     ],
 )
-def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:
+def test_command_names_what_is_wrong(arguments, reason):
     result = CliRunner().invoke(app, ["transfer", "envelope", *arguments])
     assert result.exit_code == 2
     assert reason in result.output.replace("\n", " ")

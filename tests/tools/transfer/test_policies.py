@@ -15,7 +15,6 @@ import pytest
 from gymnasium.spaces import Box
 
 from gauge_envs.errors import PolicyError
-from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.transfer.policies.load import (
     checked_policy,
     load_policies,
@@ -27,18 +26,18 @@ TASK = "Pendulum-Limit-metal"
 
 
 @pytest.fixture(scope="module")
-def env() -> ControlEnv:
+def env():
     return make_control_env(TASK)
 
 
-def observations() -> np.ndarray:
+def observations():
     return 3.0 * np.random.default_rng(0).normal(size=(40, 5))
 
 
 class Evil:
     """Object whose unpickling writes a file."""
 
-    def __init__(self, file: Path) -> None:
+    def __init__(self, file):
         self.file = file
 
     def __reduce__(self):
@@ -59,7 +58,7 @@ class Evil:
 )
 def test_an_actor_from_weights_acts_as_the_package_that_saved_it(
     name, kwargs, env, tmp_path
-) -> None:
+):
     sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     torch = pytest.importorskip("torch")
     if "activation_fn" in kwargs:
@@ -76,7 +75,7 @@ def test_an_actor_from_weights_acts_as_the_package_that_saved_it(
         assert policy(observation) == pytest.approx(expected, abs=1e-7)
 
 
-def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path) -> None:
+def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path):
     sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     model = sb3.PPO(
         "MlpPolicy",
@@ -96,9 +95,7 @@ def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path) -> None:
     )
 
 
-def write_sb3(
-    file: Path, sizes: tuple[int, ...], *, evil: Path | None = None, **data: object
-) -> Path:
+def write_sb3(file, sizes, *, evil=None, **data):
     torch = pytest.importorskip("torch")
     weights = {}
     for number, (before, after) in enumerate(pairwise(sizes)):
@@ -123,7 +120,7 @@ def write_sb3(
     return file
 
 
-def test_a_policy_of_another_task_is_refused(env, tmp_path) -> None:
+def test_a_policy_of_another_task_is_refused(env, tmp_path):
     with pytest.raises(
         PolicyError, match="7 entries of the observation, the task has 5"
     ):
@@ -132,7 +129,7 @@ def test_a_policy_of_another_task_is_refused(env, tmp_path) -> None:
         load_policy(str(write_sb3(tmp_path / "b.zip", (5, 4, 2))), env)
 
 
-def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path) -> None:
+def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path):
     mark = tmp_path / "ran"
     with pytest.raises(PolicyError, match="holds no weights"):
         load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), evil=mark)), env)
@@ -154,7 +151,7 @@ def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path) -> Non
         ({"use_sde": True}, "gSDE"),
     ],
 )
-def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path) -> None:
+def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path):
     with pytest.raises(PolicyError, match=f"{reason}.*--trust"):
         load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), **data)), env)
 
@@ -162,7 +159,7 @@ def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path) ->
 @pytest.mark.parametrize(
     "data", [b"[]", b"null", b"[" * 9000, b"\xff", b" " * 17_000_000]
 )
-def test_damaged_data_is_no_policy(data: bytes, env, tmp_path) -> None:
+def test_damaged_data_is_no_policy(data, env, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", data)
         archive.writestr("policy.pth", b"PK")
@@ -172,7 +169,7 @@ def test_damaged_data_is_no_policy(data: bytes, env, tmp_path) -> None:
         load_policy(str(tmp_path / "a.zip"), env)
 
 
-def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path) -> None:
+def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path):
     inner = io.BytesIO()
     with zipfile.ZipFile(inner, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("archive/data/0", b"a" * 1000)
@@ -211,7 +208,7 @@ def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path) -> None:
         ),
     ],
 )
-def test_damaged_weights_are_refused(change, reason, env, tmp_path) -> None:
+def test_damaged_weights_are_refused(change, reason, env, tmp_path):
     torch = pytest.importorskip("torch")
     file = write_sb3(tmp_path / "a.zip", (5, 4, 1))
     with zipfile.ZipFile(file) as archive:
@@ -236,23 +233,23 @@ class VecNormalize:
 
     observation_space = Box(-np.inf, np.inf, (5,))
 
-    def normalize_obs(self, observation: np.ndarray) -> np.ndarray:
+    def normalize_obs(self, observation):
         return 0.5 * observation
 
 
 @pytest.fixture
-def has_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
+def has_sb3(monkeypatch):
     monkeypatch.setattr(
         "gauge_envs.tools.transfer.policies.load.find_spec", lambda _: True
     )
 
 
-def write_statistics(file: Path, saved: object) -> Path:
+def write_statistics(file, saved):
     file.write_bytes(pickle.dumps(saved))
     return file
 
 
-def test_observations_are_normalized_as_in_the_training(env, tmp_path) -> None:
+def test_observations_are_normalized_as_in_the_training(env, tmp_path):
     vec = pytest.importorskip(
         "stable_baselines3.common.vec_env", reason="extra 'rl' is not installed"
     )
@@ -270,7 +267,7 @@ def test_observations_are_normalized_as_in_the_training(env, tmp_path) -> None:
 
 
 @pytest.mark.usefixtures("has_sb3")
-def test_a_policy_gets_the_normalized_observation(env, tmp_path) -> None:
+def test_a_policy_gets_the_normalized_observation(env, tmp_path):
     file = write_statistics(tmp_path / "norm.pkl", VecNormalize())
     assert (
         load_policy("numpy:mean", env, normalization=file, trust=True)(np.full(5, 0.5))
@@ -278,7 +275,7 @@ def test_a_policy_gets_the_normalized_observation(env, tmp_path) -> None:
     )
 
 
-def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path) -> None:
+def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path):
     mark = tmp_path / "ran"
     file = write_statistics(tmp_path / "norm.pkl", Evil(mark))
     onnx = str(write_onnx(tmp_path / "a.onnx", 5))
@@ -288,7 +285,7 @@ def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path) -> None
 
 
 @pytest.mark.usefixtures("has_sb3")
-def test_statistics_of_another_task_are_refused(env, tmp_path) -> None:
+def test_statistics_of_another_task_are_refused(env, tmp_path):
     saved = VecNormalize()
     saved.observation_space = Box(-np.inf, np.inf, (3,))
     with pytest.raises(PolicyError, match=r"shape \(3,\), the task has \(5,\)"):
@@ -312,7 +309,7 @@ def test_statistics_of_another_task_are_refused(env, tmp_path) -> None:
 # --- ONNX ---
 
 
-def write_onnx(file: Path, size: int, *, outputs: int = 1) -> Path:
+def write_onnx(file, size, *, outputs=1):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime", reason="extra 'onnx' is not installed")
     helper, kind = onnx.helper, onnx.TensorProto.FLOAT
@@ -335,7 +332,7 @@ def write_onnx(file: Path, size: int, *, outputs: int = 1) -> Path:
     return file
 
 
-def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path) -> None:
+def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path):
     policy = load_policy(str(write_onnx(tmp_path / "a.onnx", 5)), env)
     for observation in observations():
         expected = np.clip(0.1 * observation.sum(), -1.0, 1.0)
@@ -348,7 +345,7 @@ def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path) -> Non
         load_policy(str(write_onnx(tmp_path / "c.onnx", 5, outputs=3)), env)
 
 
-def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> None:
+def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime", reason="extra 'onnx' is not installed")
     helper, kinds = onnx.helper, onnx.TensorProto
@@ -438,12 +435,12 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> 
         ("os:getcwd", "importing a module runs its code: add --trust"),
     ],
 )
-def test_what_is_no_policy_is_named(source: str, reason: str, env) -> None:
+def test_what_is_no_policy_is_named(source, reason, env):
     with pytest.raises(PolicyError, match=reason):
         load_policy(source, env)
 
 
-def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
+def test_a_zip_that_is_no_policy_is_named(env, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("readme", "hello")
     with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
@@ -453,7 +450,7 @@ def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
         load_policy(str(tmp_path / "b.zip"), env)
 
 
-def test_a_function_of_a_module(env) -> None:
+def test_a_function_of_a_module(env):
     with pytest.raises(PolicyError, match="the policy raised TypeError"):
         load_policy("os:getcwd", env, trust=True)
     with pytest.raises(PolicyError, match="the import raised AttributeError"):
@@ -473,9 +470,7 @@ def test_a_function_of_a_module(env) -> None:
         ("odd:other", "the import raised ZeroDivisionError"),
     ],
 )
-def test_a_module_that_breaks_is_an_error(
-    source: str, reason: str, env, tmp_path, monkeypatch
-) -> None:
+def test_a_module_that_breaks_is_an_error(source, reason, env, tmp_path, monkeypatch):
     odd = "import sys\ndef act(_):\n    sys.exit(4)\ndef __getattr__(_):\n    1 / 0\n"
     texts = {
         "fails": "1 / 0",
@@ -491,13 +486,13 @@ def test_a_module_that_breaks_is_an_error(
         load_policy(source, env, trust=True)
 
 
-def test_actions_are_checked(env) -> None:
+def test_actions_are_checked(env):
     with pytest.raises(PolicyError, match=r"mine: the action is \[nan\]"):
         checked_policy("mine", lambda _: np.array([np.nan]), env)
     assert checked_policy("mine", lambda _: np.array([7.0]), env)(np.zeros(5)) == 1.0
 
 
-def test_numbers_of_files_must_fit(env) -> None:
+def test_numbers_of_files_must_fit(env):
     with pytest.raises(PolicyError, match="given twice"):
         load_policies(["a.zip", "a.zip"], env)
     with pytest.raises(PolicyError, match="2 files of statistics for 3 policies"):

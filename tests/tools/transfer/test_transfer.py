@@ -39,11 +39,11 @@ FAST = {"timestep_s": 1 / 1080}
 TRAINING = training_world("mujoco", FAST)
 
 
-def tilting(fraction: float):
+def tilting(fraction):
     """The law's policy with the calibrated friction, whatever the friction of the world is: it sees the time alone."""
     command = math.atan(fraction * FRICTION) / (0.5 * RAMP_S) ** 2
 
-    def act(observation: np.ndarray) -> np.ndarray:
+    def act(observation):
         time_s = observation[4]
         return np.array(
             [command if time_s < 0.5 * RAMP_S else -command if time_s < RAMP_S else 0.0]
@@ -52,12 +52,12 @@ def tilting(fraction: float):
     return act
 
 
-def pumping(observation: np.ndarray) -> np.ndarray:
+def pumping(observation):
     """Push the pendulum along its motion."""
     return np.array([math.copysign(1.0, observation[1])])
 
 
-def predicted_reward(fraction: float, friction: float) -> float:
+def predicted_reward(fraction, friction):
     """Sum of the friction used over the frames before the cube has 20 mm/s on the board, without the last second.
 
     The friction used is that of a point on a board that is tilted with the angular acceleration of the policy.
@@ -83,7 +83,7 @@ def predicted_reward(fraction: float, friction: float) -> float:
     return float(paid.sum() if frames == 150 else paid[:-30].sum())
 
 
-def constant(name: str, friction: float, sigmas: float = -1.0) -> ReplayWorld:
+def constant(name, friction, sigmas=-1.0):
     return ReplayWorld(
         name=name,
         kind=WorldKind.CONSTANT,
@@ -94,7 +94,7 @@ def constant(name: str, friction: float, sigmas: float = -1.0) -> ReplayWorld:
     )
 
 
-def test_kept_reward_is_that_of_the_closed_form() -> None:
+def test_kept_reward_is_that_of_the_closed_form():
     worlds = [
         constant("90 %", 0.90 * FRICTION),
         constant("95 %", 0.95 * FRICTION),
@@ -122,7 +122,7 @@ def test_kept_reward_is_that_of_the_closed_form() -> None:
     assert "first falls with 90 %" in transfer_verdict(report)
 
 
-def test_a_policy_with_margin_keeps_everything() -> None:
+def test_a_policy_with_margin_keeps_everything():
     worlds = [constant("90 %", 0.9 * FRICTION)]
     report = transfer_report(
         replay(TASK, {"careful": tilting(0.5)}, TRAINING, worlds, starts=2)
@@ -147,7 +147,7 @@ class Slippery(BackendMuJoCo):
 
 
 @pytest.fixture
-def _slippery(monkeypatch) -> None:
+def _slippery(monkeypatch):
     real = registry.entry_points
     fault = EntryPoint("slippery", f"{__name__}:Slippery", registry.ENGINES_GROUP)
     monkeypatch.setattr(
@@ -156,7 +156,7 @@ def _slippery(monkeypatch) -> None:
 
 
 @pytest.mark.usefixtures("_slippery")
-def test_a_planted_fault_of_an_engine_is_named_first() -> None:
+def test_a_planted_fault_of_an_engine_is_named_first():
     worlds = [
         ReplayWorld(
             name="slippery",
@@ -179,10 +179,10 @@ def test_a_planted_fault_of_an_engine_is_named_first() -> None:
 
 
 def known(
-    rewards: dict[str, list[list[float]]],
-    largest: dict[str, float] | None = None,
-    limit: float = 1.0,
-) -> Replays:
+    rewards,
+    largest=None,
+    limit=1.0,
+):
     """Return episodes with given rewards, the law's largest reward in each world, and a limit in all but the first."""
     kinds = [WorldKind.TRAINING, *[WorldKind.CONSTANT] * (len(rewards) - 1)]
     worlds = tuple(
@@ -219,7 +219,7 @@ def known(
     )
 
 
-def test_the_interval_of_policies_is_that_of_students_t() -> None:
+def test_the_interval_of_policies_is_that_of_students_t():
     random = np.random.default_rng(1)
     kept = 0.5 + 0.1 * random.standard_normal(20)
     report = transfer_report(
@@ -233,9 +233,7 @@ def test_the_interval_of_policies_is_that_of_students_t() -> None:
     )
 
 
-def held_share(
-    policies: int, starts: int, scatter: tuple[float, float, float], count: int = 400
-) -> float:
+def held_share(policies, starts, scatter, count=400):
     """Share of simulated studies whose interval holds the share of 0.8 that is kept of a promise of 10.
 
     Args:
@@ -247,9 +245,7 @@ def held_share(
     random = np.random.default_rng(3)
     shape = (policies, starts)
 
-    def drawn(
-        mean: float, of_policies: float, of_starts: float, of_episodes: float
-    ) -> np.ndarray:
+    def drawn(mean, of_policies, of_starts, of_episodes):
         return 10.0 * (
             mean
             + of_policies * random.standard_normal((policies, 1))
@@ -277,15 +273,13 @@ def held_share(
         (3, 3, (0.03, 0.1, 0.02)),
     ],
 )
-def test_the_interval_holds_what_is_kept(
-    policies: int, starts: int, scatter: tuple[float, float, float]
-) -> None:
+def test_the_interval_holds_what_is_kept(policies, starts, scatter):
     # Of 400 studies, a true 95 % gives 0.92 or more in 99 of 100 runs. Percentiles of draws with replacement hold 0.8
     # to 0.87 here: they are too short for few policies and starts.
     assert held_share(policies, starts, scatter) >= 0.92
 
 
-def test_the_interval_of_few_starts_counts_their_number() -> None:
+def test_the_interval_of_few_starts_counts_their_number():
     """Two starts of one policy: t of 0.975 with one degree of freedom is 12.706."""
     kept = transfer_report(known({"train": [[10.0, 10.0]], "there": [[4.0, 6.0]]})).kept
     assert (kept.low, kept.high) == pytest.approx(
@@ -293,7 +287,7 @@ def test_the_interval_of_few_starts_counts_their_number() -> None:
     )
 
 
-def test_an_error_that_training_shares_cancels() -> None:
+def test_an_error_that_training_shares_cancels():
     """A start that earns more everywhere changes no share."""
     report = transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))
     assert (report.kept.low, report.kept.value, report.kept.high) == pytest.approx(
@@ -301,14 +295,14 @@ def test_an_error_that_training_shares_cancels() -> None:
     )
 
 
-def test_a_smaller_reward_that_the_law_allows_is_no_fall() -> None:
+def test_a_smaller_reward_that_the_law_allows_is_no_fall():
     rewards = {"train": [[10.0]], "weak": [[8.5]], "worse": [[7.0]]}
     report = transfer_report(known(rewards, {"weak": 0.9, "worse": 0.9}))
     assert [row.falls for row in report.others] == [False, True]
     assert report.first_fall.world.name == "worse"
 
 
-def test_a_lower_limit_alone_excuses_no_fall() -> None:
+def test_a_lower_limit_alone_excuses_no_fall():
     """A reward that is a share of the limit can be earned in full where the limit is lower."""
     report = transfer_report(known({"train": [[1.0]], "weak": [[0.85]]}, limit=0.9))
     assert (report.others[0].allowed, report.others[0].falls) == (1.0, True)
@@ -317,9 +311,7 @@ def test_a_lower_limit_alone_excuses_no_fall() -> None:
 @pytest.mark.parametrize(
     ("task", "share"), [("Turntable-Limit-wood", 0.5), ("Carry-Limit-wood", 1.0)]
 )
-def test_the_largest_reward_follows_the_law_of_the_task(
-    task: str, share: float
-) -> None:
+def test_the_largest_reward_follows_the_law_of_the_task(task, share):
     whole, weak = (
         make_control_env(task, parameters={"cube.friction": value}).largest_reward
         for value in (0.4, 0.2)
@@ -327,7 +319,7 @@ def test_the_largest_reward_follows_the_law_of_the_task(
     assert weak / whole == pytest.approx(share)
 
 
-def test_without_a_promise_there_is_no_share() -> None:
+def test_without_a_promise_there_is_no_share():
     with pytest.raises(
         ParameterError, match=r"earn -2 in train, where they were trained"
     ):
@@ -338,7 +330,7 @@ def test_without_a_promise_there_is_no_share() -> None:
         transfer_report(known({"train": [[2.0]]}))
 
 
-def test_json_holds_a_line_for_each_world_and_the_verdict() -> None:
+def test_json_holds_a_line_for_each_world_and_the_verdict():
     rows = as_rows(
         transfer_document(
             transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))
@@ -352,7 +344,7 @@ def test_json_holds_a_line_for_each_world_and_the_verdict() -> None:
 # --- worlds and command ---
 
 
-def test_worlds_state_their_sigma() -> None:
+def test_worlds_state_their_sigma():
     worlds = list(
         other_worlds(
             "Turntable-Limit-wood", TRAINING, engines=[("mujoco", {})], sigmas=[1.0]
@@ -374,7 +366,7 @@ def test_worlds_state_their_sigma() -> None:
     assert worlds[0].settings["timestep_s"] == pytest.approx(1 / 2160)
 
 
-def test_command_reports_and_draws(tmp_path) -> None:
+def test_command_reports_and_draws(tmp_path):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "a.png"
     arguments = [
@@ -404,7 +396,7 @@ def test_command_reports_and_draws(tmp_path) -> None:
         ),
     ],
 )
-def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:
+def test_command_names_what_is_wrong(arguments, reason):
     result = CliRunner().invoke(app, ["transfer", *arguments])
     assert result.exit_code == 2
     assert re.search(reason, result.output.replace("\n", " "))

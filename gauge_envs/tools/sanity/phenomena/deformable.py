@@ -49,18 +49,14 @@ HUNG = "TextileFlinging-satin"
 def _low_m(rollout: Rollout) -> FloatArray:
     """Return the mean position of the lowest row of markers of a hanging cloth [m], shape [sample_count, 3]."""
     heights = rollout.markers_m[0, :, 2]
-    return np.asarray(
-        rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1)
-    )
+    return rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1)
 
 
 def cloth_carry() -> Phenomenon:
     """Return the lag of a cube on a tablecloth, the one recorded experiment on cloth whose fabric is known."""
 
     def lag_mm(rollout: Rollout) -> FloatArray:
-        return np.asarray(
-            1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0]
-        )
+        return 1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0]
 
     return Phenomenon(
         title="tablecloth: lag of the metal cube behind the pulling rod",
@@ -100,7 +96,7 @@ def cloth_sag() -> Phenomenon:
 
     def sag_mm(rollout: Rollout) -> FloatArray:
         height = _low_m(rollout)[:, 2]
-        return np.asarray(1e3 * (height[0] - height))
+        return 1e3 * (height[0] - height)
 
     return Phenomenon(
         title="cloth, satin: sag of its lowest markers under its own weight",
@@ -127,7 +123,7 @@ def fling_lag() -> Phenomenon:
 
     def angle_deg(rollout: Rollout) -> FloatArray:
         chord = _low_m(rollout) - rollout.position("rod")
-        return np.asarray(np.degrees(np.arctan2(chord[:, 1], -chord[:, 2])))
+        return np.degrees(np.arctan2(chord[:, 1], -chord[:, 2]))
 
     return Phenomenon(
         title="cloth, any fabric: largest angle behind a rod that flings it",
@@ -166,7 +162,7 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
         area = face_areas_mm2(rollout.markers_m, rollout.scene.markers.faces).sum(
             axis=1
         )
-        return np.asarray(100.0 * (area / area[0] - 1.0))
+        return 100.0 * (area / area[0] - 1.0)
 
     return Phenomenon(
         title=f"foam, {verb} by {abs(grip):.0f} mm: change of the area of its marked face",
@@ -194,7 +190,7 @@ def beam() -> Phenomenon:
             rollout.markers_m[0, :, 1] - rollout.scene.body("base").pose.position_m[1]
         )
         tip = reach > reach.max() - TIP_M
-        return np.asarray(1e3 * rollout.markers_m[:, tip, 2].mean(axis=1))
+        return 1e3 * rollout.markers_m[:, tip, 2].mean(axis=1)
 
     return Phenomenon(
         title="beam of rubber blocks: frequency of its oscillation",
@@ -239,7 +235,7 @@ def rope_length() -> Phenomenon:
         lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(
             axis=1
         )
-        return np.asarray(1e3 * (lengths - lengths[0]))
+        return 1e3 * (lengths - lengths[0])
 
     def largest_mm(rollout: Rollout) -> float:
         stretch = stretch_mm(rollout)
@@ -270,7 +266,7 @@ def foot_lag() -> Phenomenon:
 
     def lag_mm(rollout: Rollout) -> FloatArray:
         foot = rollout.markers_m[:, rollout.markers_m[0, :, 2].argmin(), 0]
-        return np.asarray(1e3 * (rollout.displacement("base")[:, 0] - (foot - foot[0])))
+        return 1e3 * (rollout.displacement("base")[:, 0] - (foot - foot[0]))
 
     return Phenomenon(
         title="elastic rod dragged over a board: lag of its foot",

@@ -180,7 +180,7 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
     """Return the height of the lowest sole above level ground [mm], shape [sample_count]."""
     turns = rollout.rotation(FOOT).as_matrix()
     heights = np.einsum("ti,pi->tp", turns[:, 2], foot.soles_m)
-    return np.asarray(1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2]))
+    return 1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2])
 
 
 # --- on a slope ------------------------------------------------------------------------------------------------------

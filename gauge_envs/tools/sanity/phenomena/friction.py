@@ -292,7 +292,7 @@ def turned_slide(material: str) -> Phenomenon:
 def _on_plate_mm(rollout: Rollout) -> FloatArray:
     """Return positions of the cube in the plate's frame [mm], shape [sample_count, 3]."""
     arm = rollout.position("cube") - rollout.position("plate")
-    return np.asarray(1e3 * rollout.rotation("plate").apply(arm, inverse=True))
+    return 1e3 * rollout.rotation("plate").apply(arm, inverse=True)
 
 
 def carry(material: str) -> Phenomenon:
@@ -306,7 +306,7 @@ def carry(material: str) -> Phenomenon:
 
     def slip_mm(rollout: Rollout) -> FloatArray:
         place = _on_plate_mm(rollout)[:, :2]
-        return np.asarray(np.linalg.norm(place - place[0], axis=1))
+        return np.linalg.norm(place - place[0], axis=1)
 
     return Phenomenon(
         title=f"static friction, {material}: slip on a slow turntable within 3 s",
@@ -337,7 +337,7 @@ def slip() -> Phenomenon:
     def slip_deg(rollout: Rollout) -> FloatArray:
         place = _on_plate_mm(rollout)
         angle = np.unwrap(np.arctan2(place[:, 1], place[:, 0]))
-        return np.asarray(np.degrees(angle - angle[0]))
+        return np.degrees(angle - angle[0])
 
     return Phenomenon(
         title="kinetic friction, metal: slip when the turntable reverses",

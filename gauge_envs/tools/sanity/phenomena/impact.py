@@ -11,7 +11,7 @@ from gauge_envs.evaluation.estimators import first_bounce
 from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import Hinge, Scene, Sphere
+from gauge_envs.scene import Hinge, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
@@ -195,9 +195,7 @@ def _with_gaps(scene: Scene) -> Scene:
         body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)
     }
 
-    def shifted(
-        name: str, place_m: tuple[float, float, float]
-    ) -> tuple[float, float, float]:
+    def shifted(name: str, place_m: Vector) -> Vector:
         x, y, z = place_m
         return x, y + shifts.get(name, 0.0), z
 

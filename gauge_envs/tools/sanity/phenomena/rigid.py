@@ -49,7 +49,7 @@ def seam() -> Phenomenon:
     friction = next(c.friction for c in scenario.scene.contacts if "base" in c.second)
 
     def slid_mm(rollout: Rollout) -> FloatArray:
-        return np.asarray(1e3 * rollout.displacement("teh") @ downwards)
+        return 1e3 * rollout.displacement("teh") @ downwards
 
     return Phenomenon(
         title="sharp edges: tetrahedron slides down its seam",
@@ -105,7 +105,7 @@ def _depths_mm(rollout: Rollout, body: str, fixed: str) -> FloatArray:
         depth = np.maximum(
             depth, -(places @ planes[:, :3].T + planes[:, 3]).max(axis=1)
         )
-    return np.asarray(1e3 * depth.reshape(vertices.shape[:2]).max(axis=1))
+    return 1e3 * depth.reshape(vertices.shape[:2]).max(axis=1)
 
 
 # --- a wall ----------------------------------------------------------------------------------------------------------
@@ -135,8 +135,8 @@ def _wall(
     bricks = [body.name for body in scenario.scene.dynamic_bodies]
 
     def values(rollout: Rollout) -> FloatArray:
-        return np.asarray(
-            extreme_mm(1e3 * np.array([rollout.displacement(name) for name in bricks]))
+        return extreme_mm(
+            1e3 * np.array([rollout.displacement(name) for name in bricks])
         )
 
     return Phenomenon(
@@ -205,7 +205,7 @@ def period() -> Phenomenon:
     length = float(np.linalg.norm(arm))
 
     def aside_mm(rollout: Rollout) -> FloatArray:
-        return np.asarray(1e3 * (rollout.position(ball.name)[:, 0] - hinge.anchor_m[0]))
+        return 1e3 * (rollout.position(ball.name)[:, 0] - hinge.anchor_m[0])
 
     def measured_s(rollout: Rollout) -> float:
         part = rollout.between(0.0, PERIOD_S)

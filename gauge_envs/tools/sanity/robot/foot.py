@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Compound, Part, Pose, Sphere, mass_properties
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 
 COPIES = 4
 """Number of feet of the rigid body."""
@@ -66,7 +65,7 @@ class FootGeometry:
         return SPREAD * max(reach, float(mass_properties(alone, self.load_kg)[0][2]))
 
     @cached_property
-    def soles_m(self) -> NDArray[np.float64]:
+    def soles_m(self) -> FloatArray:
         """Lowest points of the four feet in the frame of the rigid body [m], shape [4, 3]."""
         return self._turns.apply([self.half_side_m, self.half_side_m, 0.0])
 

@@ -1,7 +1,7 @@
 """Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
-from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import (
     VISIBLE_WITHIN,
     Cause,
     PhenomenonResult,
     Reality,
     RealityKind,
+    Settings,
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena.base import facts
@@ -57,7 +59,7 @@ class Finding:
     value: float = 0.0
     remark: str = ""
     advice: str = ""
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    changes: Settings = field(default_factory=dict)
     declined: str = ""
     advisory: str = ""
 
@@ -151,7 +153,7 @@ def joint_name(robot: Robot, dof: int) -> str:
 # --- masses ----------------------------------------------------------------------------------------------------------
 
 
-def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
+def _extent(robot: Robot, body: int) -> Vector:
     """Return the largest volume of a geom of a body, that of their hull [m^3], and the reach from its centre [m].
 
     Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
@@ -492,10 +494,10 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
 def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Return which actuators hold a position, shape [nu]."""
     affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    return np.asarray(affine & (model.actuator_biasprm[:, 1] < 0.0))
+    return affine & (model.actuator_biasprm[:, 1] < 0.0)
 
 
-def torque_limits(model: mujoco.MjModel) -> NDArray[np.float64]:
+def torque_limits(model: mujoco.MjModel) -> FloatArray:
     """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
 
     It is infinite where no limit is stated, and 0 where nothing acts.
@@ -544,7 +546,7 @@ def growth(robot: Robot, model: mujoco.MjModel) -> float:
     data, nv = start(robot, free), free.nv
     base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
 
-    def stepped(change: NDArray[np.float64]) -> NDArray[np.float64]:
+    def stepped(change: FloatArray) -> FloatArray:
         mujoco.mj_resetData(free, data)
         data.qpos[:], data.ctrl[:] = base, ctrl
         mujoco.mj_integratePos(free, data.qpos, change[:nv], 1.0)

@@ -27,8 +27,9 @@ from gauge_envs.scene import (
     Part,
     Pose,
     Sphere,
+    Vector,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
@@ -81,11 +82,11 @@ class Stance:
     """
 
     label: str
-    qpos: NDArray[np.float64]
-    ctrl: NDArray[np.float64] | None
-    positions_m: NDArray[np.float64]
+    qpos: FloatArray
+    ctrl: FloatArray | None
+    positions_m: FloatArray
     rotations: Rotation
-    joint_axes: NDArray[np.float64]
+    joint_axes: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +104,11 @@ class Standing:
     body: int
     stance: Stance
     height_m: float
-    support_m: Mapping[int, NDArray[np.float64]]
+    support_m: Mapping[int, FloatArray]
     feet: Mapping[int, list[int]]
 
 
-def find_standing(
-    model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, float, float]
-) -> Standing:
+def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
@@ -229,7 +228,7 @@ def shortened(names: list[str]) -> list[str]:
 # --- stance ----------------------------------------------------------------------------------------------------------
 
 
-def stance_of(model: mujoco.MjModel, up: NDArray[np.float64]) -> Stance:
+def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
     """Return the keyframe in which a robot stands; without one, the initial pose with joints within their limits."""
     data = mujoco.MjData(model)
     label, ctrl = "initial pose", None
@@ -295,7 +294,7 @@ def _can_fall(
     return False
 
 
-def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> NDArray[np.float64]:
+def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
@@ -320,7 +319,7 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> NDArray[np.fl
         point = vertices[
             depths > depths.max() - FLAT * float(model.geom_rbound[geom])
         ].mean(axis=0)
-    return np.asarray(stance.positions_m[geom] + stance.rotations[geom].apply(point))
+    return stance.positions_m[geom] + stance.rotations[geom].apply(point)
 
 
 def _feet(
@@ -352,7 +351,7 @@ def _feet(
 
 
 def _parts(
-    model: mujoco.MjModel, stance: Stance, support_m: dict[int, NDArray[np.float64]]
+    model: mujoco.MjModel, stance: Stance, support_m: dict[int, FloatArray]
 ) -> tuple[Part, ...]:
     """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
     origin = min(support_m.values(), key=lambda point: float(point[2]))
@@ -390,7 +389,7 @@ def _kind(model: mujoco.MjModel, geom: int) -> str:
     return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
 
 
-def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
+def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
     """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]

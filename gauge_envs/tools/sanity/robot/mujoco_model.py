@@ -25,8 +25,8 @@ from gauge_envs.backends.mujoco.model_settings import (
     overrides_contacts,
 )
 from gauge_envs.errors import TargetError
-from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,
@@ -160,7 +160,7 @@ def _inapplicable(
     return reasons
 
 
-def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
+def _up(model: mujoco.MjModel) -> Vector:
     """Return the coordinate axis nearest to the normal of the first plane of the world; z when there is none."""
     planes = np.flatnonzero(
         (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model)
@@ -180,7 +180,7 @@ def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
 
 def _used_constants(
     model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str, str] | None
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
     if pair is not None:
         wanted = sorted(_geom_id(model, name) for name in pair)
@@ -201,7 +201,7 @@ def _used_constants(
 def _groups(
     model: mujoco.MjModel,
     pairs: ContactPairs,
-    used: NDArray[np.float64],
+    used: FloatArray,
     *,
     all_on_ground: bool,
 ) -> tuple[ContactGroup, ...]:

@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,9 @@ from gauge_envs.backends.mujoco.model import (
 )
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
+from gauge_envs.scene import Vector
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
     first_moving_body,
@@ -60,7 +63,7 @@ class Robot:
 
     model: mujoco.MjModel
     pairs: ContactPairs
-    up: tuple[float, float, float]
+    up: Vector
     standing: Standing | None = None
     spec: mujoco.MjSpec | None = None
     pair: tuple[str, str] | None = None
@@ -106,7 +109,7 @@ class Robot:
         return int(self.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
 
     @cached_property
-    def plane_normal(self) -> NDArray[np.float64] | None:
+    def plane_normal(self) -> FloatArray | None:
         """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
         model, bodies = self.model, set(self.bodies)
         joints = [
@@ -181,9 +184,7 @@ class Robot:
             if g in self.grounded
         )
 
-    def changed(
-        self, changes: Mapping[str, Any]
-    ) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
+    def changed(self, changes: Settings) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
         """Return a copy of the model with changes, and the geoms on the ground that state attributes of their own.
 
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
@@ -214,7 +215,7 @@ class Robot:
             raise TargetError(f"the change needs the model's file: {error}") from None
         return model, {name: geoms for name, geoms in stating.items() if geoms}
 
-    def _colliding(self, changes: Mapping[str, Any]) -> mujoco.MjModel:
+    def _colliding(self, changes: Settings) -> mujoco.MjModel:
         """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
         found = {
             name: ELEMENT.fullmatch(name)

@@ -7,8 +7,8 @@ from functools import cache
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
     Finding,
@@ -274,11 +274,11 @@ STEP_RAD, STEP_S, FAIR_S = 0.3, 0.2, 0.0075
 
 
 @cache
-def _weights(robot: Robot) -> NDArray[np.float64]:
+def _weights(robot: Robot) -> FloatArray:
     """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
     poses = random_poses(robot.model, 64)
-    return np.asarray(
-        np.max([np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0)
+    return np.max(
+        [np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0
     )
 
 

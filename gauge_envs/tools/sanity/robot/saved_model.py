@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from gauge_envs.errors import TargetError
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.gauge_probe import ARRAYS, FLAGS, MESHES, NAMED_OPTIONS
 
 MOST_OBJECTS = 2000
@@ -174,7 +175,7 @@ def _arrays(data: ModelData) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _integers(name: str, values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _integers(name: str, values: FloatArray) -> NDArray[np.int64]:
     whole = values.astype(np.int64) if (np.abs(values) < 2.0**40).all() else None
     if whole is None or (whole != values).any():
         raise ValueError(f"arrays.{name} must hold whole numbers")
@@ -326,9 +327,9 @@ def _add_geoms(
         geom = bodies[owner].add_geom(name=names[index])
         for field in ("pos", "quat", "size"):
             setattr(geom, field, arrays[f"geom_{field}"][index])
-        write_fields(geom, arrays, "geom", GEOM_FIELDS, index)
+        _write_fields(geom, arrays, "geom", GEOM_FIELDS, index)
         _set_type(spec, geom, data, index, float(arrays["geom_rbound"][index, 0]))
-    add_pairs(spec, arrays, names)
+    _add_pairs(spec, arrays, names)
 
 
 def _set_type(
@@ -356,7 +357,7 @@ def _set_type(
         )
 
 
-def add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:
+def _add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:
     """Add explicit pairs of geoms.
 
     Args:
@@ -369,10 +370,10 @@ def add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:
         pair = spec.add_pair(
             geomname1=names[int(first)], geomname2=names[int(second)], condim=int(dim)
         )
-        write_fields(pair, arrays, "pair", PAIR_FIELDS, index)
+        _write_fields(pair, arrays, "pair", PAIR_FIELDS, index)
 
 
-def write_fields(
+def _write_fields(
     part: Any, arrays: Arrays, kind: str, fields: tuple[str, ...], index: int
 ) -> None:
     """Set attributes of a geom or pair from a row of each of their arrays."""

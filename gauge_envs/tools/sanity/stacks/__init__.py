@@ -24,7 +24,6 @@ STACKS = (
         "mjcf",
         "newton",
         "maniskill",
-        "batched",
         "mujoco_env",
         "genesis",
         "probe",
@@ -54,10 +53,9 @@ def configuration(
             the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
             a YAML file in the style of IsaacGym, or the same as a mapping or an object;
             an environment of ManiSkill, or its SimConfig;
-            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, an env of MuJoCo Playground, or an
-            env or a task configuration of mjlab;
+            a `mujoco.MjModel`, a `mujoco.mjx.Model`, a `gymnasium.Env`, an env of MuJoCo Playground, or an env or a
+            task configuration of mjlab;
             a file that the probe writes in the Python of any of these stacks (`NAME.gaugeprobe.json`);
-            a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.

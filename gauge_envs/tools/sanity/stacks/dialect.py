@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+from gauge_envs.scene import Vector
+from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.stacks.documents import Table
 
 
@@ -159,7 +161,7 @@ class Dialect:
             else self._text(self.setting(name, value), value).strip('"')
         )
 
-    def paste_text(self, changes: Mapping[str, Any], *, geoms: str = "") -> str:
+    def paste_text(self, changes: Settings, *, geoms: str = "") -> str:
         """Return changes of settings as text that can be pasted into the target.
 
         Args:
@@ -181,7 +183,7 @@ class Dialect:
             [*alone, *parts] if self.comes_last else [*parts, *alone]
         )
 
-    def gravity_text(self, gravity_m_per_s2: tuple[float, float, float]) -> str:
+    def gravity_text(self, gravity_m_per_s2: Vector) -> str:
         """Return a gravity [m/s^2], shape [3], as text that can be pasted into the target."""
         return self.gravity.format(
             self.gravity_joint.join(
@@ -214,9 +216,7 @@ class Dialect:
             number_text(value) if value is None else (one.kind.text or self.text)(value)
         )
 
-    def _grouped(
-        self, changes: Mapping[str, Any]
-    ) -> tuple[dict[str, list[str]], list[str]]:
+    def _grouped(self, changes: Settings) -> tuple[dict[str, list[str]], list[str]]:
         """Return assignments by their place, and those that stand alone."""
         grouped: dict[str, list[str]] = {}
         alone = []

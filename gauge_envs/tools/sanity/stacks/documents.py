@@ -17,6 +17,7 @@ import yaml
 
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, printable, read_regular
+from gauge_envs.tools.sanity.model import Settings
 
 MOST_YAML_BYTES = MEGABYTE
 """Largest size of a YAML file. Dumps of training runs have some 30 kB."""
@@ -180,14 +181,14 @@ class Table:
         *,
         source: str,
         path: str = "",
-        root: Mapping[str, Any] | None = None,
+        root: Settings | None = None,
     ) -> None:
         self.source, self.path = source, path
         if not isinstance(values, Mapping):
             raise TargetError(
                 f"{source}: {path or 'the file'} is {_kind(values)}, and a table is expected"
             )
-        self.values: Mapping[str, Any] = values
+        self.values: Settings = values
         self._root = values if root is None else root
 
     def __contains__(self, key: str) -> bool:

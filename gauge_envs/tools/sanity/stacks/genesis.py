@@ -4,13 +4,17 @@ Changes are arguments of a scene, such as `rigid_options=gs.options.RigidOptions
 solver's `sol_params` for constants of contacts.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.files import MEGABYTE, json_document
 from gauge_envs.tools.sanity.gauge_probe import is_of
-from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.model import (
+    ContactGroup,
+    Need,
+    Settings,
+    TrainingConfiguration,
+)
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
@@ -112,7 +116,7 @@ LEAST_STEPS = 2.0
 """Genesis raises the time constant of a pair of geoms to so many steps."""
 
 
-def options_settings(options: Mapping[str, Any], precision: int) -> dict[str, Any]:
+def options_settings(options: Settings, precision: int) -> dict[str, Any]:
     """Return settings of the backend `genesis` for options of a scene.
 
     Args:
@@ -163,7 +167,7 @@ def _contact_settings(
 
 
 def _configuration(
-    options: Mapping[str, Any],
+    options: Settings,
     *,
     name: str,
     source: str,
@@ -235,7 +239,7 @@ def _read_scene(scene: Any) -> TrainingConfiguration:
 
 
 def _groups(
-    scene: Any, settings: Mapping[str, Any]
+    scene: Any, settings: Settings
 ) -> tuple[tuple[ContactGroup, ...], tuple[str, ...]]:
     """Return the constants with which moving geoms meet the ground, or any geom without a ground."""
     geoms = [

@@ -1,63 +1,29 @@
 """Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
 
 import warnings
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
 import numpy as np
-from gymnasium.vector import VectorEnv
 
 from gauge_envs.backends import Simulation
 from gauge_envs.errors import TargetError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.mjcf import model_name
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
-Target: TypeAlias = (
-    str
-    | Path
-    | mujoco.MjModel
-    | gymnasium.Env
-    | VectorEnv[Any, Any, Any]
-    | Mapping[str, Any]
-)
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Settings
 """A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
 
-VECTOR_KEYS = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
-"""Arguments of `gymnasium.make_vec` that a single environment does not take."""
 
-
-def _read_vector(
-    vector: VectorEnv[Any, Any, Any], pair: GeomPair | None
-) -> TrainingConfiguration:
-    """Return the configuration of the first environment of a vector; it is made anew where it is in another process."""
-    inner: Any = vector.unwrapped
-    several = getattr(inner, "envs", None)
-    if several:
-        return _read_env(several[0], _env_name(several[0]), pair)
-    spec = vector.spec
-    if spec is None:
-        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
-        raise NotATargetError(
-            f"{kind} shows neither its environments nor a spec of them"
-        )
-    single = {
-        name: value for name, value in spec.kwargs.items() if name not in VECTOR_KEYS
-    }
-    return _read_id(spec.id, pair, single)
-
-
-def _read_id(
-    name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None
-) -> TrainingConfiguration:
+def _read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     suite_ids = {variant.name: variant.id for variant in variants()}
     try:
-        env = gymnasium.make(suite_ids.get(name, name), **(kwargs or {}))
+        env = gymnasium.make(suite_ids.get(name, name))
     except Exception as error:  # Other environments raise exceptions of any kind.
         cause = " ".join(str(error).split())
         raise NotATargetError(
@@ -133,6 +99,4 @@ READERS = (
         lambda target: isinstance(target, gymnasium.Env),
         lambda target, pair: _read_env(target, _env_name(target), pair),
     ),
-    # All of its environments have one configuration.
-    Reader("a vector env", lambda target: isinstance(target, VectorEnv), _read_vector),
 )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     WHOLE,
     Dialect,
@@ -114,7 +114,7 @@ DEFAULT = Material.constant("body", "not stated: 1.0", friction=1.0)
 
 
 def isaac_gym_configuration(
-    cfg: Mapping[str, Any], *, name: str, source: str
+    cfg: Settings, *, name: str, source: str
 ) -> TrainingConfiguration:
     """Return the training configuration of an environment in the style of IsaacGym.
 

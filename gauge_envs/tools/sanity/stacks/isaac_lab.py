@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import UNREAD, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.model import UNREAD, Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     FLAG,
     NUMBER,
@@ -195,7 +195,7 @@ OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 
 
 def isaac_lab_configuration(
-    cfg: Mapping[str, Any], *, name: str, source: str
+    cfg: Settings, *, name: str, source: str
 ) -> TrainingConfiguration:
     """Return the training configuration of an environment of Isaac Lab.
 

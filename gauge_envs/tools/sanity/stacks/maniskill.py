@@ -9,7 +9,7 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.gauge_probe import plain
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     FLAG,
     WHOLE,
@@ -96,7 +96,7 @@ MANISKILL = Dialect(
 
 
 def maniskill_configuration(
-    sim_config: Mapping[str, Any], *, name: str, source: str
+    sim_config: Settings, *, name: str, source: str
 ) -> TrainingConfiguration:
     """Return the training configuration of a SimConfig.
 

@@ -18,7 +18,7 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, child_refusal
 from gauge_envs.tools.mjcf import PROBE
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import (
     NUMBER,
@@ -93,7 +93,7 @@ class Mjcf(Dialect):
             else super().setting(name, value)
         )
 
-    def paste_text(self, changes: Mapping[str, Any], *, geoms: str = "") -> str:
+    def paste_text(self, changes: Settings, *, geoms: str = "") -> str:
         """Return elements: `<option>` with its flags, and `<geom>` for some geoms or as the default of all."""
         grouped, alone = self._grouped(changes)
         option, flags, geom = (

@@ -8,7 +8,6 @@ backend, which runs the same solver. Changes are Python: `SolverMuJoCo(model, it
 
 import copy
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -21,6 +20,7 @@ from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import (
     CapacityLimits,
     ContactCapacity,
+    Settings,
     TrainingConfiguration,
 )
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
@@ -197,9 +197,7 @@ def _compiled(solver: Any) -> mujoco.MjModel:
     return model
 
 
-def _options(
-    solver: Any, read: Mapping[str, Any], step_s: float | None
-) -> dict[str, Any]:
+def _options(solver: Any, read: Settings, step_s: float | None) -> dict[str, Any]:
     """Return the settings of the Newton backend for the options of a solver."""
     kind = type(solver).__name__
     known = (
@@ -227,7 +225,7 @@ def _options(
     return settings
 
 
-def _contact(solver: Any, read: Mapping[str, Any]) -> dict[str, Any]:
+def _contact(solver: Any, read: Settings) -> dict[str, Any]:
     """Return the contact constants of the Newton backend for those of a pair of shapes."""
     settings = {
         name: tuple(map(rounded, read[name]))
@@ -243,7 +241,7 @@ def _contact(solver: Any, read: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _capacity(
-    solver: Any, model: mujoco.MjModel, settings: Mapping[str, Any]
+    solver: Any, model: mujoco.MjModel, settings: Settings
 ) -> ContactCapacity | None:
     """Return the limits of the solver's memory for the contacts of a world; None for MuJoCo's C engine."""
     data = getattr(solver, "mjw_data", None)
@@ -261,7 +259,7 @@ def _capacity(
     return contact_capacity(model, limits)
 
 
-def _notes(solver: Any, settings: Mapping[str, Any]) -> list[str]:
+def _notes(solver: Any, settings: Settings) -> list[str]:
     model, notes = solver.model, []
     if "timestep_s" not in settings:
         notes.append(

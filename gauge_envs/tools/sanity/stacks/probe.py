@@ -17,7 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular
-from gauge_envs.tools.sanity.gauge_probe import SUFFIX, VERSION
+from gauge_envs.tools.sanity.gauge_probe import (
+    SUFFIX,
+    VERSION,
+    document,
+    is_mjx_model,
+)
 from gauge_envs.tools.sanity.model import (
     CapacityLimits,
     ContactCapacity,
@@ -158,6 +163,12 @@ def _read_mujoco(
     )
 
 
+def _read_mjx(model: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a model for MJX, which is read as the probe reads it."""
+    file = _ProbeFile.model_validate(document(model, "mjx.Model"))
+    return _read_mujoco(file, Path(file.name), pair)
+
+
 def _release(version: str | None) -> tuple[int, ...]:
     """Return the first two numbers of a version; large ones for a version that is unknown."""
     found = re.match(r"(\d{1,4})\.(\d{1,4})", version or "")
@@ -197,4 +208,5 @@ READERS = (
         _is_probe_file,
         lambda target, pair: _read(Path(target), pair),
     ),
+    Reader("a mujoco.mjx.Model", is_mjx_model, _read_mjx),
 )

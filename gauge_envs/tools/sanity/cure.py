@@ -1,0 +1,426 @@
+"""Find the change that mends most flags: propose changes, apply them as a user would paste them, and measure again."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain
+from typing import Any
+
+from gauge_envs.errors import GaugeError
+from gauge_envs.files import json_ready
+from gauge_envs.runs.rollout import DeclinedError
+from gauge_envs.tools.sanity.cause import Alternative, alternatives
+from gauge_envs.tools.sanity.measure import Measurements, Subject, subject_of
+from gauge_envs.tools.sanity.model import (
+    Cure,
+    PhenomenonResult,
+    Settings,
+    TrainingConfiguration,
+    Verdict,
+)
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, RIGID, phenomenon
+from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
+
+WARP_S = 1.1
+"""Longest scene that is run on mujoco_warp on a CPU [s], which takes a second for each."""
+
+LIMITS = ("njmax", "naconmax")
+"""Changes that belong to the memory for contacts, not to the model."""
+
+
+def find_cure(
+    configuration: TrainingConfiguration,
+    dialect: Dialect,
+    measurements: Measurements,
+    proposed: Sequence[Settings],
+    rows: Sequence[PhenomenonResult],
+) -> Cure | None:
+    """Return the change that mends most flags, as measured after it was applied; None when none mends one.
+
+    Args:
+        configuration: The checked configuration.
+        dialect: Dialect of the target.
+        measurements: Measurements on the engine of the rows.
+        proposed: Changes of settings, the preferred ones first, as `candidates_of` gives them.
+        rows: All rows.
+    """
+    counted = {
+        row.phenomenon: row.is_flag
+        for row in rows
+        if row.is_flag or row.verdict is Verdict.INSIDE
+    }
+    fixes = target_fixes(
+        configuration, dialect, [name for name in counted if counted[name]]
+    )
+    # What belongs to every candidate and is no setting, in words that can be pasted.
+    texts = dict.fromkeys(
+        text for name, (text, _) in fixes.items() if name != CAPACITY_ID
+    )
+    fixed = {
+        key: value for _, several in fixes.values() for key, value in several.items()
+    }
+    candidates = [{**one, **fixed} for one in proposed]
+    if fixed:
+        candidates.append(fixed)
+    if not candidates:
+        return None
+    verdict_of, engine = _training_verdicts(
+        configuration, dialect, measurements, counted
+    )
+    flags = [
+        name
+        for name, is_flag in counted.items()
+        if is_flag and verdict_of(configuration, name) is not Verdict.INSIDE
+    ]
+    cures: list[Cure] = []
+    for changes in candidates:
+        try:
+            cured, geoms_by_setting = applied(configuration, changes)
+        except GaugeError:
+            continue
+        mended = [name for name in flags if verdict_of(cured, name) is Verdict.INSIDE]
+        new_flags = [
+            name
+            for name, is_flag in counted.items()
+            if mended and not is_flag and verdict_of(cured, name).is_off
+        ]
+        if len(mended) <= len(new_flags):
+            continue
+        pasted = _pasted(configuration, dialect, changes, geoms_by_setting, [*texts])
+        cure = Cure(
+            changes=changes,
+            line=f"{pasted}: {_effect(flags, mended, new_flags, engine)}",
+            flag_count=len(flags),
+            mended_count=len(mended),
+            new_flags=tuple(new_flags),
+        )
+        cures.append(cure)
+        if len(mended) == len(flags) and not new_flags:
+            break
+    # Of equal cures, the first is the preferred one.
+    return max(
+        cures,
+        key=lambda one: (one.mended_count - len(one.new_flags), -len(one.changes)),
+        default=None,
+    )
+
+
+def applied(
+    configuration: TrainingConfiguration, changes: Settings
+) -> tuple[TrainingConfiguration, dict[str, list[str]]]:
+    """Return the configuration that is read back with changes, and geoms that state a changed attribute themselves.
+
+    Args:
+        configuration: The configuration.
+        changes: New values, as `Robot.changed` takes them, with the limits of the memory for contacts.
+    """
+    limits = {name: changes[name] for name in LIMITS if name in changes}
+    others = {name: value for name, value in changes.items() if name not in LIMITS}
+    robot, geoms_by_setting = configuration.robot, {}
+    if robot is None or configuration.backend != "mujoco":
+        gravity = others.pop("gravity", configuration.gravity_m_per_s2)
+        groups = tuple(
+            replace(group, settings={**group.settings, **others})
+            for group in configuration.contact_groups
+        )
+        read = replace(
+            configuration,
+            settings={**configuration.settings, **others},
+            contact_groups=groups,
+            gravity_m_per_s2=gravity,
+        )
+    else:
+        from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
+        from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+
+        model, geoms = robot.changed(others)
+        for name, several in geoms.items():
+            geoms_by_setting[name] = [geom_name(robot.model, geom) for geom in several]
+        read = mujoco_configuration(
+            model,
+            name=configuration.name,
+            source=configuration.source,
+            spec=robot.spec,
+            pair=robot.pair,
+        )
+        read = replace(
+            read,
+            language=configuration.language,
+            trains_on=configuration.trains_on,
+            capacity=configuration.capacity,
+        )
+    if limits and read.capacity is not None:
+        larger = replace(read.capacity.limits, **limits)
+        read = replace(read, capacity=replace(read.capacity, limits=larger))
+    return read, geoms_by_setting
+
+
+def _training_verdicts(
+    configuration: TrainingConfiguration,
+    dialect: Dialect,
+    measurements: Measurements,
+    rows: Mapping[str, bool],
+) -> tuple[Callable[[TrainingConfiguration, str], Verdict], str]:
+    """Return a function from a configuration and a row to its verdict, and the engine of training in words.
+
+    Rows that are flagged are measured on the engine of training, others on that of the rows.
+    """
+    training, engine = measurements, ""
+    is_short = any(
+        is_flag
+        and name in (*RIGID, *GRASP)
+        and phenomenon(name).scenario.seconds <= WARP_S
+        for name, is_flag in rows.items()
+    )
+    if configuration.trains_on == "mujoco_warp" and is_short:
+        try:
+            from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+
+            training = Measurements(BackendMuJoCoWarp())
+            engine = " on mujoco_warp, where it trains"
+        except GaugeError:
+            engine = " on MuJoCo's C engine; mujoco_warp, on which it trains, is not installed"
+
+    def verdict_of(cured: TrainingConfiguration, name: str) -> Verdict:
+        checked = target_rows(cured, dialect, [name])
+        if checked:
+            return checked[0].verdict
+        one = phenomenon(name)
+        is_training = rows[name] and one.scenario.seconds <= WARP_S
+        subject = subject_of(training if is_training else measurements, cured, one)
+        return subject.worst().verdict if subject.sets else Verdict.DECLINED
+
+    return verdict_of, engine
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def _effect(
+    flags: Sequence[str], mended: Sequence[str], new_flags: Sequence[str], engine: str
+) -> str:
+    """Return what a change does to the flags, in words."""
+    count = "the one flag goes"
+    if len(flags) > 1:
+        count = f"{len(mended)} of {len(flags)} flags go"
+    parts = [count + engine]
+    left = [name for name in flags if name not in mended]
+    if left:
+        parts.append(f"left: {', '.join(left)}")
+    if new_flags:
+        parts.append(f"new flags: {', '.join(new_flags)}")
+    return "; ".join(parts)
+
+
+def _pasted(
+    configuration: TrainingConfiguration,
+    dialect: Dialect,
+    changes: Settings,
+    geoms_by_setting: Mapping[str, Sequence[str]],
+    texts: Sequence[str],
+) -> str:
+    """Return changes as text to paste, before further texts; geoms that state an attribute themselves are named."""
+    robot, default = configuration.robot, {}
+    for name, value in changes.items():
+        if "[" in name or name == "gravity":
+            # A row of an array, or gravity: the texts say it.
+            continue
+        if name in geoms_by_setting:
+            is_default = robot is None or robot.needs_default(name, value)
+        else:
+            is_default = dialect.assignment(name, value) not in " ".join(texts)
+        if is_default:
+            default[name] = value
+    parts = [dialect.paste_text(default)] if default else []
+    for name, geoms in geoms_by_setting.items():
+        more = f" and {len(geoms) - 3} more" if len(geoms) > 3 else ""
+        assignment = dialect.assignment(name, changes[name])
+        parts.append(
+            f"{assignment} in {', '.join(geoms[:3])}{more}, which the default does not reach"
+        )
+    return " and ".join([*parts, *texts])
+
+
+# --- candidates ------------------------------------------------------------------------------------------------------
+
+RECOMMENDED_MUJOCO: Settings = {
+    "timestep_s": 0.002,
+    "integrator": "implicitfast",
+    "cone": "elliptic",
+    "impratio": 100.0,
+    "iterations": 100,
+    "ls_iterations": 50,
+    "contact_solref": (0.004, 1.0),
+    "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0),
+    "contact_margin_m": 0.0,
+}
+"""Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
+
+RECOMMENDED_PHYSX: Settings = {
+    "solver": "TGS",
+    "position_iterations": 10,
+    "velocity_iterations": 1,
+}
+"""The same for PhysX, in the dialect of a training stack."""
+
+AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+"""Recommended settings that are kept where the target has more."""
+
+STEP = "timestep_s"
+"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
+
+MOST_CHANGES = 3
+"""Most settings that are changed one after the other."""
+
+MOST_COMPARED = 3
+"""Most changes, of those that mend most, whose harm to other rows is measured."""
+
+LARGEST_DEVIATION = 1000.0
+"""Deviation at which errors no longer count as larger."""
+
+
+MOST_CANDIDATES = 5
+"""Most sets of changes that are applied to the target."""
+
+FEW_ITERATIONS = (
+    {"iterations": 4, "ls_iterations": 20},
+    {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"},
+)
+"""Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
+
+
+def candidates_of(
+    configuration: TrainingConfiguration,
+    subjects: Sequence[Subject],
+    dialect: Dialect,
+    rows: Sequence[PhenomenonResult],
+) -> list[dict[str, Any]]:
+    """Return sets of changes that may mend flagged rows: single ones, further ones beside them, recommended settings.
+
+    Args:
+        configuration: The checked configuration.
+        subjects: Subjects of the simulated rows.
+        dialect: Dialect of the target.
+        rows: All rows. Of changes that mend as much, those of settings that they name come first.
+    """
+    flags = {row.phenomenon for row in rows if row.is_flag}
+    causes = {row.phenomenon: row.cause for row in rows if row.cause is not None}
+    # Where an engine died, there is no cause, and changes would let it die again.
+    flagged = [one for one in subjects if one.phenomenon.id in flags & set(causes)]
+    if not flagged:
+        return []
+    others = [
+        one
+        for one in subjects
+        if one.sets and one.phenomenon.id not in flags and not one.advisory
+    ]
+    named = {name for cause in causes.values() for name in cause.settings}
+    found: list[dict[str, Any]] = []
+    least: dict[str, Any] = {}
+    iterations = configuration.settings.get("iterations", math.inf)
+    if iterations < FEW_ITERATIONS[0]["iterations"]:
+        # Other changes let a body slide that starts to move, and not one that has rested.
+        found += [
+            {k: v for k, v in few.items() if configuration.settings.get(k) != v}
+            for few in FEW_ITERATIONS
+        ]
+        least = found[0]
+    found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
+    if recommended := _recommended(configuration):
+        # Of many, the last one is tried too.
+        found = [*found[: MOST_CANDIDATES - 1], recommended]
+    return list({_key(one): one for one in found[:MOST_CANDIDATES]}.values())
+
+
+def _key(changes: Any) -> str:
+    return json.dumps(json_ready(changes), sort_keys=True)
+
+
+def _greedy(
+    flagged: Sequence[Subject],
+    others: Sequence[Subject],
+    dialect: Dialect,
+    named: Collection[str],
+) -> Iterator[dict[str, Any]]:
+    """Yield the single change that mends most, then it with further ones; each must mend a further flag.
+
+    Of the changes that mend most, the one with the fewest new flags is taken.
+    """
+    candidates = _alternatives(flagged, dialect)
+    changes: dict[str, Any] = {}
+    left = list(flagged)
+    while left and candidates and len(changes) < MOST_CHANGES:
+        scored = []
+        for one in candidates:
+            mended, closeness = _score(left, {**changes, one.name: one.value})
+            # No shorter step if others mend as much, then one that is named for a row.
+            rank = (mended, one.name != STEP, one.name in named, closeness)
+            scored.append((rank, one))
+        scored.sort(key=lambda pair: pair[0], reverse=True)
+        first = scored[:MOST_COMPARED]
+        net = [
+            rank[0] - _new_flags(others, {**changes, one.name: one.value})
+            for rank, one in first
+        ]
+        rank, best = first[net.index(max(net))]
+        if not rank[0]:
+            return
+        changes[best.name] = best.value
+        yield dict(changes)
+        left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
+        candidates = [one for one in candidates if one.name not in changes]
+
+
+def _new_flags(others: Sequence[Subject], changes: Settings) -> int:
+    """Return the number of rows that are visible or wrong only with the changes."""
+    return sum(subject.worst(changes).verdict.is_off for subject in others)
+
+
+def _alternatives(flagged: Sequence[Subject], dialect: Dialect) -> list[Alternative]:
+    """Return the other values of all settings of flagged subjects that the target can state."""
+    found: dict[str, Alternative] = {}
+    for subject in flagged:
+        for settings in subject.sets.values():
+            with suppress(DeclinedError):
+                several = alternatives(
+                    subject.measurements, subject.phenomenon.scenario, settings
+                )
+                for one in chain.from_iterable(several.values()):
+                    found.setdefault(_key([one.name, one.value]), one)
+    return [one for one in found.values() if dialect.writes(one.name)]
+
+
+def _score(subjects: Sequence[Subject], changes: Settings) -> tuple[int, float]:
+    """Return how many subjects are inside with changes, and minus the sum of all deviations."""
+    outcomes = [subject.worst(changes) for subject in subjects]
+    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
+    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
+
+
+def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
+    """Return the recommended settings that differ from the target's; a shorter step and more iterations are kept.
+
+    A settings file has none, since its backend's preset is what it differs from.
+    """
+    recommended: Settings = {}
+    if configuration.is_model:
+        recommended = RECOMMENDED_MUJOCO
+    elif configuration.backend == "physx" and configuration.language != TOML.name:
+        recommended = RECOMMENDED_PHYSX
+    changes = {}
+    for name, value in recommended.items():
+        was = configuration.settings.get(
+            name, 0.0 if name == "contact_margin_m" else None
+        )
+        if name == STEP and was is not None and was <= value:
+            continue
+        if name in AT_LEAST and was is not None and was >= value:
+            continue
+        if (tuple(was) if isinstance(was, list) else was) != value:
+            changes[name] = value
+    return changes

@@ -1,0 +1,434 @@
+"""The contract of simulations and worlds, once over all installed engines; the conformance checks state the laws."""
+
+from __future__ import annotations
+
+import gc
+import pickle
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gauge_envs import Jitter, load_experiment
+from gauge_envs.backends import Backend, backend_names
+from gauge_envs.backends.base import Simulation, World, worlds_of
+from gauge_envs.backends.registry import backend_class
+from gauge_envs.backends.shared import bundled
+from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.scene import Box, Pose, Scene
+from gauge_envs.scene.jitter import jittered
+from gauge_envs.tools.bench.parts import body, driven_box
+
+SLIDE = "SlopeSlider-2-wood"
+INTERVAL_S = 1 / 180
+
+
+def scene_for(engine: Backend, name: str, parameters: str = "calibrated") -> Scene:
+    """Return the scene of an experiment; the test is skipped on an engine that does not build it."""
+    scene = load_experiment(name, parameters).scene
+    if not engine.supports(scene):
+        pytest.skip(f"{engine.name} does not build {name}")
+    return scene
+
+
+def everything(world: World, scene: Scene) -> NDArray[np.float64]:
+    """Return all states and nodes of a world, one after another."""
+    states = world.body_states([one.name for one in scene.bodies])
+    nodes = [world.nodes(one.name).ravel() for one in scene.deformables]
+    return np.concatenate([states.ravel(), *nodes])
+
+
+def course(
+    simulation: Simulation, scene: Scene, first: int, last: int
+) -> NDArray[np.float64]:
+    """Drive a simulation through intervals of its recorded motion; return what it is after each of them."""
+    paths, rows = DriverPaths(scene, 1.0), []
+    for index in range(first, last):
+        paths.advance(simulation, index)
+        rows.append(everything(simulation, scene))
+    return np.array(rows)
+
+
+# --- states ----------------------------------------------------------------------------------------------------------
+
+SCENES = [
+    ("SlopeSlider-3-wood", "calibrated"),
+    ("NonsmoothContact-1-wood", "calibrated"),
+    ("NewtonsCradle-metal", "calibrated"),
+    ("ElbowToss-blocks", "calibrated"),
+    ("TextileFlinging-satin", "air"),
+    ("RotatingBall-satin", "calibrated"),
+    ("FoamStretching-soft", "calibrated"),
+    ("FoamBending-soft", "calibrated"),
+    ("StickStack-soft", "calibrated"),
+]
+
+
+def check_repeats(
+    engine: Backend, scene: Scene, settings: dict[str, Any] | None = None
+) -> None:
+    """A state continues bit for bit in its simulation and in another one, and a reset begins anew."""
+    with (
+        closing(engine.build(scene, settings)) as one,
+        closing(engine.build(scene, settings)) as other,
+    ):
+        start = everything(one, scene)
+        early = course(one, scene, 0, 2)
+        kept = pickle.dumps(one.state())
+        late = course(one, scene, 2, 4)
+        assert np.abs(late[-1] - start).max() > 1e-6
+        for simulation in (other, one):
+            simulation.restore(pickle.loads(kept))
+            np.testing.assert_array_equal(course(simulation, scene, 2, 4), late)
+        one.reset(1)
+        np.testing.assert_array_equal(everything(one, scene), start)
+        again = course(one, scene, 0, 4)
+        np.testing.assert_array_equal(again, [*early, *late])
+
+
+@pytest.mark.parametrize(("name", "parameters"), SCENES)
+def test_states_and_resets_repeat_bit_for_bit(
+    engine: Backend, name: str, parameters: str
+) -> None:
+    check_repeats(engine, scene_for(engine, name, parameters))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["newton", "genesis"], indirect=True)
+def test_material_points_repeat_bit_for_bit(engine: Backend) -> None:
+    scene = scene_for(engine, "FoamStretching-soft")
+    check_repeats(engine, scene, {"preset": "mpm"})
+
+
+def act(simulation: Simulation, scene: Scene) -> None:
+    """Drive a turntable from where it is, at 1 rad/s and 6 rad/s^2, and push the cube on it."""
+    name = scene.drivers[0].body
+    rates = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    simulation.drive(name, scene.body(name).pose, rates, 6.0 * rates)
+    simulation.apply_wrench("cube", np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
+
+
+def test_a_state_holds_what_the_next_step_was_told(engine: Backend) -> None:
+    scene = scene_for(engine, "Turntable-2-wood")
+    table = scene.drivers[0].body
+    with closing(engine.build(scene)) as simulation:
+        simulation.reset(0)
+        act(simulation, scene)
+        kept = simulation.state()
+        simulation.advance(INTERVAL_S)
+        ahead = simulation.body_states([table, "cube"])
+        assert ahead[0, 12] == pytest.approx(1.0 + 6.0 * INTERVAL_S, abs=2e-3)
+        assert ahead[1, 9] > 0.01
+        simulation.restore(kept)
+        simulation.advance(INTERVAL_S)
+        np.testing.assert_array_equal(simulation.body_states([table, "cube"]), ahead)
+
+
+def test_a_reset_forgets_what_the_next_step_was_told(engine: Backend) -> None:
+    scene = scene_for(engine, "Turntable-2-wood")
+    with closing(engine.build(scene)) as fresh, closing(engine.build(scene)) as used:
+        act(used, scene)
+        for simulation in (fresh, used):
+            simulation.reset(0)
+            simulation.advance(INTERVAL_S)
+        np.testing.assert_array_equal(everything(used, scene), everything(fresh, scene))
+
+
+def refusal(simulation: Simulation, state: object) -> str:
+    """Return the message of the error, after which the simulation is as it was."""
+    before = simulation.body_states(["cube"])
+    with pytest.raises(BackendError) as caught:
+        simulation.restore(state)
+    np.testing.assert_array_equal(before, simulation.body_states(["cube"]))
+    return str(caught.value)
+
+
+# A replayed state is the scene's own course, whatever the engine was told; the others hold numbers of the engine.
+@pytest.mark.parametrize("engine", ["mujoco", "newton", "rapier"], indirect=True)
+def test_a_state_of_another_origin_is_refused_with_both_origins(
+    engine: Backend,
+) -> None:
+    scene, half_step = scene_for(engine, SLIDE), {}
+    half_step["timestep_s"] = 0.5 * engine.resolved_settings(scene)["timestep_s"]
+    metal = load_experiment("SlopeSlider-2-metal").scene
+    with (
+        closing(engine.build(scene)) as here,
+        closing(engine.build(scene, half_step)) as finer,
+        closing(engine.build(metal)) as elsewhere,
+    ):
+        theirs, _, ours = refusal(here, finer.state()).partition("this one")
+        assert f"timestep_s = {half_step['timestep_s']}" in theirs
+        assert f"timestep_s = {here.settings['timestep_s']}" in ours
+        assert "with scene" in refusal(here, elsewhere.state())
+        assert "restore got a ndarray" in refusal(here, np.zeros(10))
+        older = replace(here.state(), engine=f"{engine.name} 0.1")
+        assert f"with {engine.name} 0.1, this one has" in refusal(here, older)
+
+
+# --- worlds ----------------------------------------------------------------------------------------------------------
+
+
+def harder(scene: Scene, number: int) -> Scene:
+    """Return a scene with more friction and heavier bodies."""
+    bodies, deformables = (
+        tuple(replace(one, mass_kg=one.mass_kg * (1.0 + 0.1 * number)) for one in group)
+        for group in (scene.bodies, scene.deformables)
+    )
+    contacts = tuple(
+        replace(one, friction=one.friction + 0.01 * number) for one in scene.contacts
+    )
+    return replace(scene, bodies=bodies, deformables=deformables, contacts=contacts)
+
+
+def check_worlds(engine: Backend, scenes: list[Scene]) -> None:
+    """Worlds that start or are built differently are single simulations, bit for bit, also after a reset.
+
+    One of them is not driven.
+    """
+    with closing(worlds_of(engine, scenes)) as worlds:
+        for _ in range(2):
+            worlds.reset(0)
+            paths = [DriverPaths(scene, 1.0) for scene in scenes]
+            for index in range(4):
+                for one, world in list(zip(paths, worlds.worlds, strict=True))[1:]:
+                    one.drive(world, index, one.no_rates)
+                worlds.advance(INTERVAL_S)
+        together = [
+            everything(world, scene)
+            for world, scene in zip(worlds.worlds, scenes, strict=True)
+        ]
+    assert len({one.tobytes() for one in together}) == len(scenes)
+    for number, (scene, found) in enumerate(zip(scenes, together, strict=True)):
+        with closing(engine.build(scene)) as single:
+            single.reset(0)
+            if number:
+                alone = course(single, scene, 0, 4)[-1]
+            else:
+                for _ in range(4):
+                    single.advance(INTERVAL_S)
+                alone = everything(single, scene)
+        np.testing.assert_array_equal(found, alone)
+
+
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        # More worlds than one world of Rapier holds.
+        ("SlopeSlider-3-wood", 11),
+        ("NonsmoothContact-1-wood", 3),
+        ("NewtonsCradle-metal", 3),
+        ("Pendulum-metal", 3),
+        ("RotatingBall-satin", 2),
+    ],
+)
+def test_worlds_are_single_simulations(engine: Backend, name: str, count: int) -> None:
+    scene = scene_for(engine, name)
+    check_worlds(
+        engine, [jittered(scene, Jitter(), seed=seed) for seed in range(count)]
+    )
+
+
+@pytest.mark.parametrize(
+    "name", [SLIDE, "NewtonsCradle-metal", "FoamStretching-soft", "StickStack-soft"]
+)
+def test_worlds_have_their_own_constants(engine: Backend, name: str) -> None:
+    scene = scene_for(engine, name)
+    check_worlds(engine, [harder(scene, number) for number in range(3)])
+
+
+def test_simulations_do_not_touch_each_other(engine: Backend) -> None:
+    scene = scene_for(engine, "NonsmoothContact-1-wood")
+    other_scene = scene_for(engine, "BouncingBall-rubber")
+    with closing(engine.build(scene)) as simulation:
+        alone = course(simulation, scene, 0, 30)
+    with (
+        closing(engine.build(other_scene)) as other,
+        closing(engine.build(scene)) as simulation,
+    ):
+        other.advance(0.1)
+        beside = course(simulation, scene, 0, 30)
+    np.testing.assert_array_equal(alone, beside)
+
+
+# --- driven and pushed bodies ----------------------------------------------------------------------------------------
+
+
+def test_a_driven_body_starts_where_it_is_put_and_stays_without_a_drive(
+    engine: Backend,
+) -> None:
+    plate = driven_box("plate", (0.0, 0.0, 1.0), (0.2, 0.2, 0.02))
+    with closing(engine.build(Scene(bodies=(plate,), duration_s=1.0))) as simulation:
+        simulation.advance(INTERVAL_S)
+        place = Pose(position_m=(0.1, 0.2, 0.5))
+        speed = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+        simulation.drive("plate", place, speed, np.zeros(6))
+        state = simulation.body_states(["plate"])[0]
+        assert state[:3] == pytest.approx(place.position_m, abs=1e-6)
+        simulation.advance(INTERVAL_S)
+        state = simulation.body_states(["plate"])[0]
+        assert state[:3] == pytest.approx((0.1 + 0.3 / 180, 0.2, 0.5), abs=1e-6)
+
+
+def test_a_wrench_replaces_the_last_one(engine: Backend) -> None:
+    brick = body("box", Box(size_m=(0.1,) * 3), Pose(position_m=(0.0, 0.0, 0.0)))
+    scene = Scene(bodies=(brick,), duration_s=1.0, gravity_m_per_s2=0.0)
+    inertia = brick.mass_kg * 0.1**2 / 6.0
+    with closing(engine.build(scene)) as simulation:
+        for wrench in (
+            (0.5, 0.0, 0.0, inertia, 0.0, 0.0),
+            (0.0, 0.2, 0.0, 0.0, inertia, 0.0),
+            (0.0,) * 6,
+        ):
+            simulation.apply_wrench("box", np.array(wrench))
+            simulation.advance(0.1)
+        expected = [0.5, 0.2, 0.0, 0.1, 0.1, 0.0]
+        state = simulation.body_states(["box"])[0]
+    assert state[7:] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "rapier"], indirect=True)
+def test_a_reset_or_a_restored_state_clears_a_fault(engine: Backend) -> None:
+    with closing(engine.build(load_experiment(SLIDE).scene)) as simulation:
+        start = simulation.state()
+        for clear in (lambda: simulation.reset(0), lambda: simulation.restore(start)):
+            simulation.apply_wrench("cube", np.array([np.nan, 0, 0, 0, 0, 0]))
+            simulation.advance(INTERVAL_S)
+            assert "not finite" in str(simulation.fault())
+            clear()
+            simulation.apply_wrench("cube", np.zeros(6))
+            simulation.advance(INTERVAL_S)
+            assert simulation.fault() is None
+            assert np.isfinite(simulation.body_states(["cube"])).all()
+
+
+# --- settings and installation ---------------------------------------------------------------------------------------
+
+
+OUT_OF_BOX = {
+    "preset": "out_of_box",
+    "timestep_s": 1 / 900,
+    "drive_interval_s": INTERVAL_S,
+}
+
+
+def test_settings_in_force_are_those_of_the_preset(engine: Backend) -> None:
+    scene = scene_for(engine, SLIDE)
+    for given in ({}, OUT_OF_BOX):
+        resolved = engine.resolved_settings(scene, given)
+        assert given.items() <= resolved.items()
+        with closing(engine.build(scene, given)) as simulation:
+            assert dict(simulation.settings) == dict(resolved)
+
+
+@pytest.mark.parametrize(
+    ("engine", "name", "settings"),
+    [
+        ("mujoco", "TextileBending-satin", {"preset": "cloth", "solver": "CG"}),
+        ("mujoco", "TextileStretching-satin", {"preset": "cloth_probed"}),
+        ("mujoco", "TableclothPulling-wood", {"preset": "cloth_loaded"}),
+        ("mujoco", "TableclothPulling-wood", {"solver": "Newton"}),
+        ("mujoco", "FoamTwisting-soft", {"preset": "soft", "solver": "Newton"}),
+        ("mujoco", "WallBreaking-wood", {"preset": "stack"}),
+        ("newton", "FoamStretching-soft", {"preset": "soft", "solver": "SolverVBD"}),
+        ("newton", "CantileverBeam-soft", {"preset": "soft_row"}),
+        ("newton", "CantileverBeam-soft", {"soft_rigid_ratio": 50.0}),
+        ("newton", "StickStack-soft", {"preset": "rod", "cell_m": None}),
+        ("newton", "TextileFlinging-satin", {"timestep_s": 1 / 1440}),
+        # A stiff fabric gets half the step.
+        ("newton", "TextileFlinging-nylon", {"timestep_s": 1 / 2880}),
+        ("physx", "BouncingBall-rubber", {"preset": "default"}),
+        ("physx", "WallBreaking-wood", {"preset": "stack", "timestep_s": 1 / 900}),
+        ("pybullet", "SlopeSlider-1-wood", {"preset": "contact"}),
+        ("pybullet", "Pendulum-metal", {"preset": "contact"}),
+        ("pybullet", "NewtonsCradle-metal", {"preset": "joint_impact"}),
+        ("pybullet", "RopeWinding-rubber", {"preset": "rope"}),
+        # A pressure wave of 87 m/s takes 136 us through a tetrahedron of 16.7 mm / sqrt(2).
+        ("pybullet", "FoamStretching-soft", {"preset": "soft"}),
+        ("pybullet", "FoamStretching-soft", {"timestep_s": 1 / 18000}),
+        ("pybullet", "WallBreaking-wood", {"preset": "stack"}),
+        ("drake", SLIDE, {"preset": "default"}),
+        ("drake", "BouncingBall-rubber", {"preset": "impact"}),
+        ("drake", "NewtonsCradle-metal", {"preset": "impact_chain"}),
+        ("drake", "Pendulum-metal", {"preset": "contact_free"}),
+        ("drake", "WallBreaking-wood", {"preset": "stack"}),
+        ("drake", "CubeToss-acrylic", {"preset": "corners"}),
+        ("genesis", SLIDE, {"preset": "default"}),
+        ("genesis", "BouncingBall-rubber", {"preset": "impact"}),
+        ("genesis", "Pendulum-metal", {"preset": "contact_free"}),
+        ("genesis", "WallBreaking-wood", {"preset": "stack"}),
+    ],
+    indirect=["engine"],
+)
+def test_the_contents_of_a_scene_choose_its_settings(
+    engine: Backend, name: str, settings: dict[str, Any]
+) -> None:
+    resolved = engine.resolved_settings(load_experiment(name).scene)
+    assert settings.items() <= resolved.items()
+
+
+PROGRAM = """
+import sys
+from gauge_envs import load_experiment
+from gauge_envs.backends import backend
+engine = backend({name!r})
+print(*sorted(set(engine.modules) & set(sys.modules)))
+scene = load_experiment("NonsmoothContact-1-wood").scene
+simulation = engine.build(scene)
+simulation.reset(0)
+simulation.advance(0.1)
+print(simulation.body_states([one.name for one in scene.bodies]).tobytes().hex())
+simulation.close()
+"""
+
+
+def test_another_process_gives_the_same_bits_and_prints_nothing(
+    engine: Backend,
+) -> None:
+    """The engine is imported at the first build."""
+    scene = scene_for(engine, "NonsmoothContact-1-wood")
+    with closing(engine.build(scene)) as simulation:
+        simulation.reset(0)
+        simulation.advance(0.1)
+        expected = everything(simulation, scene).tobytes().hex()
+    code = PROGRAM.format(name=engine.name)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.stdout == f"\n{expected}\n", run.stderr
+    # Genesis logs to stderr.
+    assert run.stderr == "" or engine.name == "genesis"
+
+
+@pytest.mark.parametrize("name", backend_names())
+def test_a_missing_engine_names_its_extra(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kind = backend_class(name)
+    if not kind.modules:
+        pytest.skip("the package needs this engine")
+    monkeypatch.setattr(bundled, "find_spec", lambda module: None)
+    with pytest.raises(MissingExtraError, match=rf"'gauge-envs\[{name}\]'"):
+        kind()
+
+
+@pytest.mark.slow
+def test_closed_simulations_free_their_memory(engine: Backend) -> None:
+    resource = pytest.importorskip("resource")
+    scene = load_experiment(SLIDE).scene
+
+    def largest_mb(count: int) -> float:
+        for _ in range(count):
+            simulation = engine.build(scene)
+            simulation.advance(INTERVAL_S)
+            simulation.reset(0)
+            simulation.close()
+            simulation.close()
+        gc.collect()
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+    before = largest_mb(50)
+    assert largest_mb(150) - before < 10.0

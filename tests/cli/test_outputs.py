@@ -1,0 +1,153 @@
+"""What the commands print, in every format, as a person has approved it."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from typing import Any
+
+import approval
+import pytest
+from slide import SLIDE, write_csv
+
+from gauge_envs.cli.app import load_command
+from gauge_envs.registry import instruments_by
+
+Gauge = Callable[..., Any]
+Approved = Callable[[str, str], None]
+
+STATIC = {
+    "list": "list",
+    "list-wide": "list 'SlopeSlider-*' --format wide",
+    "list-markdown": "list 'GAUGE/SlopeSlider-2-*' --format markdown",
+    "list-json": "list FoamBending-soft SlopeSlider-2-wood --json",
+    "show-trials": "show SlopeSlider-2-wood --format wide",
+    "show-driver": "show SlopeSlider-3-metal --format wide",
+    "show-deformable": "show FoamBending-soft --format wide",
+    "show-law": "show Turntable-1-wood",
+    "show-markdown": "show GAUGE/Pendulum-metal --format markdown",
+    "show-json": "show SlopeSlider-3-wood --format json",
+}
+"""Commands that run no experiment."""
+
+EPISODES = {
+    "run": "run 'SlopeSlider-2-*'",
+    "run-wide": "run SlopeSlider-2-wood --format wide",
+    "run-markdown": "run SlopeSlider-2-wood --format markdown",
+    "run-json": "run SlopeSlider-2-wood SlopeSlider-1-wood --json seed=3 --set iterations=50",
+    "run-declined": "run FoamBending-soft SlopeSlider-2-wood",
+    "run-no-set": "run 'BouncingBall-*' 'Turntable-1-*' --parameters effective",
+    "score": "score slide.csv --id SlopeSlider-2-wood",
+    "score-json": "score slide.csv --id SlopeSlider-2-wood --json",
+}
+
+
+@pytest.mark.usefixtures("rigid_only")
+@pytest.mark.parametrize(("name", "command"), [*STATIC.items(), *EPISODES.items()])
+def test_an_output_is_the_approved_one(
+    gauge,
+    approved,
+    tmp_path,
+    name,
+    command,
+):
+    write_csv(tmp_path / "slide.csv", SLIDE)
+    result = gauge(*shlex.split(command))
+    approved(f"cli/{name}", approval.readable(result))
+
+
+def test_the_help_of_every_command(approved):
+    """The words of the commands themselves; how they are set is Typer's matter."""
+    lines = []
+    for name in instruments_by("commands"):
+        command = load_command(name)
+        lines.append(f"gauge {name}: {command.help}")
+        for one in command.params:
+            lines.append(f"    {', '.join(one.opts)}: {getattr(one, 'help', '')}")
+            if one.default and isinstance(one.default, str | int | float):
+                lines.append(f"        default: {one.default}")
+    approved("cli/help", "\n".join(lines))
+
+
+REFUSED = """
+lits
+list X*
+list phenomena slde-wood
+list backends mujoko
+list materials satn
+list --json --format wide
+show SlopeSlider
+run
+run SlopeSlider-2-gold
+run 'SlopSlider-2-woo*'
+run 'Sloper*'
+run GAUGE/SlopeSlider-9-wood
+run SlopeSlider-2-wood --backend mujoko
+run SlopeSlider-2-wood --parameters nonsense
+run SlopeSlider-2-wood --parameters cube.friction
+run SlopeSlider-2-wood --parameters cube.colour=1
+run SlopeSlider-2-wood --parameters cube.frction=1
+run SlopeSlider-2-wood --parameters cbe.friction=1
+run SlopeSlider-2-wood --parameters cube.friction=
+run SlopeSlider-2-wood --set timestep_s
+run SlopeSlider-2-wood --set iteration=3
+run SlopeSlider-2-wood --set preset=dampped
+run SlopeSlider-2-wood sed=3
+run SlopeSlider-2-wood timestep_s=1
+run SlopeSlider-2-wood jitter=1
+run SlopeSlider-2-wood --use import
+run SlopeSlider-2-wood --limits 60
+run --seed 1
+run --jitter-mm 1
+run --marker-proxy 1
+score bad.csv --id SlopeSlider-2-wood
+score no.csv
+score no.csv --id Nothing-2
+plot nowhere
+plot --kind costs
+plot --id SlopeSlider-2-wood
+backend chek
+sweep --variant 1
+sweep --backend 1
+compare --metric 1
+diagnose --measured-only 1
+sanity
+sanity HalfCheetah-v5 --limits 4GB
+sanity HalfCheetah-v5 --out page.pdf
+sanity HalfCheetah-v5 --out a.md --out b.md
+recipe friktion=0.3
+recipe satin wood-on-wood
+recipe --mass 1
+recipe --damping 1
+transfer --sigmas 1
+video film --recording-rate-hz 1
+video film --fps 1
+video render --seconds 1
+video score --size 1
+"""
+"""Requests that cannot be met, each a line; what a library adds to a message is in no approved text."""
+
+
+def test_what_cannot_be_met_is_refused_in_the_approved_words(gauge, approved, tmp_path):
+    (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n", encoding="utf-8")
+    commands = REFUSED.strip().splitlines()
+    approved("cli/refused", approval.refused_commands(gauge, *commands))
+
+
+@pytest.mark.parametrize(
+    ("command", "place"),
+    [
+        ("run SlopeSlider-2-wood --parameters cube.friction=-1", "cube.friction"),
+        ("run SlopeSlider-2-wood --out /proc/nowhere", "/proc/nowhere"),
+        ("run SlopeSlider-2-wood seed=-1", "seed: "),
+        ("run SlopeSlider-2-wood seed=x", "seed: "),
+        ("run SlopeSlider-2-wood repeats=0", "repeats: "),
+        ("score no.csv --id SlopeSlider-2-wood", "no.csv: cannot be read"),
+        ("diagnose measured_only=maybe", "measured_only: "),
+        ("transfer envelope", "ID [NAME=VALUE]"),
+    ],
+)
+def test_a_refusal_with_words_of_a_library_names_the_place(gauge, command, place):
+    result = gauge(*shlex.split(command))
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert place in result.stderr

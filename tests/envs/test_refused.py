@@ -1,0 +1,214 @@
+"""Arguments and calls that no environment can use are refused, in words that a person has approved."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+from approval import refused_calls
+from gymnasium.vector import SyncVectorEnv
+from together import Together
+
+import gauge_envs
+from gauge_envs import GaugeEnv
+from gauge_envs.envs.dm_env import load
+from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
+from gauge_envs.errors import ActionError, GaugeError, ParameterError
+from gauge_envs.runs.request import RunRequest
+
+SLIDE, SOFT = "SlopeSlider-2-wood", "StickStack-soft"
+MAKE = (gymnasium.make, gymnasium.make_vec)
+
+ARGUMENTS = [
+    {"width": 0},
+    {"height": -3},
+    {"width": "wide"},
+    {"width": 10**9},
+    {"backend": None},
+    {"backend": ["mujoco"]},
+    {"backend": "mujocoo"},
+    {"parameters": {3: 1}},
+    {"parameters": "fitted"},
+    {"parameters": {"cubes.friction": 0.3}},
+    {"parameters": {"cube.frict": 0.3}},
+    {"settings": {3: 1}},
+    {"settings": [1]},
+    {"settings": "fast"},
+    {"asset": 3},
+    {"marker_proxy": "nearest"},
+]
+
+
+def env_after(*calls, name=SLIDE, **arguments):
+    """An environment on which methods were called."""
+    env = GaugeEnv(name, **arguments)
+    for call in calls:
+        getattr(env, call)()
+    return env
+
+
+def worlds(count=2, name=SLIDE, **arguments):
+    return gymnasium.make_vec(f"GAUGE/{name}", num_envs=count, **arguments).unwrapped
+
+
+def closed(env):
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    return env
+
+
+@pytest.mark.parametrize("make", MAKE)
+def test_arguments_are_refused_alike_by_make_and_make_vec(make, approved):
+    calls = {
+        str(arguments): partial(make, f"GAUGE/{SLIDE}", **arguments)
+        for arguments in ARGUMENTS
+    }
+    approved("envs/arguments", refused_calls(GaugeError, calls))
+
+
+def test_calls_are_refused(approved):
+    ended = GaugeEnv("SlopeContact-wood")
+    ended.reset(seed=0)
+    for _ in range(9):
+        ended.step(0)
+    coarse = {"settings": {"cell_m": 1 / 300}}
+    rendering = {"render_mode": "rgb_array"}
+    push = "Turntable-Limit-wood"
+    limit = gymnasium.make(f"GAUGE/{push}", **rendering).unwrapped
+    closed(limit)
+    vector = closed(worlds(**rendering))
+    single = closed(GaugeEnv(SLIDE, **rendering))
+    calls = {
+        "unknown id": lambda: GaugeEnv("SlopeSlider-2-wod"),
+        "unknown id of dm_env": lambda: load("SlopeSlider-2-wod"),
+        "parameter set of dm_env": lambda: load(SLIDE, parameters="fitted"),
+        "reset option of dm_env": lambda: load(SLIDE, options={"x": 1}).reset(),
+        "variant 3": lambda: GaugeEnv(3),
+        "no variant": lambda: GaugeEnv(None),
+        "window": lambda: GaugeEnv(SLIDE, render_mode="human"),
+        "window of worlds": lambda: GaugeVectorEnv(SLIDE, render_mode="human"),
+        "fine cloth": lambda: GaugeEnv("Funnel-satin", **coarse),
+        "reset option": lambda: GaugeEnv(SLIDE).reset(options={"jitterr": True}),
+        "jitter of no rigid body": lambda: GaugeEnv(SOFT).reset(
+            options={"jitter": True}
+        ),
+        "step before reset": lambda: GaugeEnv(SLIDE).step(0),
+        "trajectory before reset": lambda: GaugeEnv(SLIDE).trajectory(),
+        "step after the end": lambda: ended.step(0),
+        "step after close": lambda: single.step(0),
+        "reset after close": single.reset,
+        "render after close": single.render,
+        "control step after close": lambda: limit.step([0.0]),
+        "control reset after close": limit.reset,
+        "control render after close": limit.render,
+        "worlds' step after close": lambda: vector.step([0, 0]),
+        "worlds' reset after close": vector.reset,
+        "worlds' render after close": vector.render,
+        "worlds' step before reset": lambda: worlds().step([0, 0]),
+        "worlds' render before reset": lambda: worlds(**rendering).render(),
+        "3 seeds": lambda: worlds().reset(seed=[1, 2, 3]),
+        "seed x": lambda: worlds().reset(seed="x"),
+        "seed 1.5": lambda: worlds().reset(seed=1.5),
+        "seeds [0]": lambda: worlds().reset(seed=[0]),
+        "worlds' option": lambda: worlds().reset(options={"jitterr": True}),
+        "constants of one": lambda: worlds(world_parameters=[{}]),
+        "constant unknown": lambda: worlds(1, world_parameters=[{"cube.slip": 1.0}]),
+        "scores of no reference": lambda: worlds(
+            name="RopeWinding-rubber"
+        ).score_arrays(),
+        "arrays of sub-environments": lambda: ScoreEpisodes(
+            SyncVectorEnv([lambda: GaugeEnv(SLIDE)]), arrays=True
+        ),
+        "record of no recorder": lambda: Together([]).record(
+            ["cube"], frame_count=2, samples=6, interval_s=1 / 180
+        ),
+        "rollout before reset": lambda: worlds().rollout(),
+    }
+    approved("envs/calls", refused_calls(GaugeError, calls))
+
+
+@pytest.mark.usefixtures("rigid_only")
+def test_an_id_that_no_engine_builds_says_so_at_make(approved):
+    names = ("Funnel-satin", "FoamTwisting-soft", "RopeWinding-rubber")
+    calls = {
+        f"{make.__name__} {name}": partial(make, f"GAUGE/{name}")
+        for name in names
+        for make in MAKE
+    }
+    approved("envs/unsupported", refused_calls(GaugeError, calls))
+
+
+def test_numbers_of_worlds_and_requests_are_refused(approved):
+    counts = ("x", 0, -1, 2.5, None, True, 10**9)
+    requests = (
+        {"seed": "x"},
+        {"seed": -1},
+        {"repeats": 1.5},
+        {"repeats": 0},
+        {"jitter": 1},
+        {"backend": None},
+    )
+    calls = {f"num_envs {count!r}": partial(worlds, count) for count in counts}
+    calls |= {str(values): partial(RunRequest, SLIDE, **values) for values in requests}
+    approved("envs/requests", refused_calls(ParameterError, calls))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "place"),
+    [
+        ({"cube.friction": -0.3}, "friction"),
+        ({"cube.mass_kg": 0.0}, "mass_kg"),
+        ({"cube.position_m": (0.0, 0.0)}, "position_m"),
+        ({"cube.restitution": float("nan")}, "restitution"),
+    ],
+)
+def test_impossible_overrides_are_named(overrides, place):
+    with pytest.raises(ParameterError, match=place):
+        gymnasium.make(f"GAUGE/{SLIDE}", parameters=overrides)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"width": 0}, {"backend": None}, {"settings": {"impratio": float("inf")}}],
+)
+def test_wrong_arguments_of_a_control_task(arguments):
+    with pytest.raises(ParameterError):
+        gymnasium.make("GAUGE/Turntable-Limit-wood", **arguments)
+
+
+NOTHING_DRIVEN = [1, -1, "0", None, 0.5, np.zeros(2), np.nan]
+DRIVEN = [[np.nan], [1.5], np.zeros(2), 0.0, "left", None, [np.inf]]
+TWO_WORLDS = [0, np.zeros(3, dtype=int), [0, 1], [0.5, 0.0], [0, "up"], None]
+TWO_DRIVEN = [[[1.5], [1.5]], [[np.nan], [0.0]], np.zeros((2, 2)), [[0.0], ["x"]]]
+
+
+@pytest.mark.parametrize("is_at_once", [False, True])
+def test_wrong_actions(is_at_once, request):
+    if is_at_once:
+        request.getfixturevalue("together")
+    turntable = "Turntable-1-wood"
+    cases = (
+        (gymnasium.make(f"GAUGE/{SLIDE}").unwrapped, NOTHING_DRIVEN),
+        (gymnasium.make(f"GAUGE/{turntable}").unwrapped, DRIVEN),
+        (worlds(), TWO_WORLDS),
+        (worlds(name=turntable), TWO_DRIVEN),
+        (load(turntable), [np.array([2.0])]),
+    )
+    for env, actions in cases:
+        env.reset()
+        for action in actions:
+            with pytest.raises(ActionError):
+                env.step(action)
+    # A wrong action changes nothing.
+    assert cases[1][0].step(np.zeros(1))[4]["frame"] == 1
+    assert cases[2][0].step([0, 0])[4]["frame"].tolist() == [1, 1]
+
+
+def test_a_damaged_task_file_is_named(tmp_path):
+    path = tmp_path / "broken.toml"
+    path.write_text("family = ")
+    with pytest.raises(gauge_envs.GaugeError, match=r"broken\.toml"):
+        gauge_envs.load_task(path)

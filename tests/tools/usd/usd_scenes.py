@@ -1,0 +1,315 @@
+"""Scenes that nobody designed, with all that a USD layer holds of a scene, and edits of what is written of one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from pxr import Sdf, Usd
+
+from gauge_envs.scene import (
+    Attachment,
+    BodyHinge,
+    Box,
+    Cloth,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    JointDynamics,
+    Markers,
+    Motion,
+    Plane,
+    Pose,
+    Region,
+    RigidBody,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+    Sphere,
+    Tether,
+)
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.usd.reader import from_usd
+from gauge_envs.tools.usd.writer import scene_stage
+
+# --- scenes ----------------------------------------------------------------------------------------------------------
+
+NAMES = ("cube", "a-1", "a_1", "Contacts", "ball 2", "Würfel", "plate", "wall")
+
+lengths = st.floats(1e-3, 2.0)
+coordinates = st.floats(-3.0, 3.0)
+positive = st.floats(1e-6, 1e6)
+maybe = st.just(0.0) | positive
+points = st.tuples(coordinates, coordinates, coordinates)
+directions = points.filter(lambda point: math.hypot(*point) > 0.1).map(
+    lambda point: tuple((np.asarray(point) / np.linalg.norm(point)).tolist())
+)
+poses = st.builds(
+    Pose.from_euler_deg, points, st.tuples(*[st.floats(-180.0, 180.0)] * 3)
+)
+
+
+def row_of_tetrahedra(corners: list[tuple[float, float, float]]) -> ConvexUnion:
+    pieces = []
+    for index, (edge, y, z) in enumerate(corners):
+        corner = np.array([4.0 * index, y, z])
+        piece = corner + (abs(edge) + 0.1) * np.vstack([np.zeros(3), np.eye(3)])
+        pieces.append(tuple(map(tuple, piece.tolist())))
+    return ConvexUnion(pieces_m=tuple(pieces))
+
+
+solids = st.one_of(
+    st.builds(Box, size_m=st.tuples(lengths, lengths, lengths)),
+    st.builds(Sphere, radius_m=lengths),
+    st.builds(Cylinder, radius_m=lengths, length_m=lengths),
+    st.lists(points, min_size=1, max_size=3).map(row_of_tetrahedra),
+)
+profiles = st.one_of(
+    st.builds(
+        TrapezoidProfile,
+        start_s=st.floats(0.0, 1.0),
+        duration_s=st.floats(1.0, 2.0),
+        accelerate_s=st.floats(0.0, 0.5),
+        brake_s=st.floats(0.0, 0.5),
+        amount=coordinates,
+    ),
+    st.builds(
+        CosineProfile,
+        start_s=st.floats(0.0, 1.0),
+        duration_s=st.floats(0.1, 2.0),
+        amount=coordinates,
+    ),
+    st.lists(st.tuples(st.floats(0.01, 1.0), coordinates), min_size=2).map(
+        lambda steps: SampledProfile(
+            times_s=tuple(np.cumsum([step for step, _ in steps]).tolist()),
+            values=tuple(value for _, value in steps),
+        )
+    ),
+)
+movements = st.builds(
+    DriverMotion,
+    kind=st.sampled_from(["translate", "rotate"]),
+    axis=directions,
+    point_m=points,
+    residual_rate=st.floats(0.0, 1.0),
+    profiles=st.lists(profiles, max_size=2).map(tuple),
+)
+motors = st.one_of(
+    st.none(),
+    st.builds(TorqueMotor, command=profiles, delay_s=maybe),
+    st.builds(
+        Servo,
+        command=profiles,
+        kp_n_m_per_rad=positive,
+        kv_n_m_s_per_rad=maybe,
+        torque_limit_n_m=st.none() | positive,
+        delay_s=maybe,
+    ),
+)
+friction = {"dry_friction_n_m": maybe, "viscous_friction_n_m_s_per_rad": maybe}
+hinge_terms = {
+    "anchor_m": points,
+    "axis": directions,
+    "motor": motors,
+    "dynamics": st.builds(JointDynamics, **friction, armature_kg_m2=maybe)
+    | st.builds(JointDynamics, **friction, armature_kg_m2=positive, backlash_rad=maybe),
+}
+
+
+def deformables(name: str) -> st.SearchStrategy[Cloth | SoftBody | Rope | Rod]:
+    body = {"name": st.just(name), "pose": poses, "mass_kg": positive}
+    line = {**body, "length_m": lengths, "radius_m": lengths}
+    elastic = {"young_modulus_pa": positive, "poisson_ratio": st.floats(-0.9, 0.499)}
+    cloth = {
+        "size_m": st.tuples(lengths, lengths),
+        "areal_density_kg_per_m2": lengths,
+        "thickness_m": st.floats(1e-4, 1e-2),
+        "stretch_stiffness_n_per_m": st.floats(10.0, 1e4),
+        "shear_stiffness_n_per_m": st.floats(1.0, 10.0),
+        "bend_stiffness_n_m_per_rad": st.floats(1e-9, 1e-3),
+    }
+    edges = st.tuples(*[st.floats(1e-3, 0.2)] * 3)
+    return st.one_of(
+        st.builds(Cloth, **body, **cloth),
+        st.builds(Rope, **line, young_modulus_pa=positive),
+        st.builds(Rod, **line, **elastic),
+        st.builds(SoftBody, **body, **elastic, shape=st.builds(Box, size_m=edges)),
+    )
+
+
+def of_different_pairs(
+    contacts: list[Contact], joined: set[frozenset[str]]
+) -> tuple[Contact, ...]:
+    """Return the contacts that list no pair of an earlier one, and none that a hinge joins."""
+    kept = []
+    for contact in contacts:
+        pairs = {frozenset((a, b)) for a in contact.first for b in contact.second}
+        if not pairs & joined:
+            kept.append(contact)
+        joined = joined | pairs
+    return tuple(kept)
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> Scene:
+    names = draw(st.permutations(NAMES))
+    count = draw(st.integers(1, 5))
+    bodies, drivers, joints, loose = [], [], [], []
+    for name in names[:count]:
+        motion = draw(st.sampled_from(Motion))
+        is_plane = motion is Motion.FIXED and draw(st.booleans())
+        body = RigidBody(
+            name=name,
+            shape=Plane() if is_plane else draw(solids),
+            motion=motion,
+            pose=draw(poses),
+            mass_kg=0.0 if is_plane else draw(positive),
+        )
+        match motion, draw(st.integers(0, 3)):
+            case Motion.DYNAMIC, 0:
+                velocities = {
+                    "linear_velocity_m_per_s": draw(points),
+                    "angular_velocity_rad_per_s": draw(points),
+                }
+                body = replace(body, **velocities)
+            case Motion.DYNAMIC, 1:
+                joints.append(
+                    Hinge(body=name, **draw(st.fixed_dictionaries(hinge_terms)))
+                )
+            case Motion.DYNAMIC, 2:
+                tether = {"anchor_m": draw(points), "length_m": draw(lengths)}
+                joints.append(Tether(body=name, **tether))
+            case Motion.DYNAMIC, 3:
+                loose.append(name)
+            case Motion.KINEMATIC, 0 | 1:
+                motions = draw(st.lists(movements, min_size=1, max_size=2))
+                source = draw(st.sampled_from(["video", "nominal"]))
+                driver = Driver(body=name, motions=tuple(motions), provenance=source)
+                drivers.append(driver)
+        bodies.append(body)
+    elbows = []
+    if len(loose) > 1:
+        terms = draw(st.fixed_dictionaries(hinge_terms))
+        elbows.append(BodyHinge(first=loose[0], second=loose[1], **terms))
+    soft = [
+        draw(deformables(name))
+        for name in names[count : count + draw(st.integers(0, 2))]
+    ]
+    everybody = [body.name for body in (*bodies, *soft)]
+    group = st.lists(
+        st.sampled_from(everybody), min_size=1, max_size=4, unique=True
+    ).map(tuple)
+    contacts = st.builds(
+        Contact,
+        first=group,
+        second=group,
+        friction=st.floats(1e-3, 2.0),
+        restitution=st.floats(0.0, 1.0),
+        mode=st.sampled_from(ContactMode),
+        torsion_m=maybe,
+        rolling_m=maybe,
+    )
+    # A deformable body starts at rest, and so does what it is attached to.
+    still = [
+        body.name for body in bodies if body.starts_at_rest and body.name not in loose
+    ]
+    regions = st.builds(
+        Region,
+        axis=st.sampled_from("xyz"),
+        side=st.sampled_from(["low", "high"]),
+        depth_m=lengths,
+    )
+    attachments = [
+        Attachment(
+            deformable=body.name, region=draw(regions), to=draw(st.sampled_from(still))
+        )
+        for body in soft
+        if still
+    ]
+    markers = None
+    if soft:
+        markers = Markers(
+            bodies=tuple(body.name for body in soft),
+            positions_m=draw(st.lists(points, min_size=3, max_size=5).map(tuple)),
+            faces=((0, 1, 2),),
+            lines=((2, 0),),
+            corner=(1,),
+        )
+    return Scene(
+        bodies=tuple(bodies),
+        deformables=tuple(soft),
+        joints=tuple(draw(st.permutations(joints))),
+        body_hinges=tuple(elbows),
+        attachments=tuple(attachments),
+        contacts=of_different_pairs(
+            draw(st.lists(contacts, max_size=4)), {frozenset(loose[:2])}
+        ),
+        drivers=tuple(draw(st.permutations(drivers))),
+        markers=markers,
+        duration_s=draw(st.floats(0.1, 3.0)),
+        gravity_m_per_s2=draw(st.floats(0.0, 30.0)),
+    )
+
+
+# --- edits -----------------------------------------------------------------------------------------------------------
+
+Edit = Mapping[str, Any] | Callable[[Usd.Stage], object]
+
+
+def edited(source: str | Scene, folder: Path, edit: Edit) -> Scene:
+    """Return the scene of a layer after an edit, as a USD tool would save it.
+
+    Args:
+        source: A variant, whose layer is read, or a scene.
+        folder: Where the layer is written.
+        edit: New values of attributes by path, or a function of the stage.
+    """
+    if isinstance(source, str):
+        file = assets_folder() / "usd" / f"{source}.usda"
+        stage = Usd.Stage.CreateInMemory()
+        stage.GetRootLayer().TransferContent(Sdf.Layer.FindOrOpen(str(file)))
+    else:
+        stage = scene_stage(source)
+    if callable(edit):
+        edit(stage)
+    else:
+        for path, value in edit.items():
+            attribute = stage.GetAttributeAtPath(path)
+            assert attribute.HasAuthoredValue(), path
+            attribute.Set(value)
+    stage.GetRootLayer().Export(str(folder / "edited.usda"))
+    return from_usd(folder / "edited.usda")
+
+
+def changed(value: Any, place: str, to: Any) -> Any:
+    """Return a scene, or a part of one, with another value at a place such as `bodies.cube.mass_kg`."""
+    if not place:
+        return to
+    name, _, rest = place.partition(".")
+    if not isinstance(value, tuple):
+        return replace(value, **{name: changed(getattr(value, name), rest, to)})
+    names = [getattr(one, "name", "") for one in value]
+    index = int(name) if name.isdecimal() else names.index(name)
+    return (*value[:index], changed(value[index], rest, to), *value[index + 1 :])
+
+
+def pairs(scene: Scene) -> set[frozenset[str]]:
+    """Return the pairs that collide; no contact lists one of another."""
+    found = [
+        frozenset(pair)
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+    ]
+    assert len(found) == len(set(found))
+    return set(found)
