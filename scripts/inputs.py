@@ -226,8 +226,8 @@ def _constants(folder: str, root: Path, of: Mapping[str, str] | None = None) -> 
     return Input(f"constants of {folder}", _digest(found), of or {})
 
 
-def constants(text: str) -> dict[str, str]:
-    """Return the constants of a module: names in capitals, and numbers that fields and arguments have by default."""
+def constants(text: str, *, texts: bool = False) -> dict[str, str]:
+    """Return the numbers of a module that names, fields and arguments have by default; with texts all names in capitals."""
     found: dict[str, str] = {}
 
     def keep(name: str, value: ast.expr | None, *, always: bool = False) -> None:
@@ -238,9 +238,9 @@ def constants(text: str) -> dict[str, str]:
         for node in body:
             match node:
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                    keep(prefix + name, value, always=name.isupper())
+                    keep(prefix + name, value, always=texts and name.isupper())
                 case ast.AnnAssign(target=ast.Name(id=name), value=value):
-                    keep(prefix + name, value, always=name.isupper())
+                    keep(prefix + name, value, always=texts and name.isupper())
                 case ast.ClassDef(name=name, body=inner):
                     visit(inner, f"{prefix}{name}.")
                 case ast.FunctionDef(name=name, args=arguments):
@@ -288,7 +288,8 @@ def numbers(value: Any) -> Any:
 
 def _content(file: Path) -> Any:
     if file.suffix == ".py":
-        return constants(file.read_text(encoding="utf-8"))
+        is_builder = file.parent.name == "scripts"
+        return constants(file.read_text(encoding="utf-8"), texts=is_builder)
     if file.suffix == ".toml":
         return numbers(tomllib.loads(file.read_text(encoding="utf-8")))
     return hashlib.sha256(file.read_bytes()).hexdigest()
