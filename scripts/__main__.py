@@ -96,6 +96,7 @@ def listing(chosen: Sequence[Row]) -> Iterator[str]:
             "references": row.references,
             "engines": row.engines,
             "scores": ("constants",) if row.scores else (),
+            "packages": row.packages,
             "inputs": row.inputs,
         }
         yield f"{row.name}: {row.builder or row.command} ({row.cost})"

@@ -73,6 +73,7 @@ class Row:
         references: Families with references that they use, `*` for all.
         engines: Engines that they run, `*` for all.
         scores: Whether they hold scores.
+        packages: Further folders whose constants decide them.
         inputs: Patterns of other files that decide them.
     """
 
@@ -86,6 +87,7 @@ class Row:
     references: tuple[str, ...] = ()
     engines: tuple[str, ...] = ()
     scores: bool = False
+    packages: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
 
     def files(
@@ -191,6 +193,8 @@ def inputs(row: Row, root: Path = ROOT) -> Iterator[Input]:
     if row.scores:
         for name in SCORES:
             yield _constants(f"gauge_envs/{name}", root)
+    for folder in row.packages:
+        yield _constants(folder, root)
     for pattern in row.inputs:
         for file in sorted(root.glob(pattern)):
             yield Input(str(file.relative_to(root)), _digest(_content(file)), {})
@@ -219,15 +223,17 @@ def _tasks(families: Iterable[str], root: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _constants(folder: str, root: Path, of: Mapping[str, str] | None = None) -> Input:
-    found = {
-        str(file.relative_to(root)): constants(file.read_text(encoding="utf-8"))
-        for file in sorted((root / folder).rglob("*.py"))
-    }
-    return Input(f"constants of {folder}", _digest(found), of or {})
+    """Return the constants of all modules of a folder; to move one between modules changes nothing."""
+    found = [
+        one
+        for file in (root / folder).rglob("*.py")
+        for one in constants(file.read_text(encoding="utf-8")).items()
+    ]
+    return Input(f"constants of {folder}", _digest(sorted(found)), of or {})
 
 
 def constants(text: str, *, texts: bool = False) -> dict[str, str]:
-    """Return the numbers of a module that names, fields and arguments have by default; with texts all names in capitals."""
+    """Return the numbers of names, fields and defaults in a module; with texts all names in capitals."""
     found: dict[str, str] = {}
 
     def keep(name: str, value: ast.expr | None, *, always: bool = False) -> None:
