@@ -26,7 +26,10 @@ from scripts.inputs import PACKAGES, Row, record, rows, staleness
 
 def builder_of(row: Row) -> Any:
     """Return the module that writes the files of a row."""
-    return importlib.import_module(f"scripts.{row.builder}")
+    is_script = "." not in row.builder
+    return importlib.import_module(
+        f"scripts.{row.builder}" if is_script else row.builder
+    )
 
 
 def not_current(row: Row) -> Iterator[str]:
@@ -93,6 +96,7 @@ def listing(chosen: Sequence[Row]) -> Iterator[str]:
             "references": row.references,
             "engines": row.engines,
             "scores": ("constants",) if row.scores else (),
+            "packages": row.packages,
             "inputs": row.inputs,
         }
         yield f"{row.name}: {row.builder or row.command} ({row.cost})"

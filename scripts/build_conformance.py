@@ -1,4 +1,4 @@
-"""Write the tables of `docs/engines/conformance.md` and of `studies/grasp` from `scoring/conformance.json`.
+"""Write the tables of `docs/engines/conformance.md` from `scoring/conformance.json`.
 
     gauge backend check '*:*' --only '*' --out engines.json                     in each environment that has engines
     gauge backend check engines.json genesis.json --out scoring/conformance.json
@@ -25,8 +25,7 @@ from gauge_envs.tools.conformance.words import (
 from scripts.generated import ROOT, SCORING, markdown_table, stale_note, with_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
-STUDY = ROOT / "studies" / "grasp" / "README.md"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 SHOWN = ("default", "out_of_box")
 """Configurations that the table of checks shows, one sign each."""
 
@@ -94,34 +93,6 @@ def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
-GRASP = (
-    *(
-        f"grasp-{name}"
-        for name in ("sink", "creep", "holds", "slips", "torsion", "swing")
-    ),
-    "torsion",
-    "rolling",
-)
-
-
-def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
-    """Yield the measured values of a grasp, and of torsional and rolling friction, below those of the laws."""
-    found = [column for column in columns if column.name in SHOWN]
-    of_law = found[0].current()
-    rows = [["law", *(expected_text([of_law[name]]).split(" ")[0] for name in GRASP)]]
-    for column in found:
-        results = [column.current().get(name) for name in GRASP]
-        cells = [
-            "-"
-            if one is None or one.measured is None
-            else f"{round(one.measured, 4):.4g}"
-            for one in results
-        ]
-        rows.append([column.title.replace(" ", "/"), *cells])
-    names = [f"`{name}`" for name in GRASP]
-    yield from markdown_table(["engine", *names], rows)
-
-
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     columns = read_columns(scoring / "conformance.json")
@@ -143,10 +114,8 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         "",
         *check_table(columns),
     ]
-    grasps = "\n".join(grasp_table(columns))
     return {
         PAGE: with_part(
             PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines)
         ),
-        STUDY: with_part(STUDY.read_text(encoding="utf-8"), "grasps", SCRIPT, grasps),
     }

@@ -22,7 +22,7 @@ from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
 from scripts.generated import ROOT, SCORING, markdown_table, with_part
 
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "coverage.md"
 
 HEAD = """

@@ -51,7 +51,7 @@ from scripts.generated import (
 DATA = SCORING / "engines.json"
 CONFORMANCE = SCORING / "conformance.json"
 PAGE = ROOT / "docs" / "engines" / "comparison.md"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 
 ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier", "drake", "genesis")
 MORE_PRESETS = {

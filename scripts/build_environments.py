@@ -31,7 +31,7 @@ from scripts.environment_page import family_document
 from scripts.generated import ROOT, SCORING, Request, markdown_table
 from scripts.pictures import shrink
 
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 PAGES = ROOT / "docs" / "environments"
 PICTURES = ROOT / "docs" / "images" / "environments"
 CAPTIONS = PICTURES / "captions.json"
@@ -202,9 +202,7 @@ def measure(request: Request) -> None:
 
 def enclosed(text: str) -> str:
     """Return the text of a page between the marks of generated files."""
-    return (
-        f"<!-- page, written by scripts/{SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
-    )
+    return f"<!-- page, written by {SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
 
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:

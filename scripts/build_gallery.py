@@ -35,7 +35,7 @@ from scripts.generated import ROOT, Request, with_part
 from scripts.pictures import shrink
 
 PAGE = ROOT / "docs" / "gallery.md"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 
 STRIP_SIZE = {"width": 320, "height": 240}
 DRAWN_LARGER, MOVES_BY, MARGIN = 2, 24, 1.3

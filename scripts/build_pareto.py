@@ -46,7 +46,7 @@ from scripts.pareto_model import Family, Tradeoff
 
 DATA = SCORING / "pareto.json"
 PAGE = ROOT / "docs" / "accuracy_and_cost.md"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 
 LIMIT_S = 10.0
 """CPU time of an episode at most [s]."""

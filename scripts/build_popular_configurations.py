@@ -40,7 +40,7 @@ from scripts.generated import (
 
 DATA = SCORING / "popular_configurations.json"
 PAGE = ROOT / "docs" / "sanity_popular.md"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 
 PHENOMENA = (
     "gravity",

@@ -33,7 +33,7 @@ from scripts.generated import (
 PAGE = ROOT / "docs" / "recipes.md"
 STUDY = ROOT / "studies" / "recipes"
 RECORDS = ROOT / "results" / "recipes"
-SCRIPT = Path(__file__).name
+SCRIPT = f"scripts/{Path(__file__).name}"
 
 Record = dict[str, Any]
 

@@ -26,6 +26,7 @@ from gauge_envs.tools.catalog.words import (
     span_text,
     step_text,
 )
+from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
 """Dictionary of `description`."""
@@ -405,12 +406,19 @@ def _convergence(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         yield grid(("id", "engine", "difference that a finer step or mesh makes"), rows)
 
 
+def note_of(study: str) -> str:
+    """Return the note of a study, or its heading among those that ended."""
+    if (ROOT / "studies" / study).is_dir():
+        return f"{study}/README.md"
+    return f"README.md#{study}"
+
+
 def _limits(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     found: dict[str, list[str]] = {}
     for values in members:
         for limit in values["limits"]:
             study = (
-                f" ([study](../../studies/{limit['study']}/README.md))"
+                f" ([study](../../studies/{note_of(limit['study'])}))"
                 if limit["study"]
                 else ""
             )

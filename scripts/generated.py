@@ -40,13 +40,13 @@ class Request:
 def with_part(page: str, name: str, script: str, part: str) -> str:
     """Return a page whose generated part of a name is replaced.
 
-    The part stands between the lines `<!-- NAME, written by scripts/SCRIPT -->` and `<!-- end of NAME -->`.
+    The part stands between the lines `<!-- NAME, written by SCRIPT -->` and `<!-- end of NAME -->`.
 
     Raises:
         ValueError: The page does not have both lines, once each and in order.
     """
     begin, end = (
-        f"<!-- {name}, written by scripts/{script} -->",
+        f"<!-- {name}, written by {script} -->",
         f"<!-- end of {name} -->",
     )
     before, first, rest = page.partition(begin)

@@ -66,13 +66,14 @@ class Row:
         name: Name of the row.
         writes: Patterns of the files; `{engine}` and `{family}` stand for the engine and the family that they are of.
         cost: Time that it takes to make them anew, and what that needs.
-        builder: Module of `scripts` that writes them; empty for a row with a command.
+        builder: Module that writes them, of `scripts` if it has no dots; empty for a row with a command.
         command: What writes them in place of a builder, in words.
         measured: Whether their inputs tell that they are current; else their contents do, which are quick to compute.
         tasks: Families of experiments that they run, `benchmark` for those of the benchmark, `*` for all.
         references: Families with references that they use, `*` for all.
         engines: Engines that they run, `*` for all.
         scores: Whether they hold scores.
+        packages: Further folders whose constants decide them.
         inputs: Patterns of other files that decide them.
     """
 
@@ -86,6 +87,7 @@ class Row:
     references: tuple[str, ...] = ()
     engines: tuple[str, ...] = ()
     scores: bool = False
+    packages: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
 
     def files(
@@ -191,6 +193,8 @@ def inputs(row: Row, root: Path = ROOT) -> Iterator[Input]:
     if row.scores:
         for name in SCORES:
             yield _constants(f"gauge_envs/{name}", root)
+    for folder in row.packages:
+        yield _constants(folder, root)
     for pattern in row.inputs:
         for file in sorted(root.glob(pattern)):
             yield Input(str(file.relative_to(root)), _digest(_content(file)), {})
@@ -219,15 +223,17 @@ def _tasks(families: Iterable[str], root: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _constants(folder: str, root: Path, of: Mapping[str, str] | None = None) -> Input:
-    found = {
-        str(file.relative_to(root)): constants(file.read_text(encoding="utf-8"))
-        for file in sorted((root / folder).rglob("*.py"))
-    }
-    return Input(f"constants of {folder}", _digest(found), of or {})
+    """Return the constants of all modules of a folder; to move one between modules changes nothing."""
+    found = [
+        one
+        for file in (root / folder).rglob("*.py")
+        for one in constants(file.read_text(encoding="utf-8")).items()
+    ]
+    return Input(f"constants of {folder}", _digest(sorted(found)), of or {})
 
 
-def constants(text: str) -> dict[str, str]:
-    """Return the constants of a module: names in capitals, and numbers that fields and arguments have by default."""
+def constants(text: str, *, texts: bool = False) -> dict[str, str]:
+    """Return the numbers of names, fields and defaults in a module; with texts all names in capitals."""
     found: dict[str, str] = {}
 
     def keep(name: str, value: ast.expr | None, *, always: bool = False) -> None:
@@ -238,9 +244,9 @@ def constants(text: str) -> dict[str, str]:
         for node in body:
             match node:
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                    keep(prefix + name, value, always=name.isupper())
+                    keep(prefix + name, value, always=texts and name.isupper())
                 case ast.AnnAssign(target=ast.Name(id=name), value=value):
-                    keep(prefix + name, value, always=name.isupper())
+                    keep(prefix + name, value, always=texts and name.isupper())
                 case ast.ClassDef(name=name, body=inner):
                     visit(inner, f"{prefix}{name}.")
                 case ast.FunctionDef(name=name, args=arguments):
@@ -288,7 +294,8 @@ def numbers(value: Any) -> Any:
 
 def _content(file: Path) -> Any:
     if file.suffix == ".py":
-        return constants(file.read_text(encoding="utf-8"))
+        is_builder = file.parent.name == "scripts"
+        return constants(file.read_text(encoding="utf-8"), texts=is_builder)
     if file.suffix == ".toml":
         return numbers(tomllib.loads(file.read_text(encoding="utf-8")))
     return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,6 +1,6 @@
 """What MuJoCo pays the law's policy of control tasks, against the time step, as `control_steps.csv`.
 
-python studies/control_steps/control_steps.py > studies/cost/control_steps.csv
+python -m studies.control_steps.control_steps > studies/cost/control_steps.csv
 
 In tasks with a limit of their own it is the share of the law's limit at which the policy fails, by bisection. In the
 others it is what the policy reaches with 0.98 of the limit, mean over goals, and the largest change of a goal from the

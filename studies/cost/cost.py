@@ -1,7 +1,7 @@
 """CPU time of episodes over their simulated time, from result files of `gauge run`.
 
 gauge run "*" --backend mujoco --out results
-python studies/cost/cost.py results > scoring/costs.csv
+python -m studies.cost.cost results > scoring/costs.csv
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What another order of the published rotations would change, for each experiment that has more than one.
 
-    python studies/euler_order/euler_order.py     prints the table of the study
+    python -m studies.euler_order.euler_order     prints the table of the study
 
 The metadata give angles about x, y and z, and no order. The package rotates about the fixed x, then y, then z axis.
 With one angle of zero, the twelve orders about fixed or own axes are only two rotations.

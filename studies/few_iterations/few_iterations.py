@@ -1,11 +1,8 @@
 """What too few solver iterations do to sliding friction in MuJoCo, MJX and mujoco_warp.
 
-    cd studies/few_iterations
-    python few_iterations.py cases                 table of sliding bodies, C MuJoCo
-    python few_iterations.py cases --engine warp   the same on mujoco_warp (`warp`) or MJX (`mjx`)
-    python few_iterations.py map                   where it holds: loads, speeds, masses, frictions, steps
-    python few_iterations.py cause                 interventions on the solver
-    python few_iterations.py randomized            what randomizing friction does
+    python -m studies.few_iterations.few_iterations cases                 sliding bodies, C MuJoCo
+    python -m studies.few_iterations.few_iterations cases --engine warp   the same on mujoco_warp, or MJX (`mjx`)
+    python -m studies.few_iterations.few_iterations cause                 interventions on the solver
 
 It builds plain MJCF and uses nothing of gauge-envs. A body rests on level ground for 0.3 s with a converged solver, and
 is then pushed. The bodies of the map cannot rotate, so that none tips. The CSV files of
@@ -16,27 +13,143 @@ own.
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import mujoco
 import numpy as np
-from sliding_bodies import (
-    UPRIGHT,
-    Body,
-    FloatArray,
-    G,
-    Options,
-    at_rest,
-    cube,
-    feet,
-    model_of,
-    rest,
-    sphere,
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+G = 9.81
+SETTLE_S = 0.3
+"""Time in which a body comes to rest with a converged solver [s]."""
+
+CONVERGED_ITERATIONS, CONVERGED_LS = 100, 50
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of MuJoCo, with the values of MuJoCo Playground's Go1 and Spot as defaults."""
+
+    timestep: float = 0.004
+    iterations: int = 1
+    ls_iterations: int = 5
+    cone: str = "pyramidal"
+    impratio: float = 1.0
+    solver: str = "Newton"
+    integrator: str = "Euler"
+    warmstart: bool = True
+    eulerdamp: bool = False
+    solref: str = "0.02 1"
+    solimp: str = "0.9 0.95 0.001 0.5 2"
+
+    @property
+    def converged(self) -> Options:
+        """The same options with enough iterations."""
+        return replace(
+            self, iterations=CONVERGED_ITERATIONS, ls_iterations=CONVERGED_LS
+        )
+
+
+FREE = "<freejoint/>"
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body on the ground: geoms, mass [kg], height of the centre [m], sliding friction, and degrees of freedom."""
+
+    geoms: str
+    mass: float
+    height: float
+    friction: float
+    joints: str = FREE
+
+
+UPRIGHT = "".join(
+    f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1")
 )
+FEET = "".join(
+    f'<geom type="sphere" size="0.023" pos="{x} {y} -0.247" mass="0"/>'
+    for x in (-0.19, 0.19)
+    for y in (-0.13, 0.13)
+)
+
+
+def cube(mass: float = 0.1, friction: float = 0.6, joints: str = FREE) -> Body:
+    """Return a cube of 5 cm, which has four contacts."""
+    return Body(
+        f'<geom type="box" size="0.025 0.025 0.025" mass="{mass}"/>',
+        mass,
+        0.025,
+        friction,
+        joints,
+    )
+
+
+def sphere(mass: float = 0.1, friction: float = 0.6, joints: str = UPRIGHT) -> Body:
+    """Return a sphere, which has one contact."""
+    return Body(
+        f'<geom type="sphere" size="0.025" mass="{mass}"/>',
+        mass,
+        0.025,
+        friction,
+        joints,
+    )
+
+
+def feet(mass: float = 12.0, friction: float = 0.6, joints: str = FREE) -> Body:
+    """Return a trunk on four rigid spherical feet of the size of Go1's."""
+    trunk = f'<geom type="box" size="0.18 0.05 0.05" mass="{mass}" contype="0" conaffinity="0"/>'
+    return Body(trunk + FEET, mass, 0.27, friction, joints)
+
+
+@lru_cache
+def model_of(body: Body, options: Options) -> mujoco.MjModel:
+    """Return a body on a plane."""
+    o = options
+    warmstart, eulerdamp = (
+        "enable" if flag else "disable" for flag in (o.warmstart, o.eulerdamp)
+    )
+    return mujoco.MjModel.from_xml_string(f"""
+    <mujoco>
+      <option timestep="{o.timestep}" iterations="{o.iterations}" ls_iterations="{o.ls_iterations}" cone="{o.cone}"
+              impratio="{o.impratio}" solver="{o.solver}" integrator="{o.integrator}">
+        <flag warmstart="{warmstart}" eulerdamp="{eulerdamp}"/>
+      </option>
+      <default>
+        <geom friction="{body.friction} 0 0" solref="{o.solref}" solimp="{o.solimp}" condim="3"/>
+      </default>
+      <worldbody>
+        <geom type="plane" size="50 50 1"/>
+        <body pos="0 0 {body.height}">{body.joints}{body.geoms}</body>
+      </worldbody>
+    </mujoco>""")
+
+
+@lru_cache
+def rest(
+    body: Body, options: Options, slope: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and accelerations of a body at rest on level ground, with the normal load of a slope [rad]."""
+    model = model_of(body, options.converged)
+    model.opt.gravity[:] = 0.0, 0.0, -G * np.cos(slope)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, nstep=round(SETTLE_S / options.timestep))
+    return data.qpos.copy(), data.qacc_warmstart.copy()
+
+
+def at_rest(body: Body, options: Options) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return a model and its state at rest."""
+    model = model_of(body, options)
+    model.opt.gravity[:] = 0.0, 0.0, -G
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qacc_warmstart[:] = rest(body, options)
+    return model, data
+
 
 SLIDE_S, CASE_S = 0.4, 0.5
 """Time of a push in the map, and time over which the acceleration of a case is the mean [s]."""
@@ -173,15 +286,11 @@ class Push:
     direction: float = 0.0
 
 
-LOADS, SPEEDS = (1.25, 1.5, 2.0, 3.0), (0.0, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-PUSHES = tuple(itertools.starmap(Push, itertools.product(LOADS, SPEEDS)))
-DIAGONAL = tuple(replace(push, direction=np.radians(45.0)) for push in PUSHES)
 MAPPED = {
     "sphere": partial(sphere, joints=UPRIGHT),
     "cube": partial(cube, joints=UPRIGHT),
 }
 MAPPED |= {"four feet": partial(feet, joints=UPRIGHT)}
-BRAKED = (0.3, 1.0, 3.0)
 
 
 def push_body(
@@ -209,143 +318,6 @@ def braking_share(body: Body, options: Options, speed: float) -> float:
     seconds = min(1.0, speed / slowing)
     _, distance = push_body(body, options, Push(0.0, speed), seconds)
     return distance / (speed * seconds - 0.5 * slowing * seconds**2)
-
-
-VARIED: dict[str, list[tuple[str, Options, dict[str, float]]]] = {
-    "iterations": [
-        (str(n), Options(iterations=n), {}) for n in (1, 2, 3, 4, 5, 6, 8, 10, 100)
-    ],
-    "ls_iterations": [
-        (str(n), Options(ls_iterations=n), {}) for n in (1, 5, 10, 20, 50)
-    ],
-    "step": [
-        (f"{1e3 * dt:g} ms", Options(timestep=dt), {})
-        for dt in (0.001, 0.002, 0.004, 0.01)
-    ],
-    "mass": [
-        (f"{mass:g} kg", Options(), {"mass": mass}) for mass in (0.1, 1.0, 12.0, 50.0)
-    ],
-    "friction": [
-        (f"{mu:g}", Options(), {"friction": mu}) for mu in (0.1, 0.3, 0.6, 1.0, 1.5)
-    ],
-    "solref": [
-        (value, Options(solref=value), {})
-        for value in ("0.005 1", "0.01 1", "0.02 1", "0.04 1")
-    ],
-    "solimp": [
-        (value, Options(solimp=value), {})
-        for value in (
-            "0.9 0.95 0.001 0.5 2",
-            "0.9 0.95 0.023 0.5 2",
-            "0.9 0.95 0.036 0.5 2",
-            "0 0.8 0.01 0.5 2",
-        )
-    ],
-    "impratio": [
-        (f"{value:g}", Options(impratio=value), {}) for value in (1.0, 10.0, 100.0)
-    ],
-    "integrator": [
-        (value, Options(integrator=value), {}) for value in ("Euler", "implicitfast")
-    ],
-    "implicitfast, iterations": [
-        (str(n), Options(integrator="implicitfast", iterations=n), {})
-        for n in (2, 3, 4, 100)
-    ],
-    "warm start": [
-        (text, Options(warmstart=text == "on"), {}) for text in ("on", "off")
-    ],
-    "solver": [(value, Options(solver=value), {}) for value in ("Newton", "CG", "PGS")],
-    "cone": [(value, Options(cone=value), {}) for value in ("pyramidal", "elliptic")],
-    "elliptic, iterations": [
-        (str(n), Options(cone="elliptic", iterations=n), {}) for n in (1, 2, 3, 4)
-    ],
-    "elliptic, warm start off": [
-        (str(n), Options(cone="elliptic", iterations=n, warmstart=False), {})
-        for n in (1, 2, 3, 4)
-    ],
-    "elliptic, 1 iteration, impratio": [
-        (f"{value:g}", Options(cone="elliptic", impratio=value), {})
-        for value in (1.0, 10.0, 100.0)
-    ],
-}
-"""What is varied, one thing at a time, about the options of Go1 and Spot."""
-
-
-def spread(shares: Sequence[float]) -> list[str]:
-    """Return what a row of the map states about many shares: bodies that stick, that slide, and quantiles."""
-    values = np.array(shares)
-    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
-    return [
-        f"{np.mean(values < STICKS):.0%}",
-        f"{np.mean(values > SLIDES):.0%}",
-        f"{low:.2f}",
-        f"{middle:.2f}",
-        f"{high:.2f}",
-    ]
-
-
-def shares_of(
-    options: Options, constants: dict[str, float], pushes: Sequence[Push] = PUSHES
-) -> list[float]:
-    """Return the shares of speed of all bodies under all pushes."""
-    return [
-        speed_share(build(**constants), options, push)
-        for build in MAPPED.values()
-        for push in pushes
-    ]
-
-
-def varied() -> Iterable[list[str]]:
-    """Yield the rows of the map that varies one thing at a time."""
-    yield ["varied", "value", "stick", "slide", "5 %", "median", "95 %"]
-    for name, values in VARIED.items():
-        for text, options, constants in values:
-            yield [name, text, *spread(shares_of(options, constants))]
-    for iterations in (1, 2, 3, 4, 100):
-        shares = shares_of(Options(iterations=iterations), {}, DIAGONAL)
-        yield ["iterations, pushed diagonally", str(iterations), *spread(shares)]
-
-
-def crossed() -> Iterable[list[str]]:
-    """Yield the shares of cases that stick and slide over all combinations of masses, frictions and steps."""
-    yield ["iterations", "cases", "stick", "slide", "5 %", "median", "95 %"]
-    grid = list(
-        itertools.product(
-            (0.1, 12.0, 50.0), (0.1, 0.3, 0.6, 1.0, 1.5), (0.001, 0.002, 0.004, 0.01)
-        )
-    )
-    for iterations in (1, 2, 3, 4, 10):
-        shares = []
-        for mass, friction, step in grid:
-            options = Options(iterations=iterations, timestep=step)
-            shares += shares_of(options, {"mass": mass, "friction": friction})
-        yield [str(iterations), str(len(shares)), *spread(shares)]
-
-
-def by_load_and_speed(iterations: int) -> Iterable[list[str]]:
-    """Yield the smallest and largest share of speed over bodies, for loads by initial speeds."""
-    yield [f"{iterations} iterations", *(f"{speed:g} m/s" for speed in SPEEDS)]
-    for load in LOADS:
-        row = [f"{load:g} mu m g"]
-        for speed in SPEEDS:
-            options = Options(iterations=iterations)
-            shares = [
-                speed_share(build(), options, Push(load, speed))
-                for build in MAPPED.values()
-            ]
-            row.append(f"{min(shares):.2f} to {max(shares):.2f}")
-        yield row
-
-
-def braking() -> Iterable[list[str]]:
-    """Yield the distances in which bodies stop without a push, over those of Coulomb's law."""
-    yield ["body", "initial speed", *PYRAMIDAL, *ELLIPTIC]
-    for (name, build), speed in itertools.product(MAPPED.items(), BRAKED):
-        yield [
-            name,
-            f"{speed:g} m/s",
-            *(f"{braking_share(build(), one, speed):.2f}" for one in COLUMNS.values()),
-        ]
 
 
 # --- cause -----------------------------------------------------------------------------------------------------------
@@ -439,54 +411,6 @@ def cause() -> Iterable[list[str]]:
         yield [name, *(f"{value:.2f}" for value in row)]
 
 
-# --- randomized friction ---------------------------------------------------------------------------------------------
-
-RANDOM_COUNT = 500
-FRICTION_RANGE = (0.4, 1.0)
-"""Range of the ground's friction in Playground's randomization of Go1."""
-
-
-def randomized() -> Iterable[list[str]]:
-    """Yield the spread of accelerations over random frictions of the ground, for three pushes in multiples of m g."""
-    yield [
-        "push",
-        "options",
-        "mean",
-        "standard deviation",
-        "5 %",
-        "95 %",
-        "correlation with mu",
-    ]
-    frictions = np.random.default_rng(0).uniform(*FRICTION_RANGE, RANDOM_COUNT)
-    for push in (0.5, 0.7, 1.2):
-        law = np.maximum(0.0, push - frictions) * G
-        yield [f"{push:g} m g", "Coulomb's law", *statistics(law, frictions)]
-        for name in (
-            "1 / 5, 4 ms",
-            "3 / 5, 2 ms",
-            "100 / 50, 4 ms",
-            "1 / 5, 4 ms, elliptic",
-            "100 / 50, 4 ms, elliptic",
-        ):
-            found = [
-                push_body(
-                    feet(friction=mu, joints=UPRIGHT),
-                    COLUMNS[name],
-                    Push(push / mu, 0.0),
-                )[0]
-                / SLIDE_S
-                for mu in frictions
-            ]
-            yield [f"{push:g} m g", name, *statistics(np.array(found), frictions)]
-
-
-def statistics(values: FloatArray, frictions: FloatArray) -> list[str]:
-    """Return mean, standard deviation, quantiles, and correlation with friction, as texts."""
-    low, high = np.quantile(values, (0.05, 0.95))
-    numbers = [f"{value:.2f}" for value in (values.mean(), values.std(), low, high)]
-    return [*numbers, f"{np.corrcoef(values, frictions)[0, 1]:.2f}"]
-
-
 # --- command line ----------------------------------------------------------------------------------------------------
 
 
@@ -504,23 +428,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description="What too few solver iterations do to sliding friction."
     )
-    parser.add_argument("part", choices=("cases", "map", "cause", "randomized"))
+    parser.add_argument("part", choices=("cases", "cause"))
     parser.add_argument(
         "--engine", choices=tuple(ENGINES), default="c", help="engine of `cases`"
     )
     options = parser.parse_args(arguments)
-    if options.part == "cases":
-        show(cases(options.engine))
-    elif options.part == "map":
-        for rows in (
-            *map(by_load_and_speed, (1, 2, 3, 4)),
-            braking(),
-            varied(),
-            crossed(),
-        ):
-            show(rows)
-    else:
-        show(cause() if options.part == "cause" else randomized())
+    show(cases(options.engine) if options.part == "cases" else cause())
     return 0
 
 

@@ -1,7 +1,7 @@
 """What engines differ from the laws by, and closed forms of deformable bodies beside two solvers.
 
-    python studies/laws/laws.py scored [--engines mujoco rapier ...]    writes scored.csv
-    python studies/laws/laws.py checks                                  writes checks.csv
+    python -m studies.laws.laws scored [--engines mujoco rapier ...]    writes scored.csv
+    python -m studies.laws.laws checks                                  writes checks.csv
 
 `scored` runs each id that has one of these laws on each engine that can build it. `checks` compares statics that are
 no law of a scored observable: the twist of a foam bar and the sag of cloth between two rods.

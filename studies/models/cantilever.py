@@ -1,6 +1,6 @@
 """Solve the cantilever test of fabrics on MuJoCo, and extrapolate it as references of grade `model` are.
 
-    python studies/models/cantilever.py
+    python -m studies.models.cantilever
 
 ASTM D1388 and ISO 9073-7 slide a strip over an edge until the line from the edge to its tip falls by 41.5 degrees. The
 overhang O is then twice the bending length, O^3 = 8 D / w, with the bending stiffness D and the weight w per area
@@ -27,8 +27,6 @@ from gauge_envs.tools.conformance.cloth import (
     CLAMP_SHARE,
     cantilever_strip,
 )
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 from scripts.extrapolation import extrapolate
 
 STANDARD_DEG = 41.5

@@ -1,6 +1,6 @@
 """Momentum that the first impact of Newton's cradle transfers, for gaps between the balls and steps of MuJoCo.
 
-    python studies/newtons_cradle/cradle.py     prints the table of the study
+    python -m studies.newtons_cradle.cradle     prints the table of the study
 
 Balls that touch share one impact. Balls with a gap collide one after another, as in an event-driven chain.
 """

@@ -1,8 +1,8 @@
 """Which check catches each planted fault first, and what its diagnosis says, as a Markdown table.
 
-    python studies/planted_faults/planted_faults.py
-    python studies/planted_faults/planted_faults.py --backend newton --only "rope-*" --only margin
-    python studies/planted_faults/planted_faults.py --backend genesis --own-check --only "cloth-*"
+    python -m studies.planted_faults.planted_faults
+    python -m studies.planted_faults.planted_faults --backend newton --only "rope-*" --only margin
+    python -m studies.planted_faults.planted_faults --backend genesis --own-check --only "cloth-*"
 
 With `--own-check`, each mutant runs the one check that is stored with its fault. Exit code 1 when a fault survives.
 Faults of MuJoCo's model are left out on another backend.

@@ -1,8 +1,8 @@
 """How closely an engine repeats the published scores of an engine, where the package has a reference of its own.
 
-    python studies/published_scores/published_scores.py --backend newton --preset paper --engine newton
-    python studies/published_scores/published_scores.py --backend mujoco --engine isaacsim --only "SlopeSlider-*"
-    python studies/published_scores/published_scores.py --backend physx --preset paper --engine isaacsim --steps-late 1
+    python -m studies.published_scores.published_scores --backend newton --preset paper --engine newton
+    python -m studies.published_scores.published_scores --backend mujoco --engine isaacsim --only "SlopeSlider-*"
+    python -m studies.published_scores.published_scores --backend physx --preset paper --engine isaacsim --steps-late 1
 
 Each row is a metric of a variant that has a published score of the engine and a score in this package. RMSE and DTW
 need a band, and scores of a swing need none. A score within 3 % of the published one counts as repeated.

@@ -1,6 +1,6 @@
 """Friction of boxes that slide on MuJoCo with a recipe's contact, in a loop of MuJoCo alone: the table of the note.
 
-    python studies/recipes/hopping_plates.py
+    python -m studies.recipes.hopping_plates
 
 A box slides for 0.5 s on a slope 10 degrees steeper than the friction angle. Friction is that of Coulomb's law for its
 mean accelerations along and off the slope. Columns are turns of the box about the normal.

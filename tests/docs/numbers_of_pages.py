@@ -31,7 +31,9 @@ VERSION = re.compile(
 )
 """A version after the name of what has it: no measurement."""
 
-STUDY = re.compile(r"\]\([^)\s]*\bstudies/(\w+)/README\.md")
+STUDY = re.compile(
+    r"\]\([^)\s]*\bstudies/(?:README\.md#)?(\w+)(?:/README\.md(?:#[\w-]+)?)?\)"
+)
 
 
 def visible(text):
@@ -82,8 +84,11 @@ def shown(text):
 
 @cache
 def numbers_of_study(name):
-    """Every number in the note and in the tables of a study, without its sign."""
+    """Every number in the note and in the tables of a study, or in its findings if it ended, without its sign."""
     folder = ROOT / "studies" / name
+    if not folder.is_dir():
+        findings = (ROOT / "studies" / "README.md").read_text(encoding="utf-8")
+        return values(findings.partition(f"\n## {name}\n")[2].partition("\n## ")[0])
     text = "\n".join(
         file.read_text(encoding="utf-8")
         for file in (folder / "README.md", *sorted(folder.glob("*.csv")))

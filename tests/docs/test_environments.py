@@ -30,7 +30,7 @@ from gauge_envs.tools.catalog.description import all_limits, episode_costs, know
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 from gauge_envs.tools.control.tasks import control_tasks
 from scripts import build_environments
-from scripts.environment_page import family_document
+from scripts.environment_page import family_document, note_of
 from scripts.generated import stale_files
 
 PAGES = ROOT / "docs" / "environments"
@@ -224,10 +224,10 @@ def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
         ] == []
         if limit.study is None:
             continue
-        assert (ROOT / "studies" / limit.study / "README.md").is_file()
+        assert (ROOT / "studies" / note_of(limit.study).partition("#")[0]).is_file()
         page = tmp_path / "limit.md"
         page.write_text(
-            f"{limit.text} [study](../studies/{limit.study}/README.md)\n",
+            f"{limit.text} [study](../studies/{note_of(limit.study)})\n",
             encoding="utf-8",
         )
         bare += sourceless(page)

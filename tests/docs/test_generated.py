@@ -214,7 +214,7 @@ def test_a_page_says_that_its_data_are_older_than_an_input(
     assert line in page
 
 
-def test_constants_are_names_in_capitals_and_numbers_by_default() -> None:
+def test_constants_are_numbers_by_default_and_texts_of_builders() -> None:
     text = """
 LIMIT = 3
 NAMES = ("a", "b")
@@ -225,12 +225,9 @@ class One:
     def grow(self, *, by=2.0, how="x"):
         step = 7
 """
-    assert constants(text) == {
-        "LIMIT": "3",
-        "NAMES": "('a', 'b')",
-        "One.size_m": "0.5",
-        "One.grow(0)": "2.0",
-    }
+    numbers = {"LIMIT": "3", "One.size_m": "0.5", "One.grow(0)": "2.0"}
+    assert constants(text) == numbers
+    assert constants(text, texts=True) == numbers | {"NAMES": "('a', 'b')"}
 
 
 def test_files_that_name_their_script_are_in_its_row() -> None:

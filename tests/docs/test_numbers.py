@@ -49,9 +49,9 @@ A cube slides with 3.94 m/s^2, at 1/540 s, 0.19 as far, 16 384 episodes, version
 | engine | cost |
 |---|---|
 | one | 12 to 14 % |
-| two | 7 mm ([transfer](../studies/transfer/README.md)) |
+| two | 7 mm ([transfer](../studies/README.md#transfer)) |
 
-From [transfer](../studies/transfer/README.md):
+From [transfer](../studies/README.md#transfer):
 
 - held in 0.96, and 47 %
 - held in 0.1234

@@ -7,8 +7,8 @@ import threading
 import gymnasium
 import numpy as np
 import pytest
-from worlds import measured
 
+from benchmarks.worlds import measured
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.envs import stepper
 from gauge_envs.envs.at_once import EpisodesAtOnce

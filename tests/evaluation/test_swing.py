@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cradle
 import numpy as np
 import pytest
 from chain import event_driven_chain, simultaneous_impact
@@ -23,6 +22,7 @@ from gauge_envs.references.published import published_baselines, recorded_events
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.run.words import estimator_lines
+from studies.newtons_cradle import cradle
 
 CALIBRATED, EFFECTIVE = 0.202387, 0.9641474137084098
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 
-import euler_order
 import numpy as np
 import pytest
 from places import ROOT
@@ -12,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.tools.catalog.description import description
+from studies.euler_order import euler_order
 
 ORDERS = list(euler_order.other_orders())
 

@@ -9,18 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from limit_surface import ellipsoid_turn_rate, turn_of_push, turn_rate
 from numpy.typing import NDArray
-from pushes import (
-    own_path,
-    point_push_scene,
-    recorded,
-    sample_times_s,
-    scored,
-    simulated,
-    slide_friction,
-    union,
-)
 
 from gauge_envs import beyond_variants, load_experiment, variants
 from gauge_envs.errors import ParameterError
@@ -39,6 +28,19 @@ from scripts.build_pushes import (
     Push,
     Pushes,
     read_pushes,
+)
+from studies.pushes.pushes import (
+    ellipsoid_turn_rate,
+    own_path,
+    point_push_scene,
+    recorded,
+    sample_times_s,
+    scored,
+    simulated,
+    slide_friction,
+    turn_of_push,
+    turn_rate,
+    union,
 )
 
 FloatArray = NDArray[np.float64]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from published_scores import late_score
+
+from studies.published_scores.published_scores import late_score
 
 pytest.importorskip("sapien")
 

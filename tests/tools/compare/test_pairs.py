@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from interval_coverage import aligned_errors
 from numpy.typing import NDArray
 from scipy.stats import t as student
-from trial_worlds import Slide, World, align, band_of, leave_one_out
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws, repeats_interval
@@ -15,6 +13,14 @@ from gauge_envs.tools.compare.grades import (
     GradedExperiment,
     compare_grade,
     compare_pairs,
+)
+from studies.coverage.interval_coverage import (
+    Slide,
+    World,
+    align,
+    aligned_errors,
+    band_of,
+    leave_one_out,
 )
 
 FloatArray = NDArray[np.float64]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from published_scores import Repeated, comparable, compare
 
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from studies.published_scores.published_scores import Repeated, comparable, compare
 
 
 def test_rows_have_a_published_score_and_a_reference():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student, ttest_1samp
-from trial_worlds import band_of
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws
@@ -24,6 +23,7 @@ from gauge_envs.tools.compare.significance import (
     majority_p_value,
     p_value,
 )
+from studies.coverage.interval_coverage import band_of
 
 FloatArray = NDArray[np.float64]
 

@@ -93,7 +93,7 @@ def test_an_import_waits_for_the_one_that_writes(tmp_path, monkeypatch):
 
 
 def test_a_killed_import_leaves_the_old_or_the_new_and_no_litter(tmp_path):
-    """`studies/robustness/killed_imports.py` kills a hundred imports; here a few show that the next one cleans up."""
+    """A few killed imports show that the next one cleans up."""
     for name in NAMES:
         write_synthetic(tmp_path, name)
     imported_trials(tmp_path)

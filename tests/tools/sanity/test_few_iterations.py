@@ -6,16 +6,19 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-import few_iterations
 import numpy as np
 import pytest
-from few_iterations import (
+
+from studies.few_iterations import few_iterations
+from studies.few_iterations.few_iterations import (
     CASES,
     COLUMNS,
     Case,
+    G,
+    Options,
     acceleration,
+    feet,
 )
-from sliding_bodies import G, Options, feet
 
 STUDY = Path(few_iterations.__file__).parent
 

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from places import ROOT
 cv2 = pytest.importorskip("cv2")
 
 from clips import track_of  # noqa: E402
+from handheld import SIZE_PX, shot  # noqa: E402
 from PIL import Image  # noqa: E402
 from test_video_refusals import CAMERA  # noqa: E402
 
@@ -32,9 +32,6 @@ from gauge_envs.tools.video.phone_films import (  # noqa: E402
 )
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
-
-sys.path.insert(0, str(ROOT / "studies" / "handheld"))
-from handheld import SIZE_PX, shot  # noqa: E402
 
 
 def filmed(gauge, one, motion, *words):

@@ -4,8 +4,6 @@ A pinhole camera with distortion moves and turns slowly. The board hangs on a wa
 before it. Each frame is the mean over its exposure, with noise and MPEG-4 compression.
 """
 
-import argparse
-import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,13 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import VideoError
-from gauge_envs.tools.video import FileFrames, read_camera
 from gauge_envs.tools.video.phone_films import (
     SQUARES,
-    FrontalFilm,
     charuco,
-    score_phone_film,
 )
 
 FloatArray = NDArray[np.float64]
@@ -399,69 +393,3 @@ def _picture(
 
 
 # --- the study -------------------------------------------------------------------------------------------------------
-
-
-def main() -> None:
-    """Score films of new seeds and write `handheld.csv`; a film that is refused is printed with the cause."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--seeds", type=int, nargs=2, default=(300, 320), metavar=("FIRST", "END")
-    )
-    parser.add_argument(
-        "--motions", nargs="*", default=["slide", "roll", "fall", "pendulum"]
-    )
-    parser.add_argument(
-        "--folder",
-        type=Path,
-        default=Path("handheld_films"),
-        help="films are kept there",
-    )
-    parser.add_argument("--csv", type=Path, default=Path(__file__).with_suffix(".csv"))
-    given = parser.parse_args()
-    given.folder.mkdir(exist_ok=True)
-    with given.csv.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(
-            ["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade"]
-        )
-        for motion in given.motions:
-            for seed in range(*given.seeds):
-                one = shot(
-                    motion,
-                    seed,
-                    given.folder,
-                    fps=30.0 if motion == "pendulum" else 60.0,
-                )
-                try:
-                    film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
-                    found = score_phone_film(film, one.motion, one.box_px)
-                except VideoError as error:
-                    print(error)
-                    rows.writerow(
-                        [
-                            motion,
-                            seed,
-                            f"{one.truth:.4f}",
-                            *["nan"] * 3,
-                            "False",
-                            "refused",
-                        ]
-                    )
-                    continue
-                low, high = found.uncertainty.get(one.name) or (math.nan, math.nan)
-                value = found.metrics.get(one.name) or math.nan
-                numbers = [f"{number:.4f}" for number in (one.truth, value, low, high)]
-                rows.writerow(
-                    [
-                        motion,
-                        seed,
-                        *numbers,
-                        low <= one.truth <= high,
-                        found.grade.value,
-                    ]
-                )
-                file.flush()
-
-
-if __name__ == "__main__":
-    main()
