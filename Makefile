@@ -50,13 +50,14 @@ slow: $(VENV)/.installed
 # Engines that the other tests do without, because they are large, and the slow checks of all engines.
 test-engines: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[drake]"
-	$(PYTEST) tests/backends/drake
+	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow tests/backends
 
 # Genesis, in an environment of its own: PyTorch is large. Its kernels take minutes to compile and stay in this folder.
 test-genesis: $(VENV)-genesis/.installed
 	QD_OFFLINE_CACHE_FILE_PATH=$(CURDIR)/$(VENV)-genesis/kernels \
-		$(VENV)-genesis/bin/python -m pytest tests/backends/genesis
+		$(VENV)-genesis/bin/python -m pytest tests/backends/genesis tests/backends/test_contract.py \
+		tests/backends/test_refusals.py -k "genesis and not test_worlds"
 
 # The built wheel on other versions of Python, and the guides' commands as a reader installs and runs them.
 test-matrix: $(VENV)/.installed

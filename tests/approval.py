@@ -11,9 +11,6 @@ import difflib
 import json
 import re
 import shlex
-from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Any
 
 import pytest
 from generated import same_text
@@ -30,16 +27,19 @@ TERMINAL = {
 }
 """Environment variables of a command, so that its output has no colours and one width."""
 
+ROUNDING = 1e-12
+"""Largest number that may be nothing but rounding."""
+
 MACHINE = (
     (r'"versions": \{[^{}]*\}', '"versions": {...}'),
     (r'"(wall_s|cpu_s|created|task_sha256)": ("[^"]*"|[-+\d.e]+)', r'"\1": ...'),
-    (r"gauge-envs \d+\.\d+[\w.+-]*", "gauge-envs VERSION"),
+    (r"\b(gauge-envs|gymnasium|mujoco|numpy|python) \d+(\.\w+)+", r"\1 VERSION"),
     (r" +$", ""),
 )
 """Patterns of what a machine adds to an output, with what stands in its place."""
 
 
-def without_machine(text: str, folders: Mapping[str, Path]) -> str:
+def without_machine(text, folders):
     """Return a text in which names stand for folders and for all that depends on the machine."""
     for name, folder in folders.items():
         if folder != folder.parent:
@@ -49,7 +49,7 @@ def without_machine(text: str, folders: Mapping[str, Path]) -> str:
     return f"{text.strip()}\n"
 
 
-def difference(name: str, text: str, *, approve: bool) -> str:
+def difference(name, text, *, approve):
     """Return the lines in which a text differs from the approved one, or write it if it is to be approved."""
     file = FOLDER / f"{name}.txt"
     stored = file.read_text(encoding="utf-8") if file.is_file() else ""
@@ -69,7 +69,7 @@ def difference(name: str, text: str, *, approve: bool) -> str:
     return "\n".join(lines)
 
 
-def refused_commands(gauge: Callable[..., Any], *commands: str) -> str:
+def refused_commands(gauge, *commands):
     """Return what commands answer that cannot be met, each after its line; none prints a result."""
     answers = []
     for command in commands:
@@ -79,9 +79,7 @@ def refused_commands(gauge: Callable[..., Any], *commands: str) -> str:
     return "\n".join(answers)
 
 
-def refused_calls(
-    error: type[Exception], calls: Mapping[str, Callable[[], object]]
-) -> str:
+def refused_calls(error, calls):
     """Return the messages of calls that raise an error, each after its name."""
     messages = []
     for name, call in calls.items():
@@ -91,7 +89,7 @@ def refused_calls(
     return "\n".join(messages)
 
 
-def readable(result: Any) -> str:
+def readable(result):
     """Return the exit code and the streams of a command; JSON has an indent and four digits."""
     parts = [f"exit code {result.exit_code}"]
     for stream in (result.stdout, result.stderr):
@@ -100,8 +98,15 @@ def readable(result: Any) -> str:
     return "\n---\n".join(parts)
 
 
-def _readable_json(line: str) -> str:
+def _readable_json(line):
     if not line.startswith("{"):
         return line
-    values = json.loads(line, parse_float=lambda text: float(f"{float(text):.4g}"))
-    return json.dumps(values, indent=1, ensure_ascii=False)
+    return json.dumps(
+        json.loads(line, parse_float=_four_digits), indent=1, ensure_ascii=False
+    )
+
+
+def _four_digits(text):
+    """Round a number; what only rounding has left over is zero."""
+    number = float(text)
+    return float(f"{number:.4g}") if abs(number) > ROUNDING else 0.0

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 
-def event_driven_chain(
-    restitution: float, *, ball_count: int = 5, closing: float = 1e-12
-) -> NDArray[np.float64]:
+def event_driven_chain(restitution, *, ball_count=5, closing=1e-12):
     """Return the speeds of the balls, over that of the incoming one, after all collisions, shape [ball_count].
 
     The balls touch and the first one arrives at speed 1. The leftmost pair that closes collides next: a pair moves on
@@ -24,9 +21,7 @@ def event_driven_chain(
     return speeds
 
 
-def simultaneous_impact(
-    restitution: float, *, ball_count: int = 5
-) -> NDArray[np.float64]:
+def simultaneous_impact(restitution, *, ball_count=5):
     """Return the speeds after one impact in which the resting balls move on as one body, shape [ball_count].
 
     All contacts are closed at once. Only the first one rebounds, because the others have no approaching speed: n - 1

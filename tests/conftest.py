@@ -8,10 +8,8 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import approval
 import fork_server
@@ -21,25 +19,22 @@ import pytest
 from hostile import install
 from typer.testing import CliRunner
 
-import gauge_envs
 from gauge_envs import files, registry
 from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
-from gauge_envs.envs.episode import Trajectory
 from gauge_envs.runs import isolation
-from gauge_envs.scene import Scene
 from gauge_envs.tools.catalog import listing, overview
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
+def pytest_addoption(parser):
     parser.addoption(
         "--approve", action="store_true", help="write the files of tests/approved anew"
     )
 
 
-def pytest_configure() -> None:
+def pytest_configure():
     """Set what the tests and the programs that they start have in common.
 
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
@@ -62,7 +57,7 @@ def pytest_configure() -> None:
     )
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Leave what the imports have made out of the search for garbage: millions of objects that stay to the end."""
     gc.freeze()
     gc.set_threshold(20_000)
@@ -70,7 +65,7 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def forked_children() -> Iterator[None]:
+def forked_children():
     """Children of the package fork from a process that has its imports behind it, where the system has forks."""
     with pytest.MonkeyPatch.context() as patch:
         if sys.platform == "linux":
@@ -81,23 +76,21 @@ def forked_children() -> Iterator[None]:
 
 
 @pytest.fixture
-def real_children(monkeypatch: pytest.MonkeyPatch) -> None:
+def real_children(monkeypatch):
     """Children of the package start from nothing, as they do for a user."""
     for module in (isolation, files):
         monkeypatch.setattr(module, "subprocess", subprocess)
 
 
 @pytest.fixture(scope="session")
-def unused_folders(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def unused_folders(tmp_path_factory):
     """Folders that do not exist; to make one for each of thousands of tests would take seconds."""
     base = tmp_path_factory.mktemp("gauge-data")
     return (base / str(number) for number in itertools.count())
 
 
 @pytest.fixture(autouse=True)
-def gauge_data_dir(
-    unused_folders: Iterator[Path], monkeypatch: pytest.MonkeyPatch
-) -> Path:
+def gauge_data_dir(unused_folders, monkeypatch):
     """The user's data folder, empty for each test."""
     folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
@@ -105,16 +98,14 @@ def gauge_data_dir(
 
 
 @pytest.fixture
-def approved(
-    request: pytest.FixtureRequest, tmp_path: Path, gauge_data_dir: Path
-) -> Callable[[str, str], None]:
+def approved(request, tmp_path, gauge_data_dir):
     """Compares a text with the file of a name in `tests/approved`, as in `approved("cli/list", result.stdout)`.
 
     The last part of the name stands as a string in the test, so that a file without a test is found.
     """
     folders = {"TMP": tmp_path, "DATA": gauge_data_dir, "HOME": Path.home()}
 
-    def check(name: str, text: str) -> None:
+    def check(name, text):
         difference = approval.difference(
             name,
             approval.without_machine(text, folders),
@@ -130,7 +121,7 @@ def approved(
 
 
 @pytest.fixture
-def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+def gauge(tmp_path, monkeypatch):
     """Runs the command in an empty folder: gauge("list", "--json") -> result with exit_code, stdout, stderr."""
     monkeypatch.chdir(tmp_path)
     runner = CliRunner(env=approval.TERMINAL)
@@ -138,16 +129,14 @@ def gauge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]
 
 
 @pytest.fixture
-def installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[Callable[..., None]]:
+def installed(tmp_path, monkeypatch):
     """Installs hostile backends, as in `installed("crash", "greedy")`."""
     folder = tmp_path / "site"
     folder.mkdir()
     monkeypatch.syspath_prepend(str(folder))
     backend.cache_clear()
 
-    def installs(*names: str) -> None:
+    def installs(*names):
         install(folder, *names)
         registry._scanned.cache_clear()
 
@@ -156,10 +145,10 @@ def installed(
 
 
 @pytest.fixture
-def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def rigid_only(monkeypatch):
     """Leaves the MuJoCo backend alone, declining deformable bodies as an engine that knows only rigid ones does."""
 
-    def supports(self: BackendMuJoCo, scene: Scene) -> Support:
+    def supports(self, scene):
         return Support(
             tuple(f"{body.name!r} is a deformable body" for body in scene.deformables)
         )
@@ -171,12 +160,10 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
+def rollout():
     """Runs one episode, or its first frames, with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 
-    def run(
-        name: str, *, frames: int | None = None, **options: object
-    ) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
+    def run(name, *, frames=None, **options):
         env = gymnasium.make(f"GAUGE/{name}", **options)
         env.reset(seed=0)
         zero = (

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,38 +20,36 @@ Travel = Callable[[float, float, float], float]
 """Distance [m] along the slope of an engine: acceleration [m/s^2], time [s], step [s]."""
 
 
-def euler(
-    acceleration: float, time_s: float, step_s: float, *, step_error: float = 0.0
-) -> float:
+def euler(acceleration, time_s, step_s, *, step_error=0.0):
     """Semi-implicit Euler, first order; a share of the step is added where the velocity is updated."""
     count = round(time_s / step_s)
     return 0.5 * acceleration * (1.0 + step_error) * step_s**2 * count * (count + 1)
 
 
-def wrong_step(acceleration: float, time_s: float, step_s: float) -> float:
+def wrong_step(acceleration, time_s, step_s):
     """An engine that updates velocities with a step that is 20 % too long: no finer step mends it."""
     return euler(acceleration, time_s, step_s, step_error=0.2)
 
 
-def sticking(acceleration: float, time_s: float, step_s: float) -> float:
+def sticking(acceleration, time_s, step_s):
     """An engine that holds the body at its two coarsest steps."""
     return 0.0 if step_s > STEPS_S[2] + 1e-9 else euler(acceleration, time_s, step_s)
 
 
-def rounding(acceleration: float, time_s: float, step_s: float) -> float:
+def rounding(acceleration, time_s, step_s):
     """An engine in single precision: rounding adds to the motion as the step shrinks."""
     return euler(acceleration, time_s, step_s) + 3e-9 / step_s**2 * time_s
 
 
 def made(
-    travel: Travel = euler,
-    step_s: float = STEPS_S[0],
+    travel=euler,
+    step_s=STEPS_S[0],
     *,
-    name: str = WOOD,
-    backend: str = "mujoco",
-    given: dict[str, Any] | None = None,
-    **changes: Any,
-) -> Result:
+    name=WOOD,
+    backend="mujoco",
+    given=None,
+    **changes,
+):
     """A result as an engine with that motion would leave it."""
     experiment = load_experiment(name)
     law = slide(experiment.scene, "cube", "board")
@@ -64,7 +61,7 @@ def made(
     )
     samples = 1e3 * (law.start_m + way_m[:, None] * law.direction)
     settings = {"timestep_s": step_s} if given is None else given
-    values: dict[str, Any] = {
+    values = {
         "id": experiment.id,
         "outcome": Outcome.FINISHED,
         "parameters": "calibrated",
@@ -95,7 +92,5 @@ def made(
     return Result(**(values | changes))
 
 
-def sweep(
-    travel: Travel = euler, steps_s: Sequence[float] = STEPS_S, **changes: Any
-) -> list[Result]:
+def sweep(travel=euler, steps_s=STEPS_S, **changes):
     return [made(travel, step_s, **changes) for step_s in steps_s]

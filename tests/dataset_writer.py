@@ -6,9 +6,7 @@ The folders are spelled out here, and not taken from the package: they are what 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,7 +51,7 @@ AMOUNTS = (-1.5, -0.5, 0.75, 1.25)
 """By how much trials are away from their mean; they add up to 0."""
 
 
-def trial_folder(name: str) -> str:
+def trial_folder(name):
     """Folder of a variant's trials in the published layout."""
     variant = find_variant(name)
     folder = f"data/{TASK_FOLDERS[variant.family]}/json"
@@ -63,9 +61,7 @@ def trial_folder(name: str) -> str:
     return f"{folder}/{FABRICS.get(variant.material, variant.material)}{task}"
 
 
-def write_trial(
-    root: Path, name: str, number: int, content: Mapping[str, Any] | bytes
-) -> Path:
+def write_trial(root, name, number, content):
     """Write one trial file of a variant."""
     file = root / trial_folder(name) / f"trial-{number}.json"
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -75,14 +71,12 @@ def write_trial(
     return file
 
 
-def trial_content(assets: Mapping[str, Any]) -> dict[str, Any]:
+def trial_content(assets):
     """A trial file of these assets."""
     return {"FPS": 30, "translation unit": "mm", **assets}
 
 
-def body_asset(
-    positions_mm: FloatArray, rotations: Rotation | None = None
-) -> dict[str, list[float]]:
+def body_asset(positions_mm, rotations=None):
     """A rigid body: positions [mm], shape [frame_count, 3], and orientations, upright where none are given."""
     rotations = rotations or Rotation.identity(len(positions_mm))
     columns = [*zip("xyz", np.asarray(positions_mm).T, strict=True)]
@@ -93,9 +87,7 @@ def body_asset(
     return {key: values.tolist() for key, values in columns}
 
 
-def marker_asset(
-    positions_mm: FloatArray, ids: Sequence[int]
-) -> dict[str, dict[str, list[float]]]:
+def marker_asset(positions_mm, ids):
     """A marker set: positions [mm], shape [frame_count, marker_count, 3]."""
     return {
         str(marker): {
@@ -121,9 +113,7 @@ class Synthetic:
     coordinates: dict[str, FloatArray]
 
 
-def synthetic_trials(
-    name: str, amounts: Sequence[float] = AMOUNTS, *, frames_after: int = FRAMES_AFTER
-) -> Synthetic:
+def synthetic_trials(name, amounts=AMOUNTS, *, frames_after=FRAMES_AFTER):
     """Trials that differ by a constant.
 
     Bodies move 2 mm a frame along x, and each trial is off by its amount [mm] along y. Markers are their rest shape,
@@ -135,7 +125,7 @@ def synthetic_trials(
     frames = np.arange(count)[:, None]
     contents = []
     for amount in amounts:
-        assets: dict[str, Any] = {}
+        assets = {}
         for body in experiment.recorded:
             start = 1e3 * np.asarray(scene.body(body).pose.position_m)
             positions = start + frames * [2.0, 0.0, 0.0] + np.array([0.0, amount, 0.0])
@@ -163,21 +153,19 @@ def synthetic_trials(
     return Synthetic(experiment, contents, coordinates)
 
 
-def scaled_markers(experiment: Experiment, amount: float) -> FloatArray:
+def scaled_markers(experiment, amount):
     """Marker positions [mm] of a trial, shape [marker_count, 3]."""
     assert experiment.scene.markers is not None
     rest = 1e3 * np.asarray(experiment.scene.markers.positions_m)
     return rest[0] + (1.0 + 1e-3 * amount) * (rest - rest[0])
 
 
-def driver_coordinates(motion_count: int, frame_count: int) -> FloatArray:
+def driver_coordinates(motion_count, frame_count):
     """Coordinates [m or rad], shape [frame_count, motion_count]: the second motion twice as fast as the first."""
     return 1e-3 * np.arange(frame_count)[:, None] * np.arange(1, motion_count + 1)
 
 
-def driven_asset(
-    experiment: Experiment, body: str, count: int
-) -> dict[str, list[float]]:
+def driven_asset(experiment, body, count):
     """A driven body on its way, by composing its driver's motions in order."""
     driver = next(driver for driver in experiment.scene.drivers if driver.body == body)
     start = experiment.scene.body(body).pose
@@ -196,9 +184,7 @@ def driven_asset(
     return body_asset(1e3 * positions, rotations)
 
 
-def write_synthetic(
-    root: Path, name: str, amounts: Sequence[float] = AMOUNTS
-) -> Synthetic:
+def write_synthetic(root, name, amounts=AMOUNTS):
     """Write the synthetic trials of a variant."""
     synthetic = synthetic_trials(name, amounts)
     for number, content in enumerate(synthetic.contents, start=1):

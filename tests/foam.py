@@ -12,15 +12,15 @@ ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
 
 def block(
-    name: str = "foam",
+    name="foam",
     *,
-    length_m: float = 0.2,
-    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    euler_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    young_pa: float = YOUNG_PA,
-    poisson: float = 0.0,
-    density: float = DENSITY_KG_PER_M3,
-) -> SoftBody:
+    length_m=0.2,
+    centre_m=(0.0, 0.0, 0.0),
+    euler_deg=(0.0, 0.0, 0.0),
+    young_pa=YOUNG_PA,
+    poisson=0.0,
+    density=DENSITY_KG_PER_M3,
+):
     """Square bar along z of its frame."""
     return SoftBody(
         name=name,

@@ -14,11 +14,9 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 from uuid import uuid4
 
 from places import ROOT
@@ -110,15 +108,15 @@ os._exit(code)
 class Fork:
     """A child, with the members of `subprocess.Popen` that the package uses."""
 
-    def __init__(self, client: socket.socket) -> None:
+    def __init__(self, client):
         self._replies = client.makefile("rb")
         self._lock = threading.Lock()
         self.pid = int(self._replies.readline())
-        self.returncode: int | None = None
-        self.stdin: Any = None
-        self.stdout: Any = None
+        self.returncode = None
+        self.stdin = None
+        self.stdout = None
 
-    def wait(self) -> int:
+    def wait(self):
         with self._lock:
             if self.returncode is None:
                 self.returncode = int(self._replies.readline())
@@ -127,7 +125,7 @@ class Fork:
 
 
 @cache
-def start() -> tuple[subprocess.Popen[bytes], str]:
+def start():
     """Start the server of this process, and return it and where it listens."""
     address = f"\0gauge-forks-{os.getpid()}-{uuid4()}"  # Linux names such a socket without a file.
     listener = socket.socket(socket.AF_UNIX)
@@ -149,15 +147,13 @@ def start() -> tuple[subprocess.Popen[bytes], str]:
     return server, address
 
 
-def stop() -> None:
+def stop():
     """End the server, if it runs."""
     if start.cache_info().currsize:
         start()[0].communicate()
 
 
-def _forked(
-    command: Sequence[str], streams: Sequence[int], env: Mapping[str, str] | None
-) -> Fork:
+def _forked(command, streams, env):
     python, *options = command
     code = options.index("-c")
     assert python == sys.executable and set(options[:code]) <= {"-u", "-P"}, command
@@ -177,13 +173,13 @@ def _forked(
 
 
 def popen(
-    command: Sequence[str],
+    command,
     *,
-    stdin: int,
-    stdout: int,
-    env: Mapping[str, str],
-    start_new_session: bool,
-) -> Fork:
+    stdin,
+    stdout,
+    env,
+    start_new_session,
+):
     """Start a child with pipes to its standard input and from its standard output."""
     assert stdin == stdout == subprocess.PIPE and start_new_session
     (reads, writes), (reads_back, writes_back) = os.pipe(), os.pipe()
@@ -195,14 +191,14 @@ def popen(
 
 
 def run(
-    command: Sequence[str],
+    command,
     *,
-    input: bytes,
-    capture_output: bool,
-    timeout: float,
-    env: Mapping[str, str],
-    check: bool,
-) -> subprocess.CompletedProcess[bytes]:
+    input,
+    capture_output,
+    timeout,
+    env,
+    check,
+):
     """Run a child to its end, and return its output."""
     assert capture_output and not check
     with (
@@ -215,7 +211,7 @@ def run(
         fork = _forked(command, (given.fileno(), output.fileno(), errors.fileno()), env)
         is_late = threading.Event()
 
-        def end() -> None:
+        def end():
             is_late.set()
             os.killpg(fork.pid, signal.SIGKILL)
 

@@ -74,9 +74,7 @@ class Case:
     streams: Mapping[str, str] = field(default_factory=dict)
 
 
-def run_forks(
-    cases: Mapping[str, Case], folder: Path, environment: Mapping[str, str]
-) -> dict[str, subprocess.CompletedProcess[str]]:
+def run_forks(cases, folder, environment):
     """Run commands one after another in a folder, and return their outcomes."""
     outputs = folder / "outputs"
     outputs.mkdir()
@@ -101,7 +99,7 @@ def run_forks(
     )
     codes = json.loads(done.stdout)
 
-    def text(number: int, name: str) -> str:
+    def text(number, name):
         file = outputs / f"{number}.{name}"
         return file.read_text(encoding="utf-8") if file.exists() else ""
 

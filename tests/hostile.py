@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 SOURCE = '''
 import ctypes, os, sys, time
 from gauge_envs.backends.mujoco import BackendMuJoCo
@@ -169,7 +167,7 @@ BACKENDS = {
 }
 
 
-def install(folder: Path, *names: str) -> None:
+def install(folder, *names):
     """Install some of the backends into a folder that is on the import path."""
     (folder / "hostile_engines.py").write_text(SOURCE)
     info = folder / "hostile_engines-1.0.dist-info"

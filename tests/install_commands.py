@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from pathlib import Path
-from typing import Any
 
 BLOCK = re.compile(
     r"^(?P<fence>`{3,})(?:sh|bash|console|shell|\{code-block\} (?:sh|bash|console|shell))$(?P<body>.*?)^(?P=fence)$",
@@ -40,8 +38,8 @@ class Table:
     rules: tuple[Mapping[str, str], ...]
 
     @classmethod
-    def read(cls, file: Path) -> Table:
-        content: dict[str, Any] = tomllib.loads(file.read_text(encoding="utf-8"))
+    def read(cls, file):
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
         return cls(
             pages=tuple(content["pages"]),
             environments={
@@ -53,7 +51,7 @@ class Table:
             rules=tuple(content["rules"]),
         )
 
-    def rule(self, page: str, text: str) -> Mapping[str, str] | None:
+    def rule(self, page, text):
         """Find the first rule that matches a command."""
         fitting = (
             one
@@ -62,13 +60,13 @@ class Table:
         )
         return next(fitting, None)
 
-    def command(self, page: str, text: str) -> Command:
+    def command(self, page, text):
         """Find what a command needs; the environment of a page goes before that of a rule."""
         rule = self.rule(page, text) or {}
         environment = self.page_environments.get(page, rule.get("environment", DEFAULT))
         return Command(page, text, environment, rule.get("skip"))
 
-    def commands(self, root: Path) -> tuple[Command, ...]:
+    def commands(self, root):
         """Every command of every page in a checkout, in the order of the pages, and the scripts last."""
         # A build of the site leaves copies of the notes of studies.
         files = sorted(
@@ -93,7 +91,7 @@ class Table:
         )
 
 
-def shell_commands(markdown: str) -> Iterator[str]:
+def shell_commands(markdown):
     """Commands of the fenced shell blocks of a page, without comments and prompts."""
     for block in BLOCK.finditer(markdown):
         for line in block["body"].replace("\\\n", " ").splitlines():

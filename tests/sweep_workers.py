@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.episodes import run_request
 from gauge_envs.runs.pool import Limits, ProcessWorker
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.sweep.folder import earlier_episodes
-from gauge_envs.tools.sweep.plan import SweepPlan, remaining_tasks
+from gauge_envs.tools.sweep.plan import remaining_tasks
 from gauge_envs.tools.sweep.run import run_sweep
 
 needs_rapier = pytest.mark.skipif(
@@ -30,33 +26,33 @@ needs_rapier = pytest.mark.skipif(
 class HereWorker:
     """A worker in this process, which counts what it runs."""
 
-    def __init__(self) -> None:
-        self.requests: list[RunRequest] = []
+    def __init__(self):
+        self.requests = []
 
-    def run(self, request: RunRequest) -> list[Result]:
+    def run(self, request):
         self.requests.append(request)
         return run_request(request)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 
 class Mortal:
     """A worker process that dies where one of some seeds runs."""
 
-    def __init__(self, *seeds: int) -> None:
+    def __init__(self, *seeds):
         self._seeds = set(seeds)
 
-    def call(self, function: Any, request: RunRequest) -> list[Result]:
+    def call(self, function, request):
         if self._seeds & set(range(request.seed, request.seed + request.repeats)):
             raise GaugeError("died")
         return function(request)
 
-    def close(self) -> None:
+    def close(self):
         pass
 
 
-def mortal_worker(*seeds: int) -> ProcessWorker:
+def mortal_worker(*seeds):
     """A worker whose process dies where one of some seeds runs."""
     worker = ProcessWorker(Limits())
     worker._process = Mortal(*seeds)  # type: ignore[assignment]
@@ -64,12 +60,12 @@ def mortal_worker(*seeds: int) -> ProcessWorker:
 
 
 def swept(
-    plan: SweepPlan,
-    folder: Path,
-    *used: Any,
-    retry_failed: bool = False,
-    notify: Callable[[str], None] = lambda text: None,
-) -> list[Result]:
+    plan,
+    folder,
+    *used,
+    retry_failed=False,
+    notify=lambda text: None,
+):
     """The results of what is left of a plan, as the command runs it."""
     done = {
         name
@@ -80,16 +76,16 @@ def swept(
     return [result for results in finished for result in results]
 
 
-def plain(result: Result) -> str:
+def plain(result):
     """A result without the times of its making, to the last bit."""
     return json.dumps(replace(result, wall_s=None, cpu_s=None, created="").to_dict())
 
 
-def contents(folder: Path) -> dict[str, str]:
+def contents(folder):
     """The results of a folder by file name; each must be complete."""
     return {file.name: plain(load_result(file)) for file in folder.glob("*.json")}
 
 
-def outcomes(folder: Path) -> list[str]:
+def outcomes(folder):
     """The outcomes that the files of a folder state."""
     return sorted(one.outcome.value for one in earlier_episodes(folder).values())

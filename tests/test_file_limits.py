@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import stat
 import struct
 import tracemalloc
@@ -38,6 +39,7 @@ from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
@@ -59,15 +61,6 @@ def sparse(file):
         stream.truncate(10**12)
 
 
-def folder(file):
-    file.mkdir()
-
-
-SPECIAL = {
-    "it is not a regular file": (fifo, device, folder),
-    "1e+06 MB, the limit is": (sparse,),
-}
-
 READERS = {
     "result.json": load_result,
     "g.csv": lambda file: read_trajectory(file, load_experiment(NAME)),
@@ -86,21 +79,22 @@ READERS = {
 
 
 @pytest.mark.parametrize("name", READERS)
-@pytest.mark.parametrize(
-    ("reason", "make"),
-    [(reason, make) for reason, made in SPECIAL.items() for make in made],
-)
-def test_only_regular_files_of_limited_size_are_read(name, reason, make, tmp_path):
+@pytest.mark.parametrize("make", [fifo, device, Path.mkdir, sparse])
+def test_only_regular_files_of_limited_size_are_read(name, make, tmp_path):
     file = tmp_path / name
     make(file)
-    with pytest.raises(GaugeError) as caught:
+    reason = "it is not a regular file"
+    if make is sparse:
+        reason = r"1e\+06 MB, the limit is"
+    with pytest.raises(GaugeError, match=reason) as caught:
         READERS[name](file)
-    assert reason in str(caught.value) and str(file) in str(caught.value)
+    assert str(file) in str(caught.value)
 
 
 # --- files that files name -------------------------------------------------------------------------------------------
 
 SECRET = "root-of-all-evil"
+HEADER = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n'
 
 OWN = """
 name = "crate"
@@ -132,79 +126,66 @@ COMPOSED = {
 
 
 @pytest.fixture
-def places(tmp_path):
-    """A folder of a stranger, with a file outside that is no layer and no table."""
-    inside = tmp_path / "inside"
+def inside(tmp_path):
+    """The folder of a stranger, beside a file that is no layer and no table."""
+    inside, secret = tmp_path / "inside", tmp_path / "secret.usda"
     inside.mkdir()
-    secret = tmp_path / "secret.usda"
     secret.write_text(f"#usda 1.0\n{SECRET}\n")
-    layer = (
-        Path(source.__file__).parents[3] / "assets" / "usd" / f"{NAME}.usda"
-    ).read_text(encoding="utf-8")
-    (inside / "scene.usda").write_text(layer, encoding="utf-8")
+    layer = assets_folder() / "usd" / f"{NAME}.usda"
+    (inside / "scene.usda").write_bytes(layer.read_bytes())
     (inside / "link.usda").symlink_to(secret)
-    return SimpleNamespace(inside=inside, secret=secret)
+    return inside
 
 
-@pytest.mark.parametrize("name", ["../secret.usda", "{secret}", "link.usda"])
+@pytest.mark.parametrize("name", ["../secret.usda", "{0}/secret.usda", "link.usda"])
 @pytest.mark.parametrize("key", ["usd", "band.file"])
-def test_an_experiment_file_names_no_file_outside_its_folder(key, name, places):
-    name = name.format(secret=places.secret)
-    file = places.inside / "own.toml"
+def test_an_experiment_file_names_no_file_outside_its_folder(key, name, inside):
+    name = name.format(inside.parent)
     usd, band = (name, "") if key == "usd" else ("scene.usda", BAND.format(file=name))
-    file.write_text(OWN.format(usd=usd, band=band))
-    with pytest.raises(
-        TaskFileError, match=r"is outside the folder of own\.toml: move it there"
-    ) as caught:
-        load_experiment_file(file)
-    assert key in str(caught.value) and SECRET not in str(caught.value)
-
-
-def test_files_outside_are_read_if_the_user_trusts_the_file(places, monkeypatch):
-    (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
-    file = places.inside / "own.toml"
-    file.write_text(OWN.format(usd="../scene.usda", band=""))
-    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
-    assert load_experiment_file(file).frame_count == 19
-
-
-def test_a_link_to_an_experiment_file_finds_its_layer(places):
-    (places.inside / "own.toml").write_text(OWN.format(usd="scene.usda", band=""))
-    whole = places.inside.parent / "whole"
-    whole.symlink_to(places.inside)
-    assert load_experiment_file(whole / "own.toml").frame_count == 19
-
-
-@pytest.mark.parametrize(
-    "name", ["../secret.usda", "{secret}", "./link.usda", "file:///etc/passwd"]
-)
-@pytest.mark.parametrize("kind", COMPOSED)
-def test_a_layer_refers_to_no_file_outside_its_folder(kind, name, places):
-    name = name.format(secret=places.secret)
-    file = places.inside / "own.usda"
-    file.write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
-    with pytest.raises(AssetError) as caught:
-        from_usd(file)
-    assert f"it refers to {name!r}, outside its folder" in str(caught.value)
+    (inside / "own.toml").write_text(OWN.format(usd=usd, band=band))
+    words = rf"{key}.* is outside the folder of own\.toml: move it there"
+    with pytest.raises(TaskFileError, match=words) as caught:
+        load_experiment_file(inside / "own.toml")
     assert SECRET not in str(caught.value)
 
 
-def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(places, monkeypatch):
-    (places.inside / "parts").mkdir()
-    (places.inside / "scene.usda").rename(places.inside.parent / "scene.usda")
-    (places.inside / "parts" / "part.usda").write_text(
-        "#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n"
-    )
-    file = places.inside / "own.usda"
-    file.write_text(
-        '#usda 1.0\n(\n  metersPerUnit = 1\n  upAxis = "Z"\n  subLayers = [@./parts/part.usda@]\n)\n'
-    )
-    with pytest.raises(
-        AssetError, match=r"it refers to '../../scene\.usda', outside its folder"
-    ):
-        from_usd(file, duration_s=1.0)
+def test_files_outside_are_read_if_the_user_trusts_the_file(inside, monkeypatch):
+    """A link to the folder finds its layer in any case."""
+    (inside / "own.toml").write_text(OWN.format(usd="scene.usda", band=""))
+    whole = inside.parent / "whole"
+    whole.symlink_to(inside)
+    assert load_experiment_file(whole / "own.toml").frame_count == 19
+    (inside / "scene.usda").rename(inside.parent / "scene.usda")
+    (inside / "own.toml").write_text(OWN.format(usd="../scene.usda", band=""))
     monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
-    assert from_usd(file, duration_s=1.0).bodies
+    assert load_experiment_file(inside / "own.toml").frame_count == 19
+
+
+@pytest.mark.parametrize(
+    "name", ["../secret.usda", "{0}/secret.usda", "./link.usda", "file:///etc/passwd"]
+)
+@pytest.mark.parametrize("kind", COMPOSED)
+def test_a_layer_refers_to_no_file_outside_its_folder(kind, name, inside):
+    name = name.format(inside.parent)
+    (inside / "own.usda").write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
+    words = re.escape(f"it refers to {name!r}, outside its folder")
+    with pytest.raises(AssetError, match=words) as caught:
+        from_usd(inside / "own.usda")
+    assert SECRET not in str(caught.value)
+
+
+def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(inside, monkeypatch):
+    (inside / "parts").mkdir()
+    (inside / "scene.usda").rename(inside.parent / "scene.usda")
+    part = "#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n"
+    (inside / "parts" / "part.usda").write_text(part)
+    whole = HEADER.replace(")", "    subLayers = [@./parts/part.usda@]\n)")
+    (inside / "own.usda").write_text(whole)
+    words = r"it refers to '../../scene\.usda', outside its folder"
+    with pytest.raises(AssetError, match=words):
+        from_usd(inside / "own.usda", duration_s=1.0)
+    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
+    assert from_usd(inside / "own.usda", duration_s=1.0).bodies
 
 
 def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path, monkeypatch):
@@ -333,8 +314,6 @@ def test_a_table_that_is_no_csv_is_refused(tmp_path):
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
 
-HEADER = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n'
-
 
 def exponential(levels):
     """A layer in which each class refers ten times to the one before it."""
@@ -369,32 +348,24 @@ def test_a_layer_of_too_many_prims_is_refused(text, reason, tmp_path):
         from_usd(file, duration_s=1.0)
 
 
-def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path, monkeypatch):
+@pytest.mark.parametrize("damage", ["cut", "endless array"])
+def test_a_binary_layer_that_the_child_cannot_read_is_not_opened(
+    damage, tmp_path, monkeypatch
+):
     """A damaged layer took 4 GB before USD found the damage; the child stops at its limit."""
+    numbers = [7 * n * n for n in range(20)]
     layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.ImportFromString(HEADER + 'def "World" {}\n')
-    file = tmp_path / "cut.usdc"
-    layer.Export(str(file))
-    file.write_bytes(file.read_bytes()[:-40])
-    monkeypatch.setattr(source, "Usd", SimpleNamespace(Object=Usd.Object, Stage=None))
-    with pytest.raises(AssetError, match="is not a readable USD file"):
-        from_usd(file)
-
-
-def test_a_binary_layer_with_an_endless_array_is_not_opened(tmp_path, monkeypatch):
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    layer.ImportFromString(
-        HEADER
-        + f'def "World" {{\n    custom int[] a = {[7 * n * n for n in range(20)]}\n}}\n'
-    )
+    world = f'def "World" {{\n    custom int[] a = {numbers}\n}}\n'
+    layer.ImportFromString(HEADER + world)
     file = tmp_path / "bomb.usdc"
     layer.Export(str(file))
-    count, endless = struct.pack("<Q", 20), struct.pack("<Q", 2**31)
-    content = file.read_bytes()
+    content, count = file.read_bytes(), struct.pack("<Q", len(numbers))
     assert content.count(count) == 1
-    file.write_bytes(content.replace(count, endless))
+    endless = content.replace(count, struct.pack("<Q", 2**31))
+    file.write_bytes(content[:-40] if damage == "cut" else endless)
     monkeypatch.setattr(source, "Usd", SimpleNamespace(Object=Usd.Object, Stage=None))
-    with pytest.raises(AssetError, match=r"a value cannot be read|more than"):
+    words = "is not a readable USD file|a value cannot be read|more than"
+    with pytest.raises(AssetError, match=words):
         from_usd(file)
 
 

@@ -15,11 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from gauge_envs import Jitter, load_experiment
-from gauge_envs.backends import Backend, backend_names
+from gauge_envs.backends import Backend, backend, backend_names
 from gauge_envs.backends.base import Simulation, World, worlds_of
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
 from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.jitter import jittered
@@ -171,6 +172,28 @@ def test_a_state_of_another_origin_is_refused_with_both_origins(
         assert f"with {engine.name} 0.1, this one has" in refusal(here, older)
 
 
+def test_a_pickle_under_other_settings_in_force_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A new version of gauge-envs may have other defaults."""
+    env = GaugeEnv(SLIDE)
+    env.reset(seed=0)
+    packed = pickle.dumps(env)
+    pickle.loads(packed).close()
+    engine = type(backend("mujoco"))
+    build = engine.build
+    monkeypatch.setattr(
+        engine,
+        "build",
+        lambda self, one, settings=None: build(self, one, {"impratio": 5.0}),
+    )
+    with pytest.raises(
+        BackendError, match=r"impratio = 10\.0, this one has impratio = 5\.0"
+    ) as caught:
+        pickle.loads(packed)
+    assert SLIDE in str(caught.value)
+
+
 # --- worlds ----------------------------------------------------------------------------------------------------------
 
 
@@ -235,7 +258,13 @@ def test_worlds_are_single_simulations(engine: Backend, name: str, count: int) -
 
 
 @pytest.mark.parametrize(
-    "name", [SLIDE, "NewtonsCradle-metal", "FoamStretching-soft", "StickStack-soft"]
+    "name",
+    [
+        SLIDE,
+        "NewtonsCradle-metal",
+        "FoamStretching-soft",
+        pytest.param("StickStack-soft", marks=pytest.mark.slow),
+    ],
 )
 def test_worlds_have_their_own_constants(engine: Backend, name: str) -> None:
     scene = scene_for(engine, name)
@@ -268,8 +297,9 @@ def test_a_driven_body_starts_where_it_is_put_and_stays_without_a_drive(
         place = Pose(position_m=(0.1, 0.2, 0.5))
         speed = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
         simulation.drive("plate", place, speed, np.zeros(6))
-        state = simulation.body_states(["plate"])[0]
-        assert state[:3] == pytest.approx(place.position_m, abs=1e-6)
+        if engine.name != "newton":  # It is told at its next step.
+            state = simulation.body_states(["plate"])[0]
+            assert state[:3] == pytest.approx(place.position_m, abs=1e-6)
         simulation.advance(INTERVAL_S)
         state = simulation.body_states(["plate"])[0]
         assert state[:3] == pytest.approx((0.1 + 0.3 / 180, 0.2, 0.5), abs=1e-6)
@@ -387,6 +417,14 @@ simulation.close()
 """
 
 
+@pytest.mark.parametrize(
+    "engine",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "newton" else ())
+        for name in backend_names()
+    ],
+    indirect=True,
+)
 def test_another_process_gives_the_same_bits_and_prints_nothing(
     engine: Backend,
 ) -> None:
@@ -399,8 +437,8 @@ def test_another_process_gives_the_same_bits_and_prints_nothing(
     code = PROGRAM.format(name=engine.name)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert run.stdout == f"\n{expected}\n", run.stderr
-    # Genesis logs to stderr.
-    assert run.stderr == "" or engine.name == "genesis"
+    # Both log to stderr.
+    assert run.stderr == "" or engine.name in ("genesis", "newton")
 
 
 @pytest.mark.parametrize("name", backend_names())

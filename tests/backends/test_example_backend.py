@@ -652,13 +652,6 @@ def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(
     assert measured["guide"] == ""
 
 
-def test_the_guide_and_its_example_of_arrays_are_short() -> None:
-    lines = (PACKAGE / "marbles.py").read_text(encoding="utf-8").splitlines()
-    code = [one for one in lines if one.strip() and not re.match(r'\s*(#|""")', one)]
-    assert len(code) == 100 and "in 100 lines of code" in GUIDE.read_text()
-    assert len(GUIDE.read_text().split()) <= 1500
-
-
 def test_toml_of_the_guide_is_that_of_the_example() -> None:
     manifest = (PACKAGE / "pyproject.toml").read_text()
     assert fenced("toml")

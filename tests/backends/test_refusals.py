@@ -323,11 +323,9 @@ ROWS = (
         {"preset": "mpm"},
         "'cube' moves freely",
     ),
-    (
-        "newton",
-        held(load_experiment(ROPE).scene, depth_m=0.1),
-        {},
-        "over a length",
+    *(
+        (name, held(load_experiment(ROPE).scene, depth_m=0.1), {}, "over a length")
+        for name in ("mujoco", "newton")
     ),
     (
         "newton",

@@ -85,12 +85,6 @@ def test_values_that_engines_clamp_are_refused(
         backend(engine).build(_ball(), settings).close()
 
 
-def test_a_tolerance_that_mujoco_warp_raises_is_no_setting_of_newton() -> None:
-    pytest.importorskip("newton")
-    with pytest.raises(ParameterError, match=r"'tolerance'.*given: 1e-08"):
-        backend("newton").build(_ball(), {"tolerance": 1e-8})
-
-
 def test_an_option_that_does_not_reach_mujoco_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from gauge_envs.cli.output import Progress, echo
-
-Gauge = Callable[..., Any]
 
 
 @pytest.fixture
@@ -47,49 +43,12 @@ def test_a_matrix_has_its_place_before_its_checks_run(gauge, suffix, tmp_path):
         assert reason in result.stderr
 
 
-@pytest.mark.parametrize(
-    ("options", "reason"),
-    [
-        (["sigmas=inf"], "sigmas are numbers above 0, at most 10"),
-        (["sigmas=1e300"], "sigmas are numbers above 0, at most 10"),
-        (["sigmas=nan"], "sigmas are numbers above 0, at most 10"),
-        (["sigmas=1,1"], "two worlds have the name 'mujoco, "),
-        (["--to", "mujoco:"], "two worlds have the name 'mujoco, "),
-    ],
-)
-def test_worlds_of_a_transfer_are_checked_before_they_run(gauge, options, reason):
-    common = [
-        "numpy:mean",
-        "--trust",
-        "--id",
-        "Pendulum-Limit-metal",
-        "--to",
-        "mujoco",
-        "starts=1",
-    ]
-    result = gauge("transfer", *common, *options)
-    assert result.exit_code == 2 and reason in result.stderr, result.output
-
-
 def test_a_name_of_a_file_reaches_the_terminal_as_text(
     capsys,
 ):
     for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
         echo(text)
     assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
-
-
-@pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
-def test_a_law_uses_a_finite_share_of_its_limit(gauge, fraction):
-    result = gauge(
-        "transfer",
-        "envelope",
-        "Pendulum-Limit-metal",
-        "samples=2",
-        "--policy",
-        f"law:fraction={fraction}",
-    )
-    assert result.exit_code == 2 and isinstance(result.exception, SystemExit)
 
 
 def test_the_time_left_is_told_without_the_step_that_loads_the_engine(

@@ -109,43 +109,42 @@ def is_among(number, known):
     )
 
 
-def sourceless(page, phrases):
-    """Blocks of a page with numbers that no source is known of.
+def unit_of(phrase):
+    """Return the unit after the last number of a phrase, or nothing."""
+    unit = re.search(r"[^\W\d][^\s]*$|[%°]$", phrase)
+    return unit[0] if unit else ""
+
+
+def sourceless(page, numbers_for=lambda phrase: ()):
+    """Return blocks of a page with numbers that no source is known of.
 
     Args:
         page: Page in Markdown.
-        phrases: Parts of the page, computed by `stated`, whose numbers are checked in this way.
+        numbers_for: Function that returns the known numbers for a number with its unit.
 
     Returns:
         For each such block its numbers and its text.
     """
     whole = page.read_text(encoding="utf-8")
-    text, own, found = visible(whole), values(shown(whole)), []
-    for block, introduction in blocks(text):
-        left = block
-        for phrase in phrases:
-            left = left.replace(phrase, " · ")
-        left = VERSION.sub(" · ", re.sub(r"`[^`]*`", "`", left))
-        studies = STUDY.findall(block) or STUDY.findall(introduction)
+    shown_numbers = values(shown(whole))
+    found = []
+    for block, introduction in blocks(visible(whole)):
+        left = VERSION.sub(" · ", re.sub(r"`[^`]*`", "`", block))
         left = re.sub(r"\]\([^)]*\)", "]", left)
-        stated = [match[0] for match in STATED.finditer(left)]
-        known = [
-            *own,
-            *(number for study in studies for number in numbers_of_study(study)),
-        ]
+        studies = STUDY.findall(block) or STUDY.findall(introduction)
+        known = list(shown_numbers)
+        for study in studies:
+            known += numbers_of_study(study)
         known += [100.0 * number for number in known if number < 1.0]  # 0.45 as 45 %
-        bare = [
-            one
-            for one in stated
-            if not all(
-                is_among(number, known) for number in re.findall(r"\d[\d.,]*\d|\d", one)
+        bare = []
+        for match in STATED.finditer(left):
+            phrase = re.sub(r"(?<=\d) (?=\d{3})", "", match[0])
+            numbers = re.findall(
+                r"\d+(?:[.,]\d+)*(?:e-?\d+)?", phrase.removesuffix(unit_of(phrase))
             )
-        ]
+            everything = [*known, *numbers_for(phrase)]
+            if not all(is_among(number, everything) for number in numbers):
+                bare.append(match[0])
         if bare:
             found.append(f"{', '.join(bare)}   in: {block[:200]}")
     return found
-
-
-def one_line(text):
-    """Text with each paragraph, item and row in one line."""
-    return "\n".join(block for block, _ in blocks(text))

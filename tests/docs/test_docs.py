@@ -1,4 +1,4 @@
-"""Documentation: links resolve, code and commands are real, every public name is described, the README stays short."""
+"""Documentation: links resolve, code and commands are real, every public name is described."""
 
 from __future__ import annotations
 
@@ -41,16 +41,11 @@ RUN_ELSEWHERE = {
     "adding_a_stack.md",
     "adding_an_engine.md",
     "assets.md",
-    "control.md",
     "ecosystem.md",
 }
 """Pages whose code other tests run, as it needs an example package or takes long."""
 COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
 """Pages whose code needs a user's own environment or results, or an engine that may be absent."""
-
-README_WORDS = 900
-NOTE_WORDS = 600
-COMMANDS_WORDS = 1600
 
 
 def name_of(page):
@@ -77,22 +72,14 @@ def prose(page):
     return re.sub(r"`[^`\n]*`", "", text)
 
 
-# --- the README ------------------------------------------------------------------------------------------------------
-
-
-def test_the_readme_is_short():
-    assert len(README.read_text(encoding="utf-8").split()) <= README_WORDS
-
-
 # --- studies ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     "note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of
 )
-def test_a_note_of_a_study_is_short_and_in_the_list(note):
+def test_a_note_of_a_study_has_its_parts_and_is_in_the_list(note):
     text = note.read_text(encoding="utf-8")
-    assert len(text.split()) <= NOTE_WORDS
     assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == [
         "Question",
         "Method",
@@ -111,7 +98,6 @@ def test_every_study_has_a_note():
         for folder in (ROOT / "studies").iterdir()
         if folder.is_dir() and folder.name != "__pycache__"
     ]
-    assert len(folders) > 15
     assert [
         folder.name for folder in folders if not (folder / "README.md").is_file()
     ] == []
@@ -330,13 +316,6 @@ def test_the_page_of_commands_lists_every_command_with_an_example():
     for name, example in rows:
         assert example.startswith(name)
         parse(shlex.split(example))
-
-
-def test_the_page_of_commands_is_short():
-    assert (
-        len((DOCS / "commands.md").read_text(encoding="utf-8").split())
-        <= COMMANDS_WORDS
-    )
 
 
 # --- public names ----------------------------------------------------------------------------------------------------

@@ -229,7 +229,7 @@ def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
             f"{limit.text} [study](../studies/{limit.study}/README.md)\n",
             encoding="utf-8",
         )
-        bare += sourceless(page, [])
+        bare += sourceless(page)
     assert bare == []
 
 

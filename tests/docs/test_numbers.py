@@ -2,8 +2,7 @@
 
 A number with a unit, or a decimal fraction, on the README and the guides is one of these:
 
-- part of a phrase of `stated.stated`, which code and data of the product give,
-- part of a phrase of `stated.TESTED`, which a named test measures,
+- a value of a source that `sources.toml` names for the page,
 - shown by the page's own code, commands or generated parts,
 - in the note or the tables of a study that its paragraph, row or item links, or the head or introduction of a table.
 
@@ -12,11 +11,11 @@ Anything else has to get such a source, or to go.
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 
 import pytest
-import stated
-from numbers_of_pages import is_among, numbers_of_study, one_line, sourceless, values
+import sources
+from numbers_of_pages import is_among, numbers_of_study, sourceless, values
 from places import ROOT
 
 DOCS = ROOT / "docs"
@@ -30,13 +29,6 @@ PAGES = [
     ),
 ]
 
-WHAT_TO_DO = """Numbers without a source. For each, choose one:
-- delete it, if no reader decides by it;
-- link the study whose note or tables have it, in the same paragraph, row or item;
-- compute its phrase from code or data in tests/docs/stated.py;
-- name the test that measures it in stated.TESTED.
-"""
-
 
 def name_of(page):
     return str(page.relative_to(ROOT))
@@ -44,33 +36,10 @@ def name_of(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_number_of_a_page_has_a_source(page):
-    tested = [phrase for phrase, _ in stated.TESTED.get(name_of(page), ())]
-    bare = sourceless(
-        page, [*stated.stated().get(name_of(page), ()), *tested, *stated.EVERYWHERE]
+    bare = sourceless(page, partial(sources.known, name_of(page)))
+    assert not bare, "\n".join(
+        ["Link a study, name a source in tests/docs/sources.toml, or delete:", *bare]
     )
-    assert not bare, "\n".join([WHAT_TO_DO, *bare])
-
-
-def test_pages_state_what_code_and_data_give():
-    absent = []
-    for page, phrases in stated.stated().items():
-        text = one_line((ROOT / page).read_text(encoding="utf-8"))
-        absent += [f"{page}: {phrase}" for phrase in phrases if phrase not in text]
-    assert not absent, "\n".join(
-        ["These pages must say this, or tests/docs/stated.py must not:", *absent]
-    )
-
-
-@pytest.mark.parametrize(
-    ("page", "phrase", "file"),
-    [(page, *one) for page, of in stated.TESTED.items() for one in of],
-)
-def test_a_test_has_the_numbers_that_a_page_takes_from_it(page, phrase, file):
-    assert phrase in one_line((ROOT / page).read_text(encoding="utf-8"))
-    source = (ROOT / file).read_text(encoding="utf-8")
-    known = (*values(source), *(100.0 * number for number in values(source)))
-    absent = [number for number in values(phrase) if not is_among(f"{number:g}", known)]
-    assert Path(page).name in source or absent == []
 
 
 PAGE = """# A page
@@ -105,7 +74,9 @@ It prints 0.31 and not 2.5 s.
 def test_a_planted_number_is_found(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(PAGE, encoding="utf-8")
-    found = [one.partition("   in: ")[0] for one in sourceless(page, ["at 1/540 s"])]
+    found = [
+        one.partition("   in: ")[0] for one in sourceless(page, lambda _: [1.0, 540.0])
+    ]
     assert found == [
         "3.94 m/s^2, 0.19, 16 384 episodes",
         "12 to 14 %",

@@ -171,19 +171,3 @@ def test_without_dm_env_the_extra_is_named():
     assert run.returncode != 0
     assert "gauge_envs.errors.MissingExtraError" in run.stderr
     assert "pip install 'gauge-envs[dm]'" in run.stderr
-
-
-def test_importing_the_package_imports_no_ecosystem():
-    heavy = (
-        "dm_env",
-        "torch",
-        "stable_baselines3",
-        "moviepy",
-        "gauge_envs.envs.vector",
-        "gauge_envs.envs.dm_env",
-    )
-    code = f"import sys, gauge_envs; print([name for name in {heavy} if name in sys.modules])"
-    run = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert run.stdout.strip() == "[]"

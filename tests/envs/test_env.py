@@ -380,17 +380,6 @@ def test_nan_terminates():
 # --- misuse ---
 
 
-def test_spec_rebuilds_the_run():
-    env = gymnasium.make(
-        "GAUGE/SlopeSlider-2-wood",
-        parameters={"cube.friction": 0.2},
-        settings={"impratio": 1.0},
-    )
-    again = gymnasium.make(env.spec)
-    assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
-    assert again.unwrapped.simulation.settings == env.unwrapped.simulation.settings
-
-
 def test_signatures_list_the_arguments_of_environments():
     declared = get_type_hints(EnvArguments)
     del declared["variant"]

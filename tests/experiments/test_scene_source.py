@@ -49,7 +49,7 @@ QUICK = (
     "Turntable-2-plastic",
     "StickStack-soft",
 )
-"""Of each kind one id; `test_usd.py` reads the layers of all."""
+"""Of each kind one id; `test_usd_scenes.py` reads the layers of all."""
 G = 9.80665
 
 Rollout = Callable[..., tuple[Any, Trajectory, dict]]

@@ -14,7 +14,6 @@ from gauge_envs.errors import (
     ParameterError,
     ResultFileError,
     UnknownNameError,
-    UnsupportedSceneError,
 )
 from gauge_envs.runs import pool
 from gauge_envs.runs.batch import check_requests, run_many
@@ -48,33 +47,6 @@ def run_count(monkeypatch):
 
     monkeypatch.setattr(SimulationMuJoCo, "reset", counted)
     return started
-
-
-def test_a_result_says_all_that_is_needed_to_repeat_it(result):
-    values = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    assert (values["id"], values["backend"], values["parameters"], values["seed"]) == (
-        "GAUGE/SlopeSlider-2-wood",
-        "mujoco",
-        "calibrated",
-        0,
-    )
-    assert (values["outcome"], values["diverged"], values["error"]) == (
-        "finished",
-        False,
-        None,
-    )
-    assert (values["frames"], values["sim_s"]) == (19, pytest.approx(0.6))
-    assert values["wall_s"] > 0
-    assert {"mujoco", "gauge-envs", "gymnasium", "numpy", "python"} <= values[
-        "versions"
-    ].keys()
-    assert values["settings"]["timestep_s"] > 0
-    assert len(values["task_sha256"]) == 64
-    assert values["score"]["grade"] == "trials"
-    assert values["score"]["lsd_s"] is None
-    assert values["trajectory"]["coordinates"] == ["cube.x", "cube.y", "cube.z"]
-    assert len(values["trajectory"]["samples"]) == 18 * 6 + 1
-    assert "trajectory" not in result.to_dict(trajectory=False)
 
 
 def test_a_file_read_back_is_the_same_result_and_scores_the_same(result, tmp_path):
@@ -140,24 +112,6 @@ def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monke
     assert all(worker._process is None for worker in workers)
 
 
-@pytest.mark.usefixtures("rigid_only")
-@pytest.mark.parametrize(
-    ("options", "error"),
-    [
-        ({"variant": "SlopeSlider-2-gold"}, UnknownNameError),
-        ({"backend": "warp"}, UnknownNameError),
-        ({"parameters": "nonsense"}, ParameterError),
-        ({"parameters": {"cube.friction": -1}}, ParameterError),
-        ({"settings": {"nope": 1}}, ParameterError),
-        ({"seed": -1}, ParameterError),
-        ({"variant": SOFT}, UnsupportedSceneError),
-    ],
-)
-def test_wrong_requests(options, error):
-    with pytest.raises(error):
-        run_episode(RunRequest(**({"variant": NAME} | options)))
-
-
 def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
     for wrong in ({"parameters": "nonsense"}, {"settings": {"nope": 1}}):
         with pytest.raises(ParameterError):
@@ -192,17 +146,6 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
     assert results[2].error == "RuntimeError: the engine gave up"
     assert results[2].score.grade == "trials"
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_missing_parameter_set_declines():
-    declined, finished = run_many(
-        [
-            RunRequest(name, parameters="effective")
-            for name in ("Turntable-1-wood", "BouncingBall-rubber")
-        ]
-    )
-    assert (declined.outcome, finished.outcome) == (Outcome.DECLINED, Outcome.FINISHED)
-    assert "effective" in declined.error
 
 
 def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import MissingExtraError, ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -41,12 +38,10 @@ from gauge_envs.backends.drake.model import (
     inner_radius_m,
 )
 from gauge_envs.backends.drake.settings import (
-    PRESETS,
     impact_speed_m_per_s,
     settings_for,
 )
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.tools.conformance import Status, run_checks
 
 DRAKE = backend("drake")
 APPROXIMATIONS = [
@@ -411,28 +406,6 @@ def test_a_driven_plate_of_huge_mass_carries_nothing() -> None:
 # --- conformance -----------------------------------------------------------------------------------------------------
 
 
-def failed(*patterns: str) -> list[str]:
-    findings = list(run_checks("drake", only=list(patterns)))
-    assert findings
-    return [f"{f.check}: {f.measured}" for f in findings if f.status is not Status.PASS]
-
-
-def test_a_restored_copy_continues_while_driven() -> None:
-    scene = load_experiment("Turntable-1-wood").scene
-    one, other = DRAKE.build(scene), DRAKE.build(scene)
-    plate = scene.drivers[0].body
-    for simulation in (one, other):
-        simulation.drive(
-            plate, scene.body(plate).pose, np.array([0, 0, 0, 0, 0, 1.0]), np.zeros(6)
-        )
-    one.advance(2 / 180)
-    other.restore(pickle.loads(pickle.dumps(one.state())))
-    names = [body.name for body in scene.bodies]
-    for simulation in (one, other):
-        simulation.advance(2 / 180)
-    assert (one.body_states(names) == other.body_states(names)).all()
-
-
 def test_the_ball_bounces_with_its_restitution() -> None:
     result = run_episode(RunRequest("BouncingBall-rubber", backend="drake"))
     assert result.score.rmse_normalized == pytest.approx(14.11, abs=0.05)
@@ -441,18 +414,7 @@ def test_the_ball_bounces_with_its_restitution() -> None:
 # --- settings and support --------------------------------------------------------------------------------------------
 
 
-def test_a_scene_gets_its_preset_by_its_contents() -> None:
-    expected = {
-        "SlopeSlider-2-wood": "default",
-        "BouncingBall-rubber": "impact",
-        "NewtonsCradle-metal": "impact_chain",
-        "Pendulum-metal": "contact_free",
-        "WallBreaking-wood": "stack",
-        "CubeToss-acrylic": "corners",
-    }
-    assert {
-        name: settings_for(load_experiment(name).scene).preset for name in expected
-    } == expected
+def test_a_cylinder_gets_the_preset_of_what_rolls() -> None:
     cylinder = solid("can", Cylinder(radius_m=0.03, length_m=0.1), (0.0, 0.0, 0.05))
     contact = Contact(first=("can",), second=("ground",), friction=0.5, restitution=0.0)
     assert (
@@ -519,36 +481,10 @@ def test_the_impact_speed_is_that_of_the_scene() -> None:
     )
 
 
-def test_settings_are_checked_and_recorded() -> None:
-    scene = load_experiment("SlopeSlider-2-wood").scene
-    simulation = DRAKE.build(scene, {"preset": "out_of_box"})
-    assert (
-        simulation.settings["timestep_s"] == 1 / 180
-        and simulation.settings["approximation"] == "lagged"
-    )
-    assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
-    for wrong in (
-        {"approximation": "pgs"},
-        {"timestep_s": 0.004},
-        {"substeps": 2},
-        {"sustained_rate": 0.0},
-    ):
-        with pytest.raises(ParameterError):
-            DRAKE.build(scene, wrong)
-    with pytest.raises(UnknownNameError):
-        DRAKE.build(scene, {"preset": "fast"})
-
-
 @pytest.mark.skipif("tamsi" in APPROXIMATIONS, reason="this Drake has TAMSI")
 def test_an_approximation_that_drake_has_dropped_is_an_error() -> None:
     with pytest.raises(ParameterError, match="sap, similar, lagged"):
         DRAKE.build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "tamsi"})
-
-
-def test_deformable_bodies_are_declined_with_a_number() -> None:
-    (reason,) = DRAKE.supports(load_experiment("FoamTwisting-soft").scene).missing
-    assert "5.43 mm" in reason and "5.89 mm" in reason
-    assert not DRAKE.supports(load_experiment("TextileFlinging-satin").scene)
 
 
 def test_the_inner_radius_of_a_solid() -> None:
@@ -557,30 +493,3 @@ def test_the_inner_radius_of_a_solid() -> None:
     assert inner_radius_m(box) == pytest.approx(0.02)
     assert inner_radius_m(union) == pytest.approx(0.02)
     assert inner_radius_m(Cylinder(radius_m=0.03, length_m=0.1)) == pytest.approx(0.03)
-
-
-def test_drake_prints_nothing() -> None:
-    code = (
-        "from gauge_envs import load_experiment\n"
-        "from gauge_envs.backends import backend\n"
-        "backend('drake').build(load_experiment('SlopeSlider-2-wood').scene).advance(1 / 180)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert (done.stdout, done.stderr) == ("", "")
-
-
-def test_a_missing_engine_is_an_error_that_names_the_extra() -> None:
-    code = (
-        "import importlib.util as u; find = u.find_spec\n"
-        "u.find_spec = lambda name, *a: None if name == 'pydrake' else find(name, *a)\n"
-        "from gauge_envs.backends.drake import BackendDrake\n"
-        "BackendDrake()"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False
-    )
-    assert (
-        MissingExtraError.__name__ in done.stderr and "gauge-envs[drake]" in done.stderr
-    )

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,11 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import load_experiment
 from gauge_envs.errors import (
     BackendError,
-    ParameterError,
-    UnknownNameError,
     UnsupportedSceneError,
 )
 from gauge_envs.scene import (
@@ -26,7 +21,6 @@ from gauge_envs.scene import (
     Contact,
     ContactMode,
     Cylinder,
-    Hinge,
     Motion,
     Plane,
     Pose,
@@ -42,7 +36,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
 from gauge_envs.backends.genesis.engine import EngineLease, engine
 from gauge_envs.backends.genesis.model import forget_models
-from gauge_envs.backends.genesis.presets import settings_for
 from gauge_envs.backends.genesis.settings import PRESETS
 
 GENESIS = backend("genesis")
@@ -417,38 +410,6 @@ def lifted(pose: Pose) -> Pose:
     )
 
 
-def test_a_state_continues_bit_for_bit_after_pickling_and_in_another_simulation() -> (
-    None
-):
-    one, other = (
-        GENESIS.build(sliding_scene(), FAST),
-        GENESIS.build(sliding_scene(), FAST),
-    )
-    rollout(one, 0.05)
-    kept = pickle.dumps(one.state())
-    expected = rollout(one)
-    other.restore(pickle.loads(kept))
-    assert (rollout(other) == expected).all()
-    one.restore(pickle.loads(kept))
-    assert (rollout(one) == expected).all()
-    one.close()
-    other.close()
-
-
-def test_another_process_gives_the_same_bits() -> None:
-    code = (
-        "import sys, json; sys.path.insert(0, 'tests/backends/genesis')\n"
-        "from test_genesis import GENESIS, FAST, sliding_scene, rollout\n"
-        "print(json.dumps(rollout(GENESIS.build(sliding_scene(), FAST)).tolist()))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    simulation = GENESIS.build(sliding_scene(), FAST)
-    assert json.loads(done.stdout) == rollout(simulation).tolist()
-    simulation.close()
-
-
 def test_environments_of_one_genesis_scene_have_their_own_starts() -> None:
     scene = sliding_scene()
     moved = replace(
@@ -504,25 +465,6 @@ def test_genesis_writes_nothing_to_stdout() -> None:
 # --- settings and support --------------------------------------------------------------------------------------------
 
 
-def test_settings_are_checked_and_recorded() -> None:
-    scene = sliding_scene()
-    simulation = GENESIS.build(scene, FAST)
-    assert simulation.settings["contact_resolution"] == "signorini"
-    assert set(simulation.settings) == set(type(PRESETS["default"]).model_fields)
-    simulation.close()
-    for wrong in (
-        {"timestep_s": 0.004},
-        {"friction_cone": "pyramidal"},
-        {"constraint_solver": "CG"},
-        {"noslip_iterations": 5},
-        {"substeps": 2},
-    ):
-        with pytest.raises(ParameterError):
-            GENESIS.build(scene, wrong)
-    with pytest.raises(UnknownNameError):
-        GENESIS.build(scene, {"preset": "fast"})
-
-
 def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
     simulation = GENESIS.build(sliding_scene(), FAST)
     with pytest.raises(BackendError, match="one precision per process"):
@@ -530,25 +472,8 @@ def test_the_other_precision_is_an_error_while_a_simulation_lives() -> None:
     simulation.close()
 
 
-def test_a_scene_gets_its_preset_by_its_contents() -> None:
-    expected = {
-        "SlopeSlider-2-wood": "default",
-        "BouncingBall-rubber": "impact",
-        "Pendulum-metal": "contact_free",
-        "WallBreaking-wood": "stack",
-    }
-    assert {
-        name: settings_for(load_experiment(name).scene).preset for name in expected
-    } == expected
-
-
 def test_what_genesis_lacks_is_declined() -> None:
     cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)))
-    hinge = Hinge(body="cube", anchor_m=(0.0, 0.0, 0.1), axis=(0.0, 1.0, 0.0))
-    (reason,) = GENESIS.supports(
-        Scene(bodies=(cube,), joints=(hinge, hinge), duration_s=1.0)
-    ).missing
-    assert "2 hinges" in reason
     names = [f"can-{number}" for number in range(CONTACT_LIMIT + 1)]
     cans = tuple(solid(name, Cylinder(radius_m=0.03, length_m=0.1)) for name in names)
     contacts = tuple(touching(name, "ground") for name in names)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -53,27 +52,6 @@ def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(
     values = {result.check: result.measured for result in results}
     assert values["foam-tension"] == pytest.approx(1e4, rel=0.01)
     assert values["foam-poisson"] == pytest.approx(0.3, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    "preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)]
-)
-def test_a_state_of_foam_continues_bit_for_bit_in_another_simulation(
-    preset: str,
-) -> None:
-    scene = load_experiment("FoamTwisting-soft").scene
-    genesis = backend("genesis")
-    ends = []
-    first = genesis.build(scene, {"preset": preset})
-    first.reset(0)
-    first.advance(1 / 180)
-    kept = pickle.loads(pickle.dumps(first.state()))
-    for simulation in (first, genesis.build(scene, {"preset": preset})):
-        simulation.restore(kept)
-        simulation.advance(1 / 180)
-        ends.append(simulation.nodes("foam"))
-        simulation.close()
-    assert (ends[0] == ends[1]).all()
 
 
 @pytest.mark.slow

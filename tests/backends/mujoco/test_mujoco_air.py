@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -162,30 +160,6 @@ def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
     assert growth == pytest.approx(np.full(len(growth), 8.0 / 3.0 * rate), rel=0.05)
 
 
-def test_steps_too_long_for_the_air_are_refused() -> None:
-    scene = load_experiment(FLING, "air").scene
-    assert scene.air is not None
-    dense = replace(scene, air=replace(scene.air, density_kg_per_m3=1000.0))
-    with pytest.raises(
-        ParameterError,
-        match=r"steps of 0\.00111 s are stable up to .* reduce timestep_s to",
-    ):
-        BackendMuJoCo().build(dense)
-
-
-def test_a_restored_state_continues_bit_for_bit() -> None:
-    _, simulation, path = fling()
-    advance(simulation, path, 0, 10)
-    state = simulation.state()
-    advance(simulation, path, 10, 20)
-    first = simulation.nodes("textile")
-    _, other, _ = fling()
-    for one in (simulation, other):
-        one.restore(state)
-        advance(one, path, 10, 20)
-        assert np.array_equal(one.nodes("textile"), first)
-
-
 def test_without_air_the_model_steps_as_mujoco_alone() -> None:
     _, simulation, path = fling("calibrated")
     _, other, _ = fling("calibrated")
@@ -196,26 +170,3 @@ def test_without_air_the_model_steps_as_mujoco_alone() -> None:
         mujoco.mj_step(other.model, other.data, nstep=steps)
     assert np.array_equal(simulation.nodes("textile"), other.nodes("textile"))
     assert not simulation.data.qfrc_applied.any()
-
-
-def test_a_vector_environment_gives_the_motion_of_one() -> None:
-    one = gymnasium.make(f"GAUGE/{FLING}", backend="mujoco", parameters="air")
-    many = gymnasium.make_vec(
-        f"GAUGE/{FLING}", num_envs=2, backend="mujoco", parameters="air"
-    )
-    single, _ = one.reset(seed=0)
-    both, _ = many.reset(seed=0)
-    for _ in range(2):
-        single = one.step(np.zeros(one.action_space.shape or 0))[0]
-        both = many.step(np.zeros(many.action_space.shape or 0))[0]
-    for markers in both["markers"]:
-        assert np.array_equal(markers, single["markers"])
-    one.close()
-    many.close()
-
-
-def test_a_state_with_air_does_not_continue_without() -> None:
-    _, simulation, _ = fling()
-    _, still, _ = fling("calibrated")
-    with pytest.raises(BackendError, match="the state is from a simulation with scene"):
-        still.restore(simulation.state())

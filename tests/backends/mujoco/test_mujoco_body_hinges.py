@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.errors import AssetError, BackendError
+from gauge_envs.errors import AssetError
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.scene.scene import Scene
 from gauge_envs.tools.assets.export import write_mjcf
@@ -98,20 +97,6 @@ def test_an_experiment_runs_from_its_file(file: Path) -> None:
     experiment = load_experiment_from_asset(NAME, file)
     assert not experiment.edited
     assert experiment.scene.body_hinges
-
-
-def test_states_belong_to_their_hinge(scene: Scene) -> None:
-    engine = BackendMuJoCo()
-    simulation = engine.build(scene)
-    state = simulation.state()
-    hinge = scene.body_hinges[0]
-    moved = replace(
-        hinge,
-        anchor_m=tuple(np.add(hinge.anchor_m, np.multiply(0.01, hinge.axis)).tolist()),
-    )
-    other = engine.build(replace(scene, body_hinges=(moved,)))
-    with pytest.raises(BackendError, match="the state is from a simulation with scene"):
-        other.restore(state)
 
 
 def test_positions_are_those_of_states(scene: Scene) -> None:

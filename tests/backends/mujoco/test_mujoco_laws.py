@@ -8,19 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from straight import fitted_acceleration
 
-from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
     Contact,
     ContactMode,
     Cylinder,
-    Hinge,
     Motion,
     Plane,
     Pose,
@@ -31,7 +27,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import TrapezoidProfile
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 G = GRAVITY_M_PER_S2
 MUJOCO = backend("mujoco")
@@ -59,33 +55,6 @@ def ball(
         motion=Motion.DYNAMIC,
         pose=Pose(position_m=position_m),
         mass_kg=mass_kg,
-    )
-
-
-def states_over_time(simulation, name: str, seconds: float) -> np.ndarray:
-    """States of one body at 180 Hz, shape [sample_count, 13]."""
-    simulation.reset(0)
-    states = [simulation.body_states([name])[0]]
-    for _ in range(round(seconds / SAMPLE_INTERVAL_S)):
-        simulation.advance(SAMPLE_INTERVAL_S)
-        states.append(simulation.body_states([name])[0])
-    return np.array(states)
-
-
-def test_friction_override_changes_the_slide_by_the_laws_amount(rollout) -> None:
-    accelerations = []
-    for friction in (0.30, 0.15):
-        _, trajectory, _ = rollout(
-            "SlopeSlider-2-wood", parameters={"cube.friction": friction}
-        )
-        displacement_m = (
-            1e-3
-            * (trajectory.frames[:12] - trajectory.frames[0])
-            @ [np.cos(np.pi / 6), 0.0, -0.5]
-        )
-        accelerations.append(fitted_acceleration(np.arange(12) / 30, displacement_m))
-    assert accelerations[1] - accelerations[0] == pytest.approx(
-        G * 0.15 * np.cos(np.pi / 6), rel=0.005
     )
 
 
@@ -235,40 +204,6 @@ def test_tilting_board_lets_go_at_the_friction_angle(rollout) -> None:
     )
 
 
-def test_concave_solids_are_concave(rollout) -> None:
-    scene = load_experiment("NonsmoothContact-1-wood").scene
-    base = scene.body("squarebase")
-    probe = ball(
-        "probe",
-        (*base.pose.position_m[:2], base.pose.position_m[2] + 0.02),
-        radius_m=0.005,
-    )
-    wall = ball(
-        "wall",
-        (base.pose.position_m[0] + 0.04, *base.pose.position_m[1:2], 0.06),
-        radius_m=0.005,
-    )
-    dropped = Scene(
-        bodies=(probe, wall, base),
-        contacts=(
-            Contact(
-                first=("probe", "wall"),
-                second=("squarebase",),
-                friction=0.5,
-                restitution=0.0,
-            ),
-        ),
-        duration_s=1.0,
-    )
-    simulation = MUJOCO.build(dropped)
-    simulation.reset(0)
-    simulation.advance(0.5)
-    top = base.pose.position_m[2]
-    heights = simulation.body_states(["probe", "wall"])[:, 2]
-    assert heights[0] == pytest.approx(top - 0.0125 + 0.005, abs=2e-4)
-    assert heights[1] == pytest.approx(top + 0.005, abs=2e-4)
-
-
 @pytest.mark.slow
 def test_cradle_with_calibrated_restitution_repeats_the_papers_finding(rollout) -> None:
     *_, info = rollout("NewtonsCradle-metal")
@@ -298,37 +233,6 @@ def test_wall_stands_until_it_is_hit(rollout) -> None:
     assert moved[:7].max() < 1.0
     assert moved[-1].max() > 50.0
     assert env.simulation.settings["preset"] == "stack"
-
-
-def test_hinged_body_velocity_is_the_derivative_of_its_position() -> None:
-    bob = ball("bob", (0.2, 0.0, 1.0), radius_m=0.01)
-    joint = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
-    states = states_over_time(
-        MUJOCO.build(Scene(bodies=(bob,), joints=(joint,), duration_s=1.0)), "bob", 0.5
-    )
-    central = (states[2:, :3] - states[:-2, :3]) / (2 * SAMPLE_INTERVAL_S)
-    assert states[1:-1, 7:10] == pytest.approx(central, abs=5e-3)
-
-
-@pytest.mark.parametrize(
-    ("settings", "error", "message"),
-    [
-        ({"preset": "nope"}, UnknownNameError, "nope"),
-        ({"timestep": 0.001}, ParameterError, "timestep"),
-        ({"timestep_s": -1.0}, ParameterError, "timestep_s"),
-        ({"timestep_s": 0.004}, ParameterError, "whole number"),
-        ({"integrator": "magic"}, ParameterError, "integrator"),
-    ],
-)
-def test_wrong_settings_are_named(
-    settings: dict, error: type[Exception], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        MUJOCO.build(load_experiment("SlopeSlider-2-wood").scene, settings)
-
-
-def test_frames_hold_a_whole_number_of_samples() -> None:
-    assert pytest.approx(1 / 30) == SAMPLES_PER_FRAME * SAMPLE_INTERVAL_S
 
 
 def test_steps_read_no_clock_but_that_of_the_user() -> None:

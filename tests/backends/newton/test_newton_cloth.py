@@ -7,11 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_bvp
+from cloths import CELL_M, FABRICS, fabric, heavy_elastica_sag_m, pinned
+from foam import ORIGIN
 from scipy.interpolate import griddata
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.backends import backend
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -25,21 +27,15 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
-from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 newton = pytest.importorskip("newton")
 
 from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.parts import ClothPartNewton, add_cloth  # noqa: E402
-from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsVBD, longest_timestep_s  # noqa: E402
-from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts, stiffness_ratio  # noqa: E402
-from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments  # noqa: E402
+from gauge_envs.backends.newton.vbd import StepperVBD, stiffness_ratio  # noqa: E402
+from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 
-FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
-CELL_M = 0.025
-ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 HANGING = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
 """Warp downward."""
 
@@ -47,21 +43,8 @@ RATES = dict.fromkeys(FABRICS, 1440) | {"nylon": 2880}
 """Steps per second that three iterations are enough for."""
 
 
-def fabric(name: str, size_m: tuple[float, float], pose: Pose = ORIGIN) -> Cloth:
-    cloth = load_experiment(f"TextileFlinging-{name}").scene.deformables[0]
-    assert isinstance(cloth, Cloth)
-    return replace(cloth, size_m=size_m, pose=pose)
-
-
 def weight_n_per_m2(cloth: Cloth) -> float:
     return cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
-
-
-def pinned(axis: str, side: str = "low", depth_m: float = 0.0) -> RigidAttachment:
-    region = Region(axis=axis, side=side, depth_m=depth_m)  # type: ignore[arg-type]
-    return RigidAttachment(
-        region=region, body="frame", motion=Motion.FIXED, pose=ORIGIN
-    )
 
 
 class Rig:
@@ -104,100 +87,20 @@ class Rig:
         return self
 
 
-class Bench:
-    """A scene with cloth, driven as an environment does, or several copies of it in worlds of their own."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        rate_hz: int = 1440,
-        iterations: int = 3,
-        full_surface: bool = False,
-        worlds: int = 1,
-    ) -> None:
-        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
-        contacts = surface_contacts(scene)
-        settings = SettingsVBD(
-            preset="bench",
-            timestep_s=1 / rate_hz,
-            iterations=iterations,
-            cell_m=CELL_M,
-            full_surface=full_surface,
-        )
-        self.scene = scene
-        self.indices: list[RigidIndex] = []
-        self.parts: list[dict[str, ClothPartNewton]] = []
-        for _ in range(worlds):
-            builder.begin_world()
-            index = add_bodies(
-                builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0)
-            )
-            parts = {}
-            for cloth in scene.deformables:
-                assert isinstance(cloth, Cloth)
-                attachments = rigid_attachments(scene, cloth.name)
-                parts[cloth.name] = add_cloth(
-                    builder,
-                    cloth,
-                    attachments=attachments,
-                    bodies=index.bodies,
-                    settings=settings,
-                )
-            apply_contacts(contacts, builder, index.shapes)
-            builder.end_world()
-            self.indices.append(index)
-            self.parts.append(parts)
-        builder.color(include_bending=True)
-        self.stepper = StepperVBD(
-            builder.finalize(device="cpu"),
-            driven=[
-                index.bodies[driver.body]
-                for index in self.indices
-                for driver in scene.drivers
-            ],
-            pins=[
-                pin
-                for parts in self.parts
-                for part in parts.values()
-                for pin in part.pins
-            ],
-            settings=settings,
-            contacts=contacts,
-            contact_stiffness_n_per_m=max(
-                settings.contact_per_stretch * cloth.stretch_stiffness_n_per_m
-                for cloth in scene.deformables
-                if isinstance(cloth, Cloth)
-            ),
-        )
-        self.stepper.record()
-        self.paths = [
-            DriverPath(driver, scene, frame_count=200) for driver in scene.drivers
-        ]
-        self.sample = 0
-
-    def nodes(self, name: str = "textile", world: int = 0) -> np.ndarray:
-        return self.parts[world][name].nodes(self.stepper.now)
-
-    def step(self) -> None:
-        for path in self.paths:
-            for index in self.indices:
-                pose, *motion = path.interval(self.sample, np.zeros(path.motion_count))
-                row = np.concatenate([pose.position_m, pose.quaternion, *motion])
-                self.stepper.drive(np.array([index.bodies[path.body]]), row[None])
-        self.stepper.advance(SAMPLE_INTERVAL_S)
-        self.sample += 1
-
-    def play(self, seconds: float, name: str = "textile") -> np.ndarray:
-        for _ in range(round(seconds / SAMPLE_INTERVAL_S)):
-            self.step()
-        return self.nodes(name)
-
-    def reset(self) -> None:
-        self.stepper.reset()
-        self.sample = 0
-        for path in self.paths:
-            path.reset()
+def played(
+    scene: Scene, seconds: float, *names: str, full_surface: bool = False
+) -> list[np.ndarray]:
+    """Nodes of bodies of a scene after some time [m]."""
+    settings = {
+        "timestep_s": 1 / 1440,
+        "iterations": 3,
+        "cell_m": CELL_M,
+        "full_surface": full_surface,
+    }
+    simulation = backend("newton").build(scene, settings)
+    simulation.reset(0)
+    simulation.advance(seconds)
+    return [simulation.nodes(name) for name in names or ("textile",)]
 
 
 def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
@@ -260,36 +163,6 @@ def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> N
         weight_n_per_m2(cloth) * span_m**2 / (8.0 * cloth.shear_stiffness_n_per_m)
     )
     assert -rig.moved_m[middle, 1].mean() == pytest.approx(expected, rel=0.01)
-
-
-def heavy_elastica_sag_m(
-    load_per_bending: float, length_m: float, bare_m: float
-) -> float:
-    """How far the tip of a clamped strip sinks; it has no weight within `bare_m` of the clamp."""
-
-    def slope(s: np.ndarray, state: np.ndarray, share: float) -> np.ndarray:
-        beyond = length_m - np.maximum(s, bare_m)
-        return np.vstack(
-            [
-                state[1],
-                -share * load_per_bending * beyond * np.cos(state[0]),
-                np.sin(state[0]),
-            ]
-        )
-
-    s, state = np.linspace(0.0, length_m, 200), np.zeros((3, 200))
-    for share in np.linspace(0.1, 1.0, 10):
-        solution = solve_bvp(
-            lambda s, state, share=share: slope(s, state, share),
-            lambda start, end: np.array([start[0], end[1], start[2]]),
-            s,
-            state,
-            tol=1e-7,
-            max_nodes=20000,
-        )
-        assert solution.success
-        s, state = solution.x, solution.y
-    return float(state[2, -1])
 
 
 @pytest.mark.slow
@@ -389,65 +262,6 @@ def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
 # --- held edges ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_a_flung_cloth_stays_on_its_rod() -> None:
-    bench = Bench(load_experiment("TextileFlinging-satin").scene)
-    part, start = bench.parts[0]["textile"], bench.scene.body("rod").pose
-    held = np.isclose(part.rest_m[:, 2], part.rest_m[:, 2].max())
-    arms = start.to_body(part.rest_m[held])
-    worst = strain = 0.0
-    for sample in range(90):
-        bench.step()
-        rod, velocity, _ = bench.paths[0].interval(sample + 1, np.zeros(1))
-        worst = max(
-            worst, float(np.abs(bench.nodes()[held] - rod.to_world(arms)).max())
-        )
-        strain = max(strain, float(strains(part, bench.nodes()).max()))
-    assert worst < 2e-7
-    assert 0.001 < strain < 0.01
-    # The rod itself is where it was driven to, with its velocity.
-    state = bench.stepper.now
-    np.testing.assert_allclose(state.body_q.numpy()[0, :3], rod.position_m, atol=2e-7)
-    np.testing.assert_allclose(state.body_qd.numpy()[0], velocity, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_reset_and_restore_repeat_bit_for_bit() -> None:
-    bench = Bench(load_experiment("TextileFlinging-satin").scene)
-    first = bench.play(0.1)
-    state, later = bench.stepper.state(), bench.play(0.1)
-    bench.reset()
-    assert np.array_equal(
-        bench.nodes(), bench.parts[0]["textile"].rest_m.astype(np.float32)
-    )
-    assert np.array_equal(bench.play(0.1), first)
-    bench.play(0.1)
-    bench.stepper.restore(state)
-    bench.sample = 18
-    assert np.array_equal(bench.play(0.1), later)
-
-
-@pytest.mark.slow
-def test_two_worlds_are_alike_and_do_not_touch() -> None:
-    alone = Bench(load_experiment("TextileFlinging-satin").scene).play(0.1)
-    both = Bench(load_experiment("TextileFlinging-satin").scene, worlds=2)
-    both.play(0.1)
-    np.testing.assert_allclose(both.nodes(world=0), alone, atol=1e-6)
-    assert np.array_equal(both.nodes(world=0), both.nodes(world=1))
-
-
-def test_a_face_or_a_dynamic_body_cannot_be_attached() -> None:
-    for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
-        with pytest.raises(UnsupportedSceneError, match="'frame'"):
-            add_cloth(
-                newton.ModelBuilder(),
-                fabric("satin", (0.1, 0.1)),
-                attachments=[attachment],
-                bodies={},
-                settings=SettingsVBD(preset="rig", timestep_s=1 / 1440, cell_m=CELL_M),
-            )
-
-
 # --- contact ---------------------------------------------------------------------------------------------------------
 
 
@@ -482,9 +296,9 @@ def on_a_slope(friction: float, angle_deg: float) -> Scene:
 
 @pytest.mark.slow
 def test_cloth_stays_on_a_slope_that_holds_it() -> None:
-    bench = Bench(on_a_slope(0.8, 30.0))
-    start = bench.play(0.1)
-    assert np.abs(bench.play(0.3) - start).max() < 1e-4
+    scene = on_a_slope(0.8, 30.0)
+    (start,), (end,) = played(scene, 0.1), played(scene, 0.4)
+    assert np.abs(end - start).max() < 1e-4
 
 
 def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
@@ -497,9 +311,8 @@ def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
         bodies=(*scene.bodies, other),
         contacts=(touching("textile", "other", 0.3),),
     )
-    bench = Bench(scene)
-    bench.play(0.2)
-    assert bench.nodes()[:, 2].max() < -0.15
+    (nodes,) = played(scene, 0.2)
+    assert nodes[:, 2].max() < -0.15
 
 
 @pytest.mark.slow
@@ -529,9 +342,8 @@ def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
     )
 
     def sag_m(one: Scene, full_surface: bool) -> float:
-        bench = Bench(one, full_surface=full_surface)
-        bench.play(0.3)
-        return float(-bench.nodes()[:, 2].min())
+        (nodes,) = played(one, 0.3, full_surface=full_surface)
+        return float(-nodes[:, 2].min())
 
     free = sag_m(replace(scene, contacts=()), full_surface=False)
     assert free > 0.004
@@ -567,16 +379,12 @@ def test_cloth_rests_on_cloth() -> None:
         ),
         duration_s=1.0,
     )
-    bench = Bench(scene)
-    bench.play(0.3, "loose")
-    taut, loose = bench.nodes("taut"), bench.nodes("loose")
+    taut, loose = played(scene, 0.3, "taut", "loose")
     gaps = loose[:, 2] - griddata(taut[:, :2], taut[:, 2], loose[:, :2])
     assert gaps.min() > 0.0005
     assert gaps.max() < 0.003
-    through = replace(scene, contacts=())
-    fallen = Bench(through)
-    fallen.play(0.2, "loose")
-    assert fallen.nodes("loose")[:, 2].max() < -0.1
+    (fallen,) = played(replace(scene, contacts=()), 0.2, "loose")
+    assert fallen[:, 2].max() < -0.1
 
 
 def test_every_pair_gets_its_own_friction() -> None:
@@ -591,16 +399,3 @@ def test_every_pair_gets_its_own_friction() -> None:
                 )
     assert contacts.touched == {"cube", "table"}
     assert not contacts.itself
-
-
-def test_frictions_that_no_coefficients_give_are_declined() -> None:
-    scene = on_a_slope(0.3, 0.0)
-    scene = replace(
-        scene,
-        deformables=(*scene.deformables, sheet("satin", (0.1, 0.1), ORIGIN, "other")),
-        contacts=(touching("textile", "board", 0.3), touching("other", "board", 0.5)),
-    )
-    with pytest.raises(UnsupportedSceneError, match="two coefficients"):
-        surface_contacts(scene)
-    with pytest.raises(UnsupportedSceneError, match="other would touch board as well"):
-        surface_contacts(replace(scene, contacts=scene.contacts[:1]))

@@ -3,29 +3,18 @@
 from __future__ import annotations
 
 import importlib
-import subprocess
-import sys
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
 
-from gauge_envs import Jitter, load_experiment
-from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.runs.episodes import run_episode, run_episodes
+from gauge_envs import load_experiment
+from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
     Box,
-    Contact,
-    ContactMode,
     ConvexUnion,
     Cylinder,
-    Motion,
-    Pose,
-    RigidBody,
-    Scene,
     Sphere,
 )
 
@@ -35,23 +24,6 @@ from gauge_envs.backends import backend
 from gauge_envs.scene.meshes import mass_properties
 
 NEWTON = backend("newton")
-
-
-def solid(
-    name: str,
-    shape: object,
-    position_m: tuple,
-    *,
-    motion: Motion = Motion.DYNAMIC,
-    mass_kg: float = 0.1,
-):
-    return RigidBody(
-        name=name,
-        shape=shape,
-        motion=motion,
-        pose=Pose(position_m=position_m),
-        mass_kg=mass_kg,
-    )
 
 
 @pytest.mark.slow
@@ -72,125 +44,6 @@ def test_the_same_scene_in_two_engines_moves_alike() -> None:
             np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean())
             < 0.03 * moved
         )
-
-
-def test_worlds_are_the_single_simulation_bit_for_bit() -> None:
-    still = Jitter(position_m=0.0, angle_rad=0.0)
-    single = run_episode(RunRequest("Turntable-2-wood", backend="newton")).trajectory
-    assert [
-        r.trajectory
-        for r in run_episodes(
-            RunRequest("Turntable-2-wood", repeats=3, backend="newton", jitter=still)
-        )
-    ] == [single] * 3
-
-
-@pytest.mark.slow
-def test_worlds_start_apart_and_do_not_meet() -> None:
-    results = run_episodes(
-        RunRequest("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1)
-    )
-    singles = run_episodes(
-        RunRequest("SlopeSlider-2-wood", jitter=Jitter(), backend="newton", seed=4)
-    )
-    assert len({result.score.rmse for result in results}) == 6
-    assert results[3].trajectory == singles[0].trajectory
-
-
-def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitution() -> (
-    None
-):
-    """Newton keeps constants with shapes; here three bodies touch with three, so that none has them all.
-
-    The cart brakes with (0.3 * 2 - 0.1) g, the load on it with 0.1 g. A ball rebounds from either with its own speed.
-    """
-    friction = {("cart", "floor"): 0.3, ("load", "cart"): 0.1, ("load", "floor"): 0.2}
-    restitution = {
-        ("first", "floor"): 0.8,
-        ("second", "floor"): 0.4,
-        ("first", "second"): 0.2,
-    }
-    solids = (
-        solid(
-            "floor", Box(size_m=(4.0, 4.0, 0.1)), (0.0, 0.0, -0.05), motion=Motion.FIXED
-        ),
-        replace(
-            solid("cart", Box(size_m=(0.4, 0.2, 0.05)), (0.0, 0.0, 0.025)),
-            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
-        ),
-        replace(
-            solid("load", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.075)),
-            linear_velocity_m_per_s=(1.0, 0.0, 0.0),
-        ),
-        solid("first", Sphere(radius_m=0.02), (1.0, 1.0, 0.22)),
-        solid("second", Sphere(radius_m=0.02), (-1.0, 1.0, 0.22)),
-    )
-    contacts = [
-        Contact(first=(x,), second=(y,), friction=mu, restitution=0.0)
-        for (x, y), mu in friction.items()
-    ]
-    contacts += [
-        Contact(
-            first=(x,),
-            second=(y,),
-            friction=0.0,
-            restitution=e,
-            mode=ContactMode.IMPACT,
-        )
-        for (x, y), e in restitution.items()
-    ]
-    scene = Scene(bodies=solids, contacts=tuple(contacts), duration_s=0.5)
-    assert NEWTON.supports(scene)
-    simulation = NEWTON.build(scene)
-    simulation.advance(0.05)  # Until the boxes press with their weight.
-    before = simulation.body_states(["cart", "load"])[:, 7]
-    simulation.advance(0.1)
-    braked = before - simulation.body_states(["cart", "load"])[:, 7]
-    assert braked / (GRAVITY_M_PER_S2 * 0.1) == pytest.approx([0.5, 0.1], rel=0.02)
-    simulation.advance(0.1)
-    fallen = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.2)
-    rebounds = simulation.body_states(["first", "second"])[:, 9] + GRAVITY_M_PER_S2 * (
-        0.25 - fallen / GRAVITY_M_PER_S2
-    )
-    assert rebounds / fallen == pytest.approx([0.8, 0.4], abs=0.01)
-
-
-def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
-    """A board carries neither; the two bodies on it do (MuJoCo's maximum would give both the larger)."""
-    scene = Scene(
-        bodies=(
-            solid(
-                "board",
-                Box(size_m=(2.0, 1.0, 0.02)),
-                (0.0, 0.0, 0.5),
-                motion=Motion.KINEMATIC,
-                mass_kg=1.0,
-            ),
-            solid("slick", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.2, 0.535)),
-            solid("rough", Box(size_m=(0.05, 0.05, 0.05)), (0.0, -0.2, 0.535)),
-        ),
-        contacts=(
-            Contact(
-                first=("slick",), second=("board",), friction=0.05, restitution=0.0
-            ),
-            Contact(first=("rough",), second=("board",), friction=0.5, restitution=0.0),
-        ),
-        duration_s=1.0,
-    )
-    simulation = NEWTON.build(scene)
-    simulation.reset(0)
-    pose, speed = scene.body("board").pose, np.zeros(6)
-    for k in range(36):
-        t = k / 180
-        place = Pose(position_m=(0.5 * 2.0 * t * t, 0.0, pose.position_m[2]))
-        speed[0] = 2.0 * t
-        simulation.drive(
-            "board", place, speed, np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        )
-        simulation.advance(1 / 180)
-    speeds = simulation.body_states(["slick", "rough"])[:, 7]
-    assert speeds[0] == pytest.approx(0.05 * GRAVITY_M_PER_S2 * 0.2, rel=0.03)
-    assert speeds[1] == pytest.approx(2.0 * 0.2, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -240,22 +93,6 @@ def test_models_share_the_kernels_of_their_collision_pipelines() -> None:
     assert narrow_phase.create_narrow_phase_primitive_kernel is own
 
 
-def test_settings_are_checked_and_named() -> None:
-    scene = load_experiment("SlopeSlider-2-wood").scene
-    with pytest.raises(ParameterError, match=r"'tau'.*unknown setting; known: cone"):
-        NEWTON.build(scene, {"tau": 1.0})
-    with pytest.raises(ParameterError, match="not a whole number"):
-        NEWTON.build(scene, {"timestep_s": 1 / 1000})
-    simulation = NEWTON.build(scene, {"preset": "out_of_box"})
-    assert simulation.settings["timestep_s"] == pytest.approx(1 / 180)
-    assert simulation.settings["solver"] == "SolverMuJoCo"
-
-
-def test_what_newton_cannot_do_is_declined_with_the_reason() -> None:
-    with pytest.raises(UnsupportedSceneError, match="no restitution"):
-        run_episode(RunRequest("RopeWinding-rubber", backend="newton"))
-
-
 def test_out_of_the_box_restitution_has_no_effect_as_published() -> None:
     """The published Newton scores 22.71 (GAUGE, Table 5): its solver ignores the ball's coefficient of restitution."""
     scores = {
@@ -284,34 +121,3 @@ def test_meshes_that_touch_in_one_point_creep_as_published() -> None:
     }
     assert scores["paper"] == pytest.approx(24.68, rel=0.1)
     assert scores["out_of_box"] < 0.5
-
-
-@pytest.mark.slow
-def test_importing_the_package_does_not_import_the_engine() -> None:
-    code = (
-        "import sys, gymnasium, gauge_envs, gauge_envs.cli, gauge_envs.backends\n"
-        "gauge_envs.backends.backend_names()\n"
-        "gymnasium.make('GAUGE/SlopeSlider-2-wood').reset()\n"
-        "print([name for name in ('warp', 'newton', 'mujoco_warp') if name in sys.modules])"
-    )
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert found.stdout.strip() == "[]"
-
-
-def test_without_the_extra_the_error_names_the_pip_command() -> None:
-    code = (
-        "import sys\n"
-        "sys.modules['warp'] = None\n"
-        "import gymnasium, gauge_envs\n"
-        "try:\n"
-        "    gymnasium.make('GAUGE/SlopeSlider-2-wood', backend='newton')\n"
-        "except gauge_envs.GaugeError as error:\n"
-        "    print(type(error).__name__, error)"
-    )
-    found = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert found.stdout.startswith(MissingExtraError.__name__)
-    assert "pip install 'gauge-envs[newton]'" in found.stdout

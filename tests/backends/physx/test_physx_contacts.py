@@ -5,19 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import combinations
 
-import numpy as np
-import pytest
 from hypothesis import given, strategies as st
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
-from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import (
     Contact,
     ContactMode,
-    ConvexUnion,
-    Hinge,
     Motion,
     Pose,
     RigidBody,
@@ -115,38 +110,6 @@ def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it() ->
     assert constants_of(impact, sustained_restitution=False) == Constants(0.3, 0.6)
 
 
-def test_what_physx_cannot_do_is_declined_with_the_part_of_the_scene() -> None:
-    names = [f"ball-{number}" for number in range(34)]
-    many = Scene(
-        bodies=tuple(ball(name) for name in names),
-        contacts=tuple(
-            Contact(first=(names[0],), second=(name,), friction=0.1, restitution=0.0)
-            for name in names[1:]
-        ),
-        duration_s=1.0,
-    )
-    (crowded,) = unsupported(many)
-    assert (
-        crowded.startswith("33 contacts have the same friction and restitution")
-        and "32" in crowded
-    )
-    bouncy = scene_of(
-        Contact(first=("a",), second=("b",), friction=0.1, restitution=1.2)
-    )
-    assert unsupported(bouncy) == [
-        "'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"
-    ]
-    hinges = tuple(
-        Hinge(body="a", anchor_m=(0, 0, 2), axis=axis)
-        for axis in ((1, 0, 0), (0, 1, 0))
-    )
-    assert unsupported(scene_of(joints=hinges)) == [
-        "'a' hangs on 2 hinges: this backend builds one hinge per body"
-    ]
-    (soft,) = unsupported(load_experiment("TextileFlinging-satin").scene)
-    assert "is deformable" in soft and "GPU" in soft
-
-
 def test_every_rigid_scene_is_supported() -> None:
     for name in (
         "WallBreaking-wood",
@@ -155,39 +118,3 @@ def test_every_rigid_scene_is_supported() -> None:
         "NonsmoothContact-3-wood",
     ):
         assert unsupported(load_experiment(name).scene) == []
-
-
-def test_the_message_without_sapien_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(
-        "gauge_envs.backends.shared.bundled.find_spec", lambda name: None
-    )
-    from gauge_envs.backends.physx import BackendPhysX
-
-    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[physx\]'"):
-        BackendPhysX()
-    backend.cache_clear()
-
-
-def test_a_hull_that_physx_would_simplify_is_declined() -> None:
-    count = 300
-    turns, heights = (
-        np.pi * (1.0 + 5.0**0.5) * np.arange(count),
-        np.linspace(-0.99, 0.99, count),
-    )
-    radii = np.sqrt(1.0 - heights**2)
-    points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), heights])
-    (reason,) = unsupported(
-        Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0)
-    )
-    assert (
-        reason
-        == "piece 0 of 'a' has 300 vertices: PhysX simplifies pieces with more than 128; divide it"
-    )
-    fewer = replace(ball("a"), shape=union_of(points[:: count // 100]))
-    assert unsupported(Scene(bodies=(fewer,), duration_s=1.0)) == []
-
-
-def union_of(points: np.ndarray) -> ConvexUnion:
-    return ConvexUnion(pieces_m=(tuple(map(tuple, points.tolist())),))

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,9 +10,7 @@ pytest.importorskip("sapien")
 
 from straight import fitted_acceleration
 
-from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.shared.pair_values import body_values, pair_values
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -33,12 +28,10 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import prism
 from gauge_envs.tools.conformance import run_checks
 
 PHYSX = backend("physx")
-SLOPE = Rotation.from_euler("y", 30, degrees=True)
 
 
 def fixed(name: str, shape: Shape, pose: Pose) -> RigidBody:
@@ -95,68 +88,6 @@ def test_rebounds_have_the_restitution_and_the_bias_of_a_step(
     assert speeds[1] / speeds[0] == pytest.approx(restitution, rel=0.01)
     biased = restitution * (speeds[:-1] + GRAVITY_M_PER_S2 / 1800)
     assert speeds[1:] == pytest.approx(biased, rel=0.01)
-
-
-FRICTIONS = {
-    ("one", "low"): 0.1,
-    ("one", "high"): 0.5,
-    ("two", "low"): 0.5,
-    ("two", "high"): 0.1,
-}
-"""Friction of each cube on each board: no coefficients of the four bodies have these means."""
-
-
-def crossed_slides(boards: dict[str, str]) -> Scene:
-    """Two cubes that may touch both of two leaning boards, each on the board that is named."""
-    normal = SLOPE.apply([0.0, 0.0, 1.0])
-    bodies = [
-        fixed(
-            name,
-            Box(size_m=(2.0, 0.4, 0.02)),
-            Pose.from_rotation((0.0, 3.0 * place, 1.0), SLOPE),
-        )
-        for place, name in enumerate(("low", "high"))
-    ]
-    for cube, board in boards.items():
-        place = (
-            np.array([0.0, 3.0 * ("low", "high").index(board), 1.0]) + 0.035 * normal
-        )
-        pose = Pose.from_rotation(vector(place), SLOPE)
-        bodies.append(
-            RigidBody(
-                name=cube,
-                shape=Box(size_m=(0.05,) * 3),
-                motion=Motion.DYNAMIC,
-                pose=pose,
-                mass_kg=0.1,
-            )
-        )
-    contacts = tuple(
-        Contact(first=(cube,), second=(board,), friction=friction, restitution=0.0)
-        for (cube, board), friction in FRICTIONS.items()
-    )
-    return Scene(bodies=tuple(bodies), contacts=contacts, duration_s=0.5)
-
-
-@pytest.mark.parametrize(
-    "boards", [{"one": "low", "two": "high"}, {"one": "high", "two": "low"}], ids=str
-)
-def test_pairs_have_their_friction_where_no_coefficients_of_bodies_give_it(
-    boards: dict[str, str],
-) -> None:
-    scene = crossed_slides(boards)
-    with pytest.raises(UnsupportedSceneError, match="no values of bodies"):
-        body_values(pair_values(scene, "friction"), "mean")
-    rows = states(scene, [*boards], 0.5)
-    down = (rows[:, :, :3] - rows[0, :, :3]) @ SLOPE.apply([1.0, 0.0, 0.0])
-    measured = [
-        fitted_acceleration(np.arange(len(down)) / 180, column) for column in down.T
-    ]
-    expected = [
-        GRAVITY_M_PER_S2 * (0.5 - FRICTIONS[pair] * np.cos(np.pi / 6))
-        for pair in boards.items()
-    ]
-    assert measured == pytest.approx(expected, rel=2e-3)
 
 
 def rolling_share(length_m: float) -> float:
@@ -248,30 +179,6 @@ def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(
         * (1 + amplitude**2 / 16)
     )
     assert np.diff(crossings).mean() == pytest.approx(law, rel=tolerance)
-
-
-@pytest.mark.slow
-def test_another_process_gives_the_same_bits_and_prints_nothing() -> None:
-    code = (
-        "import sys, gauge_envs\n"
-        "from gauge_envs import load_experiment\n"
-        "from gauge_envs.backends import backend\n"
-        "scene = load_experiment('NonsmoothContact-3-plastic').scene\n"
-        "simulation = backend('physx').build(scene)\n"
-        "simulation.advance(0.4)\n"
-        "sys.stderr.write(simulation.body_states(['wedge']).tobytes().hex())\n"
-    )
-    runs = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        for _ in range(2)
-    ]
-    scene = load_experiment("NonsmoothContact-3-plastic").scene
-    other = PHYSX.build(load_experiment("WallBreaking-wood").scene)
-    simulation = PHYSX.build(scene)
-    simulation.advance(0.4)
-    expected = simulation.body_states(["wedge"]).tobytes().hex()
-    other.close()
-    assert [(run.stdout, run.stderr) for run in runs] == [("", expected)] * 2
 
 
 def test_thin_and_round_pieces_keep_their_vertices() -> None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import re
-import resource
-
 import numpy as np
 import pytest
-from places import ROOT
 from published_scores import late_score
 
 pytest.importorskip("sapien")
@@ -16,8 +12,8 @@ from sapien import physx
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
-from gauge_envs.backends.physx.settings import PRESETS, settings_for
-from gauge_envs.errors import BackendError, ParameterError
+from gauge_envs.backends.physx.settings import PRESETS
+from gauge_envs.errors import BackendError
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -31,12 +27,6 @@ def test_versions_name_sapien_and_its_physx() -> None:
     versions = PHYSX.versions()
     assert versions["sapien"].startswith("3.0.")
     assert "physx-5." in versions["physx"]
-
-
-def test_the_number_of_dynamic_bodies_decides_the_preset() -> None:
-    assert settings_for(BALL).preset == "default"
-    assert settings_for(load_experiment("WallBreaking-wood").scene).preset == "stack"
-    assert settings_for(BALL, {"preset": "stack"}).timestep_s == pytest.approx(1 / 900)
 
 
 def test_out_of_box_has_sapiens_own_values() -> None:
@@ -88,12 +78,6 @@ def test_out_of_box_has_sapiens_own_values() -> None:
     assert wrong == {}
 
 
-def test_the_page_lists_every_preset() -> None:
-    page = (ROOT / "docs" / "engines" / "physx.md").read_text(encoding="utf-8")
-    table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == set(PRESETS)
-
-
 def test_settings_reach_the_engine() -> None:
     settings = {
         "preset": "isaac",
@@ -125,23 +109,6 @@ def test_the_defaults_of_sapien_do_not_change() -> None:
     PHYSX.build(BALL, {"bounce_threshold_m_per_s": 0.3, "solver": "PGS"}).close()
     after = physx.get_scene_config().__getstate__()
     assert np.array_equal(before[0], after[0]) and before[1:] == after[1:]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"contact_offset_m": 0.001, "rest_offset_m": 0.002},
-            "contact_offset_m must be larger than rest_offset_m",
-        ),
-        ({"position_iterations": 0}, "position_iterations"),
-        ({"solver": "newton"}, "solver"),
-        ({"friction_type": "patch"}, "friction_type"),
-    ],
-)
-def test_impossible_settings_are_errors(changes: dict, message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        PHYSX.build(BALL, changes)
 
 
 @pytest.mark.slow
@@ -203,24 +170,6 @@ def test_published_scores_of_isaac_sim_follow_if_frames_are_late(
     assert on_time.rmse_normalized == run_episode(request).score.rmse_normalized
     assert late.rmse_normalized == pytest.approx(published, rel=0.03)
     assert on_time.rmse_normalized != pytest.approx(published, rel=0.03)
-
-
-@pytest.mark.slow
-def test_many_simulations_do_not_fill_the_memory() -> None:
-    scene = load_experiment("NonsmoothContact-3-wood").scene
-
-    def run() -> None:
-        simulation = PHYSX.build(scene)
-        simulation.advance(1 / 180)
-        simulation.reset(0)
-        simulation.close()
-
-    for _ in range(20):
-        run()
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(150):
-        run()
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 4096  # KiB.
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from gauge_envs.backends.pybullet.contacts import (
     pushing_bodies,
     surfaces,
 )
-from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
+from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -117,15 +117,6 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
         )
 
 
-def test_rope_in_contact_is_declined() -> None:
-    missing = list(
-        backend("pybullet").unsupported(load_experiment("RopeWinding-rubber").scene)
-    )
-    assert missing == [
-        "'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"
-    ]
-
-
 @pytest.mark.parametrize(
     ("name", "late"),
     [
@@ -191,55 +182,12 @@ def test_no_body_of_the_benchmark_needs_the_cone(name: str) -> None:
     assert pushing_bodies(load_experiment(name).scene) == set()
 
 
-@pytest.mark.parametrize(
-    ("name", "preset"),
-    [
-        ("SlopeSlider-1-wood", "contact"),
-        ("Pendulum-metal", "contact"),
-        ("NewtonsCradle-metal", "joint_impact"),
-        ("RopeWinding-rubber", "rope"),
-        ("FoamTwisting-soft", "soft"),
-        ("WallBreaking-wood", "stack"),
-    ],
-)
-def test_preset_follows_the_content_of_the_scene(name: str, preset: str) -> None:
-    assert settings_for(load_experiment(name).scene).preset == preset
-    assert set(PRESETS) == {
-        "contact",
-        "joint_impact",
-        "rope",
-        "soft",
-        "stack",
-        "out_of_box",
-    }
-
-
 def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> None:
     scene = load_experiment("FoamStretching-soft").scene
     # A pressure wave of 87 m/s takes 136 us through 16.7 mm / sqrt(2).
     assert settings_for(scene).timestep_s == 1 / 18000
     assert settings_for(scene, {"cell_m": 0.0334}).timestep_s == 1 / 9000
     assert settings_for(scene, {"timestep_s": 1 / 1800}).timestep_s == 1 / 1800
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        (
-            "CantileverBeam-soft",
-            "'cube-2' is attached to 'cube-1': this backend builds no bonds",
-        ),
-        ("StickStack-soft", "'rod' is a rod"),
-        ("TextileBending-satin", "is cloth"),
-    ],
-)
-def test_deformable_bodies_that_are_not_built_are_declined(
-    name: str, reason: str
-) -> None:
-    assert any(
-        reason in one
-        for one in backend("pybullet").unsupported(load_experiment(name).scene)
-    )
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ParameterError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -30,7 +27,6 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
     Sphere,
-    Tether,
 )
 
 pytest.importorskip("pybullet")
@@ -102,64 +98,8 @@ def failures(*only: str) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
-@pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
-def test_rebound_is_the_pairs_on_fixed_and_on_driven_bodies(
-    motion: Motion, restitution: float
-) -> None:
-    assert rebound(dropped_ball(motion, restitution)) == pytest.approx(
-        restitution, rel=0.01
-    )
-
-
 def test_velocity_correction_of_penetrations_would_add_to_the_rebound() -> None:
     assert rebound(dropped_ball(Motion.FIXED, 0.5), split_impulse="none") > 0.55
-
-
-@pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
-def test_pairs_without_products_have_their_own_friction(motion: Motion) -> None:
-    slope = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 30.0, 0.0))
-    frictions = {"smooth": 0.1, "rough": 0.3}
-    places = [
-        slope.to_world(np.array([-0.3, 0.2 * index, 0.035]))
-        for index in range(len(frictions))
-    ]
-    cubes = tuple(
-        replace(
-            solid(name, Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.0)),
-            pose=Pose(position_m=tuple(place.tolist()), quaternion=slope.quaternion),
-        )
-        for name, place in zip(frictions, places, strict=True)
-    )
-    board = replace(
-        solid("board", Box(size_m=(1.2, 0.6, 0.02)), (0, 0, 1), motion=motion),
-        pose=slope,
-    )
-    far = solid(
-        "far", Box(size_m=(0.1, 0.1, 0.1)), (9.0, 0.0, 0.0), motion=Motion.FIXED
-    )
-    contacts = tuple(
-        Contact(first=(name,), second=("board",), friction=value, restitution=0.0)
-        for name, value in frictions.items()
-    )
-    # No values of bodies have these three products.
-    contacts += (
-        Contact(first=tuple(frictions), second=("far",), friction=0.2, restitution=0.0),
-    )
-    simulation = ENGINE.build(
-        Scene(bodies=(*cubes, board, far), contacts=contacts, duration_s=1.0)
-    )
-    simulation.reset(0)
-    start = simulation.body_states(list(frictions))[:, :3]
-    simulation.advance(0.3)
-    moved = np.linalg.norm(
-        simulation.body_states(list(frictions))[:, :3] - start, axis=1
-    )
-    simulation.close()
-    for distance, friction in zip(moved, frictions.values(), strict=True):
-        assert distance == pytest.approx(
-            0.5 * 0.3**2 * G * (0.5 - friction * np.cos(np.pi / 6)), rel=0.01
-        )
 
 
 def pushed_cube(friction: float) -> Scene:
@@ -215,39 +155,6 @@ def test_cube_that_a_bar_pushes_and_slips_along_moves_along_the_edge_of_the_fric
     simulation.close()
     assert speed[0] == pytest.approx(velocity[0], rel=0.002)
     assert speed[1] / speed[0] == pytest.approx(-friction, rel=0.005)
-
-
-def test_two_bodies_in_one_world_do_not_depend_on_another_world() -> None:
-    scene = load_experiment("NonsmoothContact-1-wood").scene
-
-    def rollout() -> np.ndarray:
-        simulation = ENGINE.build(scene)
-        simulation.reset(0)
-        positions = simulation.sample_positions(["pyramid"], 60, 1 / 180)
-        simulation.close()
-        return positions
-
-    alone = rollout()
-    other = ENGINE.build(dropped_ball(Motion.FIXED, 0.5), {"preset": "out_of_box"})
-    other.advance(0.5)
-    beside = rollout()
-    other.close()
-    assert np.array_equal(alone, beside)
-
-
-def test_driven_body_without_a_new_drive_stays() -> None:
-    scene = dropped_ball(Motion.KINEMATIC, 0.5)
-    simulation = ENGINE.build(scene)
-    simulation.reset(0)
-    simulation.drive(
-        "plate", scene.body("plate").pose, np.array([0.18, 0, 0, 0, 0, 0]), np.zeros(6)
-    )
-    simulation.advance(1 / 180)
-    moved = simulation.body_states(["plate"])[0]
-    assert moved[0] == pytest.approx(0.001, rel=1e-12)
-    simulation.advance(10 / 180)
-    assert np.array_equal(simulation.body_states(["plate"])[0, :7], moved[:7])
-    simulation.close()
 
 
 def test_gravity_does_not_move_a_driven_body_within_a_step() -> None:
@@ -422,59 +329,6 @@ def test_free_rope_falls() -> None:
     )
 
 
-def test_segments_have_a_limit() -> None:
-    scene = Scene(bodies=(), deformables=(ROPE,), duration_s=1.0)
-    with pytest.raises(
-        ParameterError,
-        match="'cell_m' is 5 mm, which gives 'rope' about 61 nodes, more than 28",
-    ):
-        ENGINE.build(scene, {"cell_m": 0.005})
-    simulation = ENGINE.build(
-        replace(scene, deformables=(replace(ROPE, length_m=1.0),))
-    )
-    assert simulation.nodes("rope").shape == (28, 3)
-    simulation.close()
-
-
-def test_rope_in_a_loop_or_on_a_driven_body_is_declined() -> None:
-    bodies = tuple(
-        solid(name, BOB, (place, 0.0, 1.0), motion=Motion.FIXED)
-        for name, place in (("a", -1.0), ("b", 1.0))
-    )
-    ends = tuple(
-        Attachment(deformable="rope", region=region, to=name)
-        for name, region in (("a", LOW), ("b", HIGH))
-    )
-    scene = Scene(bodies=bodies, deformables=(ROPE,), attachments=ends, duration_s=1.0)
-    assert "held at both ends" in ENGINE.supports(scene).missing[0]
-    driven = replace(
-        scene, bodies=(replace(bodies[0], motion=Motion.KINEMATIC), bodies[1])
-    )
-    assert "which is driven" in ENGINE.supports(driven).missing[0]
-
-
-def test_string_without_a_direction_or_with_a_start_velocity_is_declined() -> None:
-    ball = solid("bob", Sphere(radius_m=0.02), (0.0, 0.0, 1.0))
-    string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=0.3)
-    assert (
-        "no direction"
-        in ENGINE.supports(
-            Scene(bodies=(ball,), joints=(string,), duration_s=1.0)
-        ).missing[0]
-    )
-    moving = replace(
-        ball,
-        pose=Pose(position_m=(0.0, 0.0, 0.8)),
-        linear_velocity_m_per_s=(1.0, 0.0, 0.0),
-    )
-    assert (
-        "start velocity"
-        in ENGINE.supports(
-            Scene(bodies=(moving,), joints=(string,), duration_s=1.0)
-        ).missing[0]
-    )
-
-
 def test_pieces_of_a_solid_carry_a_ball_between_them() -> None:
     corners = [
         (x, y, z) for x in (0.0, 0.05) for y in (-0.05, 0.05) for z in (-0.02, 0.0)
@@ -539,22 +393,6 @@ def test_out_of_box_is_the_engine_as_it_starts(monkeypatch: pytest.MonkeyPatch) 
         for one, positions in zip(changes, given, strict=True)
     )
     assert not np.array_equal(differs, given[1])
-
-
-def test_engine_prints_nothing() -> None:
-    code = (
-        "from gauge_envs import load_experiment\n"
-        "from gauge_envs.backends import backend\n"
-        "simulation = backend('pybullet').build(load_experiment('NonsmoothContact-1-wood').scene)\n"
-        "simulation.reset(0)\n"
-        "simulation.advance(1 / 180)\n"
-        "simulation.close()\n"
-        "print('end', flush=True)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert (done.stdout, done.stderr) == ("end\n", "")
 
 
 @pytest.mark.slow
@@ -652,16 +490,6 @@ def test_springs_of_contacts_carry_and_throw_back_a_cube() -> None:
     rate = np.sqrt(4.0 * stiffness / mass_kg)
     closed_m = speed / rate * np.exp(-0.25 * np.pi * rate / 9000.0) + at_rest_m
     assert deepest_m == pytest.approx(closed_m, rel=0.01)
-
-
-def test_springs_of_contacts_need_damping_and_no_split_impulse() -> None:
-    scene = load_experiment("CubeToss-acrylic").scene
-    with pytest.raises(ParameterError, match="must be given together"):
-        settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "split_impulse": "none"})
-    with pytest.raises(ParameterError, match="split_impulse must be 'none'"):
-        settings_for(
-            scene, {"contact_stiffness_n_per_m": 1e4, "contact_damping_n_s_per_m": 1.0}
-        )
 
 
 def test_checks_see_a_driven_body_that_bullet_does_not_move(

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import gc
-import pickle
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
-from gauge_envs.errors import (
-    BackendError,
-    MissingExtraError,
-    ParameterError,
-    UnknownNameError,
-)
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -193,22 +182,6 @@ def test_the_speed_of_a_rebound_is_exact_at_every_step(
     speed = states[:, 9]
     hit = int(np.argmax(speed > 0.0))
     assert speed[hit] == pytest.approx(-restitution * speed[hit - 1], rel=1e-4)
-
-
-@pytest.mark.parametrize("restitution", [0.2, 0.576733, 0.9])
-def test_the_height_of_a_rebound_is_within_one_percent_of_restitution(
-    restitution: float,
-) -> None:
-    times, states = sampled(dropped(restitution), "ball", 0.9)
-    hit = int(np.argmax(states[:, 9] > 0.0))
-    assert times[hit] == pytest.approx(np.sqrt(2.0 * 0.5 / G), abs=1e-3)
-    apex = states[hit : hit + round(2 * restitution * 0.32 * 1800), 2].max() - 0.02
-    assert np.sqrt(apex / 0.5) == pytest.approx(restitution, rel=0.01)
-
-
-def test_a_sustained_contact_does_not_rebound() -> None:
-    _, states = sampled(dropped(0.9, ContactMode.SUSTAINED), "ball", 0.6)
-    assert states[:, 9].max() < 0.05
 
 
 # --- errors of the engine that the page states ------------------------------------------------------------------------
@@ -454,53 +427,7 @@ def test_a_hinged_body_starts_with_its_velocity(
     )
 
 
-def test_a_second_joint_of_a_hinged_body_is_declined() -> None:
-    scene = load_experiment("Pendulum-metal").scene
-    (hinge,) = scene.joints
-    tether = Tether(body=hinge.body, anchor_m=hinge.anchor_m, length_m=1.0)
-    (reason,) = RAPIER.supports(replace(scene, joints=(hinge, tether))).missing
-    assert reason.startswith(f"{hinge.body!r} hangs on 2 joints")
-
-
 # --- states -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "SlopeSlider-3-wood",
-        "Turntable-1-wood",
-        "NonsmoothContact-1-wood",
-        "NewtonsCradle-metal",
-    ],
-)
-def test_a_pickled_state_continues_bit_for_bit_in_another_simulation(name: str) -> None:
-    scene = load_experiment(name).scene
-    names = [body.name for body in scene.bodies]
-    first, second = RAPIER.build(scene), RAPIER.build(scene)
-
-    def moved(simulation, frames: int, start: int) -> np.ndarray:
-        states = []
-        for frame in range(start, start + frames):
-            for driver in scene.drivers:
-                (pose, speed), (_, later) = (
-                    driver.state(scene.body(driver.body).pose, one / 180)
-                    for one in (frame, frame + 1)
-                )
-                simulation.drive(driver.body, pose, speed, 180 * (later - speed))
-            simulation.advance(1 / 180)
-            states.append(simulation.body_states(names))
-        return np.array(states)
-
-    moved(first, 40, 0)
-    kept = pickle.loads(pickle.dumps(first.state()))
-    ahead = moved(first, 40, 40)
-    second.restore(kept)
-    assert (moved(second, 40, 40) == ahead).all()
-    first.restore(kept)
-    assert (moved(first, 40, 40) == ahead).all()
-    first.reset(0)
-    assert (first.body_states(names) == RAPIER.build(scene).body_states(names)).all()
 
 
 @pytest.mark.parametrize(
@@ -522,69 +449,6 @@ def test_the_velocities_of_all_steps_are_those_of_single_steps(
     assert _mean_velocities(motion, seconds, 10) == pytest.approx(
         np.array(expected), abs=1e-12
     )
-
-
-def test_a_driven_body_starts_its_interval_where_it_is_put() -> None:
-    scene = load_experiment("Turntable-2-wood").scene
-    driver = scene.drivers[0].body
-    simulation = RAPIER.build(scene)
-    simulation.advance(0.1)
-    height = scene.body(driver).pose.position_m[2] - 0.5
-    simulation.drive(
-        driver,
-        Pose(position_m=(0.1, 0.2, height)),
-        np.array([0.3, 0, 0, 0, 0, 0]),
-        np.zeros(6),
-    )
-    assert simulation.body_states([driver])[0, :3] == pytest.approx(
-        [0.1, 0.2, height], abs=1e-6
-    )
-    simulation.advance(1 / 180)
-    assert simulation.body_states([driver])[0, :3] == pytest.approx(
-        [0.1 + 0.3 / 180, 0.2, height], abs=1e-6
-    )
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "SlopeSlider-3-wood",
-        "NonsmoothContact-1-wood",
-        "NewtonsCradle-metal",
-        "Pendulum-metal",
-    ],
-)
-def test_batched_worlds_are_single_simulations_bit_for_bit(name: str) -> None:
-    scene = load_experiment(name).scene
-    names = [body.name for body in scene.bodies]
-    scenes = [jittered(scene, Jitter(), seed=seed) for seed in range(11)]
-    worlds = RAPIER.build_worlds(scenes)
-    singles = [RAPIER.build(one) for one in scenes]
-
-    def read(every) -> np.ndarray:
-        return np.array([one.body_states(names) for one in every])
-
-    for _ in range(2):
-        worlds.reset(0)
-        for single in singles:
-            single.reset(0)
-        for frame in range(20):
-            for index, (world, single) in enumerate(
-                zip(worlds.worlds, singles, strict=True)
-            ):
-                for driver in scene.drivers if index != 5 else ():
-                    pose, speed = driver.state(
-                        scene.body(driver.body).pose, frame / 180
-                    )
-                    for one in (world, single):
-                        one.drive(driver.body, pose, speed, np.zeros(6))
-            worlds.advance(1 / 180)
-            for single in singles:
-                single.advance(1 / 180)
-        assert (read(worlds.worlds) == read(singles)).all()
-    assert len({state.tobytes() for state in read(singles)}) == len(scenes)
-    worlds.close()
-    worlds.close()
 
 
 @pytest.mark.parametrize(
@@ -616,106 +480,7 @@ def test_a_world_that_fails_leaves_its_neighbours_alone() -> None:
     assert (worlds.worlds[2].body_states(["ball"]) == alone.body_states(["ball"])).all()
 
 
-def test_a_state_of_other_settings_or_another_scene_is_refused() -> None:
-    simulation = RAPIER.build(dropped(0.5))
-    for other in (
-        RAPIER.build(dropped(0.5), {"pgs_iterations": 2}),
-        RAPIER.build(dropped(0.6)),
-    ):
-        with pytest.raises(BackendError):
-            simulation.restore(other.state())
-
-
-def test_a_state_between_drive_and_advance_holds_the_motion() -> None:
-    scene = load_experiment("Turntable-2-wood").scene
-    driver = scene.drivers[0].body
-    simulation = RAPIER.build(scene)
-    pose = scene.body(driver).pose
-    simulation.drive(
-        driver, pose, np.array([0.0, 0, 0, 0, 0, 1.0]), np.array([0.0, 0, 0, 0, 0, 6.0])
-    )
-    kept = simulation.state()
-    simulation.advance(1 / 180)
-    ahead = simulation.body_states([driver, "cube"])
-    assert ahead[0, 12] == pytest.approx(1.0 + 6.0 / 180, abs=1e-6)
-    simulation.restore(kept)
-    simulation.advance(1 / 180)
-    assert (simulation.body_states([driver, "cube"]) == ahead).all()
-
-
-def test_a_wrench_replaces_the_last_one() -> None:
-    scene = Scene(
-        bodies=(solid("box", Box(size_m=(0.1,) * 3)),),
-        duration_s=1.0,
-        gravity_m_per_s2=0.0,
-    )
-    simulation = RAPIER.build(scene)
-    inertia = 0.1 * 0.1**2 / 6.0
-    for wrench in (
-        np.array([0.5, 0.0, 0.0, inertia, 0.0, 0.0]),
-        np.array([0.0, 0.2, 0.0, 0.0, inertia, 0.0]),
-        np.zeros(6),
-    ):
-        simulation.apply_wrench("box", wrench)
-        simulation.advance(0.1)
-    expected = [0.5, 0.2, 0.0, 0.1, 0.1, 0.0]
-    assert simulation.body_states(["box"])[0, 7:] == pytest.approx(expected, abs=1e-4)
-
-
-def final_states(name: str) -> bytes:
-    """States at the end of the first 0.2 s of an experiment."""
-    scene = load_experiment(name).scene
-    simulation = RAPIER.build(scene)
-    simulation.advance(0.2)
-    return simulation.body_states([body.name for body in scene.bodies]).tobytes()
-
-
-@pytest.mark.slow
-def test_another_process_gives_the_same_bits() -> None:
-    code = (
-        "import sys\n"
-        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from test_rapier import final_states\n"
-        "print(final_states('NonsmoothContact-3-wood').hex())\n"
-    )
-    run = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    )
-    assert bytes.fromhex(run.stdout) == final_states("NonsmoothContact-3-wood")
-
-
-def test_a_state_that_is_not_finite_is_a_fault() -> None:
-    simulation = RAPIER.build(dropped(0.5))
-    simulation.advance(0.1)
-    assert simulation.fault() is None
-    start = simulation.state()
-    simulation.apply_wrench("ball", np.array([np.nan, 0, 0, 0, 0, 0]))
-    simulation.advance(0.1)
-    assert "'ball'" in str(simulation.fault())
-    simulation.restore(start)
-    simulation.advance(0.1)
-    assert (
-        simulation.fault() is None
-        and np.isfinite(simulation.body_states(["ball"])).all()
-    )
-
-
 # --- settings and installation ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("settings", "part"),
-    [
-        ({"solver_iterations": 0}, "solver_iterations"),
-        ({"friction_model": "pyramid"}, "friction_model"),
-        ({"contact_frequency_hz": -1.0}, "contact_frequency_hz"),
-        ({"timestep_s": 0.001}, "timestep_s"),
-        ({"preset": "stack"}, "known: default, out_of_box"),
-    ],
-)
-def test_wrong_settings_are_named(settings: dict, part: str) -> None:
-    with pytest.raises((ParameterError, UnknownNameError), match=part):
-        RAPIER.build(dropped(0.5), settings)
 
 
 def test_every_setting_reaches_the_engine() -> None:
@@ -784,36 +549,3 @@ def test_episodes_end(preset: str) -> None:
         assert result.settings["preset"] == preset and set(result.versions) >= {
             "rapier3d"
         }
-
-
-@pytest.mark.slow
-def test_closed_simulations_free_their_worlds() -> None:
-    resource = pytest.importorskip("resource")
-    scene = load_experiment("SlopeSlider-2-wood").scene
-
-    def open_and_close(count: int) -> float:
-        for _ in range(count):
-            simulation = RAPIER.build(scene)
-            simulation.advance(1 / 180)
-            simulation.close()
-            simulation.close()
-        gc.collect()
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-    before = open_and_close(50)
-    assert open_and_close(200) - before < 10.0
-
-
-def test_the_backend_without_the_engine_names_the_extra(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(
-        "gauge_envs.backends.shared.bundled.find_spec", lambda name: None
-    )
-    with pytest.raises(MissingExtraError, match=r"gauge-envs\[rapier\]"):
-        type(RAPIER)()
-
-
-def test_the_engine_is_imported_at_the_first_build() -> None:
-    code = "import sys; from gauge_envs.backends import backend; backend('rapier'); sys.exit('rapier3d' in sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)

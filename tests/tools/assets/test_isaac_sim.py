@@ -22,6 +22,7 @@ from places import ROOT
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
+from usd_rules import usd_faults
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends.mujoco import BackendMuJoCo
@@ -173,8 +174,10 @@ def schema_faults(stage: Usd.Stage) -> list[str]:
 
 
 @pytest.mark.parametrize("name", EACH)
-def test_layers_follow_the_published_schemas(name: str) -> None:
-    assert schema_faults(layer_of(name)) == []
+def test_layers_follow_the_published_schemas_and_rules_of_usd(name: str) -> None:
+    stage = layer_of(name)
+    assert schema_faults(stage) == []
+    assert usd_faults(stage) == []
 
 
 @pytest.mark.parametrize(
@@ -220,6 +223,14 @@ def test_bundled_layers_follow_the_published_schemas(path: Path) -> None:
             lambda prim: prim.RemoveAppliedSchema("OmniPhysicsDeformableBodyAPI"),
             "no applied schema",
         ),
+        (
+            lambda prim: (
+                prim.GetStage()
+                .GetAttributeAtPath("/World/PhysicsScene.physxScene:broadphaseType")
+                .Set("CPU")
+            ),
+            "not allowed",
+        ),
     ],
 )
 def test_faults_of_a_layer_are_found(
@@ -229,25 +240,6 @@ def test_faults_of_a_layer_are_found(
     assert schema_faults(stage) == []
     fault(stage.GetPrimAtPath("/World/textile"))
     assert found in " ".join(schema_faults(stage))
-
-
-def test_a_broadphase_that_does_not_exist_is_found() -> None:
-    stage = layer_of("TableclothPulling-wood")
-    stage.GetPrimAtPath("/World/PhysicsScene").GetAttribute(
-        "physxScene:broadphaseType"
-    ).Set("CPU")
-    assert "not allowed" in " ".join(schema_faults(stage))
-
-
-@pytest.mark.parametrize("name", EACH)
-def test_usd_validators_find_nothing(name: str) -> None:
-    validation = pytest.importorskip("pxr.UsdValidation")
-    validators = validation.ValidationRegistry().GetOrLoadAllValidators()
-    stage = layer_of(name)
-    assert [
-        error.GetErrorAsString()
-        for error in validation.ValidationContext(validators).Validate(stage)
-    ] == []
 
 
 # --- content of the layer --------------------------------------------------------------------------------------------
@@ -769,20 +761,17 @@ def test_a_simulation_that_diverges_writes_no_file(
     assert stub.log[-2:] == ["detach", "close"]
 
 
-def test_a_layer_of_another_command_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    stub = StubIsaacSim(at_rest)
-    stub.install(monkeypatch)
-    monkeypatch.setattr(sys, "argv", ["run_layer.py"])
-    layer = assets_folder() / "usd" / "BouncingBall-rubber.usda"
-    assert RUN_LAYER.main([str(layer), "--out", str(tmp_path / "out.csv")]) == 2
-    assert "not a layer of 'gauge data isaac-sim'" in capsys.readouterr().err
-    assert stub.times_s == []
+BUNDLED = assets_folder() / "usd" / "BouncingBall-rubber.usda"
 
 
 @pytest.mark.parametrize(
-    ("content", "reason"), [(None, "no such file"), ("not USD", "cannot open the file")]
+    ("content", "reason"),
+    [
+        (None, "no such file"),
+        ("not USD", "cannot open the file"),
+        (BUNDLED.read_text(encoding="utf-8"), "not a layer of 'gauge data isaac-sim'"),
+    ],
+    ids=["none", "no USD", "of another command"],
 )
 def test_a_file_that_is_no_layer_is_refused(
     content: str | None,
@@ -791,10 +780,12 @@ def test_a_file_that_is_no_layer_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    StubIsaacSim(at_rest).install(monkeypatch)
+    stub = StubIsaacSim(at_rest)
+    stub.install(monkeypatch)
     monkeypatch.setattr(sys, "argv", ["run_layer.py"])
     layer = tmp_path / "layer.usda"
     if content is not None:
-        layer.write_text(content)
+        layer.write_text(content, encoding="utf-8")
     assert RUN_LAYER.main([str(layer)]) == 2
     assert reason in capsys.readouterr().err
+    assert stub.times_s == []

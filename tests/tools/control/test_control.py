@@ -6,11 +6,11 @@ import copy
 import csv
 import math
 import pickle
-import re
 import subprocess
 import sys
 import warnings
 
+import approval
 import gymnasium
 import mujoco
 import numpy as np
@@ -20,19 +20,15 @@ from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 from places import ROOT
 from scipy.integrate import solve_ivp
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.cli.app import app
 from gauge_envs.errors import (
-    ActionError,
     BackendError,
-    EpisodeError,
+    GaugeError,
     ParameterError,
-    UnknownNameError,
 )
 from gauge_envs.files import data_folder
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -45,6 +41,7 @@ from gauge_envs.tools.control.play import engine_limit, play
 from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
 from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 from gauge_envs.tools.control.turntable import TurntableLimit
+from gauge_envs.tools.control.vector import ControlVectorEnv
 
 NAMES = tuple(task.name for task in control_tasks())
 STEADY = tuple(
@@ -52,7 +49,6 @@ STEADY = tuple(
     for name in NAMES
     if name.partition("-")[0] in ("Turntable", "SlopeSlider", "Pendulum")
 )
-FRICTION = tuple(name for name in STEADY if not name.startswith("Pendulum"))
 MATERIALS = ("wood", "plastic", "metal")
 GOOD = (Ending.HELD, Ending.REACHED)
 FAST = {"timestep_s": 1 / 1080}
@@ -147,28 +143,40 @@ def test_a_pickle_of_another_version_of_the_engine_is_refused():
         pickle.loads(pickle.dumps(env))
 
 
-def test_misuse_is_an_error():
-    env = make("Turntable-Limit-wood")
-    with pytest.raises(EpisodeError, match="reset before step"):
-        env.step(np.zeros(1))
-    with pytest.raises(ParameterError, match="no options"):
-        env.reset(options={"jitter": True})
-    env.reset()
-    for action, reason in (
-        (np.zeros(2), "shape"),
-        (np.array([1.1]), "-1 to 1"),
-        (np.array([np.nan]), "-1 to 1"),
-    ):
-        with pytest.raises(ActionError, match=reason):
-            env.step(action)
-    with pytest.raises(ActionError, match="numbers"):
-        env.step("fast")
-    with pytest.raises(EpisodeError, match="when it is over"):
-        env.report()
-    with pytest.raises(ParameterError, match="drive_interval_s"):
-        make("Turntable-Limit-wood", settings={"preset": "out_of_box"})
-    with pytest.raises(ParameterError, match="render_mode"):
-        TurntableLimit("wood", render_mode="human")
+def reset(env):
+    env.reset(seed=0)
+    return env
+
+
+def test_wrong_calls_are_refused(approved):
+    turntable = make("Turntable-Limit-wood")
+    worlds = ControlVectorEnv("Pendulum-Limit-metal", 2)
+    closed = reset(ControlVectorEnv("Pendulum-Limit-metal", 2))
+    closed.close()
+    out_of_box = {"settings": {"preset": "out_of_box"}}
+    one_entry = {"num_envs": 2, "world_parameters": [{}]}
+    carry = "GAUGE/Carry-Limit-wood"
+    calls = {
+        "unknown task": lambda: find_control_task("Turntable-Limit-wod"),
+        "step before reset": lambda: make("Turntable-Limit-wood").step([0.0]),
+        "report before the end": lambda: reset(turntable).report(),
+        "jitter": lambda: turntable.reset(options={"jitter": True}),
+        "two actions": lambda: reset(turntable).step([0.0, 0.0]),
+        "a large action": lambda: reset(turntable).step([1.1]),
+        "no number": lambda: reset(turntable).step([math.nan]),
+        "a word": lambda: reset(turntable).step("fast"),
+        "drive interval": lambda: make("Turntable-Limit-wood", **out_of_box),
+        "window": lambda: TurntableLimit("wood", render_mode="human"),
+        "one entry": lambda: gymnasium.make_vec(carry, **one_entry),
+        "no worlds": lambda: ControlVectorEnv("Carry-Limit-wood", 0),
+        "worlds' step before reset": lambda: worlds.step(np.zeros((2, 1))),
+        "three seeds": lambda: worlds.reset(seed=[1, 2, 3]),
+        "jitter of worlds": lambda: worlds.reset(options={"jitter": True}),
+        "one action": lambda: reset(worlds).step(np.zeros((1, 1))),
+        "large actions": lambda: reset(worlds).step(np.full((2, 1), 2.0)),
+        "worlds' reset after close": closed.reset,
+    }
+    approved("control/refused", approval.refused_calls(GaugeError, calls))
 
 
 @needs_opengl
@@ -182,19 +190,18 @@ def test_picture_shows_the_board_tilting():
     env.close()
 
 
-def test_command_line_tells_them_apart():
-    run = CliRunner().invoke
-    listed = run(app, ["list"]).stdout.splitlines()
-    assert listed[-1].startswith("75 ids")
-    assert "15 control tasks" in " ".join(listed[-8:])
-    shown = run(app, ["show", "Turntable-Limit-wood"])
-    assert shown.exit_code == 0
-    assert "omega^2 r = mu g" in shown.stdout
-    assert "0.3788 +- 0.024" in shown.stdout
-    assert (
-        '"unit": "m/J"'
-        in run(app, ["show", "GAUGE/Pendulum-Limit-metal", "--json"]).stdout
-    )
+@pytest.mark.usefixtures("rigid_only")
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("turntable", "Turntable-Limit-wood"),
+        ("pendulum-wide", "GAUGE/Pendulum-Limit-metal --format wide"),
+        ("throw-json", "Throw-Limit-rubber --json"),
+    ],
+)
+def test_what_is_shown_is_the_approved_text(gauge, approved, name, words):
+    result = gauge("show", *words.split())
+    approved(f"control/{name}", approval.readable(result))
 
 
 # --- limits and their uncertainty ---
@@ -496,36 +503,7 @@ def test_an_engine_without_applied_forces_says_so():
         object.__new__(Silent).apply_wrench("ball", np.zeros(6))
 
 
-def test_unknown_control_task():
-    assert find_control_task("GAUGE/Turntable-Limit-wood").material == "wood"
-    with pytest.raises(UnknownNameError, match="Turntable-Limit-wood"):
-        find_control_task("Turntable-Limit-wod")
-
-
 # --- guide and example ---
-
-
-def test_blocks_of_the_guide_run(capsys):
-    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
-    code = "\n".join(
-        re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL)
-    )
-    exec(compile(code, "control.md", "exec"), {})
-    stated = re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
-    assert len(stated) == 2
-    assert capsys.readouterr().out.splitlines() == stated
-
-
-def test_limits_of_the_guide_are_those_of_the_tasks():
-    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
-    stated = re.findall(r"(0\.\d+) \+- (0\.\d+)(?=[,| ])", guide.partition("```")[0])
-    limits = [
-        make(name).limit for name in NAMES if "Carry" not in name and "Push" not in name
-    ]
-    assert [tuple(map(float, pair)) for pair in stated] == [
-        (pytest.approx(limit.value, abs=6e-4), pytest.approx(limit.sigma, abs=6e-4))
-        for limit in limits
-    ]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import gauge_envs  # noqa: F401  # registers the ids
-from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.tools.control.vector import ControlVectorEnv
 
 CONSTANTS = [
@@ -136,27 +135,3 @@ def test_worlds_with_other_constants_differ():
     for _ in range(4):
         observations, *_ = envs.step(np.ones((2, 2)))
     assert np.linalg.norm(observations[0, :2] - observations[1, :2]) > 1e-3
-
-
-def test_wrong_calls_are_named():
-    with pytest.raises(
-        ParameterError, match="world_parameters has 1 entries for 2 worlds"
-    ):
-        gymnasium.make_vec("GAUGE/Carry-Limit-wood", num_envs=2, world_parameters=[{}])
-    with pytest.raises(ParameterError, match="num_envs is 0"):
-        ControlVectorEnv("Carry-Limit-wood", 0)
-    envs = ControlVectorEnv("Pendulum-Limit-metal", 2)
-    with pytest.raises(EpisodeError, match="call reset before step"):
-        envs.step(np.zeros((2, 1)))
-    with pytest.raises(ParameterError, match="3 seeds for 2 worlds"):
-        envs.reset(seed=[1, 2, 3])
-    with pytest.raises(ParameterError, match="no options"):
-        envs.reset(options={"jitter": True})
-    envs.reset(seed=0)
-    with pytest.raises(ActionError, match="1 actions for 2 worlds"):
-        envs.step(np.zeros((1, 1)))
-    with pytest.raises(ActionError, match="from -1 to 1"):
-        envs.step(np.full((2, 1), 2.0))
-    envs.close()
-    with pytest.raises(EpisodeError, match="after close"):
-        envs.reset()

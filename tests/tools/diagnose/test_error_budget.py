@@ -1,27 +1,23 @@
 """Error budgets: planted errors come back, parts sum to the whole, and no smaller error is missed."""
 
-import io
 import itertools
 import json
 import math
 from dataclasses import replace
 
+import approval
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
-from rich.console import Console
 from scipy.interpolate import CubicSpline
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.cli.app import app
-from gauge_envs.errors import ParameterError, ShapeError
+from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact
-from gauge_envs.pages.document import Terminal, as_rows
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.published import carried_band, published_baselines
+from gauge_envs.references.published import carried_band
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
@@ -35,7 +31,7 @@ from gauge_envs.tools.diagnose.error_budget import (
     stage_order,
 )
 from gauge_envs.tools.diagnose.model import BudgetStage
-from gauge_envs.tools.diagnose.words import diagnosis_document, draw_diagnoses, findings
+from gauge_envs.tools.diagnose.words import draw_diagnoses, findings
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-2-wood",
@@ -481,18 +477,6 @@ def test_measured_frames_alone_are_another_whole(ball):
     assert 0.0 < whole.extrapolated_share < 0.05
 
 
-def test_published_engines_have_no_split(ball):
-    diagnosis = diagnose(ball)
-    lines = published_baselines(BALL)
-    newton = diagnosis.published["newton"]
-    assert newton.rmse == pytest.approx(22.71 * lines["rmse"].mean)
-    assert newton.dtw_over_rmse == pytest.approx(
-        14.89 * lines["dtw"].mean / (22.71 * lines["rmse"].mean)
-    )
-    assert diagnosis.dtw_over_rmse == pytest.approx(ball.score.dtw / ball.score.rmse)
-    assert "needs the trajectory" in diagnosis.published_note
-
-
 # --- what does not apply ---------------------------------------------------------------------------------------------
 
 
@@ -630,14 +614,6 @@ def test_there_is_no_impact_where_nothing_rebounds(motion_at):
 # --- requests --------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def gauge(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
-        app, list(map(str, arguments))
-    )
-
-
 @pytest.fixture(scope="module")
 def unscored():
     return run_episode(RunRequest("Turntable-3-plastic"))
@@ -673,15 +649,6 @@ def test_what_is_missing_is_reported(ball, unscored):
         diagnose(other)
 
 
-@pytest.mark.parametrize(
-    "order",
-    [[], ["release"], ["release", "offset", "offset"], ["release", "offset", "speed"]],
-)
-def test_an_order_is_each_stage_once(order):
-    with pytest.raises(ParameterError, match="each of release, offset, rate once"):
-        stage_order(order)
-
-
 def test_trajectories_that_do_not_fit_are_refused():
     experiment = load_experiment(SLIDE)
     times, values = samples(experiment.frame_count, slide(2600.0))
@@ -715,67 +682,6 @@ def test_another_reference_than_that_of_the_score_is_noted(ball):
     assert not any("was not made" in note for note in diagnose(ball).notes)
 
 
-def test_view_rows_and_picture_say_the_same(ball):
-    pairs = [(ball, diagnose(ball))]
-    console = Console(width=200, record=True, file=io.StringIO())
-    console.print(Terminal(diagnosis_document(pairs)))
-    text = console.export_text()
-    for words in (
-        "BouncingBall-rubber",
-        "as it is",
-        "74.6",
-        "restitution 0.577",
-        "is let go 0.056 s later",
-        "Isaac Sim",
-    ):
-        assert words in text
-    (row,) = json.loads(json.dumps(as_rows(diagnosis_document(pairs)), allow_nan=False))
-    assert row["backend"] == "mujoco"
-    assert [part["stage"] for part in row["parts"]] == ["release", "offset", "rate"]
-    assert row["findings"] == list(findings(pairs[0][1]))
-    axis = draw_diagnoses(pairs).axes[0]
-    assert sum(bar.get_width() for bar in axis.patches) == pytest.approx(100.0)
-
-
-def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
-    write_result(ball, tmp_path / "ball.json")
-    write_result(unscored, tmp_path / "cradle.json")
-    alone = gauge("diagnose", "ball.json", "--json")
-    assert alone.exit_code == 0
-    assert [json.loads(line)["id"] for line in alone.stdout.splitlines()] == [
-        "GAUGE/BouncingBall-rubber"
-    ]
-    write_result(near := run_episode(RunRequest(SLIDE)), tmp_path / "slide.json")
-    assert near.score.rmse_normalized < ball.score.rmse_normalized
-    ordered = gauge("diagnose", "slide.json", "ball.json", "--json")
-    assert [json.loads(line)["id"] for line in ordered.stdout.splitlines()] == [
-        ball.id,
-        near.id,
-    ], "worst first"
-    both = gauge("diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
-    assert both.exit_code == 0
-    assert "is let go" in both.stdout
-    assert (
-        "left out: GAUGE/Turntable-3-plastic: there is no reference band" in both.stderr
-    )
-    drawn = gauge(
-        "plot",
-        "--kind",
-        "diagnose",
-        "ball.json",
-        "cradle.json",
-        "order=rate,release,offset",
-    )
-    assert (drawn.exit_code, drawn.stdout) == (0, "plots/diagnosis.png\n")
-    assert (tmp_path / "plots" / "diagnosis.png").exists()
-    none = gauge("diagnose", "cradle.json")
-    assert (none.exit_code, "no reference band" in none.stderr) == (2, True)
-    (tmp_path / "damaged.json").write_text("{")
-    assert gauge("diagnose", ".").exit_code == 1
-    assert gauge("diagnose", "ball.json", "order=rate").exit_code == 2
-    assert gauge("diagnose", "missing").exit_code == 2
-
-
 def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
     times, values = samples(load_experiment(SLIDE).frame_count, slide(2600.0))
     rows = [
@@ -789,4 +695,48 @@ def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
     result = gauge("diagnose", "mine.csv", "--id", SLIDE, "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["kind"] == "uniform_acceleration"
-    assert gauge("diagnose", "--id", SLIDE).exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("text", "order=rate,release,offset"),
+        ("wide", "--format wide"),
+        ("markdown", "--format markdown"),
+        ("json", "--json"),
+        ("measured", "measured_only=true"),
+    ],
+)
+def test_the_output_is_the_approved_one(
+    gauge, approved, tmp_path, ball, unscored, name, words
+):
+    # The worst comes first, whatever the order of the files.
+    write_result(ball, tmp_path / "worst.json")
+    write_result(unscored, tmp_path / "cradle.json")
+    write_result(run_episode(RunRequest(SLIDE)), tmp_path / "near.json")
+    result = gauge("diagnose", ".", *words.split())
+    approved(f"diagnose/{name}", approval.readable(result))
+
+
+def test_wrong_requests_are_refused(gauge, approved, tmp_path, ball, unscored):
+    write_result(ball, tmp_path / "ball.json")
+    write_result(unscored, tmp_path / "cradle.json")
+    commands = (
+        "diagnose cradle.json",
+        "diagnose ball.json order=rate",
+        "diagnose ball.json order=release,offset,offset",
+        "diagnose ball.json order=release,offset,speed",
+        "diagnose missing",
+        f"diagnose --id {SLIDE}",
+    )
+    approved("diagnose/refused", approval.refused_commands(gauge, *commands))
+
+
+def test_pictures_are_drawn(gauge, tmp_path, ball):
+    write_result(ball, tmp_path / "ball.json")
+    drawn = gauge("plot", "--kind", "diagnose", "ball.json")
+    assert (drawn.exit_code, drawn.stdout) == (0, "plots/diagnosis.png\n")
+    axis = draw_diagnoses([(ball, diagnose(ball))]).axes[0]
+    assert sum(bar.get_width() for bar in axis.patches) == pytest.approx(100.0)
+    (tmp_path / "damaged.json").write_text("{")
+    assert gauge("diagnose", ".").exit_code == 1

@@ -1,25 +1,20 @@
 """Films of results, decoded again: frames, clock, ghost and panels are those of the episodes."""
 
-from __future__ import annotations
-
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from approval import refused_calls
 from opengl import needs_opengl
 from PIL import Image
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import (
     GaugeError,
     MissingExtraError,
-    ParameterError,
     RenderError,
     ResultFileError,
 )
@@ -31,7 +26,7 @@ from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import ReplayError
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.film import (
@@ -42,7 +37,7 @@ from gauge_envs.tools.film.film import (
     save_strip,
 )
 from gauge_envs.tools.film.layout import _Scale
-from gauge_envs.tools.film.panel import SimulatedPanel, Take, score_line, take_of
+from gauge_envs.tools.film.panel import SimulatedPanel, score_line, take_of
 
 BALL = "BouncingBall-rubber"
 SIZE = {"width": 160, "height": 120}
@@ -51,7 +46,7 @@ GHOST_FRAME = 9
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Results of the ball on two engines, with different restitutions."""
     pytest.importorskip("rapier3d", reason="extra 'rapier' is not installed")
     path = tmp_path_factory.mktemp("results")
@@ -64,24 +59,24 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def results(folder: Path) -> dict[Path, Result]:
+def results(folder):
     return {file: load_result(file) for file in sorted(folder.glob("*.json"))}
 
 
 @pytest.fixture(scope="module")
-def take(results: dict[Path, Result]) -> Take:
+def take(results):
     file, result = next(iter(results.items()))
     return take_of(result, file)
 
 
-def picture_place() -> tuple[slice, slice]:
+def picture_place():
     """Rows and columns of the first picture in a frame."""
     scale = _Scale(SIZE["height"])
     top = scale.gap + 2 * scale.large_line + scale.small_line
     return slice(top, top + SIZE["height"]), slice(scale.gap, scale.gap + SIZE["width"])
 
 
-def decoded(file: Path) -> tuple[list[np.ndarray], float]:
+def decoded(file):
     """Frames of an MP4 and its rate."""
     imageio_ffmpeg = pytest.importorskip(
         "imageio_ffmpeg", reason="extra 'video' is not installed"
@@ -94,7 +89,7 @@ def decoded(file: Path) -> tuple[list[np.ndarray], float]:
     ], facts["fps"]
 
 
-def shown(file: Path) -> tuple[list[np.ndarray], float]:
+def shown(file):
     """Frames of a WebP or GIF, and its length [s]."""
     frames, length_ms = [], 0
     with Image.open(file) as image:
@@ -109,9 +104,7 @@ def shown(file: Path) -> tuple[list[np.ndarray], float]:
 
 
 @needs_opengl
-def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / "folder" / "ball.mp4"
     options = FilmOptions(**SIZE, fps=10, speed=0.5, hold_s=0.4)
@@ -140,9 +133,7 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(
 @needs_opengl
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
-def test_other_formats_have_the_length_of_the_film(
-    results: dict[Path, Result], tmp_path: Path, suffix: str
-) -> None:
+def test_other_formats_have_the_length_of_the_film(results, tmp_path, suffix):
     out = tmp_path / f"ball{suffix}"
     save_film(
         results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5)
@@ -154,9 +145,7 @@ def test_other_formats_have_the_length_of_the_film(
 
 
 @needs_opengl
-def test_a_strip_shows_the_poses_of_g_at_its_times(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_a_strip_shows_the_poses_of_g_at_its_times(results, tmp_path):
     save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
     sheet = np.asarray(Image.open(tmp_path / "ball.png"))
     file, result = next(iter(results.items()))
@@ -192,9 +181,7 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(
 
 @pytest.mark.slow
 @needs_opengl
-def test_the_same_results_give_the_same_pixels(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
+def test_the_same_results_give_the_same_pixels(results, tmp_path):
     sheets = []
     for name in ("one.png", "other.png"):
         save_strip(results, tmp_path / name, FilmOptions(**SIZE), count=2)
@@ -203,7 +190,7 @@ def test_the_same_results_give_the_same_pixels(
     assert np.abs(sheets[0] - sheets[1]).max() <= 2
 
 
-def test_slow_films_use_more_views_of_the_episode() -> None:
+def test_slow_films_use_more_views_of_the_episode():
     assert FilmOptions(fps=30.0).views_per_frame == 1
     assert FilmOptions(fps=30.0, speed=0.5).views_per_frame == 2
     assert FilmOptions(fps=30.0, speed=0.1).views_per_frame == 6
@@ -215,7 +202,7 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
 # --- ghost -----------------------------------------------------------------------------------------------------------
 
 
-def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
+def pixel(scene_point_m, take, width, height):
     """Column and row of a point, by a pinhole camera of its own."""
     view = experiment_view(
         take.experiment, aspect=width / height, reference=take.reference
@@ -242,7 +229,7 @@ def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.
     )
 
 
-def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
+def ghost_error_px(take, shift_m=0.0):
     """Distance of the drawn ghost from the projection of the mean of the band [pixels]."""
     assert take.reference is not None and take.band is not None
     width, height = 320, 240
@@ -266,19 +253,19 @@ def ghost_error_px(take: Take, shift_m: float = 0.0) -> float:
 
 
 @needs_opengl
-def test_the_ghost_is_where_the_mean_of_the_band_is(take: Take) -> None:
+def test_the_ghost_is_where_the_mean_of_the_band_is(take):
     assert ghost_error_px(take) < 1.5
     # A ghost that is drawn 20 mm too high is seen.
     assert ghost_error_px(take, shift_m=0.02) > 4.0
 
 
-def test_what_a_reference_is_in_words() -> None:
+def test_what_a_reference_is_in_words():
     assert reference_words(BandGrade.TRIALS, 20) == "the mean of 20 real trials"
     assert reference_words(BandGrade.TRIALS, 1) == "one real trial"
     assert reference_words(BandGrade.RECORDING, None) == "one recorded real trial"
 
 
-def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
+def test_a_line_of_scores_has_the_numbers_of_the_result(take):
     score = take.result.score
     assert score.rmse_aligned_normalized_95 is not None
     low, high = score.rmse_aligned_normalized_95
@@ -296,7 +283,7 @@ def test_a_line_of_scores_has_the_numbers_of_the_result(take: Take) -> None:
 
 
 @needs_opengl
-def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> None:
+def test_panels_differ_where_their_bodies_do(results):
     takes = [take_of(result, file) for file, result in results.items()]
     plain = [replace(one, reference=None) for one in takes]
     panels = [
@@ -328,17 +315,14 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
 
 @needs_opengl
 def test_a_result_without_its_engine_has_no_panel_and_a_reason(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, tmp_path, monkeypatch, gauge
+):
     versions_of = replay_module.versions_of
 
-    def without_rapier(name: str) -> dict[str, str]:
+    def without_rapier(name):
         if name == "rapier":
-            raise MissingExtraError(
-                "backend 'rapier'",
-                "rapier",
-                ImportError("no rapier3d", name="rapier3d"),
-            )
+            gone = ImportError("no rapier3d", name="rapier3d")
+            raise MissingExtraError("backend 'rapier'", "rapier", gone)
         return versions_of(name)
 
     for file in folder.glob("*.npz"):
@@ -346,9 +330,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
     out = tmp_path / "ball.png"
     shape = ["width=160", "height=120", "strip=2"]
-    run = CliRunner().invoke(
-        app, ["video", "film", str(folder), "--out", str(out), *shape]
-    )
+    run = gauge("video", "film", folder, "--out", out, *shape)
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
     assert "gauge-envs[rapier]" in run.stderr
@@ -361,91 +343,50 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 # --- errors ----------------------------------------------------------------------------------------------------------
 
 
-def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) -> None:
-    other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
-    mixed = {**results, Path("b.json"): other}
-    with pytest.raises(
-        ResultFileError,
-        match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--only",
-    ):
-        results_of_one_experiment(mixed)
-    assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [
-        Path("b.json")
-    ]
-    with pytest.raises(
-        ResultFileError,
-        match=r"no result is of Funnel-satin; the results are of: Bouncing",
-    ):
-        results_of_one_experiment(mixed, "Funnel-satin")
-    with pytest.raises(ResultFileError, match="gauge run writes them"):
-        results_of_one_experiment({})
-
-
-def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text(
-        json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8"
-    )
-    run = CliRunner().invoke(
-        app, ["video", "film", str(tmp_path), "--out", str(tmp_path / "a.gif")]
-    )
-    assert run.exit_code == 2
-    assert "not a result file" in run.stderr
-    assert not (tmp_path / "a.gif").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"width": 10}, "width is 10, expected 120 to 4096 pixels"),
-        ({"fps": 0.0}, "fps is 0, expected 1 to 120"),
-        ({"speed": float("nan")}, "speed is nan"),
-        ({"from_s": 2.0, "to_s": 1.0}, "to_s is 1, expected from_s = 2"),
-        ({"columns": 0}, "columns is 0"),
-    ],
-    ids=["width", "fps", "speed", "to_s", "columns"],
-)
-def test_impossible_options_are_named(changes: dict[str, float], message: str) -> None:
-    with pytest.raises(ParameterError, match=message):
-        FilmOptions(**changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        (
-            "a.avi",
-            FilmOptions(),
-            r"a\.avi: the suffix states the format: choose \.mp4, \.webp or \.gif",
-        ),
-        (
-            "a.gif",
-            FilmOptions(from_s=9.0),
-            r"from_s is 9 s, and the longest episode ends at 0\.567 s",
-        ),
-        (
-            "a.gif",
-            FilmOptions(speed=0.001, fps=120.0),
-            r"would have \d+ frames, at most 20000",
-        ),
-    ],
-    ids=["format", "span", "frames"],
-)
 @needs_opengl
-def test_films_that_cannot_be_made(
-    results: dict[Path, Result],
-    tmp_path: Path,
-    name: str,
-    options: FilmOptions,
-    message: str,
-) -> None:
-    with pytest.raises(ParameterError, match=message):
-        save_film(results, tmp_path / name, replace(options, **SIZE))
+def test_films_that_cannot_be_made_are_named(results, tmp_path, approved):
+    (tmp_path / "file").touch()
+    file, one = next(iter(results.items()))
+    slider = Path("b.json")
+    mixed = {file: one, slider: replace(one, id="GAUGE/SlopeSlider-2-wood")}
+    many = {Path(f"{number}.json"): one for number in range(14)}
+
+    def film(name="a.gif", shown=results, **options):
+        return lambda: save_film(shown, tmp_path / name, FilmOptions(**SIZE | options))
+
+    calls = {
+        "two experiments": lambda: results_of_one_experiment(mixed),
+        "another experiment": lambda: results_of_one_experiment(mixed, "Funnel-satin"),
+        "no result": lambda: results_of_one_experiment({}),
+        "width": film(width=10),
+        "fps": film(fps=0.0),
+        "speed": film(speed=float("nan")),
+        "to_s": film(from_s=2.0, to_s=1.0),
+        "columns": film(columns=0),
+        "format": film("a.avi"),
+        "span": film(from_s=9.0),
+        "frames": film(speed=0.001, fps=120.0),
+        "panels": film(shown=many),
+    }
+    approved("film/refused_films", refused_calls(GaugeError, calls))
+    with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
+        film("file/a.gif", fps=2)()
     assert list(tmp_path.glob("a*")) == []
+    chosen = results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")
+    assert list(chosen) == [slider]
 
 
-def test_an_mp4_without_its_extra_names_it(
-    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wrong_commands_are_named(folder, tmp_path, gauge):
+    content = json.dumps({"id": "GAUGE/BouncingBall-rubber"})
+    (tmp_path / "a.json").write_text(content, encoding="utf-8")
+    damaged = gauge("video", "film", "a.json", "--out", "a.gif")
+    assert damaged.exit_code == 2 and "not a result file" in damaged.stderr
+    assert not (tmp_path / "a.gif").exists()
+    alone = gauge("video", "film", folder, "recording_start_s=1")
+    assert alone.exit_code == 2 and "need recording=FILE" in alone.stderr
+
+
+def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(
         MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"
@@ -453,10 +394,8 @@ def test_an_mp4_without_its_extra_names_it(
         save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
 
 
-def test_without_opengl_there_is_an_error_and_no_film(
-    results: dict[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(width: int, height: int) -> None:
+def test_without_opengl_there_is_an_error_and_no_film(results, tmp_path, monkeypatch):
+    def refuse(width, height):
         raise RenderError("no off-screen OpenGL")
 
     monkeypatch.setattr(renderer, "_graphics_context", refuse)
@@ -469,15 +408,13 @@ def test_without_opengl_there_is_an_error_and_no_film(
 @pytest.mark.parametrize(
     "suffix", [".mp4", pytest.param(".gif", marks=pytest.mark.slow)]
 )
-def test_an_interrupted_film_leaves_the_earlier_one(
-    results: dict[Path, Result], tmp_path: Path, suffix: str
-) -> None:
+def test_an_interrupted_film_leaves_the_earlier_one(results, tmp_path, suffix):
     if suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / f"ball{suffix}"
     out.write_bytes(b"earlier")
 
-    def interrupt(done: int, total: int) -> None:
+    def interrupt(done, total):
         if done == 3:
             raise KeyboardInterrupt
 
@@ -487,42 +424,18 @@ def test_an_interrupted_film_leaves_the_earlier_one(
     assert [file.name for file in tmp_path.iterdir()] == [out.name]
 
 
-@needs_opengl
-def test_a_folder_that_is_a_file_is_named(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
-        save_film(results, tmp_path / "file" / "a.gif", FilmOptions(**SIZE, fps=2))
-
-
-def test_too_many_panels_are_refused(
-    results: dict[Path, Result], tmp_path: Path
-) -> None:
-    many = {
-        Path(f"{index}.json"): result
-        for index in range(7)
-        for result in [next(iter(results.values()))]
-    }
-    many |= {
-        Path(f"more-{index}.json"): result for index, result in enumerate(many.values())
-    }
-    with pytest.raises(ParameterError, match="14 panels: at most 12"):
-        save_film(many, tmp_path / "a.gif", FilmOptions(**SIZE))
-
-
 # --- real recording --------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def clip(tmp_path: Path) -> Callable[..., Path]:
+def clip(tmp_path):
     """Writes a video of 30 frames, each brighter by 7 levels."""
     imageio_ffmpeg = pytest.importorskip(
         "imageio_ffmpeg", reason="extra 'video' is not installed"
     )
     pytest.importorskip("cv2", reason="extra 'video' is not installed")
 
-    def write(fps: float) -> Path:
+    def write(fps):
         file = tmp_path / "real.mp4"
         stream = imageio_ffmpeg.write_frames(
             str(file), (64, 32), fps=fps, macro_block_size=2, quality=9
@@ -548,12 +461,12 @@ def clip(tmp_path: Path) -> Callable[..., Path]:
     ids=["first", "start", "later", "after the end", "slow motion"],
 )
 def test_a_recording_is_on_the_clock_of_the_simulation(
-    clip: Callable[..., Path],
-    rate_hz: float | None,
-    start_s: float,
-    time_s: float,
-    index: int,
-) -> None:
+    clip,
+    rate_hz,
+    start_s,
+    time_s,
+    index,
+):
     from gauge_envs.tools.film.panel import RecordedPanel
 
     panel = RecordedPanel(
@@ -568,16 +481,10 @@ def test_a_recording_is_on_the_clock_of_the_simulation(
     assert picture[10, 60].tolist() == picture[110, 60].tolist() == [225, 228, 232]
 
 
-def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) -> None:
+def test_a_start_outside_of_the_recording_is_named(clip):
     from gauge_envs.tools.film.panel import RecordedPanel
 
     with pytest.raises(
         GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"
     ):
         RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
-
-
-def test_options_of_a_recording_need_one(folder: Path) -> None:
-    run = CliRunner().invoke(app, ["video", "film", str(folder), "recording_start_s=1"])
-    assert run.exit_code == 2
-    assert "need recording=FILE" in run.stderr

@@ -1,9 +1,6 @@
 """The gallery shows all films and control tasks, and says so where it does not."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import build_gallery
 import pytest
@@ -14,7 +11,7 @@ PICTURES = ROOT / "docs" / "images" / "gallery"
 
 
 @pytest.fixture
-def copied(tmp_path: Path) -> Path:
+def copied(tmp_path):
     """A page with its pictures."""
     folder = tmp_path / "images" / "gallery"
     shutil.copytree(PICTURES, folder)
@@ -22,9 +19,7 @@ def copied(tmp_path: Path) -> Path:
     return tmp_path / "gallery.md"
 
 
-def test_what_is_missing_is_named(
-    copied: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_is_missing_is_named(copied, capsys):
     folder = copied.parent / "images" / "gallery"
     (folder / "Carry-Limit-wood.webp").unlink()
     (folder / "Push-Limit-wood.webp").write_bytes(b"")
@@ -42,9 +37,7 @@ def test_what_is_missing_is_named(
     ]
 
 
-def test_a_film_that_is_too_large_is_named(
-    copied: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_that_is_too_large_is_named(copied, monkeypatch):
     monkeypatch.setattr(build_gallery, "MOST_FILM_BYTES", 1000)
     found = build_gallery.faults(
         copied.read_text(encoding="utf-8"), copied.parent / "images" / "gallery"

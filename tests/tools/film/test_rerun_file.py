@@ -1,11 +1,7 @@
 """Recordings for the Rerun viewer, read back: bodies, cloth, markers, ghost and plots are those of the result."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.replay import ReplayError
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.result import RecordedTrajectory
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 from gauge_envs.tools.film.rerun_file import write_rerun
 
@@ -24,16 +20,16 @@ NAME = "SlopeSlider-2-wood"
 
 
 @pytest.fixture(scope="module")
-def slider() -> Result:
+def slider():
     return run_episode(RunRequest(NAME))
 
 
-def read(file: Path) -> dict[str, list[dict[str, Any]]]:
+def read(file):
     """Columns of each chunk of a recording that has a time, by path."""
     reader = pytest.importorskip(
         "rerun.chunk", reason="extra 'rerun' is not installed"
     ).RrdReader(file)
-    found: dict[str, list[dict[str, Any]]] = {}
+    found = {}
     for chunk in reader.stream():
         if not chunk.is_static:
             batch = chunk.to_record_batch()
@@ -48,7 +44,7 @@ def read(file: Path) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def column(chunks: list[dict[str, Any]], name: str) -> np.ndarray:
+def column(chunks, name):
     """Values of a component in the order of their times; each row holds one value."""
     rows = [
         (time, value[0])
@@ -62,17 +58,13 @@ def column(chunks: list[dict[str, Any]], name: str) -> np.ndarray:
     return np.array([value for _, value in sorted(rows, key=lambda row: row[0])])
 
 
-def test_without_rerun_the_error_names_the_extra(
-    slider: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_rerun_the_error_names_the_extra(slider, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingExtraError, match=r"gauge-envs\[rerun\]"):
         write_rerun(slider, tmp_path / "a.rrd")
 
 
-def test_the_recording_has_the_bodies_of_the_result(
-    slider: Result, tmp_path: Path
-) -> None:
+def test_the_recording_has_the_bodies_of_the_result(slider, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
     found = read(write_rerun(slider, tmp_path / "folder" / "a.rrd"))
     assert slider.trajectory is not None
@@ -87,9 +79,7 @@ def test_the_recording_has_the_bodies_of_the_result(
     assert band.project(ghost_mm) == pytest.approx(band.mean, abs=1e-3)
 
 
-def test_the_plots_have_the_scored_coordinates_and_two_sigma(
-    slider: Result, tmp_path: Path
-) -> None:
+def test_the_plots_have_the_scored_coordinates_and_two_sigma(slider, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
     found = read(write_rerun(slider, tmp_path / "a.rrd"))
     band = reference_band(load_experiment(NAME))
@@ -109,9 +99,7 @@ def test_the_plots_have_the_scored_coordinates_and_two_sigma(
     ("name", "body"),
     [("TextileBending-oxford", "cloth"), ("FoamCompressing-soft", "foam")],
 )
-def test_deformable_bodies_and_markers_are_recorded(
-    name: str, body: str, tmp_path: Path
-) -> None:
+def test_deformable_bodies_and_markers_are_recorded(name, body, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
     result = run_episode(RunRequest(name))
     found = read(write_rerun(result, tmp_path / "a.rrd"))
@@ -126,9 +114,7 @@ def test_deformable_bodies_and_markers_are_recorded(
         assert sum(len(chunk["time"]) for chunk in found[path]) == frames
 
 
-def test_a_result_that_the_engine_does_not_repeat_is_refused(
-    slider: Result, tmp_path: Path
-) -> None:
+def test_a_result_that_the_engine_does_not_repeat_is_refused(slider, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
     assert slider.trajectory is not None
     times_s, samples = slider.trajectory.arrays(later=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import approval
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -453,45 +454,28 @@ def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed():
     assert found.lost == ["lost"]
 
 
-def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(
-        "time_s,position_rad\n"
-        + "".join(f"{20 * n},{30 * np.cos(0.1 * n)}\n" for n in range(200))
+def test_wrong_requests_are_refused(gauge, approved, tmp_path):
+    times = np.arange(200)
+    logs = {
+        "log.csv": (0.01 * times, 0.1 * np.cos(0.07 * times)),
+        "units.csv": (20 * times, 30 * np.cos(0.1 * times)),
+    }
+    for name, columns in logs.items():
+        np.savetxt(
+            tmp_path / name,
+            np.column_stack(columns),
+            delimiter=",",
+            header="time_s,position_rad",
+            comments="",
+        )
+    commands = (
+        "recipe joint units.csv mass_kg=1 length_m=0.2",
+        "recipe joint log.csv",
+        "recipe joint log.csv mass_kg=1 length_m=0.2 fit=kp_n_m_per_rad",
+        "recipe joint log.csv mass_kg=1 length_m=0.2 fit=backlash_rad",
+        "recipe joint log.csv mass_kg=1 scene=Pendulum-metal",
     )
-    result = CliRunner().invoke(
-        app, ["recipe", "joint", str(path), "mass_kg=1", "length_m=0.2"]
-    )
-    assert result.exit_code == 2, result.output
-    said = " ".join(result.stderr.split())
-    assert (
-        "samples are 20 s apart, and at least 10 in 0.6 s are needed; time_s is in seconds"
-        in said
-    )
-    assert "angles reach 30 rad, 4.8 turns: are they in degrees?" in said
-
-
-def test_a_wrong_request_is_refused(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text(
-        "time_s,position_rad\n"
-        + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(200))
-    )
-    for words, reason in (
-        ((), "mass_kg= of the load is missing"),
-        (
-            ("mass_kg=1", "length_m=0.2", "fit=kp_n_m_per_rad"),
-            "kp_n_m_per_rad: no number of such a joint",
-        ),
-        (
-            ("mass_kg=1", "length_m=0.2", "fit=backlash_rad"),
-            "backlash_rad: no number of such a joint",
-        ),
-        (("mass_kg=1", "scene=Pendulum-metal"), "leave mass_kg out"),
-    ):
-        result = CliRunner().invoke(app, ["recipe", "joint", str(path), *words])
-        assert result.exit_code == 2, result.output
-        assert reason in " ".join(result.stderr.split())
+    approved("identify/refused", approval.refused_commands(gauge, *commands))
 
 
 def test_an_engine_without_the_term_declines():

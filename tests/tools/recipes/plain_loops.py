@@ -1,270 +1,269 @@
 """Loops in the engines themselves, built from the snippet of a recipe and nothing else of this package.
 
-Those with the name of an engine return the friction of a slide of a plate and the restitution of drops of a ball. Those
-of `SLIDES` return the friction of one slide.
+A function with the name of an engine returns the places of a body at each step of half a second. `slide` and `rebound`
+read friction and restitution from them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 G = 9.80665
-RADIUS, DROP = 0.03, 0.2
+RADIUS_M, DROP_M = 0.03, 0.2
+DURATION_S = 0.5
 PHASES = 4
 """Drops from heights that differ by less than the fall of a step."""
 PLATE = (0.12, 0.12, 0.03)
 
-
-def slope_of(friction: float) -> float:
-    return math.atan(friction) + math.radians(10.0)
+Places = NDArray[np.float64]
 
 
-def friction_of(times: Any, path: Any, slope: float) -> float:
-    """Friction from the acceleration of a slide after 0.1 s."""
-    seen = np.asarray(times) >= 0.1
-    acceleration = (
-        2.0 * np.polyfit(np.asarray(times)[seen], np.asarray(path)[seen], 2)[0]
+@dataclass(frozen=True, kw_only=True)
+class Foot:
+    """A box or, without a size, a ball above the plane z = 0, which starts at rest.
+
+    Attributes:
+        tip: Angles about x and y [rad].
+        is_free: Whether it can turn.
+        stepped: Factor of the time step behind the back of the recipe.
+    """
+
+    mass_kg: float
+    slope_rad: float
+    height_m: float
+    step_s: float
+    size_m: tuple[float, float, float] | None = None
+    turn_deg: float = 0.0
+    tip: tuple[float, float] = (0.0, 0.0)
+    is_free: bool = True
+    stepped: float = 1.0
+
+    @property
+    def gravity(self):
+        return G * math.sin(self.slope_rad), 0.0, -G * math.cos(self.slope_rad)
+
+    @property
+    def half_m(self):
+        return [0.5 * edge for edge in self.size_m or ()]
+
+    @property
+    def steps(self):
+        return range(round(DURATION_S / self.step_s))
+
+
+Loop = Callable[[str, Foot], Places]
+
+
+def slide(
+    loop,
+    snippet,
+    friction,
+    mass_kg,
+    step_s,
+    *,
+    beyond_deg=10.0,
+    size_m=PLATE,
+    tip=(0.0, 0.0),
+    **options,
+):
+    """Return friction over normal force of a box, from its mean accelerations along and off the slope after 0.1 s."""
+    slope = math.atan(friction) + math.radians(beyond_deg)
+    x, y, z = (0.5 * edge for edge in size_m)
+    foot = Foot(
+        mass_kg=mass_kg,
+        slope_rad=slope,
+        height_m=z + x * abs(tip[1]) + y * abs(tip[0]),
+        step_s=step_s,
+        size_m=size_m,
+        tip=tip,
+        **options,
     )
-    return float((G * math.sin(slope) - acceleration) / (G * math.cos(slope)))
-
-
-def friction_under(times: Any, path: Any, lift: Any, slope: float) -> float:
-    """Friction over normal force of a body on a slope, from its mean accelerations along and off it after 0.1 s."""
-    seen = np.asarray(times) >= 0.1
-    along, off = (
-        2.0 * np.polyfit(np.asarray(times)[seen], np.asarray(one)[seen], 2)[0]
-        for one in (path, lift)
-    )
+    places = loop(snippet, foot)
+    times = step_s * np.arange(len(places))
+    seen = times >= 0.1
+    along, _, off = 2.0 * np.polyfit(times[seen], places[seen], 2)[0]
     return float((G * math.sin(slope) - along) / (G * math.cos(slope) + off))
 
 
-def restitution_of(heights: Any) -> float:
-    """Root of the second peak's height over the first one's."""
-    heights = np.asarray(heights)
-    low = int(np.argmax(np.diff(heights) > 1e-7))
-    return math.sqrt(max(float(heights[low:].max()), 0.0) / float(heights[0]))
+def rebound(loop, snippet, mass_kg, step_s, *, count=PHASES, stepped=1.0):
+    """Return the mean restitution of drops: root of the second peak's height over the first one's."""
+    found = []
+    for phase in range(count):
+        drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
+        foot = Foot(
+            mass_kg=mass_kg,
+            slope_rad=0.0,
+            height_m=RADIUS_M + drop,
+            step_s=step_s,
+            stepped=stepped,
+        )
+        heights = loop(snippet, foot)[:, 2] - RADIUS_M
+        low = int(np.argmax(np.diff(heights) > 1e-7))
+        found.append(math.sqrt(max(float(heights[low:].max()), 0.0) / drop))
+    return float(np.mean(found))
 
 
-def heights_of_drops(step: float) -> list[float]:
-    return [
-        DROP + math.sqrt(2.0 * G * DROP) * step * index / PHASES
-        for index in range(PHASES)
-    ]
+def stepped_places(foot, step, place):
+    """Return the place before each step and after the last one, shape [count, 3]."""
+    places = [np.array(place(), dtype=float)]
+    for _ in foot.steps:
+        step()
+        places.append(np.array(place(), dtype=float))
+    return np.array(places)
 
 
-def mujoco(
-    snippet: str, friction: float, mass: float, step: float, *, stepped: float = 1.0
-) -> tuple[float, float]:
-    """MuJoCo, from MJCF; `stepped` multiplies the time step of the loop behind the back of the recipe."""
+def mjcf(snippet, foot):
+    """Return a model of MuJoCo: a box that cannot turn has three sliding joints."""
     import mujoco as mj
 
-    def model(geom: str, position: str) -> Any:
-        return mj.MjModel.from_xml_string(
-            f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
-            f"<body pos='{position}'><freejoint/><geom name='foot' mass='{mass}' {geom}/></body></worldbody></mujoco>"
-        )
-
-    slope = slope_of(friction)
-    plate = model(
-        f"type='box' size='{PLATE[0] / 2} {PLATE[1] / 2} {PLATE[2] / 2}'",
-        f"0 0 {PLATE[2] / 2}",
+    joints = "<freejoint/>"
+    if not foot.is_free:
+        axes = ("1 0 0", "0 1 0", "0 0 1")
+        joints = "".join(f"<joint type='slide' axis='{axis}'/>" for axis in axes)
+    half = " ".join(map(str, foot.half_m))
+    shape = f"type='box' size='{half}'" if half else f"type='sphere' size='{RADIUS_M}'"
+    turn = f"{foot.tip[0]} {foot.tip[1]} {math.radians(foot.turn_deg)}"
+    model = mj.MjModel.from_xml_string(
+        f"<mujoco><compiler eulerseq='XYZ' angle='radian'/>{snippet}<worldbody><geom name='floor' type='plane' "
+        f"size='9 9 1'/><body pos='0 0 {foot.height_m}' euler='{turn}'>{joints}"
+        f"<geom name='foot' mass='{foot.mass_kg}' {shape}/></body></worldbody></mujoco>"
     )
-    plate.opt.timestep = stepped * step
-    plate.opt.gravity[:] = (G * math.sin(slope), 0.0, -G * math.cos(slope))
-    data = mj.MjData(plate)
-    times, path = [0.0], [0.0]
-    while data.time < 0.5:
-        mj.mj_step(plate, data)
-        times.append(data.time)
-        path.append(data.qpos[0])
-    rebounds = []
-    for height in heights_of_drops(step):
-        ball = model(f"type='sphere' size='{RADIUS}'", f"0 0 {RADIUS + height}")
-        ball.opt.timestep = stepped * step
-        ball.opt.gravity[:] = (0.0, 0.0, -G)
-        data = mj.MjData(ball)
-        heights = [height]
-        while data.time < 0.5:
-            mj.mj_step(ball, data)
-            heights.append(data.qpos[2] - RADIUS)
-        rebounds.append(restitution_of(heights))
-    return friction_of(times, path, slope), float(np.mean(rebounds))
+    model.opt.gravity[:] = foot.gravity
+    model.opt.timestep *= foot.stepped
+    return model
 
 
-def rapier(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
+def mujoco(snippet, foot):
+    """MuJoCo, from MJCF."""
+    import mujoco as mj
+
+    model = mjcf(snippet, foot)
+    data = mj.MjData(model)
+    mj.mj_forward(model, data)
+
+    def step():
+        mj.mj_step(model, data)
+        mj.mj_kinematics(model, data)
+
+    return stepped_places(foot, step, lambda: data.xpos[1])
+
+
+def mujoco_warp(snippet, foot):
+    """mujoco_warp on the CPU, from MJCF."""
+    import mujoco as mj
+    import mujoco_warp as mjw
+    import warp as wp
+
+    model = mjcf(snippet, foot)
+    with wp.ScopedDevice("cpu"):
+        on_warp, state = mjw.put_model(model), mjw.put_data(model, mj.MjData(model))
+        return stepped_places(foot, lambda: mjw.step(on_warp, state), lambda: state.qpos.numpy()[0, :3])  # fmt: skip
+
+
+def rapier(snippet, foot):
     """Rapier, from Python."""
     import rapier3d as rp
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
-
-    def world(
-        gravity: tuple[float, float, float], height: float, shape: Any
-    ) -> tuple[Any, Any]:
-        made = rp.PhysicsWorld(gravity=gravity)
-        names["set_parameters"](made)
-        made.add_body(
-            rp.RigidBody.fixed(),
-            [names["with_contact"](rp.Collider.halfspace((0.0, 0.0, 1.0)))],
-        )
-        builder = (
-            rp.RigidBody.dynamic().translation((0.0, 0.0, height)).can_sleep(False)
-        )
-        handle = made.add_body(builder, [names["with_contact"](shape.mass(mass))])
-        return made, made.rigid_bodies[handle]
-
-    slope = slope_of(friction)
-    made, body = world(
-        (G * math.sin(slope), 0.0, -G * math.cos(slope)),
-        PLATE[2] / 2,
-        rp.Collider.cuboid(*(0.5 * edge for edge in PLATE)),
+    world = rp.PhysicsWorld(gravity=foot.gravity)
+    names["set_parameters"](world)
+    ground = rp.Collider.halfspace((0.0, 0.0, 1.0))
+    world.add_body(rp.RigidBody.fixed(), [names["with_contact"](ground)])
+    builder = rp.RigidBody.dynamic().translation((0.0, 0.0, foot.height_m))
+    builder = builder.can_sleep(False).rotation((0.0, 0.0, math.radians(foot.turn_deg)))
+    builder = builder.enabled_rotations((foot.is_free,) * 3)
+    shape = (
+        rp.Collider.cuboid(*foot.half_m) if foot.size_m else rp.Collider.ball(RADIUS_M)
     )
-    times, path = [0.0], [0.0]
-    while times[-1] < 0.5:
-        made.step()
-        times.append(times[-1] + step)
-        path.append(body.translation.x)
-    rebounds = []
-    for height in heights_of_drops(step):
-        made, body = world((0.0, 0.0, -G), RADIUS + height, rp.Collider.ball(RADIUS))
-        heights = [height]
-        for _ in range(round(0.5 / step)):
-            made.step()
-            heights.append(body.translation.z - RADIUS)
-        rebounds.append(restitution_of(heights))
-    return friction_of(times, path, slope), float(np.mean(rebounds))
+    colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
+    body = world.rigid_bodies[world.add_body(builder, colliders)]
+
+    def place():
+        return body.translation.x, body.translation.y, body.translation.z
+
+    return stepped_places(foot, world.step, place)
 
 
-def physx(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
+@contextmanager
+def sapien_scene_config():
+    """Gives SAPIEN's global settings back."""
+    import sapien
+
+    before = sapien.physx.get_scene_config()
+    kept = {"gravity": before.gravity, "bounce_threshold": before.bounce_threshold}
+    try:
+        yield
+    finally:
+        sapien.physx.set_scene_config(**kept)
+
+
+def physx(snippet, foot):
     """SAPIEN, from Python."""
     import sapien
 
-    names: dict[str, Any] = {}
-    before = sapien.physx.get_scene_config()
-    kept = before.gravity, before.bounce_threshold
-
-    def world(gravity: list[float], height: float, **shape: Any) -> tuple[Any, Any]:
-        sapien.physx.set_scene_config(gravity=np.array(gravity))
+    names = {}
+    with sapien_scene_config():
+        sapien.physx.set_scene_config(gravity=np.array(foot.gravity))
         exec(snippet, names)
-        system = sapien.physx.PhysxCpuSystem()
-        made = sapien.Scene([system])
-        made.set_timestep(names["timestep"])
-        made.add_ground(0.0, render=False, material=names["material"])
-        builder = made.create_actor_builder()
-        if "radius" in shape:
-            builder.add_sphere_collision(material=names["material"], **shape)
+        scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+        scene.set_timestep(names["timestep"])
+        scene.add_ground(0.0, render=False, material=names["material"])
+        builder = scene.create_actor_builder()
+        if foot.size_m:
+            builder.add_box_collision(half_size=foot.half_m, material=names["material"])
         else:
-            builder.add_box_collision(material=names["material"], **shape)
+            builder.add_sphere_collision(radius=RADIUS_M, material=names["material"])
         actor = builder.build()
-        actor.set_pose(sapien.Pose([0.0, 0.0, height]))
-        component = actor.find_component_by_type(
-            sapien.physx.PhysxRigidDynamicComponent
-        )
-        component.mass = mass
-        return made, actor
-
-    try:
-        slope = slope_of(friction)
-        made, body = world(
-            [G * math.sin(slope), 0.0, -G * math.cos(slope)],
-            PLATE[2] / 2,
-            half_size=[0.5 * edge for edge in PLATE],
-        )
-        times, path = [0.0], [0.0]
-        while times[-1] < 0.5:
-            made.step()
-            times.append(times[-1] + step)
-            path.append(float(body.pose.p[0]))
-        rebounds = []
-        for height in heights_of_drops(step):
-            made, body = world([0.0, 0.0, -G], RADIUS + height, radius=RADIUS)
-            heights = [height]
-            for _ in range(round(0.5 / step)):
-                made.step()
-                heights.append(float(body.pose.p[2]) - RADIUS)
-            rebounds.append(restitution_of(heights))
-    finally:
-        sapien.physx.set_scene_config(gravity=kept[0], bounce_threshold=kept[1])
-    return friction_of(times, path, slope), float(np.mean(rebounds))
+        half = math.radians(foot.turn_deg) / 2.0
+        turn = [math.cos(half), 0.0, 0.0, math.sin(half)]
+        actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m], turn))
+        kind = sapien.physx.PhysxRigidDynamicComponent
+        component = actor.find_component_by_type(kind)
+        component.mass = foot.mass_kg
+        component.set_locked_motion_axes([False] * 3 + [not foot.is_free] * 3)
+        return stepped_places(foot, scene.step, lambda: actor.pose.p)
 
 
-def pybullet(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
+def pybullet(snippet, foot):
     """PyBullet, from Python."""
     import pybullet as pb
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
-
-    def world(
-        gravity: tuple[float, float, float], height: float, **shape: Any
-    ) -> tuple[int, int]:
-        client = pb.connect(pb.DIRECT)
-        pb.setGravity(*gravity, physicsClientId=client)
-        flags = {"flags": pb.URDF_INITIALIZE_SAT_FEATURES}
-        ground = pb.createCollisionShape(
-            pb.GEOM_BOX,
-            halfExtents=[8, 8, 8],
-            collisionFramePosition=[0, 0, -8],
-            physicsClientId=client,
-            **flags,
-        )
-        floor = pb.createMultiBody(
-            0, ground, physicsClientId=client, **names["COORDINATES"]
-        )
-        kind = pb.GEOM_SPHERE if "radius" in shape else pb.GEOM_BOX
-        made = pb.createCollisionShape(kind, physicsClientId=client, **shape, **flags)
-        foot = pb.createMultiBody(
-            mass,
-            made,
-            basePosition=[0, 0, height],
-            physicsClientId=client,
-            **names["COORDINATES"],
-        )
-        names["set_contact"](foot, floor, client)
-        return client, foot
-
-    def place(client: int, foot: int) -> tuple[float, float, float]:
-        found: tuple[float, float, float] = pb.getBasePositionAndOrientation(
-            foot, physicsClientId=client
-        )[0]
-        return found
-
-    slope = slope_of(friction)
-    client, foot = world(
-        (G * math.sin(slope), 0.0, -G * math.cos(slope)),
-        PLATE[2] / 2,
-        halfExtents=[0.5 * edge for edge in PLATE],
+    client = pb.connect(pb.DIRECT)
+    here = {"physicsClientId": client}
+    shaped = {"flags": pb.URDF_INITIALIZE_SAT_FEATURES, **here}
+    pb.setGravity(*foot.gravity, **here)
+    ground = pb.createCollisionShape(
+        pb.GEOM_BOX, halfExtents=[8, 8, 8], collisionFramePosition=[0, 0, -8], **shaped
     )
-    times, path = [0.0], [0.0]
-    while times[-1] < 0.5:
-        pb.stepSimulation(physicsClientId=client)
-        times.append(times[-1] + step)
-        path.append(place(client, foot)[0])
+    floor = pb.createMultiBody(0, ground, **names["COORDINATES"], **here)
+    if foot.size_m:
+        shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=foot.half_m, **shaped)
+    else:
+        shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=RADIUS_M, **shaped)
+    place = {"basePosition": [0, 0, foot.height_m]}
+    body = pb.createMultiBody(
+        foot.mass_kg, shape, **place, **names["COORDINATES"], **here
+    )
+    names["set_contact"](body, floor, client)
+    places = stepped_places(
+        foot,
+        lambda: pb.stepSimulation(**here),
+        lambda: pb.getBasePositionAndOrientation(body, **here)[0],
+    )
     pb.disconnect(client)
-    rebounds = []
-    for height in heights_of_drops(step):
-        client, foot = world((0.0, 0.0, -G), RADIUS + height, radius=RADIUS)
-        heights = [height]
-        for _ in range(round(0.5 / step)):
-            pb.stepSimulation(physicsClientId=client)
-            heights.append(place(client, foot)[2] - RADIUS)
-        pb.disconnect(client)
-        rebounds.append(restitution_of(heights))
-    return friction_of(times, path, slope), float(np.mean(rebounds))
+    return places
 
 
-def drake(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
+def drake(snippet, foot):
     """Drake, from Python; the plate has spheres at its corners."""
     from pydrake.geometry import HalfSpace, Sphere
     from pydrake.math import RigidTransform
@@ -273,354 +272,119 @@ def drake(
     from pydrake.systems.analysis import Simulator
     from pydrake.systems.framework import DiagramBuilder
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, names["TIME_STEP"])
+    names["set_contact"](plant)
+    plant.mutable_gravity_field().set_gravity_vector(foot.gravity)
+    world, origin = plant.world_body(), RigidTransform()
+    ground = names["properties"](is_ground=True)
+    plant.RegisterCollisionGeometry(world, origin, HalfSpace(), "floor", ground)
+    if foot.size_m:
+        x, y, z = foot.half_m
+        points = [[sx * x, sy * y, -z] for sx in (-1, 1) for sy in (-1, 1)]
+        inertia = SpatialInertia.SolidBoxWithMass(foot.mass_kg, *foot.size_m)
+    else:
+        points = [[0.0, 0.0, 0.0]]
+        inertia = SpatialInertia.SolidSphereWithMass(foot.mass_kg, RADIUS_M)
+    sphere = Sphere(1e-6 if foot.size_m else RADIUS_M)
+    body = plant.AddRigidBody("foot", inertia)
+    for index, point in enumerate(points):
+        given = names["properties"](len(points))
+        plant.RegisterCollisionGeometry(body, RigidTransform(point), sphere, f"foot-{index}", given)  # fmt: skip
+    plant.Finalize()
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetFreeBodyPose(context, body, RigidTransform([0.0, 0.0, foot.height_m]))
+    simulator.Initialize()
 
-    def world(
-        gravity: list[float],
-        height: float,
-        inertia: Any,
-        points: list[list[float]],
-        radius: float,
-    ) -> Any:
-        builder = DiagramBuilder()
-        plant, _ = AddMultibodyPlantSceneGraph(builder, names["TIME_STEP"])
-        names["set_contact"](plant)
-        plant.mutable_gravity_field().set_gravity_vector(gravity)
-        ground = names["properties"](is_ground=True)
-        plant.RegisterCollisionGeometry(
-            plant.world_body(), RigidTransform(), HalfSpace(), "floor", ground
-        )
-        foot = plant.AddRigidBody("foot", inertia)
-        for index, point in enumerate(points):
-            given = names["properties"](len(points))
-            plant.RegisterCollisionGeometry(
-                foot, RigidTransform(point), Sphere(radius), f"foot-{index}", given
-            )
-        plant.Finalize()
-        simulator = Simulator(builder.Build())
-        context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-        plant.SetFreeBodyPose(context, foot, RigidTransform([0.0, 0.0, height]))
-        simulator.Initialize()
-        return simulator, lambda: plant.EvalBodyPoseInWorld(context, foot).translation()
+    def step():
+        simulator.AdvanceTo(simulator.get_context().get_time() + foot.step_s)
 
-    slope = slope_of(friction)
-    corners = [
-        [sx * PLATE[0] / 2, sy * PLATE[1] / 2, -PLATE[2] / 2]
-        for sx in (-1, 1)
-        for sy in (-1, 1)
-    ]
-    inertia = SpatialInertia.SolidBoxWithMass(mass, *PLATE)
-    gravity = [G * math.sin(slope), 0.0, -G * math.cos(slope)]
-    simulator, place = world(gravity, PLATE[2] / 2, inertia, corners, 1e-6)
-    times, path = [0.0], [0.0]
-    while times[-1] < 0.5:
-        times.append(times[-1] + step)
-        simulator.AdvanceTo(times[-1])
-        path.append(place()[0])
-    rebounds = []
-    for height in heights_of_drops(step):
-        ball = SpatialInertia.SolidSphereWithMass(mass, RADIUS)
-        simulator, place = world(
-            [0.0, 0.0, -G], RADIUS + height, ball, [[0.0, 0.0, 0.0]], RADIUS
-        )
-        heights = [height]
-        for index in range(round(0.5 / step)):
-            simulator.AdvanceTo((index + 1) * step)
-            heights.append(place()[2] - RADIUS)
-        rebounds.append(restitution_of(heights))
-    return friction_of(times, path, slope), float(np.mean(rebounds))
+    return stepped_places(foot, step, lambda: plant.EvalBodyPoseInWorld(context, body).translation())  # fmt: skip
 
 
-def newton(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
+def newton(snippet, foot):
     """Newton, from Python."""
     import newton as nt
     import warp as wp
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
-    options = names["options"]
-
-    def path_of(
-        gravity: tuple[float, float, float], height: float, axis: int, **shape: float
-    ) -> list[float]:
-        builder = nt.ModelBuilder(gravity=gravity)
-        nt.solvers.SolverMuJoCo.register_custom_attributes(builder)
-        builder.add_shape_plane(
-            body=-1, width=0.0, length=0.0, cfg=nt.ModelBuilder.ShapeConfig(gap=0.002)
-        )
-        moments = shape.pop("moments")
-        foot = builder.add_body(
-            xform=wp.transform(wp.vec3(0.0, 0.0, height), wp.quat_identity()),
-            mass=mass,
-            inertia=wp.mat33(np.diag(moments)),
-            lock_inertia=True,
-        )
-        given = {"cfg": names["config"], "custom_attributes": names["attributes"]}
-        names["config"].density = 0.0
-        if "radius" in shape:
-            builder.add_shape_sphere(foot, **shape, **given)
-        else:
-            builder.add_shape_box(foot, **shape, **given)
-        model = builder.finalize(device="cpu")
-        solver = nt.solvers.SolverMuJoCo(model, **options)
-        pipeline = nt.CollisionPipeline(model)
-        contacts = pipeline.contacts()
-        state, after, control = model.state(), model.state(), model.control()
-        found = [height]
-        for _ in range(round(0.5 / step)):
-            pipeline.collide(state, contacts)
-            solver.step(state, after, control, contacts, names["timestep"])
-            state, after = after, state
-            found.append(float(state.body_q.numpy()[0, axis]))
-        return found
-
-    slope = slope_of(friction)
-    x, y, z = PLATE
-    moments = [
-        mass * (y * y + z * z) / 12.0,
-        mass * (x * x + z * z) / 12.0,
-        mass * (x * x + y * y) / 12.0,
-    ]
-    gravity = (G * math.sin(slope), 0.0, -G * math.cos(slope))
-    path = path_of(gravity, z / 2, 0, hx=x / 2, hy=y / 2, hz=z / 2, moments=moments)
-    path[0] = 0.0
-    rebounds = []
-    for height in heights_of_drops(step)[:2]:
-        moment = 0.4 * mass * RADIUS**2
-        heights = path_of(
-            (0.0, 0.0, -G), RADIUS + height, 2, radius=RADIUS, moments=[moment] * 3
-        )
-        rebounds.append(restitution_of(np.array(heights) - RADIUS))
-    return friction_of(step * np.arange(len(path)), path, slope), float(
-        np.mean(rebounds)
+    builder = nt.ModelBuilder(gravity=foot.gravity)
+    nt.solvers.SolverMuJoCo.register_custom_attributes(builder)
+    ground = nt.ModelBuilder.ShapeConfig(gap=0.002)
+    builder.add_shape_plane(body=-1, width=0.0, length=0.0, cfg=ground)
+    moments = [0.4 * foot.mass_kg * RADIUS_M**2] * 3
+    if foot.size_m:
+        squares = np.square(foot.size_m)
+        moments = foot.mass_kg * (squares.sum() - squares) / 12.0
+    place = wp.transform(wp.vec3(0.0, 0.0, foot.height_m), wp.quat_identity())
+    inertia = wp.mat33(np.diag(moments))
+    body = builder.add_body(
+        xform=place, mass=foot.mass_kg, inertia=inertia, lock_inertia=True
     )
+    names["config"].density = 0.0
+    given = {"cfg": names["config"], "custom_attributes": names["attributes"]}
+    if foot.size_m:
+        hx, hy, hz = foot.half_m
+        builder.add_shape_box(body, hx=hx, hy=hy, hz=hz, **given)
+    else:
+        builder.add_shape_sphere(body, radius=RADIUS_M, **given)
+    model = builder.finalize(device="cpu")
+    solver = nt.solvers.SolverMuJoCo(model, **names["options"])
+    pipeline = nt.CollisionPipeline(model)
+    contacts, control = pipeline.contacts(), model.control()
+    states = [model.state(), model.state()]
+
+    def step():
+        pipeline.collide(states[0], contacts)
+        solver.step(*states, control, contacts, names["timestep"])
+        states.reverse()
+
+    return stepped_places(foot, step, lambda: states[0].body_q.numpy()[0, :3])
 
 
-def mujoco_warp(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
-    """mujoco_warp on the CPU, from MJCF."""
-    import mujoco as mj
-    import mujoco_warp as mjw
-    import warp as wp
-
-    def path_of(
-        geom: str, position: str, gravity: tuple[float, float, float], axis: int
-    ) -> list[float]:
-        model = mj.MjModel.from_xml_string(
-            f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
-            f"<body pos='{position}'><freejoint/><geom name='foot' mass='{mass}' {geom}/></body></worldbody></mujoco>"
-        )
-        model.opt.gravity[:] = gravity
-        with wp.ScopedDevice("cpu"):
-            on_warp, state = mjw.put_model(model), mjw.put_data(model, mj.MjData(model))
-            found = [float(state.qpos.numpy()[0, axis])]
-            for _ in range(round(0.5 / step)):
-                mjw.step(on_warp, state)
-                found.append(float(state.qpos.numpy()[0, axis]))
-        return found
-
-    slope = slope_of(friction)
-    gravity = (G * math.sin(slope), 0.0, -G * math.cos(slope))
-    box = f"type='box' size='{PLATE[0] / 2} {PLATE[1] / 2} {PLATE[2] / 2}'"
-    path = path_of(box, f"0 0 {PLATE[2] / 2}", gravity, 0)
-    rebounds = []
-    for height in heights_of_drops(step)[:2]:
-        heights = path_of(
-            f"type='sphere' size='{RADIUS}'",
-            f"0 0 {RADIUS + height}",
-            (0.0, 0.0, -G),
-            2,
-        )
-        rebounds.append(restitution_of(np.array(heights) - RADIUS))
-    return friction_of(step * np.arange(len(path)), path, slope), float(
-        np.mean(rebounds)
-    )
-
-
-def genesis(
-    snippet: str, friction: float, mass: float, step: float
-) -> tuple[float, float]:
-    """Genesis, from Python. Balls fall side by side in one scene."""
+def genesis(snippet, foot):
+    """Genesis, from Python."""
     import genesis as gs
 
-    names: dict[str, Any] = {}
+    names = {}
     exec(snippet, names)
-
-    def paths_of(
-        gravity: tuple[float, float, float], morphs: list[Any], volume: float
-    ) -> Any:
+    place = (0.0, 0.0, foot.height_m)
+    try:
         scene = gs.Scene(
             show_viewer=False,
-            sim_options=gs.options.SimOptions(dt=names["DT"], gravity=gravity),
+            sim_options=gs.options.SimOptions(dt=names["DT"], gravity=foot.gravity),
             rigid_options=names["rigid_options"](),
         )
         scene.add_entity(gs.morphs.Plane(), material=names["material"]())
-        feet = []
-        for morph in morphs:
-            material = names["material"]()
-            material.rho = mass / volume
-            feet.append(scene.add_entity(morph, material=material))
+        if foot.size_m:
+            morph, volume = (
+                gs.morphs.Box(size=foot.size_m, pos=place),
+                math.prod(foot.size_m),
+            )
+        else:
+            morph, volume = (
+                gs.morphs.Sphere(radius=RADIUS_M, pos=place),
+                4.0 / 3.0 * math.pi * RADIUS_M**3,
+            )
+        material = names["material"]()
+        material.rho = foot.mass_kg / volume
+        body = scene.add_entity(morph, material=material)
         scene.build()
         names["set_contact"](scene)
-        found = []
-        for _ in range(round(0.5 / step)):
-            found.append([foot.get_pos().cpu().numpy() for foot in feet])
-            scene.step()
-        return np.array(found)
-
-    try:
-        slope = slope_of(friction)
-        gravity = (G * math.sin(slope), 0.0, -G * math.cos(slope))
-        plate = gs.morphs.Box(size=PLATE, pos=(0.0, 0.0, PLATE[2] / 2))
-        path = paths_of(gravity, [plate], PLATE[0] * PLATE[1] * PLATE[2])[:, 0, 0]
-        places = [
-            (0.2 * index, 0.0, RADIUS + height)
-            for index, height in enumerate(heights_of_drops(step))
-        ]
-        balls = [gs.morphs.Sphere(radius=RADIUS, pos=place) for place in places]
-        heights = (
-            paths_of((0.0, 0.0, -G), balls, 4.0 / 3.0 * math.pi * RADIUS**3)[:, :, 2]
-            - RADIUS
-        )
-        rebounds = [restitution_of(column) for column in heights.T]
+        return stepped_places(foot, scene.step, lambda: body.get_pos().cpu().numpy())
     finally:
         gs.destroy()
-    return friction_of(step * np.arange(len(path)), path, slope), float(
-        np.mean(rebounds)
-    )
 
 
-def mujoco_slide(
-    snippet: str,
-    friction: float,
-    mass: float,
-    *,
-    turn_deg: float,
-    size: tuple[float, float, float] = PLATE,
-    tip: tuple[float, float] = (0.0, 0.0),
-    beyond_deg: float = 10.0,
-    is_free: bool = False,
-) -> float:
-    """MuJoCo, from MJCF: a box on three sliding joints, which cannot turn, or a free one."""
-    import mujoco as mj
-
-    joints = "".join(
-        f"<joint type='slide' axis='{axis}'/>" for axis in ("1 0 0", "0 1 0", "0 0 1")
-    )
-    x, y, z = (0.5 * edge for edge in size)
-    height = z + x * abs(tip[1]) + y * abs(tip[0])
-    model = mj.MjModel.from_xml_string(
-        f"<mujoco><compiler eulerseq='XYZ' angle='radian'/>{snippet}<worldbody><geom name='floor' type='plane' "
-        f"size='9 9 1'/><body pos='0 0 {height}' euler='{tip[0]} {tip[1]} {math.radians(turn_deg)}'>"
-        f"{'<freejoint/>' if is_free else joints}<geom name='foot' type='box' size='{x} {y} {z}' mass='{mass}'/></body>"
-        "</worldbody></mujoco>"
-    )
-    slope = math.atan(friction) + math.radians(beyond_deg)
-    model.opt.gravity[:] = (G * math.sin(slope), 0.0, -G * math.cos(slope))
-    data = mj.MjData(model)
-    times, places = [], []
-    while data.time < 0.5:
-        mj.mj_step(model, data)
-        times.append(data.time)
-        places.append(
-            data.xpos[1].copy()
-        )  # before the step that `time` follows: the shift changes no acceleration
-    return friction_under(times, np.array(places)[:, 0], np.array(places)[:, 2], slope)
-
-
-def rapier_slide(
-    snippet: str,
-    friction: float,
-    mass: float,
-    *,
-    turn_deg: float,
-    size: tuple[float, float, float] = PLATE,
-    beyond_deg: float = 10.0,
-    is_free: bool = False,
-) -> float:
-    """Rapier, from Python: a box whose rotations are locked, or a free one."""
-    import rapier3d as rp
-
-    names: dict[str, Any] = {}
-    exec(snippet, names)
-    slope = math.atan(friction) + math.radians(beyond_deg)
-    made = rp.PhysicsWorld(gravity=(G * math.sin(slope), 0.0, -G * math.cos(slope)))
-    names["set_parameters"](made)
-    made.add_body(
-        rp.RigidBody.fixed(),
-        [names["with_contact"](rp.Collider.halfspace((0.0, 0.0, 1.0)))],
-    )
-    builder = (
-        rp.RigidBody.dynamic().translation((0.0, 0.0, size[2] / 2)).can_sleep(False)
-    )
-    builder = builder.rotation((0.0, 0.0, math.radians(turn_deg))).enabled_rotations(
-        (is_free, is_free, is_free)
-    )
-    foot = rp.Collider.cuboid(*(0.5 * edge for edge in size)).mass(mass)
-    body = made.rigid_bodies[made.add_body(builder, [names["with_contact"](foot)])]
-    step = made.integration_parameters.dt
-    times, path, lift = [0.0], [0.0], [0.0]
-    while times[-1] < 0.5:
-        made.step()
-        times.append(times[-1] + step)
-        path.append(body.translation.x)
-        lift.append(body.translation.z)
-    return friction_under(times[1:], path[1:], lift[1:], slope)
-
-
-def physx_slide(
-    snippet: str,
-    friction: float,
-    mass: float,
-    *,
-    turn_deg: float,
-    size: tuple[float, float, float] = PLATE,
-    beyond_deg: float = 10.0,
-    is_free: bool = False,
-) -> float:
-    """SAPIEN, from Python: a box whose rotations are locked, or a free one."""
-    import sapien
-
-    names: dict[str, Any] = {}
-    slope = math.atan(friction) + math.radians(beyond_deg)
-    before = sapien.physx.get_scene_config()
-    kept = before.gravity, before.bounce_threshold
-    try:
-        sapien.physx.set_scene_config(
-            gravity=np.array([G * math.sin(slope), 0.0, -G * math.cos(slope)])
-        )
-        exec(snippet, names)
-        made = sapien.Scene([sapien.physx.PhysxCpuSystem()])
-        made.set_timestep(names["timestep"])
-        made.add_ground(0.0, render=False, material=names["material"])
-        builder = made.create_actor_builder()
-        builder.add_box_collision(
-            material=names["material"], half_size=[0.5 * edge for edge in size]
-        )
-        actor = builder.build()
-        half = math.radians(turn_deg) / 2.0
-        actor.set_pose(
-            sapien.Pose(
-                [0.0, 0.0, size[2] / 2], [math.cos(half), 0.0, 0.0, math.sin(half)]
-            )
-        )
-        component = actor.find_component_by_type(
-            sapien.physx.PhysxRigidDynamicComponent
-        )
-        component.mass = mass
-        component.set_locked_motion_axes([False] * 3 + [not is_free] * 3)
-        times, places = [0.0], [actor.pose.p]
-        while times[-1] < 0.5:
-            made.step()
-            times.append(times[-1] + names["timestep"])
-            places.append(actor.pose.p)
-    finally:
-        sapien.physx.set_scene_config(gravity=kept[0], bounce_threshold=kept[1])
-    return friction_under(times, np.array(places)[:, 0], np.array(places)[:, 2], slope)
-
-
-SLIDES = {"mujoco": mujoco_slide, "rapier": rapier_slide, "physx": physx_slide}
+LOOPS = {
+    loop.__name__: loop
+    for loop in (mujoco, rapier, physx, pybullet, drake, newton, mujoco_warp, genesis)
+}
+SLIDES = ("mujoco", "rapier", "physx")
+"""Engines in which a box can be kept from turning."""
+FEW_DROPS = ("newton", "mujoco_warp", "genesis")
+"""Engines of slow steps, which get two drops."""

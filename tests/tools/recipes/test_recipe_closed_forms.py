@@ -1,7 +1,5 @@
 """Closed forms of recipes against integration, and the reading of drops and approaches against exact motion."""
 
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -17,13 +15,11 @@ from gauge_envs.tools.recipes.measure import probe_of
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.9, 1.0, 2.0])
-def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(
-    ratio: float,
-) -> None:
-    def force(time: float, state: list[float]) -> float:
+def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(ratio):
+    def force(time, state):
         return state[0] + 2.0 * ratio * state[1]
 
-    force.terminal, force.direction = True, -1.0  # type: ignore[attr-defined]
+    force.terminal, force.direction = True, -1.0
     found = solve_ivp(
         lambda time, state: [state[1], -state[0] - 2.0 * ratio * state[1]],
         (0.0, 50.0),
@@ -37,7 +33,7 @@ def test_the_restitution_of_a_spring_and_damper_is_that_of_its_motion(
     )
 
 
-def test_the_damping_ratio_is_the_inverse_of_the_restitution() -> None:
+def test_the_damping_ratio_is_the_inverse_of_the_restitution():
     for restitution in (1.0, 0.9, 0.5, math.exp(-2.0), 0.01):
         assert spring_damper_restitution(
             damping_ratio_of(restitution)
@@ -54,9 +50,7 @@ def test_the_damping_ratio_is_the_inverse_of_the_restitution() -> None:
         (0.03, (-30.0, -50.0)),
     ],
 )
-def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(
-    step_s: float, solref: tuple[float, float]
-) -> None:
+def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(step_s, solref):
     """Also at coarse steps, where speeds at the impact lag by half a step of gravity."""
     settings = MuJoCoSettings(
         timestep_s=step_s, solref=solref, cone="elliptic", friction=0.5
@@ -66,7 +60,7 @@ def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(
     assert form.restitution == pytest.approx(found.mean, abs=5e-4)
 
 
-def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> None:
+def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts():
     """Each contact slides with 0.3 (MuJoCo's contact forces), also of free plates, which hop by 4 mm."""
     settings = MuJoCoSettings(
         timestep_s=0.001,
@@ -86,7 +80,7 @@ def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> N
     assert hopping.low <= hopping.mean <= hopping.high < 0.3
 
 
-def test_the_impedance_runs_from_d0_to_dwidth() -> None:
+def test_the_impedance_runs_from_d0_to_dwidth():
     solimp = (0.9, 0.95, 0.001, 0.5, 2.0)
     assert [
         mujoco_impedance(solimp, depth) for depth in (0.0, 5e-4, 1e-3, 1.0)

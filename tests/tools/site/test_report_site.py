@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from base64 import b64decode
 from dataclasses import replace
@@ -17,7 +16,6 @@ from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.svg import ForestRow, forest, simplified
-from gauge_envs.pages.text import score_text
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import replay
 from gauge_envs.runs.request import RunRequest
@@ -74,7 +72,9 @@ def results(tmp_path_factory):
         for settings in (None, SETTINGS)
     ]
     list(run_many(requests, out=folder))
-    return {file: load_result(file) for file in sorted(folder.glob("*.json"))}
+    # A page shows the time that a run took.
+    files = sorted(folder.glob("*.json"))
+    return {file: replace(load_result(file), wall_s=1.0) for file in files}
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +86,26 @@ def site(results, tmp_path_factory):
 
 def pages(site):
     return sorted(site.glob("*.html"))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "index",
+        "experiment-SlopeSlider-2-wood",
+        "experiment-NonsmoothContact-3-wood",
+    ],
+)
+def test_the_text_of_a_page_is_the_approved_one(site, approved, name):
+    lines = [line.strip() for line in Page(site / f"{name}.html").texts]
+    # How far a coarse step leads from a fine one depends on the processor.
+    stable = [line for line in lines if line and not re.fullmatch(r"[\d.]+ mm", line)]
+    approved(f"site/{name}", "\n".join(stable))
+
+
+def test_an_experiment_without_a_reference_shows_distances(site):
+    text = Page(site / "experiment-SlopeSlider-3-wood.html").text
+    assert "Distances between engines" in text
 
 
 def test_every_link_leads_to_a_file_of_the_site(site):
@@ -108,24 +128,6 @@ def test_nothing_is_loaded_from_elsewhere(site):
         ), file.name
 
 
-def test_the_scores_are_those_of_the_results(site, results):
-    overview, experiment = (
-        Page(site / "index.html").text,
-        Page(site / "experiment-SlopeSlider-2-wood.html").text,
-    )
-    for result in results.values():
-        if result.id != "GAUGE/SlopeSlider-2-wood":
-            continue
-        value, interval = (
-            result.score.rmse_aligned_normalized,
-            result.score.rmse_aligned_normalized_95,
-        )
-        assert value is not None and interval is not None
-        text = f"{score_text(value)} [{score_text(interval[0])}, {score_text(interval[1])}]"
-        assert text in overview
-        assert text in experiment
-
-
 @pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
 def test_the_first_page_says_whether_two_configurations_differ(is_same, tmp_path):
     # The default step given as a setting is another configuration of the same run.
@@ -146,27 +148,6 @@ def test_the_first_page_says_whether_two_configurations_differ(is_same, tmp_path
     assert ("Not distinguishable from it" in overview) == is_same
     assert ("is distinguishably further than" in overview) != is_same
     assert f"{0 if is_same else 1} of 1 pairs are distinguishable" in experiment
-
-
-def test_an_experiment_without_a_reference_shows_distances(site):
-    assert "how far engines are apart" in Page(site / "index.html").text
-    assert (
-        "Distances between engines"
-        in Page(site / "experiment-SlopeSlider-3-wood.html").text
-    )
-
-
-def test_replays_hold_the_poses_of_the_run(site, results):
-    files = sorted((site / "data").glob("SlopeSlider-2-wood.*.js"))
-    assert len(files) == 2
-    key, data = json.loads(
-        "["
-        + files[0].read_text().removeprefix("gaugeReplay(").removesuffix(");\n")
-        + "]"
-    )
-    assert key == files[0].name.removesuffix(".js")
-    assert data["moving"] == ["cube"]
-    assert data["views"] == 37
 
 
 # --- strangers' files ---
@@ -416,19 +397,3 @@ def test_a_score_left_of_the_axis_has_an_arrow_and_no_dot():
     assert (drawn.count("<path"), drawn.count("<circle")) == (1, 1)
     assert "arrow in place of a dot" in drawn
     assert "arrow in place of a dot" not in forest("scores", rows[1:])
-
-
-def test_a_page_says_when_its_reference_ends(site):
-    # The law of a fall holds until the first contact, after frame 3 of 10.
-    assert (
-        "It ends at 0.10 s."
-        in Page(site / "experiment-NonsmoothContact-3-wood.html").text
-    )
-    assert "It ends" not in Page(site / "experiment-SlopeSlider-2-wood.html").text
-
-
-def test_the_share_of_closer_trials_is_shown_where_there_are_trials(site):
-    assert (
-        "real trials closer" in Page(site / "experiment-SlopeSlider-2-wood.html").text
-    )
-    assert "closer" not in Page(site / "experiment-NonsmoothContact-3-wood.html").text

@@ -10,8 +10,6 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
-from gauge_envs.runs.pool import Limits
-from gauge_envs.tools.sweep import command
 from gauge_envs.tools.sweep.folder import earlier_episodes
 from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
@@ -78,10 +76,6 @@ def test_hostile_requests_have_exit_code_2(text, options, message, tmp_path):
     file.write_text(f'variants = ["{NAME}"]\n{text}\n')
     result = gauge("sweep", file, "--dry-run", "--out", tmp_path / "out", *options)
     assert result.exit_code == 2 and message in " ".join(result.stderr.split())
-
-
-def test_there_are_no_more_workers_than_tasks():
-    assert len(command._workers(None, 10**9, Limits(), 3)) == 3
 
 
 def test_the_slurm_script_takes_the_place_of_no_device(tmp_path):

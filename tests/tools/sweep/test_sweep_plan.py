@@ -10,11 +10,10 @@ from sweep_workers import needs_rapier
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.tools.sweep.plan import (
     content_sha256,
-    episode_key,
     experiment_sha256,
     plan_sweep,
     remaining_tasks,
@@ -122,51 +121,7 @@ def test_what_has_no_content_hash_is_refused():
         content_sha256({1, 2})
 
 
-def test_keys_of_seeds_differ():
-    assert len({episode_key("0", seed) for seed in range(1000)}) == 1000
-
-
 # --- plans ---
-
-
-def test_a_billion_episodes_are_refused_with_their_number():
-    thousand = list(range(1, 1001))
-    with pytest.raises(
-        ParameterError,
-        match=r"the sweep has 1,000,000,000 episodes, the limit is 1,000,000",
-    ):
-        planned(
-            settings={
-                "iterations": thousand,
-                "ls_iterations": thousand,
-                "ccd_iterations": thousand,
-            }
-        )
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"backends": ["mujoko"]}, "unknown backend 'mujoko'"),
-        ({"variants": ["SlopeSlider-9-*"]}, "unknown experiment 'SlopeSlider-9-"),
-        ({"presets": ["quick"]}, "unknown MuJoCo preset 'quick'"),
-        ({"parameters": ["measured"]}, "has no parameter set 'measured'"),
-        (
-            {"settings": {"substeps": [2]}},
-            r"setting 'substeps' .* own table, \[settings.mujoco\]",
-        ),
-        ({"settings": {"timestep_s": [0.004]}}, "choose a timestep_s that divides it"),
-        ({"settings": {"iterations": ["many"]}}, "MuJoCo setting 'iterations'"),
-    ],
-)
-def test_what_would_fail_every_episode_is_refused_before_it_runs(values, message):
-    with pytest.raises(GaugeError, match=message):
-        planned(**values)
-
-
-def test_an_unknown_pattern_offers_names():
-    with pytest.raises(UnknownNameError, match="did you mean"):
-        planned(variants=["SlopeSlider-2-wodd"])
 
 
 @needs_rapier

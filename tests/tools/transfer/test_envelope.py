@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 
+import approval
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, variants
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -253,34 +251,36 @@ def test_effects_are_those_of_a_known_function():
 # --- command ---
 
 
-def test_command_reports_draws_and_writes(tmp_path):
-    pytest.importorskip("matplotlib")
-    arguments = [
-        "transfer",
-        "envelope",
-        "GAUGE/Pendulum-Limit-metal",
-        "samples=4",
-        "--out",
-        str(tmp_path / "a.png"),
-    ]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 0, result.output
-    assert "100.0 % end as the calibrated one does" in result.stdout.replace("\n", " ")
-    assert (tmp_path / "a.png").stat().st_size > 5_000
-    line = json.loads(CliRunner().invoke(app, [*arguments[:4], "--json"]).stdout)
-    assert line["samples"] == 4
-    assert line["effects"][0]["parameter"]["key"] == "ball.mass_kg"
-
-
 @pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["Turntable-9"], "unknown"),
-        (["Turntable-1-wood", "--policy", "a.zip"], "only control tasks have policies"),
-        (["Turntable-Limit-wood", "samples=5"], "power of 2"),
-    ],
+    ("name", "words"), [("envelope", ""), ("envelope-json", "--json")]
 )
-def test_command_names_what_is_wrong(arguments, reason):
-    result = CliRunner().invoke(app, ["transfer", "envelope", *arguments])
-    assert result.exit_code == 2
-    assert reason in result.output.replace("\n", " ")
+def test_the_output_is_the_approved_one(gauge, approved, name, words):
+    command = "transfer envelope SlopeSlider-2-wood samples=4"
+    result = gauge(*command.split(), *words.split())
+    approved(f"transfer/{name}", approval.readable(result))
+
+
+def test_a_picture_is_drawn(gauge, tmp_path):
+    command = "transfer envelope GAUGE/Pendulum-Limit-metal samples=4 --out a.png"
+    assert gauge(*command.split()).exit_code == 0
+    assert (tmp_path / "a.png").stat().st_size > 5_000
+
+
+def test_wrong_requests_are_refused(gauge, approved):
+    commands = (
+        "transfer envelope Turntable-9",
+        "transfer envelope Turntable-1-wood --policy a.zip",
+        "transfer envelope Turntable-Limit-wood samples=5",
+        "transfer a.pt --id Pendulum-Limit-metal",
+        "transfer a.zip --id Turntable-1-wood",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to bullet3",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=one",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=inf",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=1e300",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=nan",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco starts=1 sigmas=1,1",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --to mujoco: starts=1",
+        "transfer envelope Pendulum-Limit-metal samples=2 --policy law:fraction=inf",
+        "transfer envelope Pendulum-Limit-metal samples=2 --policy law:fraction=-1",
+    )
+    approved("transfer/refused", approval.refused_commands(gauge, *commands))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
@@ -379,24 +378,3 @@ def test_command_reports_and_draws(tmp_path):
     assert "ball.mass_kg - 2 sigma" in result.stdout
     assert "Keeps 100 %" in result.stdout
     assert picture.stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["a.pt", "--id", TASK], r"expected a \.zip"),
-        (["a.zip", "--id", "Turntable-1-wood"], "unknown control task"),
-        (
-            [f"{__name__}:pumping", "--trust", "--id", TASK, "--to", "bullet3"],
-            "unknown backend 'bullet3'",
-        ),
-        (
-            [f"{__name__}:pumping", "--trust", "--id", TASK, "sigmas=one"],
-            "expected numbers",
-        ),
-    ],
-)
-def test_command_names_what_is_wrong(arguments, reason):
-    result = CliRunner().invoke(app, ["transfer", *arguments])
-    assert result.exit_code == 2
-    assert re.search(reason, result.output.replace("\n", " "))

@@ -1,24 +1,20 @@
 """What is edited in a USD file counts, wherever it stands; and what is not edited stays as it is, to the bit."""
 
-from __future__ import annotations
-
 import math
 from ast import literal_eval
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
+from pxr import Gf, Sdf, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
-from usd_scenes import Edit, changed, edited, pairs
+from usd_scenes import changed, edited, pairs
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import (
     Box,
+    Contact,
     ConvexUnion,
     Hinge,
     JointDynamics,
@@ -53,11 +49,11 @@ CLOTH, FOAM, CRADLE, ROD = (
 FLING = "TextileFlinging-rayon"
 
 
-def original(name: str) -> Scene:
+def original(name):
     return load_experiment(name).scene
 
 
-def chain() -> Scene:
+def chain():
     """Two blocks on a hinge to the world with friction and play, and a servo between them."""
     scene = load_experiment(
         "ElbowToss-blocks", {"first.position_m": (0.0, 0.0, 0.15)}
@@ -130,7 +126,7 @@ PER_DEGREE = 180.0 / math.pi
 
 # Edits of a layer: attribute, new value, place in the scene, and what stands there if it is another value. Numbers in
 # single precision count as the decimal that was typed.
-COUNTED: dict[str, str] = {
+COUNTED = {
     SLIDER: """
         /World/cube.physics:mass                          0.25              bodies.cube.mass_kg
         /World/cube.gauge:mass_kg                         0.123456789012    bodies.cube.mass_kg
@@ -197,9 +193,7 @@ SCENES = {"string": STRING, "throw": THROW, "chain": CHAIN}
         for row in rows.strip().splitlines()
     ],
 )
-def test_the_edited_value_counts_and_no_other_changes(
-    source: str, row: str, tmp_path: Path
-) -> None:
+def test_the_edited_value_counts_and_no_other_changes(source, row, tmp_path):
     path, value, place, *to = row.split()
     source = SCENES.get(source, source)
     before = original(source) if isinstance(source, str) else source
@@ -211,14 +205,14 @@ def test_the_edited_value_counts_and_no_other_changes(
 @pytest.mark.parametrize(
     ("name", "gain"), [("stiffness", "kp_n_m_per_rad"), ("damping", "kv_n_m_s_per_rad")]
 )
-def test_an_edited_gain_is_per_degree(name: str, gain: str, tmp_path: Path) -> None:
+def test_an_edited_gain_is_per_degree(name, gain, tmp_path):
     edit = {f"{ELBOW}.drive:angular:physics:{name}": 0.5}
     expected = pytest.approx(0.5 * PER_DEGREE, rel=1e-15)
     place = f"body_hinges.0.motor.{gain}"
     assert edited(CHAIN, tmp_path, edit) == changed(CHAIN, place, expected)
 
 
-def test_two_edits_that_agree_keep_every_digit(tmp_path: Path) -> None:
+def test_two_edits_that_agree_keep_every_digit(tmp_path):
     value = 0.123456789012
     edit = {f"{CUBE}.gauge:mass_kg": value, f"{CUBE}.physics:mass": value}
     expected = changed(original(SLIDER), "bodies.cube.mass_kg", value)
@@ -234,15 +228,13 @@ def test_two_edits_that_agree_keep_every_digit(tmp_path: Path) -> None:
         f"{PHYSICS}.gauge:gravity_m_per_s2",
     ],
 )
-def test_without_the_double_the_standard_value_counts(
-    path: str, tmp_path: Path
-) -> None:
+def test_without_the_double_the_standard_value_counts(path, tmp_path):
     # All of these have so few digits that single precision, read as a decimal, has them too.
     assert edited(SLIDER, tmp_path, without(path)) == original(SLIDER)
 
 
-def without(*paths: str) -> Edit:
-    def edit(stage: Usd.Stage) -> None:
+def without(*paths):
+    def edit(stage):
         for path in paths:
             attribute = stage.GetAttributeAtPath(path)
             assert attribute.GetPrim().RemoveProperty(attribute.GetName())
@@ -250,10 +242,10 @@ def without(*paths: str) -> Edit:
     return edit
 
 
-def shifted(path: str, index: int, to: tuple[float, ...]) -> Edit:
+def shifted(path, index, to):
     """Moves a point of a mesh, cloth or set of markers."""
 
-    def edit(stage: Usd.Stage) -> None:
+    def edit(stage):
         attribute = stage.GetAttributeAtPath(f"{path}.points")
         points = list(attribute.Get())
         points[index] = Gf.Vec3f(*to)
@@ -262,7 +254,7 @@ def shifted(path: str, index: int, to: tuple[float, ...]) -> Edit:
     return edit
 
 
-def test_a_duration_and_a_marker_count(tmp_path: Path) -> None:
+def test_a_duration_and_a_marker_count(tmp_path):
     half = edited(SLIDER, tmp_path, lambda stage: stage.SetEndTimeCode(30))
     assert half == replace(original(SLIDER), duration_s=1.0)
     moved = edited(CLOTH, tmp_path, shifted("/World/Markers", 3, (0.5, 0.25, 0.125)))
@@ -271,9 +263,7 @@ def test_a_duration_and_a_marker_count(tmp_path: Path) -> None:
     )
 
 
-def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(
-    tmp_path: Path,
-) -> None:
+def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(tmp_path):
     before = original("Funnel-rayon")
     body = next(body for body in before.bodies if isinstance(body.shape, ConvexUnion))
     old = np.float32(body.shape.pieces_m[2][1])
@@ -287,7 +277,7 @@ def test_a_vertex_of_a_mesh_moves_and_the_others_keep_every_digit(
     assert after == changed(before, place, found[2][1])
 
 
-def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path: Path) -> None:
+def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path):
     turn = Rotation.from_euler("xyz", [10.0, 20.0, 80.0], degrees=True)
     quaternion = Gf.Quatf(*turn.as_quat(scalar_first=True))
     edit = {f"{JOINT}.physics:localRot0": quaternion, f"{JOINT}.gauge:axis": (0.0, 1.0, 0.0)}  # fmt: skip
@@ -296,8 +286,8 @@ def test_a_hinge_turned_in_the_joint_frame_turns(tmp_path: Path) -> None:
     assert np.linalg.norm(hinge.axis) == pytest.approx(1.0, abs=1e-15)
 
 
-def test_a_world_that_is_moved_moves_its_bodies(tmp_path: Path) -> None:
-    def edit(stage: Usd.Stage) -> None:
+def test_a_world_that_is_moved_moves_its_bodies(tmp_path):
+    def edit(stage):
         world = UsdGeom.Xformable(stage.GetPrimAtPath("/World"))
         world.AddTranslateOp().Set((1.0, 0.0, 0.0))
 
@@ -312,17 +302,17 @@ def test_a_world_that_is_moved_moves_its_bodies(tmp_path: Path) -> None:
 # --- joints of two bodies, axes and units ----------------------------------------------------------------------------
 
 
-def test_a_joint_of_two_bodies_is_read_from_its_frames(tmp_path: Path) -> None:
+def test_a_joint_of_two_bodies_is_read_from_its_frames(tmp_path):
     (before,) = CHAIN.body_hinges
 
-    def found(edit: Edit) -> Any:
+    def found(edit):
         return edited(CHAIN, tmp_path, edit).body_hinges[0]
 
     exact = without(f"{ELBOW}.gauge:anchor_m", f"{ELBOW}.gauge:axis")
     np.testing.assert_allclose(found(exact).anchor_m, before.anchor_m, atol=1e-7)
     np.testing.assert_allclose(found(exact).axis, before.axis, atol=1e-6)
 
-    def along(stage: Usd.Stage) -> None:
+    def along(stage):
         for name in ("localPos0", "localPos1"):
             place = stage.GetAttributeAtPath(f"{ELBOW}.physics:{name}")
             # Along the axis, which is the same in both blocks.
@@ -332,7 +322,7 @@ def test_a_joint_of_two_bodies_is_read_from_its_frames(tmp_path: Path) -> None:
     assert shift == pytest.approx(0.01, abs=1e-6)
 
 
-def test_axes_of_many_digits_and_swings_return_exactly(tmp_path: Path) -> None:
+def test_axes_of_many_digits_and_swings_return_exactly(tmp_path):
     axis = (0.0, 1.0 - 5e-10, 0.0)
     scene = changed(changed(CHAIN, "joints.0.axis", axis), "body_hinges.0.axis", axis)
     assert edited(scene, tmp_path, {}) == scene
@@ -345,7 +335,7 @@ def test_axes_of_many_digits_and_swings_return_exactly(tmp_path: Path) -> None:
     assert edited(swing, tmp_path, {}) == swing
 
 
-def test_standard_attributes_are_in_their_units() -> None:
+def test_standard_attributes_are_in_their_units():
     stage = scene_stage(CHAIN)
     dynamics, motor = CHAIN.joints[0].dynamics, CHAIN.body_hinges[0].motor
     for path, value in {
@@ -369,7 +359,7 @@ VELOCITY, SPIN = (
 )
 
 
-def test_an_edited_standard_velocity_counts(tmp_path: Path) -> None:
+def test_an_edited_standard_velocity_counts(tmp_path):
     edit = {VELOCITY: (0.0, 0.0, 2.0), SPIN: (0.0, 0.0, 0.0)}
     body = edited(THROW, tmp_path, edit).body("thrown")
     along = THROWN.pose.rotation.apply([0.0, 0.0, 2.0])
@@ -377,12 +367,12 @@ def test_an_edited_standard_velocity_counts(tmp_path: Path) -> None:
     assert body.angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
 
 
-def test_a_scene_at_rest_writes_no_velocity() -> None:
+def test_a_scene_at_rest_writes_no_velocity():
     stage = scene_stage(STRING)
     assert "elocity" not in stage.GetRootLayer().ExportToString()
 
 
-def test_newton_reads_the_same_velocities(tmp_path: Path) -> None:
+def test_newton_reads_the_same_velocities(tmp_path):
     newton = pytest.importorskip("newton")
     to_usd(THROW, tmp_path / "a.usda")
     builder = newton.ModelBuilder()
@@ -399,10 +389,10 @@ def test_newton_reads_the_same_velocities(tmp_path: Path) -> None:
 TABLE_FRAMES = range(95)
 
 
-def turning(turn: Callable[[float], Rotation]) -> Edit:
+def turning(turn):
     """Sets every sample of the turntable's orientation."""
 
-    def edit(stage: Usd.Stage) -> None:
+    def edit(stage):
         attribute = stage.GetAttributeAtPath(f"{PLATE}.xformOp:orient")
         for frame in TABLE_FRAMES:
             quaternion = turn(frame / FRAME_RATE_HZ).as_quat(scalar_first=True)
@@ -411,26 +401,26 @@ def turning(turn: Callable[[float], Rotation]) -> Edit:
     return edit
 
 
-def both(*edits: Callable[[Usd.Stage], object]) -> Edit:
+def both(*edits):
     return lambda stage: [edit(stage) for edit in edits]
 
 
-def moved_plate(stage: Usd.Stage) -> None:
+def moved_plate(stage):
     stage.GetAttributeAtPath(f"{PLATE}.xformOp:translate").Set((0.5, 0.5, 0.178902))
 
 
-def faster(stage: Usd.Stage) -> None:
+def faster(stage):
     attribute = stage.GetAttributeAtPath(f"{PLATE}.gauge:driver")
     amount = original(TABLE).drivers[0].motions[0].profiles[0].amount
     assert repr(amount) in attribute.Get()
     attribute.Set(attribute.Get().replace(repr(amount), "1.5"))
 
 
-def spun(time_s: float) -> Rotation:
+def spun(time_s):
     return Rotation.from_rotvec([0, 0, 2.0 * time_s**2])
 
 
-def test_samples_that_stay_on_the_axis_keep_it_and_its_action(tmp_path: Path) -> None:
+def test_samples_that_stay_on_the_axis_keep_it_and_its_action(tmp_path):
     before = original(TABLE)
     scene = edited(TABLE, tmp_path, turning(spun))
     (driver,), (was,) = scene.drivers, before.drivers
@@ -448,14 +438,14 @@ def test_samples_that_stay_on_the_axis_keep_it_and_its_action(tmp_path: Path) ->
     assert turned.motions[0].residual_rate == old.residual_rate
 
 
-def test_one_sample_that_is_edited_leaves_the_others(tmp_path: Path) -> None:
+def test_one_sample_that_is_edited_leaves_the_others(tmp_path):
     index, before = 20, original(FLING)
     (was,) = before.drivers
     start = before.body(was.body).pose
     old = was.pose(start, index / FRAME_RATE_HZ).position_m
     high = tuple(np.add(old, [0.0, 0.01, 0.02]).tolist())
 
-    def edit(stage: Usd.Stage) -> None:
+    def edit(stage):
         path = f"/World/{was.body}.xformOp:translate"
         stage.GetAttributeAtPath(path).Set(high, index)
 
@@ -470,8 +460,8 @@ def test_one_sample_that_is_edited_leaves_the_others(tmp_path: Path) -> None:
     assert driver.provenance.startswith("nominal") and "video" in driver.provenance
 
 
-def test_general_samples_are_reproduced(tmp_path: Path) -> None:
-    def tumble(time_s: float) -> Rotation:
+def test_general_samples_are_reproduced(tmp_path):
+    def tumble(time_s):
         return Rotation.from_euler("xyz", [time_s, 0.3 * time_s, np.sin(time_s)])
 
     scene = edited(TABLE, tmp_path, turning(tumble))
@@ -489,10 +479,8 @@ def test_general_samples_are_reproduced(tmp_path: Path) -> None:
     assert kept == [original(TABLE).drivers[0].motions[0].residual_rate]
 
 
-def test_the_exact_motion_counts_with_its_edits_and_without_samples(
-    tmp_path: Path,
-) -> None:
-    def no_samples(stage: Usd.Stage) -> None:
+def test_the_exact_motion_counts_with_its_edits_and_without_samples(tmp_path):
+    def no_samples(stage):
         stage.GetAttributeAtPath(f"{PLATE}.xformOp:orient").Clear()
 
     assert edited(TABLE, tmp_path, no_samples) == original(TABLE)
@@ -504,15 +492,15 @@ def test_the_exact_motion_counts_with_its_edits_and_without_samples(
 # --- contacts --------------------------------------------------------------------------------------------------------
 
 
-def filtered(one: str, other: str) -> Edit:
-    def edit(stage: Usd.Stage) -> None:
+def filtered(one, other):
+    def edit(stage):
         api = UsdPhysics.FilteredPairsAPI.Apply(stage.GetPrimAtPath(one))
         api.CreateFilteredPairsRel().AddTarget(other)
 
     return edit
 
 
-def test_a_collider_that_is_disabled_collides_no_more(tmp_path: Path) -> None:
+def test_a_collider_that_is_disabled_collides_no_more(tmp_path):
     edit = {"/World/ground/collision.physics:collisionEnabled": False}
     before = original(TABLE)
     assert edited(TABLE, tmp_path, edit) == replace(
@@ -521,9 +509,7 @@ def test_a_collider_that_is_disabled_collides_no_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["NonsmoothContact-1-wood", CRADLE])
-def test_a_pair_that_is_filtered_is_taken_out_of_its_group(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_pair_that_is_filtered_is_taken_out_of_its_group(name, tmp_path):
     """Of the first and the last ball of a cradle, one chain of impacts is left."""
     before = original(name)
     one, other = next(iter(before.colliding_pairs(before.contacts[0])))
@@ -535,10 +521,17 @@ def test_a_pair_that_is_filtered_is_taken_out_of_its_group(
     assert scene.has_impact_chain == before.has_impact_chain == (name == CRADLE)
 
 
-def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(
-    tmp_path: Path,
-) -> None:
-    def edit(stage: Usd.Stage) -> None:
+def test_a_pair_of_groups_that_overlap_is_taken_out_once(tmp_path):
+    bodies = tuple(replace(BOB, name=name) for name in "abc")
+    groups = {"first": ("a", "b"), "second": ("a", "b", "c")}
+    contact = Contact(**groups, friction=0.5, restitution=0.1)
+    scene = Scene(bodies=bodies, contacts=(contact,), duration_s=1.0)
+    found = edited(scene, tmp_path, filtered("/World/a", "/World/c"))
+    assert pairs(found) == {frozenset("ab"), frozenset("bc")}
+
+
+def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(tmp_path):
+    def edit(stage):
         second = stage.GetRelationshipAtPath(f"{CONTACT}.gauge:second")
         second.AddTarget("/World/ground")
 
@@ -547,10 +540,10 @@ def test_a_pair_that_is_added_to_a_contact_counts_though_it_is_filtered(
     assert edited(ROD, tmp_path, edit) == changed(before, "contacts.0.second", second)
 
 
-def test_a_body_that_is_added_collides_by_its_material(tmp_path: Path) -> None:
+def test_a_body_that_is_added_collides_by_its_material(tmp_path):
     before = original(SLIDER)
 
-    def edit(stage: Usd.Stage) -> None:
+    def edit(stage):
         crate = UsdGeom.Cube.Define(stage, "/World/crate")
         crate.CreateSizeAttr(0.1)
         crate.AddTranslateOp().Set((1.0, 0.0, 0.5))
@@ -568,7 +561,7 @@ def test_a_body_that_is_added_collides_by_its_material(tmp_path: Path) -> None:
     assert added == {frozenset(("crate", name)) for name in ("cube", "board", "ground")}
 
 
-def bind(stage: Usd.Stage, path: str, material: str) -> None:
+def bind(stage, path, material):
     binding = UsdShade.MaterialBindingAPI.Apply(stage.GetPrimAtPath(path))
     shade = UsdShade.Material(stage.GetPrimAtPath(material))
     binding.Bind(shade, UsdShade.Tokens.weakerThanDescendants, "physics")
@@ -577,39 +570,39 @@ def bind(stage: Usd.Stage, path: str, material: str) -> None:
 # --- edits that cannot count -----------------------------------------------------------------------------------------
 
 
-def on_ice(stage: Usd.Stage) -> None:
+def on_ice(stage):
     material = UsdShade.Material.Define(stage, "/World/ice")
     UsdPhysics.MaterialAPI.Apply(material.GetPrim()).CreateDynamicFrictionAttr(0.01)
     bind(stage, CUBE, "/World/ice")
 
 
-def quarter_turns(time_s: float) -> Rotation:
+def quarter_turns(time_s):
     """A quarter turn about each axis, and back."""
     third, phase = divmod(round(time_s * FRAME_RATE_HZ), 32)
     angle = 0.5 * np.pi * np.sin(np.pi * phase / 32) ** 2
     return Rotation.from_rotvec(angle * np.eye(3)[third])
 
 
-def accelerated(stage: Usd.Stage) -> None:
+def accelerated(stage):
     attribute = stage.GetAttributeAtPath(f"{PLATE}.gauge:driver")
     assert '"accelerate_s": 0.5' in attribute.Get()
     attribute.Set(attribute.Get().replace('"accelerate_s": 0.5', '"accelerate_s": 0.4'))
 
 
-def torn(stage: Usd.Stage) -> None:
+def torn(stage):
     place = stage.GetAttributeAtPath(f"{ELBOW}.physics:localPos1")
     place.Set(place.Get() + Gf.Vec3f(0.0, 0.0, 0.002))
 
 
-def ball_joint(stage: Usd.Stage) -> None:
+def ball_joint(stage):
     stage.GetPrimAtPath(ELBOW).SetTypeName("PhysicsSphericalJoint")
 
 
-def limited(stage: Usd.Stage) -> None:
+def limited(stage):
     UsdPhysics.RevoluteJoint(stage.GetPrimAtPath(ELBOW)).CreateLowerLimitAttr(-30.0)
 
 
-def elbow_with(name: str, value: Any) -> Edit:
+def elbow_with(name, value):
     kind = (
         Sdf.ValueTypeNames.Token if isinstance(value, str) else Sdf.ValueTypeNames.Float
     )
@@ -621,7 +614,7 @@ def elbow_with(name: str, value: Any) -> Edit:
 NAN = '{"kind": "sampled", "times_s": [0, 1], "values": [0, NaN]}'
 
 # The layer, its edits, and the place and the fault in the words of the error.
-DECLINED: list[tuple[str | Scene, Edit, str]] = [
+DECLINED = [
     (
         SLIDER,
         {f"{CUBE}.gauge:mass_kg": 0.3, f"{CUBE}.physics:mass": 0.2},
@@ -723,8 +716,8 @@ DECLINED: list[tuple[str | Scene, Edit, str]] = [
 
 @pytest.mark.parametrize(("source", "edit", "words"), DECLINED)
 def test_edits_that_cannot_count_are_errors_that_name_the_place(
-    source: str | Scene, edit: Edit, words: str, tmp_path: Path
-) -> None:
+    source, edit, words, tmp_path
+):
     with pytest.raises(AssetError, match=words) as caught:
         edited(source, tmp_path, edit)
     assert caught.value.file == tmp_path / "edited.usda"

@@ -1,11 +1,8 @@
 """Scene -> USD -> Scene is exact, and a damaged layer gives a scene or an error of this package."""
 
-from __future__ import annotations
-
 import random
 import re
 import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +14,6 @@ from usd_scenes import scenes
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, GaugeError, ParameterError, ResultFileError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.scene import Scene
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import experiment_stage
 from gauge_envs.tools.usd.reader import from_usd, read_usd
@@ -29,7 +25,7 @@ ANY_SCENE = settings(deadline=None, suppress_health_check=list(HealthCheck))
 
 
 @pytest.mark.parametrize("name", [variant.name for variant in variants()])
-def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
+def test_checked_in_layers_are_the_scenes_to_the_bit(name):
     read = read_usd(assets_folder() / "usd" / f"{name}.usda")
     assert read.scene == load_experiment(name).scene
     assert read.metadata["variant"] == name
@@ -37,7 +33,7 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
-def test_every_kind_of_file_keeps_every_double(suffix: str, tmp_path: Path) -> None:
+def test_every_kind_of_file_keeps_every_double(suffix, tmp_path):
     changes = {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3}
     experiment = load_experiment("SlopeSlider-2-wood", changes)
     export_stage(experiment_stage(experiment), tmp_path / f"a{suffix}")
@@ -45,13 +41,13 @@ def test_every_kind_of_file_keeps_every_double(suffix: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["CubeToss-acrylic", "ElbowToss-blocks"])
-def test_a_layer_keeps_an_inertia_and_a_hinge(name: str, tmp_path: Path) -> None:
+def test_a_layer_keeps_an_inertia_and_a_hinge(name, tmp_path):
     scene = load_experiment(name).scene
     to_usd(scene, tmp_path / "a.usda")
     assert from_usd(tmp_path / "a.usda") == scene
 
 
-def returns_exactly(scene: Scene, *suffixes: str) -> None:
+def returns_exactly(scene, *suffixes):
     with tempfile.TemporaryDirectory() as folder:
         for suffix in suffixes:
             to_usd(scene, Path(folder) / f"scene{suffix}")
@@ -61,7 +57,7 @@ def returns_exactly(scene: Scene, *suffixes: str) -> None:
 @pytest.mark.slow
 @settings(ANY_SCENE, max_examples=2000)
 @given(scene=scenes())
-def test_very_many_scenes_come_back_to_the_bit(scene: Scene) -> None:
+def test_very_many_scenes_come_back_to_the_bit(scene):
     returns_exactly(scene, ".usdc")
 
 
@@ -88,7 +84,7 @@ KINDS = (
 )
 
 
-def survives(content: bytes, suffix: str = ".usda") -> None:
+def survives(content, suffix=".usda"):
     """The file gives a scene that ends, or an error that names it."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"damaged{suffix}"
@@ -101,13 +97,13 @@ def survives(content: bytes, suffix: str = ".usda") -> None:
         assert 0.0 < scene.duration_s < float("inf")
 
 
-def other_bytes(content: bytes, chance: random.Random) -> bytes:
+def other_bytes(content, chance):
     at = chance.randrange(len(content))
     new = chance.randbytes(chance.randrange(20))
     return content[:at] + new + content[at + chance.randrange(200) :]
 
 
-def other_value(content: bytes, chance: random.Random) -> bytes:
+def other_value(content, chance):
     lines = content.decode().splitlines()
     given_ = [i for i, line in enumerate(lines) if re.search(r" = \S.*[^(]$", line)]
     i = chance.choice(given_)
@@ -115,10 +111,10 @@ def other_value(content: bytes, chance: random.Random) -> bytes:
     return "\n".join([*lines, ""]).encode()
 
 
-def other_property(content: bytes, chance: random.Random) -> bytes:
+def other_property(content, chance):
     layer = Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString(content.decode())
-    found: list[Sdf.Path] = []
+    found = []
     layer.Traverse("/", lambda path: path.IsPropertyPath() and found.append(path))
     path = chance.choice(found)
     prim, spec = layer.GetPrimAtPath(path.GetPrimPath()), layer.GetPropertyAtPath(path)
@@ -136,14 +132,14 @@ def other_property(content: bytes, chance: random.Random) -> bytes:
     return layer.ExportToString().encode()
 
 
-def no_prim(content: bytes, chance: random.Random) -> bytes:
+def no_prim(content, chance):
     stage = Usd.Stage.CreateInMemory()
     stage.GetRootLayer().ImportFromString(content.decode())
     stage.RemovePrim(chance.choice([prim.GetPath() for prim in stage.Traverse()]))
     return stage.GetRootLayer().ExportToString().encode()
 
 
-DAMAGES: dict[Callable[[bytes, random.Random], bytes], int] = {
+DAMAGES = {
     other_bytes: 3,
     other_value: 10,
     other_property: 5,
@@ -153,9 +149,7 @@ DAMAGES: dict[Callable[[bytes, random.Random], bytes], int] = {
 
 @settings(ANY_SCENE, max_examples=12)
 @given(scene=scenes(), seed=st.integers(0, 2**32))
-def test_any_scene_comes_back_to_the_bit_and_damage_is_survived(
-    scene: Scene, seed: int
-) -> None:
+def test_any_scene_comes_back_to_the_bit_and_damage_is_survived(scene, seed):
     returns_exactly(scene, ".usda", ".usdc")
     chance = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -170,7 +164,7 @@ def test_any_scene_comes_back_to_the_bit_and_damage_is_survived(
 
 @pytest.mark.parametrize("key", ["startTimeCode", "endTimeCode", "timeCodesPerSecond"])
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e300", "-1e20", "1e-20"])
-def test_times_that_make_no_sense(key: str, value: str) -> None:
+def test_times_that_make_no_sense(key, value):
     """Without the double beside them, so that they count."""
     text = (assets_folder() / "usd" / "Turntable-1-wood.usda").read_text()
     text, count = re.subn(rf"(\n    {key} = )\S+", rf"\g<1>{value}", text)
@@ -195,16 +189,14 @@ def test_times_that_make_no_sense(key: str, value: str) -> None:
         (".", None),
     ],
 )
-def test_files_that_are_no_layers(
-    name: str, content: bytes | None, tmp_path: Path
-) -> None:
+def test_files_that_are_no_layers(name, content, tmp_path):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(AssetError, match=re.escape(str(tmp_path / name))):
         from_usd(tmp_path / name)
 
 
-def test_what_is_named_or_driven_twice_is_not_written(tmp_path: Path) -> None:
+def test_what_is_named_or_driven_twice_is_not_written(tmp_path):
     scene = load_experiment("Turntable-1-wood").scene
     twice = replace(scene, bodies=(*scene.bodies, scene.body("cube")))
     driven = replace(scene, drivers=scene.drivers * 2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,7 @@ poses = st.builds(
 )
 
 
-def row_of_tetrahedra(corners: list[tuple[float, float, float]]) -> ConvexUnion:
+def row_of_tetrahedra(corners):
     pieces = []
     for index, (edge, y, z) in enumerate(corners):
         corner = np.array([4.0 * index, y, z])
@@ -127,7 +126,7 @@ hinge_terms = {
 }
 
 
-def deformables(name: str) -> st.SearchStrategy[Cloth | SoftBody | Rope | Rod]:
+def deformables(name):
     body = {"name": st.just(name), "pose": poses, "mass_kg": positive}
     line = {**body, "length_m": lengths, "radius_m": lengths}
     elastic = {"young_modulus_pa": positive, "poisson_ratio": st.floats(-0.9, 0.499)}
@@ -148,9 +147,7 @@ def deformables(name: str) -> st.SearchStrategy[Cloth | SoftBody | Rope | Rod]:
     )
 
 
-def of_different_pairs(
-    contacts: list[Contact], joined: set[frozenset[str]]
-) -> tuple[Contact, ...]:
+def of_different_pairs(contacts, joined):
     """Return the contacts that list no pair of an earlier one, and none that a hinge joins."""
     kept = []
     for contact in contacts:
@@ -162,7 +159,7 @@ def of_different_pairs(
 
 
 @st.composite
-def scenes(draw: st.DrawFn) -> Scene:
+def scenes(draw):
     names = draw(st.permutations(NAMES))
     count = draw(st.integers(1, 5))
     bodies, drivers, joints, loose = [], [], [], []
@@ -267,7 +264,7 @@ def scenes(draw: st.DrawFn) -> Scene:
 Edit = Mapping[str, Any] | Callable[[Usd.Stage], object]
 
 
-def edited(source: str | Scene, folder: Path, edit: Edit) -> Scene:
+def edited(source, folder, edit):
     """Return the scene of a layer after an edit, as a USD tool would save it.
 
     Args:
@@ -292,7 +289,7 @@ def edited(source: str | Scene, folder: Path, edit: Edit) -> Scene:
     return from_usd(folder / "edited.usda")
 
 
-def changed(value: Any, place: str, to: Any) -> Any:
+def changed(value, place, to):
     """Return a scene, or a part of one, with another value at a place such as `bodies.cube.mass_kg`."""
     if not place:
         return to
@@ -304,7 +301,7 @@ def changed(value: Any, place: str, to: Any) -> Any:
     return (*value[:index], changed(value[index], rest, to), *value[index + 1 :])
 
 
-def pairs(scene: Scene) -> set[frozenset[str]]:
+def pairs(scene):
     """Return the pairs that collide; no contact lists one of another."""
     found = [
         frozenset(pair)

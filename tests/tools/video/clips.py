@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.tools.video import Track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
-    VideoTask,
     video_task,
 )
 
@@ -38,15 +38,7 @@ class Clip:
     truth: dict[str, float]
 
 
-def clip(
-    name: str,
-    rng: np.random.Generator,
-    *,
-    fps: float = 30.0,
-    noise: float = 3.0,
-    quality: int = 80,
-    calibration_sigma: float = 0.0,
-) -> Clip:
+def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     """Return a clip of a task with random constants, a release between two frames, and the truth.
 
     With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
@@ -77,98 +69,95 @@ def clip(
     return Clip(task=name, frames=frames, fps=fps, truth=truth)
 
 
-def _motion(
-    task: VideoTask, rng: np.random.Generator
-) -> tuple[
-    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
-]:
+# --- motions: numbers over time, of a scalar or an array ----------------------------------------------------------
+
+
+def slid_m(times_s, release_s, a, lasts_s, bounce=0.0):
+    """Way from rest with constant acceleration until it ends, where a ball may bounce."""
+    since = np.clip(times_s - release_s, 0.0, lasts_s)
+    late = np.maximum(times_s - release_s - lasts_s, 0.0)
+    way = 0.5 * a * since**2
+    if bounce:
+        back = bounce * a * lasts_s * late - 0.5 * a * late**2
+        way = np.where(late > 0.0, np.maximum(way - back, 0.0), way)
+    return way
+
+
+def turned_rad(times_s, release_s, rate):
+    """A plate that starts at once would need more force than friction has."""
+    since = np.maximum(times_s - release_s, 0.0)
+    ramp = np.minimum(since, RAMP_S)
+    return rate * (0.5 * ramp**2 / RAMP_S + since - ramp)
+
+
+def swung_rad(times_s, amplitude, damping, period):
+    phase = 2.0 * np.pi * times_s / period
+    return amplitude * np.exp(-damping * times_s) * np.cos(phase)
+
+
+def struck_rad(times_s, peaks):
+    """Swings that each last 0.4 s and begin 0.9 s apart."""
+    angle = 0.0 * times_s
+    for number, peak in enumerate(peaks):
+        since = np.clip(times_s - 0.4 - 0.9 * number, 0.0, 0.4)
+        angle = angle + peak * np.sin(np.pi * since / 0.4)
+    return angle
+
+
+def _motion(task, rng):
     """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
-    start = np.array(task.centre_px)
-    scale = task.scale_m_per_px
+    start, scale = np.array(task.centre_px), task.scale_m_per_px
     release = float(rng.uniform(0.2, 0.5))
     if task.motion in (Motion.SLIDE, Motion.FALL):
-        return _straight(task, rng, release)
+        is_slide = task.motion is Motion.SLIDE
+        a = float(rng.uniform(0.6, 4.0) if is_slide else rng.uniform(1.0, 9.81))
+        lasts = (2.0 * (0.38 if is_slide else 0.44) / a) ** 0.5
+        direction = np.array(task.direction)
+
+        def straight(time_s):
+            bounce = 0.0 if is_slide else 0.6
+            way = slid_m(time_s, release, a, lasts, bounce)
+            return start + direction * way / scale, 31.6 if is_slide else 0.0
+
+        rest = 0.3 if is_slide else 0.2
+        return straight, {"a_m_s2": a}, release + lasts + rest
     pivot = np.array(task.pivot_px)
     if task.motion is Motion.TURN:
-        offset = start - pivot
         rate = float(rng.uniform(1.0, 2.5))
 
-        def turning(time_s: float) -> tuple[NDArray[np.float64], float]:
-            # A plate that starts at once would need more force than friction has.
-            since = max(0.0, time_s - release)
-            angle = rate * (
-                0.5 * since**2 / RAMP_S if since < RAMP_S else since - 0.5 * RAMP_S
-            )
+        def turning(time_s):
+            angle = turned_rad(time_s, release, rate)
             c, s = np.cos(angle), np.sin(angle)
-            return pivot + np.array([[c, -s], [s, c]]) @ offset, -float(
-                np.degrees(angle)
-            )
+            turn = np.array([[c, -s], [s, c]])
+            return pivot + turn @ (start - pivot), -float(np.degrees(angle))
 
         return turning, {"de_n": 0.0}, release + 1.5
     if task.motion is Motion.PENDULUM:
         period, damping = float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.2))
         amplitude = float(np.arctan2(*(start - pivot)))
         length = float(np.linalg.norm(start - pivot))
+        truth, duration_s = {"pd_s": period, "r2": 1.0}, 4.0
 
-        def swinging(time_s: float) -> tuple[NDArray[np.float64], float]:
-            angle = (
-                amplitude
-                * np.exp(-damping * time_s)
-                * np.cos(2.0 * np.pi * time_s / period)
-            )
-            return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
+        def angle_at(time_s):
+            return swung_rad(time_s, amplitude, damping, period)
 
-        return swinging, {"pd_s": period, "r2": 1.0}, 4.0
-    rest = np.array(task.rest_px)
-    length = float(np.linalg.norm(rest - pivot))
-    mte = float(rng.uniform(0.3, 0.95))
-    ratios = mte * np.array([1.1, 0.9])
-    heights_px = ratios**2 * task.release_height_m / scale
-    peaks = np.arccos(1.0 - heights_px / length)
+    else:
+        length = float(np.linalg.norm(np.array(task.rest_px) - pivot))
+        ratios = float(rng.uniform(0.3, 0.95)) * np.array([1.1, 0.9])
+        peaks = np.arccos(1.0 - ratios**2 * task.release_height_m / scale / length)
+        truth, duration_s = {"mte": float(ratios.mean())}, 2.0
 
-    def outgoing(time_s: float) -> tuple[NDArray[np.float64], float]:
-        angle = 0.0
-        for number, peak in enumerate(peaks):
-            since = time_s - 0.4 - 0.9 * number
-            if 0.0 < since < 0.4:
-                angle = float(peak * np.sin(np.pi * since / 0.4))
+        def angle_at(time_s):
+            return struck_rad(time_s, peaks)
+
+    def swinging(time_s):
+        angle = angle_at(time_s)
         return pivot + length * np.array([np.sin(angle), np.cos(angle)]), 0.0
 
-    return outgoing, {"mte": float(ratios.mean())}, 2.0
+    return swinging, truth, duration_s
 
 
-def _straight(
-    task: VideoTask, rng: np.random.Generator, release: float
-) -> tuple[
-    Callable[[float], tuple[NDArray[np.float64], float]], dict[str, float], float
-]:
-    start, scale = np.array(task.centre_px), task.scale_m_per_px
-    a = float(
-        rng.uniform(0.6, 4.0) if task.motion is Motion.SLIDE else rng.uniform(1.0, 9.81)
-    )
-    reach_m = (0.38 if task.motion is Motion.SLIDE else 0.44) * 1.0
-    lasts = (2.0 * reach_m / a) ** 0.5
-    direction = np.array(task.direction)
-
-    def straight(time_s: float) -> tuple[NDArray[np.float64], float]:
-        since = min(max(0.0, time_s - release), lasts)
-        s = 0.5 * a * since**2
-        late = time_s - release - lasts
-        if task.motion is Motion.FALL and late > 0.0:
-            s = max(0.0, s - 0.6 * a * lasts * late + 0.5 * a * late**2)
-        return (
-            start + direction * s / scale,
-            31.6 if task.motion is Motion.SLIDE else 0.0,
-        )
-
-    return (
-        straight,
-        {"a_m_s2": a},
-        release + lasts + (0.3 if task.motion is Motion.SLIDE else 0.2),
-    )
-
-
-def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
+def _scene(task, rng):
     """Return a still scene: what stands around the object in the first frames, in plain colours with some texture."""
     width, height = REFERENCE_SIZE_PX
     is_dark = (
@@ -194,12 +183,7 @@ def _scene(task: VideoTask, rng: np.random.Generator) -> NDArray[np.uint8]:
     return np.clip(scene + texture, 0, 255).astype(np.uint8)
 
 
-def _draw(
-    task: VideoTask,
-    picture: NDArray[np.uint8],
-    place: NDArray[np.float64],
-    angle_deg: float,
-) -> None:
+def _draw(task, picture, place, angle_deg):
     if task.motion in (Motion.SLIDE, Motion.TURN):
         colour = {
             "wood": (105, 150, 195),
@@ -216,12 +200,19 @@ def _draw(
     _disk(picture, place, 0.5 * task.size_px, (22, 22, 22))
 
 
-def _disk(
-    picture: NDArray[np.uint8],
-    place: NDArray[np.float64],
-    radius: float,
-    colour: tuple[int, int, int],
-) -> None:
+def track_of(places_px, fps):
+    """A track of these places on the reference grid, one in each frame."""
+    ones = np.ones(len(places_px))
+    return Track(
+        frames=np.arange(len(places_px)),
+        fps=fps,
+        points_px=places_px,
+        confidence=ones,
+        size_ratio=ones,
+    )
+
+
+def _disk(picture, place, radius, colour):
     centre = tuple(round(value * (1 << SHIFT)) for value in place)
     cv2.circle(
         picture, centre, round(radius * (1 << SHIFT)), colour, -1, cv2.LINE_AA, SHIFT

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from clips import slid_m, struck_rad, swung_rad, turned_rad
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video import PlaneView, video_task
@@ -46,7 +46,7 @@ class Camera:
     point_m: FloatArray
     axes: FloatArray
 
-    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+    def to_picture_px(self, points_m):
         """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
         world = self.point_m + points_m @ self.axes
         bent = np.array([*self.distortion, 0.0, 0.0])
@@ -55,9 +55,7 @@ class Camera:
             dtype=float,
         )
 
-    def view(
-        self, *, sigma_px: float = 0.0, sigma_m: float = 0.0, **motion: object
-    ) -> PlaneView:
+    def view(self, *, sigma_px=0.0, sigma_m=0.0, **motion):
         """Return the view by the corners of a rectangle in the plane."""
         corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
         places = self.to_picture_px(corners)
@@ -68,13 +66,13 @@ class Camera:
         return PlaneView(size_px=SIZE_PX, source=pairs, lens=lens, **motion)
 
 
-def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
+def oblique_clip(name, rng):
     """Return a clip of a task from a random camera, 20 to 43 degrees off the normal of the plane."""
     task = video_task(name)
     place, truth, duration_s, motion = _motion(name, rng)
     camera = _camera(task.motion, rng)
     times = np.arange(int(duration_s * FPS)) / FPS
-    places = camera.to_picture_px(np.array([place(t)[0] for t in times]))
+    places = camera.to_picture_px(place(times))
     # A user has read four points of the plane in the picture, and measured the pivot.
     view = camera.view(sigma_px=POINTS_SIGMA_PX, sigma_m=0.0005, **motion)
     return ObliqueClip(
@@ -87,7 +85,7 @@ def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
     )
 
 
-def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
+def _camera(motion, rng):
     """Return a camera that looks at the origin of a vertical plane or, for a turntable, of a horizontal one."""
     azimuth, height = (
         rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(15, 35)),
@@ -129,76 +127,54 @@ def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
     )
 
 
-def _motion(
-    name: str, rng: np.random.Generator
-) -> tuple[
-    Callable[[float], tuple[FloatArray, float]],
-    dict[str, float],
-    float,
-    dict[str, object],
-]:
-    """Return place [m] and rotation [rad] at a time, the truth, the duration [s], and what the view states of it."""
+def _motion(name, rng):
+    """Return the places over time [m], the truth, the duration [s], and what the view states of the motion."""
     motion, release = video_task(name).motion, float(rng.uniform(0.2, 0.4))
     if motion in (Motion.SLIDE, Motion.FALL):
         is_slide = motion is Motion.SLIDE
         a = float(rng.uniform(1.0, 4.0) if is_slide else rng.uniform(4.0, 9.81))
         tilt = float(rng.uniform(0.4, 0.6)) if is_slide else 0.5 * np.pi
-        direction = np.array([-np.cos(tilt), -np.sin(tilt)])
-        reach = 0.4
+        direction, reach = np.array([-np.cos(tilt), -np.sin(tilt)]), 0.4
         lasts = float(np.sqrt(2.0 * reach / a))
 
-        def straight(time_s: float) -> tuple[FloatArray, float]:
-            since = min(max(0.0, time_s - release), lasts)
-            return direction * (0.5 * a * since**2 - 0.5 * reach), tilt
+        def straight(times_s):
+            way = slid_m(times_s, release, a, lasts) - 0.5 * reach
+            return way[:, None] * direction
 
         return straight, {"a_m_s2": a}, release + lasts + 0.2, {}
     if motion is Motion.TURN:
         rate = float(rng.uniform(1.0, 2.5))
 
-        def turning(time_s: float) -> tuple[FloatArray, float]:
-            since = max(0.0, time_s - release)
-            angle = rate * (0.5 * since**2 / 0.4 if since < 0.4 else since - 0.2)
-            return 0.074 * np.array([-np.cos(angle), -np.sin(angle)]), angle
+        def turning(times_s):
+            angle = turned_rad(times_s, release, rate)
+            return -0.074 * np.column_stack([np.cos(angle), np.sin(angle)])
 
         return turning, {"de_n": 0.0}, release + 1.5, {}
-    pivot = np.array([0.0, 0.18])
     if motion is Motion.PENDULUM:
+        pivot, length = np.array([0.0, 0.18]), 0.27
         period, damping, swing = (
-            float(rng.uniform(0.9, 1.5)),
-            float(rng.uniform(0.0, 0.1)),
-            float(rng.uniform(0.3, 0.9)),
+            float(rng.uniform(*ends)) for ends in ((0.9, 1.5), (0.0, 0.1), (0.3, 0.9))
         )
+        truth, duration_s = {"pd_s": period}, 3.0
+        view = {"pivot_m": pivot, "pivot_sigma_m": 0.001}
 
-        def swinging(time_s: float) -> tuple[FloatArray, float]:
-            angle = (
-                swing
-                * np.exp(-damping * time_s)
-                * np.cos(2.0 * np.pi * time_s / period)
-            )
-            return pivot + 0.27 * np.array([np.sin(angle), -np.cos(angle)]), 0.0
+        def angles_at(times_s):
+            return swung_rad(times_s, swing, damping, period)
 
-        return (
-            swinging,
-            {"pd_s": period},
-            3.0,
-            {"pivot_m": pivot, "pivot_sigma_m": 0.001},
-        )
-    length, mte = 0.138, float(rng.uniform(0.5, 0.95))
-    ratios = mte * np.array([1.04, 0.96])
-    peaks = np.arccos(1.0 - ratios**2 * video_task(name).release_height_m / length)
-    pivot = np.array([0.0, 0.07])
+    else:
+        pivot, length = np.array([0.0, 0.07]), 0.138
+        mte = float(rng.uniform(0.5, 0.95))
+        ratios = mte * np.array([1.04, 0.96])
+        height_m = video_task(name).release_height_m
+        peaks = np.arccos(1.0 - ratios**2 * height_m / length)
+        truth, duration_s = {"mte": mte}, 2.0
+        view = {"pivot_m": pivot, "pivot_sigma_m": 0.0005, "length_m": length}
 
-    def outgoing(time_s: float) -> tuple[FloatArray, float]:
-        angle = 0.0
-        for number, peak in enumerate(peaks):
-            since = time_s - 0.4 - 0.9 * number
-            if 0.0 < since < 0.4:
-                angle = float(peak * np.sin(np.pi * since / 0.4))
-        return pivot + length * np.array([np.sin(angle), -np.cos(angle)]), 0.0
+        def angles_at(times_s):
+            return struck_rad(times_s, peaks)
 
-    return (
-        outgoing,
-        {"mte": mte},
-        2.0,
-        {"pivot_m": pivot, "pivot_sigma_m": 0.0005, "length_m": length},
-    )
+    def swinging(times_s):
+        angle = angles_at(times_s)
+        return pivot + length * np.column_stack([np.sin(angle), -np.cos(angle)])
+
+    return swinging, truth, duration_s, view

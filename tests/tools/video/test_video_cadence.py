@@ -1,9 +1,5 @@
 """Times of frames: repeated pictures, rest that is no repeat, stated times, and files that are cut off."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,7 +14,7 @@ from gauge_envs.tools.video.tasks import video_task  # noqa: E402
 from gauge_envs.tools.video.tracker import track_object  # noqa: E402
 
 
-def shown(motion: np.ndarray, source_fps: float, fps: float) -> np.ndarray:
+def shown(motion, source_fps, fps):
     """Return differences of frames that show the latest picture of a source with these differences."""
     count = int(len(motion) * fps / source_fps)
     pictures = (np.arange(count) * source_fps / fps + 1e-9).astype(int)
@@ -38,7 +34,7 @@ MOTION = np.r_[np.full(15, 3.0), np.linspace(20.0, 120.0, 30), np.full(15, 3.0)]
     ("source", "fps"),
     [(25.0, 30.0), (24.0, 30.0), (15.0, 30.0), (24.0, 60.0), (12.0, 60.0)],
 )
-def test_pictures_that_are_shown_again_are_left_out(source: float, fps: float) -> None:
+def test_pictures_that_are_shown_again_are_left_out(source, fps):
     found = cadence_of(shown(MOTION, source, fps), fps)
     assert found.fps == pytest.approx(source)
     assert abs(int(found.is_new.sum()) - len(MOTION)) <= 1
@@ -57,14 +53,14 @@ def test_pictures_that_are_shown_again_are_left_out(source: float, fps: float) -
         np.where(np.isin(np.arange(60), (18, 22, 31, 40)), 2.0, 60.0),
     ],
 )
-def test_a_body_at_rest_repeats_no_pictures(differences: np.ndarray) -> None:
+def test_a_body_at_rest_repeats_no_pictures(differences):
     found = cadence_of(np.r_[np.inf, differences], 30.0)
     assert found.is_new.all()
     assert found.fps == 30.0
     assert not found.text
 
 
-def test_stated_times_are_used_where_they_are_not_uniform() -> None:
+def test_stated_times_are_used_where_they_are_not_uniform():
     still = np.full(40, 3.0)
     uneven = np.cumsum(np.where(np.arange(40) % 7 == 3, 0.05, 1 / 30))
     found = cadence_of(still, 30.0, uneven)
@@ -76,7 +72,7 @@ def test_stated_times_are_used_where_they_are_not_uniform() -> None:
     assert not cadence_of(still, 30.0, uneven[::-1]).text
 
 
-def test_25_pictures_shown_at_30_give_the_true_acceleration() -> None:
+def test_25_pictures_shown_at_30_give_the_true_acceleration():
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=25.0)
     frames = [
         frame
@@ -92,7 +88,7 @@ def test_25_pictures_shown_at_30_give_the_true_acceleration() -> None:
 
 
 @pytest.mark.slow
-def test_repeated_pictures_are_no_force_on_a_turntable() -> None:
+def test_repeated_pictures_are_no_force_on_a_turntable():
     # Counted as pictures of their own, they give 0.09 N.
     one = clip("Turntable-2-metal", np.random.default_rng(3), fps=25.0)
     frames = [
@@ -105,7 +101,7 @@ def test_repeated_pictures_are_no_force_on_a_turntable() -> None:
     assert result.metrics["de_n"] == pytest.approx(one.truth["de_n"], abs=0.01)
 
 
-def test_files_that_are_cut_off_are_named(tmp_path: Path) -> None:
+def test_files_that_are_cut_off_are_named(tmp_path):
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=12.0)
     for name, code in (("whole.avi", "MJPG"), ("whole.mp4", "mp4v")):
         writer = cv2.VideoWriter(

@@ -1,7 +1,5 @@
 """The best path through candidates: what dynamic programming keeps and what it leaves out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -12,12 +10,12 @@ from gauge_envs.tools.video.follow import Sight, best_path
 from gauge_envs.tools.video.tracker import _is_neighbour
 
 
-def sight(x: float, likeness: float) -> Sight:
+def sight(x, likeness):
     return Sight(x_px=x, y_px=0.0, likeness=likeness, size_ratio=1.0)
 
 
 @pytest.mark.parametrize("decoys", [1, 3])
-def test_a_likelier_place_far_away_is_left_out(decoys: int) -> None:
+def test_a_likelier_place_far_away_is_left_out(decoys):
     frames = [[sight(4.0 * number, 0.7)] for number in range(20)]
     for number in range(8, 8 + decoys):
         frames[number].append(sight(150.0, 0.95))
@@ -25,7 +23,7 @@ def test_a_likelier_place_far_away_is_left_out(decoys: int) -> None:
     assert [one.x_px for one in path] == [4.0 * number for number in range(20)]
 
 
-def test_a_gap_is_bridged_and_stays_empty() -> None:
+def test_a_gap_is_bridged_and_stays_empty():
     frames = [
         [sight(4.0 * number, 0.7)] if not 6 <= number < 12 else []
         for number in range(20)
@@ -36,13 +34,13 @@ def test_a_gap_is_bridged_and_stays_empty() -> None:
     ] == list(range(6, 12))
 
 
-def test_nothing_is_found_where_there_is_no_candidate() -> None:
+def test_nothing_is_found_where_there_is_no_candidate():
     assert all(
         one.likeness == 0.0 for one in best_path([[], [], []], np.zeros(2), 50.0)
     )
 
 
-def test_a_struck_ball_is_followed_from_where_it_hangs() -> None:
+def test_a_struck_ball_is_followed_from_where_it_hangs():
     swing = [20.0, 75.0, 120.0, 150.0, 160.0, 150.0, 120.0, 75.0, 20.0]
     frames = [
         [sight(x, 0.6)] if x else [] for x in [0.0] * 9 + swing + [0.0] * 9 + swing
@@ -58,7 +56,7 @@ def test_a_struck_ball_is_followed_from_where_it_hangs() -> None:
     assert found[False] != found[True]
 
 
-def test_only_balls_of_the_cradle_are_its_balls() -> None:
+def test_only_balls_of_the_cradle_are_its_balls():
     task = video_task("NewtonsCradle-metal")
     assert task.pivot_px is not None and task.rest_px is not None
     length, first_x = (

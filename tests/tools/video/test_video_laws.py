@@ -1,7 +1,5 @@
 """Laws of the world-model track, against closed forms and other implementations."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -20,7 +18,7 @@ from gauge_envs.tools.video.laws import (
 TIMES_S = np.arange(40) / 30.0
 
 
-def test_acceleration_from_rest_is_exact() -> None:
+def test_acceleration_from_rest_is_exact():
     fit = fit_constant_acceleration(TIMES_S, 0.01 + 0.5 * 2.58 * TIMES_S**2)
     assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-12)
     assert fit.start_m == pytest.approx(0.01, rel=1e-9)
@@ -29,7 +27,7 @@ def test_acceleration_from_rest_is_exact() -> None:
 
 
 @pytest.mark.parametrize("release_s", [-0.02, 0.0, 0.013, 0.03])
-def test_a_release_between_two_frames_is_found(release_s: float) -> None:
+def test_a_release_between_two_frames_is_found(release_s):
     moving = np.maximum(TIMES_S - release_s, 0.0)
     fit = fit_constant_acceleration(
         TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=1 / 30
@@ -38,7 +36,7 @@ def test_a_release_between_two_frames_is_found(release_s: float) -> None:
     assert fit.release_s == pytest.approx(release_s, abs=1e-4)
 
 
-def test_qfi_is_the_f_statistic_of_the_nested_models() -> None:
+def test_qfi_is_the_f_statistic_of_the_nested_models():
     rng = np.random.default_rng(0)
     s = 0.5 * 1.3 * TIMES_S**2 + 0.2 * TIMES_S**4 + rng.normal(0.0, 0.01, TIMES_S.size)
     u = TIMES_S**2
@@ -51,7 +49,7 @@ def test_qfi_is_the_f_statistic_of_the_nested_models() -> None:
     )
 
 
-def test_qfi_of_noise_follows_the_f_distribution() -> None:
+def test_qfi_of_noise_follows_the_f_distribution():
     rng = np.random.default_rng(1)
     values = [
         fit_constant_acceleration(
@@ -62,7 +60,7 @@ def test_qfi_of_noise_follows_the_f_distribution() -> None:
     assert stats.kstest(values, stats.f(1, TIMES_S.size - 3).cdf).pvalue > 0.01
 
 
-def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction() -> None:
+def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction():
     radius_m, rate = 0.1, 8.0
     times_s = np.arange(300) / 240.0
     circle = radius_m * np.column_stack(
@@ -76,7 +74,7 @@ def test_dynamic_error_of_a_circle_is_the_centripetal_force_beyond_friction() ->
     assert dynamic_error(times_s, circle, mass_kg=0.09, friction=0.7).de_n == 0.0
 
 
-def test_accelerations_over_a_gap_are_exact_for_a_parabola() -> None:
+def test_accelerations_over_a_gap_are_exact_for_a_parabola():
     times_s = np.array([0.0, 0.1, 0.4, 0.5, 0.9])
     parabola = np.column_stack([1.5 * times_s**2, 0.2 * times_s])
     assert dynamic_error(
@@ -84,7 +82,7 @@ def test_accelerations_over_a_gap_are_exact_for_a_parabola() -> None:
     ).accelerations_m_per_s2 == pytest.approx(3.0)
 
 
-def test_momentum_transfer_averages_the_ratios_of_speeds() -> None:
+def test_momentum_transfer_averages_the_ratios_of_speeds():
     assert momentum_transfer(0.16, [0.04, 0.01]) == pytest.approx((0.5 + 0.25) / 2.0)
     with pytest.raises(ParameterError, match="no apex"):
         momentum_transfer(0.16, [])
@@ -95,7 +93,7 @@ def test_momentum_transfer_averages_the_ratios_of_speeds() -> None:
 @pytest.mark.parametrize(
     ("period_s", "damping"), [(1.06, 0.05), (0.4, 0.0), (6.0, -0.2), (2.3, 1.0)]
 )
-def test_damped_oscillation_is_found(period_s: float, damping: float) -> None:
+def test_damped_oscillation_is_found(period_s, damping):
     times_s = np.arange(150) / 25.0
     omega = 2.0 * np.pi / period_s
     angles = 0.1 + 0.3 * np.exp(-damping * times_s) * np.cos(omega * times_s + 0.7)
@@ -106,7 +104,7 @@ def test_damped_oscillation_is_found(period_s: float, damping: float) -> None:
     assert fit.r2 == pytest.approx(1.0, abs=1e-9)
 
 
-def test_damped_oscillation_with_gaps_and_noise() -> None:
+def test_damped_oscillation_with_gaps_and_noise():
     rng = np.random.default_rng(2)
     times_s = np.arange(200) / 30.0
     kept = rng.random(times_s.size) > 0.4
@@ -130,20 +128,18 @@ def test_damped_oscillation_with_gaps_and_noise() -> None:
         ([0.0, 0.1, 0.2, 0.3], [0.0, 0.1], "must match"),
     ],
 )
-def test_samples_that_cannot_be_fitted_are_errors(
-    times_s: list[float], values: list[float], message: str
-) -> None:
+def test_samples_that_cannot_be_fitted_are_errors(times_s, values, message):
     with pytest.raises(ParameterError, match=message):
         fit_constant_acceleration(times_s, values)
 
 
-def test_an_angle_that_does_not_change_is_an_error() -> None:
+def test_an_angle_that_does_not_change_is_an_error():
     with pytest.raises(ParameterError, match="no oscillation"):
         fit_damped_oscillation(TIMES_S, np.full(TIMES_S.size, 0.2))
 
 
 @pytest.mark.parametrize("release_s", [0.31, 0.35, 0.42])
-def test_rest_and_law_meet_at_the_release(release_s: float) -> None:
+def test_rest_and_law_meet_at_the_release(release_s):
     moving = np.maximum(TIMES_S - release_s, 0.0)
     fit = fit_constant_acceleration(
         TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=0.13, release_s=0.36
@@ -152,7 +148,7 @@ def test_rest_and_law_meet_at_the_release(release_s: float) -> None:
     assert fit.release_s == pytest.approx(release_s, abs=1e-4)
 
 
-def test_form_is_the_same_for_any_scale() -> None:
+def test_form_is_the_same_for_any_scale():
     steady = 0.3 * TIMES_S
     fits = [
         fit_constant_acceleration(TIMES_S, scale * steady)
@@ -163,7 +159,7 @@ def test_form_is_the_same_for_any_scale() -> None:
     assert fits[0].form == pytest.approx((1 / 12 - 5 / 64) ** 0.5, abs=4e-3)
 
 
-def test_monotone_misfit_pools_what_falls() -> None:
+def test_monotone_misfit_pools_what_falls():
     assert monotone_misfit([1.0, 2.0, 2.0, 5.0], is_rising=True) == 0.0
     # The pair 3, 1 is pooled to 2: two residuals of 1 of four values with the mean 2.
     assert monotone_misfit([1.0, 3.0, 1.0, 3.0], is_rising=True) == pytest.approx(
@@ -172,7 +168,7 @@ def test_monotone_misfit_pools_what_falls() -> None:
     assert monotone_misfit([3.0, 1.0], is_rising=False) == 0.0
 
 
-def test_an_apex_is_a_swing_that_is_seen_on_both_sides() -> None:
+def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
     times_s = np.arange(60) / 30.0
     swing = np.maximum(0.4 * np.sin(2.0 * np.pi * times_s), 0.0)
     assert list(apices(times_s, swing)) == [7, 37] or len(apices(times_s, swing)) == 2
@@ -183,6 +179,6 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides() -> None:
     assert len(apices(times_s[seen], swing[seen])) == 1
 
 
-def test_an_apex_lies_between_two_frames() -> None:
+def test_an_apex_lies_between_two_frames():
     times_s = np.array([0.1, 0.2, 0.35])
     assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)

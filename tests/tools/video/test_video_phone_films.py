@@ -1,13 +1,9 @@
 """Films of one's own: a board to print, a camera held by hand, and what the motion says of the material."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,15 +11,14 @@ from places import ROOT
 
 cv2 = pytest.importorskip("cv2")
 
+from clips import track_of  # noqa: E402
 from PIL import Image  # noqa: E402
-from typer.testing import CliRunner  # noqa: E402
+from test_video_refusals import CAMERA  # noqa: E402
 
-from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     PlaneView,
     PointPairs,
-    Track,
     read_camera,
     score_track,
     video_task,
@@ -42,14 +37,17 @@ sys.path.insert(0, str(ROOT / "studies" / "handheld"))
 from handheld import SIZE_PX, shot  # noqa: E402
 
 
-def run(*words: object) -> Any:
-    return CliRunner().invoke(app, [str(one) for one in words])
+def filmed(gauge, one, motion, *words):
+    """Score a shot with its camera file and the box of its object."""
+    box = ",".join(f"{value:.1f}" for value in one.box_px)
+    given = ["--id", motion, f"object={box}", "--camera", one.camera]
+    return gauge("video", "score", one.video, *given, *words)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
-def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str) -> None:
+def test_a_printed_board_has_its_size(tmp_path, suffix, gauge):
     file = tmp_path / f"board{suffix}"
-    outcome = run("video", "board", file, "square_mm=30")
+    outcome = gauge("video", "board", file, "square_mm=30")
     assert outcome.exit_code == 0, outcome.output
     if suffix == ".pdf":
         # The box of the page is in points of 1/72 inch: 8 squares across, 6 down.
@@ -68,142 +66,84 @@ def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str) -> None:
     assert (bar[-1] - bar[0]) * mm_per_px == pytest.approx(100.0, abs=0.2)
 
 
-def test_a_board_of_another_kind_is_refused(tmp_path: Path) -> None:
-    outcome = run("video", "board", tmp_path / "board.jpg")
-    assert outcome.exit_code == 2 and "give a .png or .pdf" in " ".join(
-        outcome.output.split()
-    )
-
-
 @pytest.mark.slow
-def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path) -> None:
+def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path, gauge):
     one = shot("slide", 5, tmp_path)
-    box = ",".join(f"{value:.1f}" for value in one.box_px)
-    words = [
-        "--id",
-        "slide",
-        "--camera",
-        one.camera,
-        f"object={box}",
-        "--out",
-        tmp_path / "drawn",
-    ]
-    outcome = run("video", "score", one.video, *words, "--json")
+    outcome = filmed(gauge, one, "slide", "--out", tmp_path / "drawn", "--json")
     assert outcome.exit_code == 0, outcome.output
     found = json.loads(outcome.stdout)
     low, high = found["uncertainty"]["friction"]
     assert low <= one.truth <= high and high - low < 0.15
-    assert found["metrics"]["friction"] == pytest.approx(one.truth, abs=0.03)
+    friction = found["metrics"]["friction"]
+    assert friction == pytest.approx(one.truth, abs=0.03)
     assert (tmp_path / "drawn" / f"{one.video.stem}.overlay.mp4").exists()
-    friction = f"friction={found['metrics']['friction']:.3f}"
+    asked = [f"friction={friction:.3f}", "mass_kg=0.1", "timestep_s=0.002", "--json"]
     for engine in ("mujoco", "pybullet"):
-        recipe = run(
-            "recipe", friction, "mass_kg=0.1", "timestep_s=0.002", "--backend", engine
-        )
-        assert (
-            recipe.exit_code == 0
-            and "All values that are asked are reached" in recipe.output
-        )
+        recipe = gauge("recipe", *asked, "--backend", engine)
+        assert recipe.exit_code == 0 and json.loads(recipe.stdout)["misses"] == []
 
 
 @pytest.mark.slow
-def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path: Path) -> None:
-    one, length_m = shot("pendulum", 9, tmp_path), _length_of_swing_m(9)
-    box = ",".join(f"{value:.1f}" for value in one.box_px)
-    words = [
-        "--id",
-        "pendulum",
-        "--camera",
-        one.camera,
-        f"object={box}",
-        "--out",
-        tmp_path,
-    ]
-    assert run("video", "score", one.video, *words).exit_code == 0
+def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path, gauge):
+    one = shot("pendulum", 9, tmp_path)
+    # The length of the swing of a film is the second number that its seed draws.
+    rng = np.random.default_rng(9)
+    rng.uniform(0.05, 0.3)
+    length_m = float(rng.uniform(0.3, 0.36))
+    assert filmed(gauge, one, "pendulum", "--out", tmp_path).exit_code == 0
     load = ["mass_kg=0.1", f"length_m={length_m}", "fit=viscous_friction_n_m_s_per_rad"]
-    outcome = run(
-        "recipe",
-        "joint",
-        tmp_path / f"{one.video.stem}.swing.csv",
-        *load,
-        "--format",
-        "json",
-    )
+    swing = tmp_path / f"{one.video.stem}.swing.csv"
+    outcome = gauge("recipe", "joint", swing, *load, "--format", "json")
     (found,) = json.loads(outcome.stdout)["settings"]
     # The amplitude of a ball on a massless rod falls by half of friction over inertia.
-    assert found["value"] == pytest.approx(
-        2.0 * one.truth * 0.1 * length_m**2, rel=0.05
-    )
-
-
-def _length_of_swing_m(seed: int) -> float:
-    """Return the length of the swing of a film, the second number that its seed draws."""
-    rng = np.random.default_rng(seed)
-    rng.uniform(0.05, 0.3)
-    return float(rng.uniform(0.3, 0.36))
+    friction = 2.0 * one.truth * 0.1 * length_m**2
+    assert found["value"] == pytest.approx(friction, rel=0.05)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("motion", ["slide", "roll", "fall", "pendulum"])
-def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
+def test_three_films_hold_the_truth(motion, tmp_path, gauge):
     for seed in (6, 7, 8):
         one = shot(motion, seed, tmp_path, fps=30.0 if motion == "pendulum" else 60.0)
-        box = ",".join(f"{value:.1f}" for value in one.box_px)
-        outcome = run(
-            "video",
-            "score",
-            one.video,
-            "--id",
-            motion,
-            "--camera",
-            one.camera,
-            f"object={box}",
-            "--json",
-        )
+        outcome = filmed(gauge, one, motion, "--json")
         low, high = json.loads(outcome.stdout)["uncertainty"][one.name]
         assert low <= one.truth <= high, (seed, one.truth, low, high)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("motion", "fault", "reason"),
+    ("motion", "wrong", "reason"),
     [
-        ("fall", "slow", r"gravity is (2\.[345]\d) m/s\^2: give fps= of the camera"),
+        (
+            "fall",
+            ["fps=15"],
+            r"gravity is (2\.[345]\d) m/s\^2: give fps= of the camera",
+        ),
         (
             "pendulum",
-            "slow",
+            ["fps=15"],
             r"gravity is (2\.[345]\d?) m/s\^2: give fps= of the camera",
         ),
-        ("slide", "millimetres", "friction is below 0: .* check the camera file"),
-        (
-            "roll",
-            "millimetres",
-            "rolling_resistance is below 0: .* check the camera file",
-        ),
+        ("slide", [], "friction is below 0: .* check the camera file"),
+        ("roll", [], "rolling_resistance is below 0: .* check the camera file"),
     ],
 )
 def test_slow_motion_and_a_board_in_millimetres_are_invalid(
-    motion: str, fault: str, reason: str, tmp_path: Path
-) -> None:
+    motion, wrong, reason, tmp_path, gauge
+):
     one = shot(motion, 335, tmp_path, fps=30.0)
-    box = ",".join(f"{value:.0f}" for value in one.box_px)
-    words = ["video", "score", one.video, "--id", motion, f"object={box}", "--camera"]
-    sound = run(*words, one.camera)
+    sound = filmed(gauge, one, motion)
     assert "invalid" not in sound.output
     assert TITLES[one.name] in sound.output
-    wrong = tmp_path / "wrong.toml"
-    text = one.camera.read_text()
-    wrong.write_text(
-        text.replace("square_m = 0.035", "square_m = 35")
-        if fault == "millimetres"
-        else text
-    )
-    outcome = run(*words, wrong, *(["fps=15"] if fault == "slow" else []))
+    if not wrong:
+        text = one.camera.read_text()
+        one.camera.write_text(text.replace("square_m = 0.035", "square_m = 35"))
+    outcome = filmed(gauge, one, motion, *wrong)
     assert f"invalid for {motion}" in outcome.output
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 
-def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
+def test_a_film_without_the_board_says_how_many_frames_lack_it():
     frames = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
     with pytest.raises(
         VideoError,
@@ -214,16 +154,13 @@ def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
         FrontalFilm(frames, PlaneView(size_px=(640, 480), source=Board(square_m=0.035)))
 
 
-def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
+def test_a_static_camera_sees_the_plane_from_the_front(tmp_path):
     # A square of 0.4 m in an oblique picture is a square of the frontal one.
     px = [[400, 600], [900, 600], [800, 300], [500, 300]]
     picture = np.full((*SIZE_PX[::-1], 3), 200, np.uint8)
     cv2.fillConvexPoly(picture, np.array(px), (220, 30, 30))
     file = tmp_path / "camera.toml"
-    metres = "[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]"
-    file.write_text(
-        f"size_px = [1280, 720]\n[points]\npx = {px}\nm = {metres}\nsigma_px = 0.5\nsigma_m = 0.001\n"
-    )
+    file.write_text(CAMERA)
     film = FrontalFilm(ArrayFrames([picture] * 9, fps=30.0), read_camera(file))
     blue, _, red = next(film.native()).transpose(2, 0, 1).astype(int)
     dark = red - blue > 95
@@ -233,7 +170,7 @@ def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
     assert dark.sum() == pytest.approx(side**2, rel=0.02)
 
 
-def test_rebounds_give_the_restitution() -> None:
+def test_rebounds_give_the_restitution():
     task = video_task("BouncingBall-rubber")
     times, e, height = np.arange(80) / 60.0, 0.7, 0.5
     impact = 0.1 + math.sqrt(2.0 * height / 9.81)
@@ -246,30 +183,12 @@ def test_rebounds_give_the_restitution() -> None:
     places = np.column_stack(
         [np.full(used.sum(), 300.0), -heights[used] / task.scale_m_per_px]
     )
-    track = Track(
-        frames=np.arange(len(places)),
-        fps=60.0,
-        points_px=places,
-        confidence=np.ones(len(places)),
-        size_ratio=np.ones(len(places)),
-    )
-    assert restitution(track, task) == pytest.approx(e, abs=1e-6)
-    short = Track(
-        **{
-            **vars(track),
-            **{
-                name: getattr(track, name)[:30]
-                for name in ("frames", "points_px", "confidence")
-            },
-        }
-    )
+    assert restitution(track_of(places, 60.0), task) == pytest.approx(e, abs=1e-6)
     with pytest.raises(ParameterError, match="two flights"):
-        restitution(short, task)
+        restitution(track_of(places[:30], 60.0), task)
 
 
-def slope_film(
-    a_m_s2: float, slope_rad: float, **view: float
-) -> tuple[Track, PlaneView]:
+def slope_film(a_m_s2, slope_rad, **view):
     """Return an exact track from rest down a slope to the left, 500 px per metre, and how its camera sees it."""
     pairs = {
         "px": [(0, 0), (832, 0), (832, 480), (0, 480)],
@@ -286,13 +205,10 @@ def slope_film(
         fallen = 0.5 * a_m_s2 * np.maximum(times - 0.25, 0.0) ** 2
         places = np.array([700.0, 100.0]) + 500.0 * fallen[:, None] * down
         times = frames / 60.0 + camera.readout_s * (places[:, 1] / 480.0 - 0.5)
-    ones = np.ones(60)
-    return Track(
-        frames=frames, fps=60.0, points_px=places, confidence=ones, size_ratio=ones
-    ), camera
+    return track_of(places, 60.0), camera
 
 
-def test_a_ball_that_rolls_is_no_slide() -> None:
+def test_a_ball_that_rolls_is_no_slide():
     # Without slip a = g (sin t - c cos t) / (1 + k), Goldstein, Classical Mechanics, section 2.4 for c = 0.
     slope, c, k = math.radians(20.0), 0.02, 0.4
     track, camera = slope_film(
@@ -317,7 +233,7 @@ def test_a_ball_that_rolls_is_no_slide() -> None:
     assert wrong is not None and wrong[1] < 0.0
 
 
-def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
+def test_a_rolling_shutter_is_corrected_when_it_is_stated():
     track, camera = slope_film(3.0, math.radians(30.0), readout_s=0.025)
     task = video_task("SlopeSlider-2-wood")
     found = score_track(track, task, camera=camera).metrics["a_m_s2"]
@@ -328,17 +244,7 @@ def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
     assert blind is not None and blind > 1.03 * 3.0
 
 
-@pytest.mark.parametrize("box", ["1,2,3", "1,2,0,4", "a,b,c,d"])
-def test_a_box_is_four_numbers(box: str, tmp_path: Path) -> None:
-    outcome = run(
-        "video", "score", tmp_path / "film.mp4", "--id", "slide", f"object={box}"
-    )
-    assert outcome.exit_code == 2 and "left, top, width and height" in " ".join(
-        outcome.output.split()
-    )
-
-
-def test_the_camera_files_of_the_guide_are_read(tmp_path: Path) -> None:
+def test_the_camera_files_of_the_guide_are_read(tmp_path):
     page = (ROOT / "docs" / "world_models.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     kinds = []

@@ -1,25 +1,18 @@
 """Registration of first frames that are stretched, cropped, padded or moved, and clips that are scored through it."""
 
-from __future__ import annotations
-
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 cv2 = pytest.importorskip("cv2")
 
 from clips import clip  # noqa: E402
-from typer.testing import CliRunner  # noqa: E402
 
-from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, score, video_task, video_tasks  # noqa: E402
 from gauge_envs.tools.video.frames import (  # noqa: E402
     Registration,
-    read_picture,
     stretched,
 )
 from gauge_envs.tools.video.registration import (  # noqa: E402
@@ -38,12 +31,12 @@ LAYOUTS = {
 
 
 @cache
-def first_picture(task: str, seed: int = 1) -> NDArray[np.uint8]:
+def first_picture(task, seed=1):
     frame = clip(task, np.random.default_rng(seed), fps=5.0).frames[0]
     return np.ascontiguousarray(frame[:, :, ::-1])
 
 
-def laid_out(picture: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
+def laid_out(picture, method):
     if method == "stretch":
         return np.asarray(cv2.resize(picture, (832, 464), interpolation=cv2.INTER_AREA))
     sizes = {"crop": (752, 560), "pad": (1080, 1920)}
@@ -55,13 +48,13 @@ def laid_out(picture: NDArray[np.uint8], method: str) -> NDArray[np.uint8]:
     return np.asarray(cv2.warpAffine(picture, matrix, sizes[method]))
 
 
-def numbers(one: Registration) -> tuple[float, float, float, float]:
+def numbers(one):
     return one.scale_x, one.scale_y, one.offset_x_px, one.offset_y_px
 
 
 @pytest.mark.parametrize("method", LAYOUTS)
 @pytest.mark.parametrize("task", TASKS)
-def test_the_outline_tells_how_a_picture_was_laid_out(task: str, method: str) -> None:
+def test_the_outline_tells_how_a_picture_was_laid_out(task, method):
     found = registration_by_outline(
         laid_out(first_picture(task), method), video_task(task)
     )
@@ -83,9 +76,7 @@ def test_the_outline_tells_how_a_picture_was_laid_out(task: str, method: str) ->
         "Turntable-2-metal",
     ],
 )
-def test_an_object_at_another_place_is_doubtful_without_the_first_frame(
-    task: str,
-) -> None:
+def test_an_object_at_another_place_is_doubtful_without_the_first_frame(task):
     picture = first_picture(task)
     moved = np.ascontiguousarray(
         cv2.resize(picture, None, fx=1.2, fy=1.2)[10:500, 50:930]
@@ -100,7 +91,7 @@ def test_an_object_at_another_place_is_doubtful_without_the_first_frame(
     assert numbers(found)[2:] == pytest.approx((50 / 1.2, 10 / 1.2), abs=1.5)
 
 
-def test_a_larger_first_frame_registers_clips_of_its_size_and_of_others() -> None:
+def test_a_larger_first_frame_registers_clips_of_its_size_and_of_others():
     small = first_picture("BouncingBall-rubber")
     large = np.asarray(cv2.resize(small, (1300, 750), interpolation=cv2.INTER_CUBIC))
     for clip_of in (large, small):
@@ -111,7 +102,7 @@ def test_a_larger_first_frame_registers_clips_of_its_size_and_of_others() -> Non
         )
 
 
-def test_another_first_frame_is_an_error_that_says_what_is_needed() -> None:
+def test_another_first_frame_is_an_error_that_says_what_is_needed():
     with pytest.raises(VideoError, match=r"only \d+ of \d+ points .* \d+ are needed"):
         registration_by_first_frame(
             first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood")
@@ -125,7 +116,7 @@ def test_another_first_frame_is_an_error_that_says_what_is_needed() -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])
-def test_a_registration_puts_pixels_where_it_says(factor: float) -> None:
+def test_a_registration_puts_pixels_where_it_says(factor):
     picture = np.zeros((round(560 * factor), round(752 * factor), 3), np.uint8)
     cv2.circle(
         picture,
@@ -145,37 +136,15 @@ def test_a_registration_puts_pixels_where_it_says(factor: float) -> None:
     )
 
 
-def test_the_plain_registration_is_the_scaling_of_both_axes() -> None:
+def test_the_plain_registration_is_the_scaling_of_both_axes():
     picture = first_picture("SlopeSlider-2-wood")
     assert (stretched((832, 480)).applied(picture) == picture).all()
 
 
-def test_a_cropped_clip_gives_the_true_acceleration() -> None:
+def test_a_cropped_clip_gives_the_true_acceleration():
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
     frames = [laid_out(np.ascontiguousarray(frame), "crop") for frame in one.frames]
     result = score(frames, one.fps, one.task)
     assert result.grade is Grade.VALID, result.reasons
     assert result.to_dict()["registration"]["method"] == "crop"
     assert result.metrics["a_m_s2"] == pytest.approx(one.truth["a_m_s2"], rel=0.02)
-
-
-def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "first.png").write_text("no picture")
-    with pytest.raises(VideoError, match="give the first frame as PNG or JPEG"):
-        read_picture(tmp_path / "first.png")
-    with pytest.raises(VideoError, match="there is no such file"):
-        read_picture(tmp_path / "none.png")
-    (tmp_path / "track.csv").write_text("frame,x,y\n0,1,1\n")
-    arguments = [
-        "video",
-        "score",
-        str(tmp_path / "track.csv"),
-        "--id",
-        "SlopeSlider-2-wood",
-        "fps=30",
-    ]
-    outcome = CliRunner().invoke(
-        app, [*arguments, "--first-frame", str(tmp_path / "first.png")]
-    )
-    assert outcome.exit_code == 2
-    assert "--first-frame need the video" in outcome.output

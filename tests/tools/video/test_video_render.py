@@ -1,10 +1,6 @@
 """Films of simulated episodes: the tracker finds what the engine did."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,21 +9,16 @@ from scipy.integrate import quad
 
 cv2 = pytest.importorskip("cv2")
 
-from typer.testing import CliRunner  # noqa: E402
-
-from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError  # noqa: E402
-from gauge_envs.tools.video import Grade, VideoScore, score, score_track  # noqa: E402
-from gauge_envs.tools.video.render import Film, film  # noqa: E402
+from gauge_envs.tools.video import Grade, score, score_track  # noqa: E402
+from gauge_envs.tools.video.render import film  # noqa: E402
 
 pytestmark = needs_opengl
 
 GRAVITY = 9.80665
 
 
-def processed(
-    one: Film, rng: np.random.Generator, *, noise: float = 3.0, quality: int = 80
-) -> list[np.ndarray]:
+def processed(one, rng, *, noise=3.0, quality=80):
     """Return the pictures with the grain of a camera and the marks of compression."""
     frames = []
     for picture in one.pictures:
@@ -41,7 +32,7 @@ def processed(
     return frames
 
 
-def pendulum_period_s(length_m: float, radius_m: float, amplitude_rad: float) -> float:
+def pendulum_period_s(length_m, radius_m, amplitude_rad):
     """Return the period of a ball on a rigid massless rod, any amplitude."""
     inertia_ratio = length_m + 0.4 * radius_m**2 / length_m
     k = math.sin(0.5 * amplitude_rad)
@@ -52,7 +43,7 @@ def pendulum_period_s(length_m: float, radius_m: float, amplitude_rad: float) ->
 
 
 @pytest.mark.slow
-def test_a_filmed_fall_has_gravity() -> None:
+def test_a_filmed_fall_has_gravity():
     one = film("BouncingBall-rubber", release_s=0.3 + 1 / 60)
     result = score(list(one.pictures), one.fps, "BouncingBall-rubber")
     assert result.grade is Grade.VALID, result.reasons
@@ -71,7 +62,7 @@ def test_a_filmed_fall_has_gravity() -> None:
     assert wrong is None or abs(wrong / GRAVITY - 1.0) > 0.03
 
 
-def test_the_view_is_that_of_the_first_frame() -> None:
+def test_the_view_is_that_of_the_first_frame():
     one = film("Pendulum-metal", seconds=0.1, fps=15.0, release_s=0.0)
     # The ball hangs at the angle of the first frame, at its own distance from the pivot.
     offset = one.track.points_px[0] - np.array(one.task.pivot_px)
@@ -84,32 +75,24 @@ def test_the_view_is_that_of_the_first_frame() -> None:
     assert np.abs(dark.mean(axis=0)[::-1] - one.track.points_px[0]).max() < 8.0
 
 
-def test_a_film_on_disk_comes_with_its_exact_track(tmp_path: Path) -> None:
-    path = tmp_path / "slide.mp4"
-    arguments = [
-        "video",
-        "render",
-        "SlopeSlider-2-wood",
-        "--out",
-        str(path),
-        "fps=15",
-        "seconds=0.5",
-    ]
-    outcome = CliRunner().invoke(app, arguments)
+def test_a_film_on_disk_comes_with_its_exact_track(tmp_path, gauge):
+    words = "video render SlopeSlider-2-wood --out slide.mp4 fps=15 seconds=0.5"
+    outcome = gauge(*words.split())
     assert outcome.exit_code == 0, outcome.output
-    rows = (tmp_path / "slide.track.csv").read_text().splitlines()
-    assert rows[0] == "frame,x,y"
-    assert len(rows) == 13
-    with pytest.raises(ParameterError, match="must divide 180"):
-        film("SlopeSlider-2-wood", fps=24.0)
-    with pytest.raises(ParameterError, match="at most 60"):
-        film("SlopeSlider-2-wood", seconds=1e6)
+    head, *rows = (tmp_path / "slide.track.csv").read_text().splitlines()
+    assert (head, len(rows)) == ("frame,x,y", 12)
+    for options, fault in (
+        ({"fps": 24.0}, "must divide 180"),
+        ({"seconds": 1e6}, "at most 60"),
+    ):
+        with pytest.raises(ParameterError, match=fault):
+            film("SlopeSlider-2-wood", **options)
 
 
 # --- many films, on purpose -----------------------------------------------------------------------------------------
 
 
-def changes(task: str, rng: np.random.Generator) -> Mapping[str, float]:
+def changes(task, rng):
     """Return random constants of a task."""
     if task.startswith("SlopeSlider"):
         # Below, the cube leaves the board in time; above, its hops may lose their symmetry (docs/engines/mujoco.md).
@@ -128,7 +111,7 @@ def changes(task: str, rng: np.random.Generator) -> Mapping[str, float]:
     return {"cube.friction": float(rng.uniform(0.3, 0.8))}
 
 
-def truths(one: Film, parameters: Mapping[str, float]) -> dict[str, float]:
+def truths(one, parameters):
     """Return the true metrics: closed forms where there are any, else the law on the exact track."""
     task = one.task.id
     if task.startswith("SlopeSlider"):
@@ -142,7 +125,7 @@ def truths(one: Film, parameters: Mapping[str, float]) -> dict[str, float]:
     if task.startswith("Pendulum"):
         amplitude = abs(math.atan2(*np.subtract(one.task.centre_px, one.task.pivot_px)))
         return {"pd_s": pendulum_period_s(0.26854, 0.03, amplitude)}
-    exact: VideoScore = score_track(one.track, one.task)
+    exact = score_track(one.track, one.task)
     return {name: value for name, value in exact.metrics.items() if value is not None}
 
 
@@ -161,7 +144,7 @@ TOLERANCE = {"a_m_s2": 0.02, "pd_s": 0.01, "mte": 0.02, "de_n": 0.03}
         "Pendulum-metal",
     ],
 )
-def test_films_of_random_episodes(task: str) -> None:
+def test_films_of_random_episodes(task):
     inside = count = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)

@@ -1,0 +1,153 @@
+"""Hostile or damaged tracks, camera files, films and options of the video commands end in an error for people."""
+
+import json
+
+import numpy as np
+import pytest
+from approval import refused_commands
+
+cv2 = pytest.importorskip("cv2")
+
+from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
+from gauge_envs.tools.video import read_camera, read_track, score, video_task  # noqa: E402
+from gauge_envs.tools.video.frames import FileFrames, read_picture  # noqa: E402
+
+HUGE = "9" * 400
+"""An integer that no floating-point number holds."""
+
+SIZE = "size_px = [1280, 720]\n"
+POINTS = "[points]\npx = [[400, 600], [900, 600], [800, 300], [500, 300]]\n"
+METRES = "m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]\nsigma_px = 0.5\nsigma_m = 0.001\n"
+CAMERA = SIZE + POINTS + METRES
+SAME = "[points]\npx = {0}\nm = {0}\nsigma_px = 1\nsigma_m = 0\n"
+
+# What is written to a file, how it is read, and the place and the fault in the words of the error.
+TRACKS = [
+    ("frame,x,y\n1e300,1,2\n", "a whole number from 0 to 1000000000"),
+    (f"frame,x,y\n{HUGE},1,2\n", "must be a finite number"),
+    ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: "),
+    ("frame,x,y\n\x001,2,3", "it is no CSV: |finite number"),
+    ("\x00", "there is no column|it is no CSV"),
+    ("frame,x\n0,1\n", "no column y"),
+    ("frame,x,y\n0,1,abc\n", "line 2: y is 'abc'"),
+    ("frame,x,y\n0.5,1,1\n", "line 2: frame is '0.5'"),
+    ("frame,x,y\n3,1,1\n3,1,1\n", "frame 3 stands there twice"),
+    ("frame,x,y\n", "no row"),
+    ("frame,x,y\n0,inf,1\n", "line 2: x is 'inf'"),
+]
+CAMERAS = [
+    (SIZE, "either"),
+    (CAMERA + "[board]\nsquare_m = 0.035\n", "either"),
+    (SIZE + "[board]\nsquare_m = 0\n", "board.square_m: .*given: 0"),
+    (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
+    (CAMERA + "sigma = 1\n", "points.sigma: unknown key"),
+    (CAMERA + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),
+    (CAMERA + "[motion]\ndirection = [0, 0]\n", "direction is zero"),
+    (
+        CAMERA + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n",
+        "no camera matrix",
+    ),
+    (SIZE + SAME.format("[[0, 0], [1, 0], [1, 1]]"), "at least 4"),
+    (SIZE + SAME.format("[[0, 0], [1, 0], [2, 0], [1, 1]]"), "on a line"),
+    ("size_px = [1280", "TOML"),
+    ("a = " + "[" * 5000, "nested too deeply"),
+    ("a." * 5000 + "b = 1", "dots between two delimiters"),
+    (CAMERA.replace("1280", HUGE), "size_px.0: "),
+    (CAMERA.replace("400", HUGE), "points.px.0.0: "),
+    (CAMERA.replace("sigma_px = 0.5", f"sigma_px = {HUGE}"), "points.sigma_px: "),
+]
+
+
+def tracked(file):
+    return read_track(file, fps=30.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "read", "content", "words"),
+    [
+        *(("track.csv", tracked, *row) for row in TRACKS),
+        *(("camera.toml", read_camera, *row) for row in CAMERAS),
+        ("camera.json", read_camera, "[" * 100_000, "nested too deeply"),
+        ("text.mp4", FileFrames, "no video\n" * 100, "it is a text and no video"),
+        (
+            "list.mp4",
+            FileFrames,
+            "ffconcat version 1.0\nfile other.mp4\n",
+            "it is a text and no video",
+        ),
+        ("zeros.mp4", FileFrames, "\0" * 1000, "OpenCV cannot decode it"),
+        ("none.mp4", FileFrames, None, "there is no such file"),
+        (
+            "first.png",
+            read_picture,
+            "no picture",
+            "give the first frame as PNG or JPEG",
+        ),
+        ("none.png", read_picture, None, "there is no such file"),
+    ],
+)
+def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tmp_path):
+    file = tmp_path / name
+    if content is not None:
+        file.write_text(content, newline="")
+    with pytest.raises(VideoError, match=words) as caught:
+        read(file)
+    assert str(file) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("shape", "fps", "words"),
+    [
+        ((0, 480, 832, 3), 30.0, "no frame"),
+        ((5, 480, 832, 3), 30.0, "5 frames"),
+        ((12, 480, 832, 3), 1.0, "1 frames per second"),
+        ((12, 480, 832), 30.0, "shape"),
+    ],
+)
+def test_frames_that_cannot_be_judged_are_errors(shape, fps, words):
+    with pytest.raises(VideoError, match=words):
+        score(np.zeros(shape, dtype=np.uint8), fps, "SlopeSlider-2-wood")
+
+
+def test_an_unknown_task_is_an_error():
+    with pytest.raises(UnknownNameError, match="SlopeSlider-2-wood"):
+        video_task("SlopeSlider-2-woof")
+
+
+WRONG = """
+video board board.jpg
+video score track.csv --id SlopeSlider-2-wood fps=30 --first-frame first.png
+video score film.mp4 --id SlopeSlider-2-wood --camera camera.toml
+"""
+
+
+def test_wrong_options_are_named(tmp_path, gauge, approved):
+    (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
+    (tmp_path / "camera.toml").write_text(CAMERA)
+    sizes = [
+        f"track.csv --id SlopeSlider-2-wood fps=30 size={size}"
+        for size in ("²x2", "0x4", "4x", "9999999x4", "4x4x4")
+    ]
+    boxes = [
+        f"film.mp4 --id slide object={box}" for box in ("1,2,3", "1,2,0,4", "a,b,c,d")
+    ]
+    scores = [f"video score {words}" for words in (*sizes, *boxes)]
+    commands = [*WRONG.strip().splitlines(), *scores]
+    approved("video/wrong_options", refused_commands(gauge, *commands))
+
+
+def test_a_camera_is_the_same_in_json_and_toml(tmp_path):
+    """A square of 0.4 m that a camera without distortion sees as a trapezium; its diagonals cross in its centre."""
+    px = [[400, 600], [900, 600], [800, 300], [500, 300]]
+    m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]
+    points = {"px": px, "m": m, "sigma_px": 0.5, "sigma_m": 0.001}
+    texts = {
+        ".json": json.dumps({"size_px": [1280, 720], "points": points}),
+        ".toml": CAMERA,
+    }
+    places, expected = np.array([*px, [650.0, 412.5]]), np.array([*m, [0.0, 0.0]])
+    for suffix, text in texts.items():
+        file = tmp_path / f"camera{suffix}"
+        file.write_text(text, encoding="utf-8")
+        found = read_camera(file).to_plane_m(places)
+        assert found == pytest.approx(expected, abs=1e-7)
