@@ -174,7 +174,8 @@ def interval(killed: int, number: int) -> tuple[float, float]:
     share = killed / number
     middle = share + z**2 / (2 * number)
     half = z * math.sqrt(share * (1 - share) / number + z**2 / (4 * number**2))
-    return (middle - half) / (1 + z**2 / number), (middle + half) / (1 + z**2 / number)
+    low, high = (end / (1 + z**2 / number) for end in (middle - half, middle + half))
+    return max(low, 0.0), min(high, 1.0)
 
 
 def table(sample: list[Mutant], results: dict[str, str]) -> None:

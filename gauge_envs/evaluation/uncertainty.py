@@ -776,7 +776,7 @@ def widening(series: FloatArray) -> float:
     """Return by how much an interval is wider than that of independent trials, at least 1.
 
     It is the larger one of two numbers. The first is the root of (1 + r) / (1 - r), where r is the correlation of
-    consecutive trials plus its bias and three quarters of its standard error. The second compares the scatter of the
+    consecutive trials plus its bias and six tenths of its standard error. The second compares the scatter of the
     means of four consecutive groups with that of single trials. Both are above 1 for most independent trials.
 
     Args:

@@ -80,7 +80,7 @@ def test_the_snippet_stretches_in_a_plain_loop_of_mujoco():
     assert sag_over_expected(snippet) == pytest.approx(1.0, rel=0.02)
 
 
-def test_a_flex_has_the_bending_stiffness_of_the_fabric() -> None:
+def test_a_flex_has_the_bending_stiffness_of_the_fabric():
     """Of a plate: young * thickness^3 / (12 (1 - nu^2)), with the thickness that gives the measured stretch."""
     of = flex_constants(SATIN).constants
     plate = of["young"] * of["thickness"] ** 3 / (12.0 * (1.0 - of["poisson"] ** 2))
