@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import Backend, backend, backend_names
@@ -294,8 +295,8 @@ def test_a_driven_body_starts_where_it_is_put_and_stays_without_a_drive(
     plate = driven_box("plate", (0.0, 0.0, 1.0), (0.2, 0.2, 0.02))
     with closing(engine.build(Scene(bodies=(plate,), duration_s=1.0))) as simulation:
         simulation.advance(INTERVAL_S)
-        place = Pose(position_m=(0.1, 0.2, 0.5))
-        speed = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+        place = Pose.from_euler_deg((0.1, 0.2, 0.5), (0.0, 40.0, 0.0))
+        speed = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 2.0])
         simulation.drive("plate", place, speed, np.zeros(6))
         if engine.name != "newton":  # It is told at its next step.
             state = simulation.body_states(["plate"])[0]
@@ -303,6 +304,10 @@ def test_a_driven_body_starts_where_it_is_put_and_stays_without_a_drive(
         simulation.advance(INTERVAL_S)
         state = simulation.body_states(["plate"])[0]
         assert state[:3] == pytest.approx((0.1 + 0.3 / 180, 0.2, 0.5), abs=1e-6)
+        # The angular velocity is about the axes of the world.
+        turned = Rotation.from_rotvec(speed[3:] * INTERVAL_S) * place.rotation
+        found = Rotation.from_quat(state[3:7], scalar_first=True)
+        assert (found * turned.inv()).magnitude() < 1e-4
 
 
 def test_a_wrench_replaces_the_last_one(engine: Backend) -> None:
