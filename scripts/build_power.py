@@ -3,21 +3,17 @@
 Each scene is run on MuJoCo with its default preset, as it is and with one change at a time. The distance between the
 two motions, over the frames that the reference knows, is what the reference would see of the change; it does not depend
 on the error of the reference. `scoring/power.csv` holds the distances, in the unit of the compared quantity.
-
-python scripts/build_power.py [--only NAME ...]     measure what is missing; a stopped run goes on
-python scripts/build_power.py --check               fail if a reference has no row
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from fnmatch import fnmatchcase
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from gauge_envs.backends.registry import backend_for
@@ -34,6 +30,7 @@ from gauge_envs.references.power import POWER_COLUMNS, power_file
 from gauge_envs.scene import Cloth, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import Request
 
 LOW = 0.8
 """Factor of a constant that is off by 20 %."""
@@ -192,38 +189,25 @@ def rows_of(name: str) -> Iterator[dict[str, Any]]:
         yield {"variant": name, "change": change, "distance": text, "unit": unit}
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Measure what is missing, or check that nothing is."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true")
-    parser.add_argument("--only", nargs="*", default=[])
-    options = parser.parse_args(arguments)
+def measure(request: Request) -> None:
+    """Measure the variants that the table lacks; a stopped run goes on."""
     file = power_file()
-    names = [
-        one.name
-        for one in variants()
-        if reference_band(load_experiment(one.name)) is not None
-    ]
     done = set()
     if file.is_file():
-        with file.open() as text:
+        with file.open(encoding="utf-8") as text:
             done = {row["variant"] for row in csv.DictReader(text)}
-    missing = [name for name in options.only or names if name not in done]
-    if options.check:
-        print("\n".join(missing))
-        return int(bool(missing))
-    print(f"MuJoCo {mujoco.__version__}, {len(missing)} to measure", flush=True)
-    for name in missing:
+    for variant in variants():
+        name = variant.name
+        is_wanted = any(fnmatchcase(name, pattern) for pattern in request.ids)
+        if name in done or not is_wanted:
+            continue
+        if reference_band(load_experiment(name)) is None:
+            continue
         rows = list(rows_of(name))
         is_new = not file.is_file()
-        with file.open("a", newline="") as text:
+        with file.open("a", newline="", encoding="utf-8") as text:
             writer = csv.DictWriter(text, POWER_COLUMNS, lineterminator="\n")
             if is_new:
                 writer.writeheader()
             writer.writerows(rows)
         print(name, [(row["change"], row["distance"]) for row in rows], flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

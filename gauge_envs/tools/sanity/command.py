@@ -35,6 +35,7 @@ class ReportFormat(StrEnum):
     MARKDOWN = "markdown"
     JSON = "json"
     JUNIT = "junit"
+    SARIF = "sarif"
     GITHUB = "github"
 
 
@@ -57,7 +58,7 @@ ReportForm = Annotated[
     ReportFormat,
     typer.Option(
         "--format",
-        help="wide has all columns; --json is short for json; junit and github for CI.",
+        help="wide has all columns; --json is short for json; junit, sarif, github for CI.",
     ),
 ]
 

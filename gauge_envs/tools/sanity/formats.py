@@ -1,8 +1,12 @@
-"""Sanity checks for continuous integration: JUnit, and workflow commands of GitHub."""
+"""Sanity checks for continuous integration: JUnit, SARIF, and workflow commands of GitHub."""
 
+import json
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
+from gauge_envs.files import versions
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
 from gauge_envs.tools.sanity.words import (
     measured_text,
@@ -12,8 +16,10 @@ from gauge_envs.tools.sanity.words import (
     verdict_text,
 )
 
+SARIF_SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+
 LEVELS = {Verdict.WRONG: "error", Verdict.VISIBLE: "warning"}
-"""Commands of GitHub for a flag."""
+"""Levels of a flag in SARIF, and commands of GitHub."""
 
 
 def _message(row: PhenomenonResult) -> str:
@@ -56,6 +62,44 @@ def junit_text(report: Report) -> str:
     return ElementTree.tostring(suite, encoding="unicode")
 
 
+def sarif_text(report: Report) -> str:
+    """Return a report as SARIF 2.1.0; a target that is a file is the place of its flags."""
+    place = Path(report.configuration.source.rpartition(" ")[2])
+    location = {"physicalLocation": {"artifactLocation": {"uri": place.as_posix()}}}
+    rules = [
+        {
+            "id": row.phenomenon,
+            "shortDescription": {"text": row.title},
+            "fullDescription": {"text": row.reality.source},
+        }
+        for row in report.rows
+    ]
+    results: list[Mapping[str, Any]] = [
+        {
+            "ruleId": row.phenomenon,
+            "level": LEVELS[row.verdict],
+            "message": {"text": _message(row)},
+            **({"locations": [location]} if place.is_file() else {}),
+        }
+        for row in report.rows
+        if row.is_flag
+    ]
+    notes = [
+        {"level": "error", "message": {"text": f"{name} was not measured"}}
+        for name in report.unmeasured
+    ]
+    invocation = {"executionSuccessful": not notes, "toolExecutionNotifications": notes}
+    driver = {
+        "name": "gauge sanity",
+        "version": versions()["gauge-envs"],
+        "rules": rules,
+    }
+    run = {"tool": {"driver": driver}, "results": results, "invocations": [invocation]}
+    return json.dumps(
+        {"$schema": SARIF_SCHEMA, "version": "2.1.0", "runs": [run]}, indent=1
+    )
+
+
 def github_text(report: Report) -> str:
     """Return a report as workflow commands: an annotation for each flag, and one with the first line of the report."""
 
@@ -84,6 +128,7 @@ def github_text(report: Report) -> str:
 
 WRITERS: Mapping[str, Callable[[Report], str]] = {
     "junit": junit_text,
+    "sarif": sarif_text,
     "github": github_text,
 }
 """Functions that write a report, by the name of the format."""
