@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, bundled_band
@@ -33,6 +34,7 @@ HEAD = """
 | sigma | source of the scatter: `trials`, the published `baseline`, the uncertainty of the `measurement` or `model` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
+| tells | changes of the scene that the band tells: distances over what the band leaves open, of 5 or more |
 
 `known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried, held or
 strained body covers every frame. Other laws end at an event, as the first contact of a free flight. Scores against
@@ -55,6 +57,7 @@ class Row:
     sigma: str
     driver: str
     normalized: str
+    tells: str
 
     def cells(self) -> list[str]:
         """Cells of the table."""
@@ -69,6 +72,7 @@ class Row:
             self.sigma,
             self.driver,
             self.normalized,
+            self.tells,
         ]
 
 
@@ -79,7 +83,12 @@ def coverage(variant: Variant) -> Row:
     rewarded = reward_band(experiment, used)
     band = measured if used is None else used
     baselines = published_baselines(variant.name)
-    compared = used is not None and used.normalized_by_baseline
+    compared = (
+        used is not None
+        and used.normalized_by_baseline
+        and not experiment.impossible_scores
+    )
+    power = reference_power(experiment, used)
     metrics = [
         metric
         for metric in baselines
@@ -96,6 +105,9 @@ def coverage(variant: Variant) -> Row:
         sigma="-" if band is None else band.sigma_source.value,
         driver=experiment.driver_provenance or "-",
         normalized=", ".join(metric.upper() for metric in metrics) or "no",
+        tells="-"
+        if power is None
+        else ", ".join(f"{name} {size:.0f}" for name, size in power.told.items()),
     )
 
 
@@ -122,7 +134,7 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
         "",
         *markdown_table(
-            ("id", "band", "known", "sigma", "driver", "normalized"),
+            ("id", "band", "known", "sigma", "driver", "normalized", "tells"),
             [row.cells() for row in rows],
         ),
         "",
