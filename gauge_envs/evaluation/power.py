@@ -3,14 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
+    frozen_distance,
     point_lengths,
+    root_mean_square,
+    solution_uncertainty,
     verification_band,
-    verify,
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -72,32 +72,24 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
     if band is None:
         return None
     compared = verification_band(band)
+    scale: float | None
     if compared is not None:
-        motion = np.nan_to_num(compared.mean)
-        markers_m = (
-            None if band.points is None else 1e-3 * motion.reshape(len(motion), -1, 3)
-        )
-        one = verify(band, frames=motion, markers_m=markers_m)
-        assert one is not None, "a law or a model"
-        unit, frozen = one.unit, one.frozen
-        scale, text = one.uncertainty, "u, the uncertainty of the solution"
+        unit, frozen = compared.unit, frozen_distance(compared)
+        scale, text = solution_uncertainty(band), "u, the uncertainty of the solution"
         if scale is None and frozen > 0.0:
             scale = EXACT_SCALE_SHARE * frozen
             text = "1 % of the motion, as the solution is exact"
         elif scale is None:
             scale, text = AT_REST_SCALE_MM, "1 mm, as the solution is exact and at rest"
     else:
-        start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
-        moved = point_lengths(band.mean - start, band)
-        unit, frozen = band.unit, float(np.sqrt(np.nanmean(np.square(moved))))
+        unit, frozen = band.unit, frozen_distance(band)
         published = band_baseline(experiment, band)
         scale, text = aligned_baseline(band), "the mean aligned distance of real trials"
         if scale is None or experiment.scene.drivers:
             scale = None if published is None else published.mean
             text = "the published mean distance of real trials"
         if scale is None:
-            sigmas = point_lengths(band.sigma, band)
-            scale = float(np.sqrt(np.nanmean(np.square(sigmas))))
+            scale = root_mean_square(point_lengths(band.sigma, band))
             text = "the uncertainty of the trial"
     if not scale:
         return None

@@ -118,12 +118,8 @@ def verify(
         quantity = f"{len(compared.coordinates)} coordinates of g(t)"
     else:
         quantity = ", ".join(compared.coordinates)
-    start = compared.mean[int(np.isfinite(compared.mean).any(axis=1).argmax())]
-    stated = None if band.is_exact else compared.uncertainty
-    distance = _root_mean_square(errors)
-    uncertainty = (
-        None if stated is None else _root_mean_square(point_lengths(stated, compared))
-    )
+    distance = root_mean_square(errors)
+    uncertainty = solution_uncertainty(band)
     reach = COVERAGE_FACTOR * (uncertainty or 0.0)
     return Verification(
         grade=band.grade.value,
@@ -134,7 +130,7 @@ def verify(
         if uncertainty
         else None,
         uncertainty=uncertainty,
-        frozen=_root_mean_square(point_lengths(compared.mean - start, compared)),
+        frozen=frozen_distance(compared),
         frames=int(np.isfinite(errors).sum()),
     )
 
@@ -180,5 +176,26 @@ def point_lengths(values: FloatArray, compared: Band) -> FloatArray:
     return np.where(known.any(axis=1), np.sqrt(squares), np.nan)
 
 
-def _root_mean_square(lengths: FloatArray) -> float:
+def frozen_distance(compared: Band) -> float:
+    """Return the distance of a scene in which nothing moves from the mean of a band."""
+    first = int(np.isfinite(compared.mean).any(axis=1).argmax())
+    return root_mean_square(
+        point_lengths(compared.mean - compared.mean[first], compared)
+    )
+
+
+def solution_uncertainty(band: Band) -> float | None:
+    """Return u of the solution that a band of grade `law` or `model` states; None where it is exact.
+
+    A law of a user's file has a sigma alone.
+    """
+    compared = verification_band(band)
+    if compared is None or band.is_exact:
+        return None
+    stated = compared.sigma if compared.uncertainty is None else compared.uncertainty
+    return root_mean_square(point_lengths(stated, compared))
+
+
+def root_mean_square(lengths: FloatArray) -> float:
+    """Return the root mean square over known frames."""
     return math.sqrt(float(np.nanmean(np.square(lengths))))
