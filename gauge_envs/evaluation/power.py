@@ -75,7 +75,7 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
     scale: float | None
     if compared is not None:
         unit, frozen = compared.unit, frozen_distance(compared)
-        scale, text = solution_uncertainty(band), "u, the uncertainty of the solution"
+        scale, text = solution_uncertainty(band), "u of the solution"
         if scale is None and frozen > 0.0:
             scale = EXACT_SCALE_SHARE * frozen
             text = "1 % of the motion, as the solution is exact"
@@ -84,13 +84,13 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
     else:
         unit, frozen = band.unit, frozen_distance(band)
         published = band_baseline(experiment, band)
-        scale, text = aligned_baseline(band), "the mean aligned distance of real trials"
+        scale, text = aligned_baseline(band), "the mean of real trials, aligned"
         if scale is None or experiment.scene.drivers:
             scale = None if published is None else published.mean
-            text = "the published mean distance of real trials"
+            text = "the published mean of real trials"
         if scale is None:
             scale = root_mean_square(point_lengths(band.sigma, band))
-            text = "the uncertainty of the trial"
+            text = "uncertainty of the trial"
     if not scale:
         return None
     return Power(

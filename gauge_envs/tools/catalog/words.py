@@ -106,7 +106,7 @@ def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
     sizes = [f"{name} {size:.3g}" for name, size in power["told"].items()]
     scale = with_unit(f"{power['scale']:.3g}", power["unit"])
     facts = {
-        "tells": f"{', '.join(sizes) or 'nothing'} (distances over {scale}, {power['scale_text']})"
+        "tells": f"{', '.join(sizes) or 'nothing'} (over {scale}, {power['scale_text']})"
     }
     if power["not_told"]:
         facts["tells not"] = ", ".join(power["not_told"])
@@ -265,6 +265,9 @@ def _drivers(values: Mapping[str, Any], *, detailed: bool) -> Iterator[Part]:
 
 
 def _details(values: Mapping[str, Any]) -> Iterator[Part]:
+    if scale := _scale_facts(values):
+        yield Heading("Scale of the score")
+        yield Facts(scale)
     yield Heading("Sources")
     yield Facts(values["source"])
     yield from _scene(values)
@@ -286,11 +289,24 @@ def _details(values: Mapping[str, Any]) -> Iterator[Part]:
 
 
 def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the limits of a band: source of sigma, known frames, why it is withheld."""
+    """Return why a band is withheld or missing, and published scores that cannot be right."""
     reference = values["reference"]
     facts = {}
     if reference["unsolved"] is not None:
         facts["unsolved"] = reference["unsolved"]["reason"]
+    if reference["impossible"]:
+        facts["published"] = reference["impossible"]
+    if reference["withheld"] is not None:
+        facts["withheld"] = (
+            f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
+        )
+    return facts
+
+
+def _scale_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return where sigma is from, which frames are known, and why scores are not normalized."""
+    reference = values["reference"]
+    facts = {}
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
         if reference["known_frames"] < values["frames"]:
@@ -302,14 +318,10 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
             "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
         )
     elif reference["impossible"]:
-        facts["normalized"] = f"no: {reference['impossible']}"
+        facts["normalized"] = "no: published scores cannot be right"
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = (
             "no: the published baseline is of another span of the motion"
-        )
-    if reference["withheld"] is not None:
-        facts["withheld"] = (
-            f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
         )
     return facts
 
