@@ -103,8 +103,8 @@ def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
     """Return which changes of the scene the reference tells, and which it does not."""
     if power is None:
         return {}
-    sizes = [f"{name} {size:.3g}" for name, size in power["told"].items()]
-    scale = with_unit(f"{power['scale']:.3g}", power["unit"])
+    sizes = [f"{name} {size:.0f}" for name, size in power["told"].items()]
+    scale = with_unit(f"{power['scale']:.2g}", power["unit"])
     facts = {
         "tells": f"{', '.join(sizes) or 'nothing'} (over {scale}, {power['scale_text']})"
     }
