@@ -90,7 +90,7 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
             text = "the published mean of real trials"
         if scale is None:
             scale = root_mean_square(point_lengths(band.sigma, band))
-            text = "uncertainty of the trial"
+            text = "u of the trial"
     if not scale:
         return None
     return Power(
