@@ -78,7 +78,7 @@ def settings_for(
 
 def _check_kind(name: object, presets: Mapping[str, SettingsGenesis]) -> None:
     """Raise an error if a preset exists, but only for scenes of another kind."""
-    if name in presets:
+    if not isinstance(name, str) or name in presets:
         return
     for kind, others in (
         ("rigid bodies alone", tuple(PRESETS)),
