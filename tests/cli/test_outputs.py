@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Any
 
 import approval
+import numpy as np
 import pytest
 from slide import SLIDE, write_csv
 
+from gauge_envs import load_experiment
 from gauge_envs.cli.app import load_command
 from gauge_envs.registry import instruments_by
 
@@ -151,3 +153,18 @@ def test_a_refusal_with_words_of_a_library_names_the_place(gauge, command, place
     result = gauge(*shlex.split(command))
     assert (result.exit_code, result.stdout) == (2, "")
     assert place in result.stderr
+
+
+def test_neither_zeros_nor_a_frozen_cloth_solve_a_scene(gauge, approved, tmp_path):
+    """The published observable of a swinging cloth is zero by symmetry: only its markers tell that nothing moves."""
+    experiment = load_experiment("TextileFlinging-satin")
+    rest_m = np.array(experiment.scene.markers.positions_m)
+    zeros = np.zeros((experiment.frame_count, len(rest_m)))
+    frozen_m = np.repeat(rest_m[None], len(zeros), axis=0)
+    np.savez(tmp_path / "zeros.npz", g=zeros)
+    np.savez(tmp_path / "frozen.npz", g=zeros, markers_m=frozen_m)
+    texts = [
+        approval.readable(gauge("score", file, "--id", experiment.name))
+        for file in ("zeros.npz", "frozen.npz")
+    ]
+    approved("cli/score-frozen", "\n".join(texts))

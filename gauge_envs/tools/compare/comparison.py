@@ -154,13 +154,8 @@ class ExperimentComparison:
 
     @property
     def is_verified(self) -> bool:
-        """Whether a result is compared with the solution of its scene, and not with reality."""
-        return any(
-            result.score.verification is not None
-            for cell in self.cells
-            if cell is not None
-            for result in cell.results
-        )
+        """Whether results are compared with the solution of their scene, and not with reality."""
+        return self.grade in (BandGrade.LAW, BandGrade.MODEL)
 
     @property
     def primary(self) -> str:

@@ -135,7 +135,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         return [common | {"score": Outcome.DIVERGED.value}]
     score, baselines = result.score, published_baselines(short_id(result.id))
     # A distance to a law or a solved model says nothing of reality. Events are compared with real ones at any grade.
-    is_real = BandGrade(score.grade).is_real or score.verification is None
+    is_real = score.grade not in (BandGrade.LAW, BandGrade.MODEL)
     rows: list[dict[str, Any]] = []
     # The aligned score comes first where the experiment starts with a release, else after the raw one.
     order = ("rmse", ALIGNED.key) if score.primary == "rmse" else (ALIGNED.key, "rmse")
