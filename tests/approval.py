@@ -54,7 +54,7 @@ def difference(name, text, *, approve):
     """Return the lines in which a text differs from the approved one, or write it if it is to be approved."""
     file = FOLDER / f"{name}.txt"
     stored = file.read_text(encoding="utf-8") if file.is_file() else ""
-    if same_text(stored, text):
+    if same_text(_without_empty_lines(stored), _without_empty_lines(text)):
         return ""
     if approve:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -68,6 +68,11 @@ def difference(name, text, *, approve):
         lineterm="",
     )
     return "\n".join(lines)
+
+
+def _without_empty_lines(text):
+    """Return a text without empty lines, of which versions of rich print different numbers."""
+    return re.sub(r"\n{2,}", "\n", text)
 
 
 def refused_commands(gauge, *commands):

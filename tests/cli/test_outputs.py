@@ -60,6 +60,9 @@ def test_an_output_is_the_approved_one(
 
 def test_the_help_of_every_command(approved):
     """The words of the commands themselves; how they are set is Typer's matter."""
+    pytest.importorskip(
+        "typer", "0.29", reason="earlier ones keep help of arguments elsewhere"
+    )
     lines = []
     for name in instruments_by("commands"):
         command = load_command(name)
