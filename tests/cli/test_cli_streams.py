@@ -255,8 +255,9 @@ def test_ctrl_c_is_quiet_at_every_moment(tmp_path):
     assert [
         stderr for _, stderr in moments if re.search(FRAME_OF_THE_COMMAND, stderr)
     ] == []
-    # A command that ends well has dropped its signal.
-    assert 0 not in [code for code, _ in moments]
+    # A command that ends well has dropped its signal. Python itself does where it arrives in a destructor or in the
+    # callback of a weak reference; a handler that drops signals does it at eight moments.
+    assert [code for code, _ in moments].count(0) <= 1
     ended = [stderr for code, stderr in moments if code == 130]
     assert len(ended) >= 20
     assert set(ended) == {"interrupted\n"}
