@@ -80,7 +80,9 @@ def copy_studies(app: Sphinx) -> None:
         text = re.sub(
             r"\]\(([\w-]+\.(?:png|gif))",
             rf"](../../studies/{name}/\1",
-            text.replace("](../../docs/", "](../"),
+            text.replace("](../../docs/", "](../").replace(
+                "](../README.md", "](index.md"
+            ),
         )
         (pages / f"{name}.md").write_text(text, encoding="utf-8")
 
@@ -105,7 +107,9 @@ def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
 
 def link_included(app: Sphinx, file: Path, page: str, content: list[str]) -> None:
     """Point the links of an included file, whose own folder is the checkout, to the pages of studies."""
-    text = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", content[0])
+    text = content[0].replace("](../studies/README.md", "](../docs/studies/index.md")
+    text = text.replace("](studies/README.md", "](docs/studies/index.md")
+    text = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", text)
     content[0] = NOTES.sub(r"\1", text)
 
 

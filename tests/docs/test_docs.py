@@ -148,7 +148,7 @@ def links(page):
     return [target for target in targets if "://" not in target]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=name_of)
 def test_links_lead_to_files_and_headings(page):
     broken = []
     for link in links(page):
