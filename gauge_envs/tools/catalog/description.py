@@ -39,7 +39,7 @@ class Limit(FileModel):
     Attributes:
         variants: Patterns of variants.
         text: One or two sentences.
-        study: Folder of `studies/` that has the numbers, or None.
+        study: Folder of `studies/`, or heading in its README, that has the numbers; or None.
     """
 
     variants: tuple[str, ...] = Field(min_length=1)

@@ -130,7 +130,7 @@ def grade_note(reference: Mapping[str, Any]) -> str:
 
 def limit_text(limit: Mapping[str, Any]) -> str:
     """Return a known limit, with the study that shows it."""
-    return limit["text"] + (f" (studies/{limit['study']})" if limit["study"] else "")
+    return limit["text"] + (f" (study: {limit['study']})" if limit["study"] else "")
 
 
 def _constants(
