@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.evaluation.deviation import normalizing_baselines
 from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.experiments.variants import Variant, variants
@@ -83,11 +84,7 @@ def coverage(variant: Variant) -> Row:
     rewarded = reward_band(experiment, used)
     band = measured if used is None else used
     baselines = published_baselines(variant.name)
-    compared = (
-        used is not None
-        and used.normalized_by_baseline
-        and not experiment.impossible_scores
-    )
+    compared = used is not None and bool(normalizing_baselines(experiment, used))
     power = reference_power(experiment, used)
     metrics = [
         metric

@@ -21,6 +21,7 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.evaluation.deviation import release_offset
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.verification import point_lengths, root_mean_square
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -162,9 +163,9 @@ def distance(
         return release_offset(
             times_s, band.project(values), first, frame_rate_hz=FRAME_RATE_HZ
         )[1]
-    squares = np.nansum(np.square(compared_motion(band, changed) - first), axis=1)
-    count = 1 if band.points is None else known.shape[1] // 3
-    return float(np.sqrt(squares[known.any(axis=1)].mean() / count))
+    return root_mean_square(
+        point_lengths(compared_motion(band, changed) - first, compared)
+    )
 
 
 def rows_of(name: str) -> Iterator[dict[str, Any]]:

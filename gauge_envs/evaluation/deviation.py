@@ -1,6 +1,7 @@
 """Deviation of a simulation, and of each real trial, from the mean of a band, as it is and after release alignment."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -128,10 +129,16 @@ def experiment_sensitivities(
     )
 
 
+def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
+    """Return the published scores of real trials that normalize scores against a band, by metric; may be empty."""
+    if not band.normalized_by_baseline or experiment.impossible_scores:
+        return {}
+    return experiment.baselines
+
+
 def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
     """Return the published RMSE of real trials that normalizes a score against a band; None without one."""
-    is_usable = band.normalized_by_baseline and not experiment.impossible_scores
-    baseline = experiment.baselines.get("rmse") if is_usable else None
+    baseline = normalizing_baselines(experiment, band).get("rmse")
     # A reference of a user may state a mean of 0, which normalizes nothing.
     return baseline if baseline is not None and baseline.mean else None
 

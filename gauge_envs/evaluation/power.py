@@ -54,10 +54,11 @@ class Power:
 
     @property
     def not_told(self) -> list[str]:
-        """Changes that it does not tell."""
+        """Changes that it does not tell; a solution at rest is that of a scene in which nothing moves."""
+        sizes = {"nothing moves": self.frozen or None, **self.changes}
         return [
             name
-            for name, size in self.changes.items()
+            for name, size in sizes.items()
             if size is not None and size < LEAST_POWER
         ]
 

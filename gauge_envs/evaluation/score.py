@@ -14,6 +14,7 @@ from gauge_envs.evaluation.deviation import (
     Deviations,
     band_deviations,
     experiment_sensitivities,
+    normalizing_baselines,
     percentile_among,
     percentile_interval,
     sampled_frames,
@@ -428,8 +429,7 @@ def _band_scores(
     frames: FloatArray,
     sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
-    is_usable = band.normalized_by_baseline and not experiment.impossible_scores
-    baselines = experiment.baselines if is_usable else {}
+    baselines = normalizing_baselines(experiment, band)
     simulated = band.project(frames)
     deviations = band_deviations(experiment, band, times_s=times_s, values=values)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.

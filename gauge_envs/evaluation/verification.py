@@ -11,7 +11,7 @@ Interval. An observed distance d = |x - r| has the error e of the reference r, w
 uncertainty u. By the triangle inequality the true distance L obeys |d - L| <= |e|. Whatever the correlation of e over
 frames and coordinates, a normal e has |e| <= 1.96 u with a probability of at least 95 %. It is 95 % where e has one
 direction, and larger otherwise (Szekely and Bakirov, "Extremal probabilities for Gaussian quadratic forms", 2003). So
-[d - 1.96 u, d + 1.96 u] holds L in at least 95 % of cases, and reaches 0 for an exact engine.
+[d - 1.96 u, d + 1.96 u] holds L in at least 95 % of cases, also where L is 0.
 """
 
 import math
@@ -71,17 +71,12 @@ class Verification:
         return self.frozen / self.uncertainty if self.uncertainty else None
 
     @property
-    def share_of_motion(self) -> float | None:
-        """The distance over that of a scene in which nothing moves; None where the solution is at rest."""
-        return self.distance / self.frozen if self.frozen else None
-
-    @property
     def verdict(self) -> str:
         """What the distance says, in words."""
         if self.uncertainty is None:
             return "the solution is exact: the distance is the error"
         if self.frozen < LEAST_POWER * self.uncertainty:
-            return "tells nothing: a scene in which nothing moves is as near"
+            return f"tells nothing: a scene in which nothing moves is within {LEAST_POWER:g} u"
         if self.distance <= COVERAGE_FACTOR * self.uncertainty:
             return "no difference from the solution is seen"
         return "differs from the solution"
@@ -107,9 +102,11 @@ def verify(
     Returns:
         The verification; None for other grades than `law` and `model`, and where markers are compared but unknown.
     """
-    errors = frame_errors(band, frames=frames, markers_m=markers_m)
     compared = verification_band(band)
-    if errors is None or compared is None or band is None:
+    if compared is None or band is None:
+        return None
+    errors = frame_errors(band, frames=frames, markers_m=markers_m)
+    if errors is None:
         return None
     count = compared_points(compared)
     if count > 1:
@@ -136,21 +133,28 @@ def verify(
 
 
 def frame_errors(
-    band: Band | None, *, frames: FloatArray, markers_m: FloatArray | None
+    band: Band, *, frames: FloatArray, markers_m: FloatArray | None
 ) -> FloatArray | None:
-    """Return the distance from the solution at each frame, root mean square over markers, shape [frame_count].
+    """Return the distance from the mean at each frame, root mean square over markers, shape [frame_count].
 
-    It is NaN at frames at which the solution is not known. None as for `verify`, whose arguments these are.
+    Args:
+        band: The reference; its `points` are compared where it has any.
+        frames: g(t) at the first 30 Hz frames, shape [at most frame_count, coordinate_count].
+        markers_m: Markers at the same frames [m], shape [at most frame_count, marker_count, 3]; None if unknown.
+
+    Returns:
+        The distances, NaN where the mean or the motion is not known; None where markers are compared but unknown.
     """
-    compared = verification_band(band)
-    if compared is None or band is None:
-        return None
     if band.points is None:
-        return point_lengths(compared.project(frames) - compared.mean, compared)
-    if markers_m is None or not markers_m.size:
+        compared, motion = band, band.project(frames)
+    elif markers_m is not None and markers_m.size:
+        compared, motion = band.points, 1e3 * markers_m.reshape(len(markers_m), -1)
+    else:
         return None
-    positions_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
-    return point_lengths(positions_mm - compared.mean, compared)
+    whole = np.full(compared.mean.shape, np.nan)
+    count = min(len(motion), len(whole))
+    whole[:count] = motion[:count]
+    return point_lengths(whole - compared.mean, compared)
 
 
 def compared_points(compared: Band) -> int:

@@ -179,9 +179,10 @@ def percentile_text(score: Score, metric: str) -> str | None:
 
 
 VERIFICATION_NOTE = (
-    "u: standard uncertainty of the solution. In brackets: 95 % interval, which reaches 0 for an exact engine. Frozen: "
-    "distance of a scene in which nothing moves. It says nothing of reality."
+    "u: standard uncertainty of the solution. In brackets: 95 % interval of the true distance. Frozen: distance of a "
+    "scene in which nothing moves. `gauge show ID` lists which wrong constants are told. Nothing here is of reality."
 )
+"""What a table of verification needs to be read."""
 
 
 def verification_text(one: Verification) -> str:
@@ -204,6 +205,7 @@ def verification_text(one: Verification) -> str:
 
 
 NO_MARKERS = "no verification: the solution is compared by markers, whose positions the result does not have"
+"""Why a result that is compared with a solution has no distance to it."""
 
 MAX_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""

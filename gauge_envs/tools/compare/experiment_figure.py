@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.verification import point_lengths, verification_band
+from gauge_envs.evaluation.verification import frame_errors, point_lengths
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import (
     ENGINES,
@@ -316,7 +316,7 @@ def _draw_results(
 
 def _draw_errors(axis: Axes, series: Sequence[_Series], band: Band) -> None:
     """Draw the distance from the mean at each frame, what the reference leaves open, and that of a frozen scene."""
-    compared = verification_band(band) or band
+    compared = band.points or band
     start = compared.mean[int(np.isfinite(compared.mean).any(axis=1).argmax())]
     has_markers = compared is not band
     spread = compared.sigma if compared.uncertainty is None else compared.uncertainty
@@ -335,11 +335,16 @@ def _draw_errors(axis: Axes, series: Sequence[_Series], band: Band) -> None:
     )
     for one in series:
         for number, result in enumerate(one.results):
-            errors = _errors(result, band, compared)
+            recorded = _recorded(result)
+            errors = frame_errors(
+                band,
+                frames=recorded.arrays()[1][::SAMPLES_PER_FRAME],
+                markers_m=recorded.markers_m(),
+            )
             if errors is None:
                 continue
             axis.plot(
-                times_s[: len(errors)],
+                times_s,
                 errors,
                 color=one.color,
                 lw=one.width,
@@ -352,21 +357,6 @@ def _draw_errors(axis: Axes, series: Sequence[_Series], band: Band) -> None:
     axis.set_ylabel(f"distance of {what} from the reference [{compared.unit}]")
     axis.set_xlim(0.0, times_s[-1])
     tidy_axis(axis)
-
-
-def _errors(result: Result, band: Band, compared: Band) -> NDArray[np.float64] | None:
-    """Return the distance of a result from the mean at each frame; None without the markers that are compared."""
-    recorded = _recorded(result)
-    if compared is not band:
-        markers_m = recorded.markers_m()
-        if markers_m is None:
-            return None
-        motion = 1e3 * markers_m.reshape(len(markers_m), -1)
-    else:
-        motion = band.project(recorded.arrays()[1][::SAMPLES_PER_FRAME])
-    padded = np.full(compared.mean.shape, np.nan)
-    padded[: len(motion)] = motion[: len(padded)]
-    return point_lengths(padded - compared.mean, compared)
 
 
 def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
