@@ -13,7 +13,7 @@ DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal 
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
-	$(BIN)/gauge run BouncingBall-rubber NewtonsCradle-metal --parameters effective --out results
+	$(BIN)/gauge run BouncingBall-rubber NewtonsCradle-metal --parameter effective --out results
 	$(BIN)/gauge plot results --out plots
 
 define lint

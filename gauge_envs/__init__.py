@@ -13,6 +13,7 @@ experiments of other sources, which are registered too.
 The registration needs only names. Engines, SciPy and pydantic are imported at first use.
 """
 
+import warnings
 from typing import TYPE_CHECKING
 
 from gymnasium.envs import registration
@@ -21,7 +22,10 @@ from gauge_envs.errors import GaugeError as GaugeError
 from gauge_envs.experiments.variants import (
     Variant as Variant,
     beyond_variants as beyond_variants,
+    episode_steps,
     find_variant as find_variant,
+    own_task_files,
+    unreadable_task_files,
     variants as variants,
 )
 from gauge_envs.registry import door, register_bundled_ids
@@ -29,7 +33,10 @@ from gauge_envs.registry import door, register_bundled_ids
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv as GaugeEnv
     from gauge_envs.envs.episode import Trajectory as Trajectory
-    from gauge_envs.envs.wrappers import ScoreEpisode as ScoreEpisode
+    from gauge_envs.envs.wrappers import (
+        LogScore as LogScore,
+        ScoreEpisode as ScoreEpisode,
+    )
     from gauge_envs.evaluation.reference import reference_band as reference_band
     from gauge_envs.evaluation.score import (
         Score as Score,
@@ -65,16 +72,30 @@ else:
 
 
 def register_all() -> None:
-    """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this."""
-    for name in (
-        *(variant.name for variant in (*variants(), *beyond_variants())),
-        "Asset",
-    ):
+    """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this.
+
+    Variants of task files that the environment variable `GAUGE_TASKS` names are among them.
+
+    Warns:
+        UserWarning: `GAUGE_TASKS` names a file that cannot be used; the message says why.
+    """
+    own = own_task_files()
+    for fault in unreadable_task_files():
+        if fault.file in own:
+            warnings.warn(str(fault), stacklevel=2)
+    steps: dict[str, int | None] = {
+        variant.name: episode_steps(variant)
+        for variant in (*variants(), *beyond_variants())
+    }
+    # The file states the episode of an asset.
+    steps["Asset"] = None
+    for name, count in steps.items():
         if f"GAUGE/{name}" not in registration.registry:
             registration.register(
                 id=f"GAUGE/{name}",
                 entry_point="gauge_envs.envs.wrappers:scored_env",
                 vector_entry_point="gauge_envs.envs.vector:scored_vector_env",
+                max_episode_steps=count,
                 kwargs={"variant": name},
             )
 

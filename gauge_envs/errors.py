@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
@@ -110,16 +111,35 @@ class MissingExtraError(GaugeError, ImportError):
         )
 
 
+@contextmanager
+def needs_extra(feature: str, extra: str) -> Iterator[None]:
+    """Make an import that fails for want of a package name the extra that installs it.
+
+    Args:
+        feature: Feature that needs it, as `plotting`.
+        extra: Extra of this package.
+
+    Raises:
+        MissingExtraError: A package is not installed.
+    """
+    try:
+        yield
+    except MissingExtraError:
+        raise
+    except ImportError as error:
+        raise MissingExtraError(feature, extra, error) from error
+
+
 class TargetError(GaugeError, ValueError):
     """The target of a sanity check cannot be read; the message names it and lists what can be read."""
 
 
 class TaskFileError(FileError):
-    """A task file or an experiment file is wrong; the place is a dotted key, `(file)` for the file as a whole."""
+    """A task file or an experiment file is wrong."""
 
 
 class SweepFileError(FileError):
-    """A sweep file is wrong; the place is a dotted key, `(file)` for the file as a whole."""
+    """A sweep file is wrong."""
 
 
 class ResultFileError(GaugeError, OSError):

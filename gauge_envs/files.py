@@ -361,8 +361,8 @@ def json_ready(value: Any) -> Any:
         return {str(key): json_ready(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [json_ready(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.ndarray | np.generic):
+        return json_ready(value.tolist())
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

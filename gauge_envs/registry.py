@@ -10,6 +10,7 @@ whose value is the name of a package:
 The file has these keys, all optional but `position`:
 
     position = 200                      # place among the commands of `gauge --help`
+    extra = "usd"                       # extra of gauge-envs without which no part of the instrument works
     listings = ["drifts"]               # kinds of `gauge list KIND`: function `list_drifts` of `command.py`
     pictures = ["drift"]                # kinds of `gauge plot --kind KIND`: function `draw_drift` of `command.py`
     ids = "ids"                         # module with `register`, `names`, `summary` and `document` of Gymnasium ids
@@ -19,6 +20,9 @@ The file has these keys, all optional but `position`:
 
     [groups]                            # first word of commands of two words
     data = "Real trials and scenes."
+
+    [outputs]                           # type of a line of `--json` of each command, see `gauge_envs/cli/schemas.py`
+    drift = { line = "model:Drift", version = 1 }
 
     [scene_files]                       # module with `read_scene`, `write_scene` and those for experiment files,
                                         # see `gauge_envs/tools/usd/files.py`
@@ -34,6 +38,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib import import_module
@@ -42,7 +47,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import RegistryError
+from gauge_envs.errors import RegistryError, needs_extra
 
 ENGINES_GROUP = "gauge_envs.backends"
 INSTRUMENTS_GROUP = "gauge_envs.instruments"
@@ -65,6 +70,19 @@ class SceneFiles:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Output:
+    """What a command prints with `--json`.
+
+    Attributes:
+        line: Module in the package of the instrument, and name there of the type of a line.
+        version: Version of its schema.
+    """
+
+    line: str
+    version: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class Instrument:
     """What an instrument adds to the suite.
 
@@ -72,10 +90,12 @@ class Instrument:
         name: Name of its folder or entry point.
         package: Name of its package, as `gauge_envs.tools.compare`.
         position: Place among the instruments in the help of `gauge`.
+        extra: Extra of this package that it needs, or empty.
         commands: Line of help of each command. A name of two words is listed in the help of the first one.
         groups: Line of help of each first word that is no command.
         listings: Kinds that `gauge list` knows.
         pictures: Kinds that `gauge plot` knows.
+        outputs: What its commands print with `--json`, by the words of the command; and other JSON that it writes.
         ids: Name of the module of its Gymnasium ids; or empty. `register()` registers them, `names()` returns them,
             `summary()` returns a line of `gauge list`, and `document(name)` the page of one in `gauge show`.
         scene_files: Scene files that it reads and writes, or None.
@@ -85,10 +105,12 @@ class Instrument:
     name: str
     package: str
     position: int
+    extra: str = ""
     commands: Mapping[str, str] = field(default_factory=dict)
     groups: Mapping[str, str] = field(default_factory=dict)
     listings: tuple[str, ...] = ()
     pictures: tuple[str, ...] = ()
+    outputs: Mapping[str, Output] = field(default_factory=dict)
     ids: str = ""
     scene_files: SceneFiles | None = None
     model_files: Mapping[str, str] = field(default_factory=dict)
@@ -99,9 +121,15 @@ class Instrument:
         Args:
             name: Words of the name, as `backend check`; the function is `backend_check`, or `list_` for `list`.
         """
-        module = import_module(f"{self.package}.command")
+        with self.needed(f"gauge {name}"):
+            module = import_module(f"{self.package}.command")
         identifier = re.sub(r"\W", "_", name)
-        return getattr(module, f"{identifier}_", None) or getattr(module, identifier)
+        found = getattr(module, f"{identifier}_", None) or getattr(module, identifier)
+        return needs_extra(f"gauge {name}", self.extra)(found) if self.extra else found
+
+    def needed(self, feature: str) -> AbstractContextManager[None]:
+        """Make a failing import name the extra of the instrument, if it has one."""
+        return needs_extra(feature, self.extra) if self.extra else nullcontext()
 
 
 KEYS = {field.name for field in fields(Instrument)} - {"name", "package"}
@@ -160,10 +188,14 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
             name=name,
             package=package,
             position=int(stated["position"]),
+            extra=stated.get("extra", ""),
             commands=stated.get("commands", {}),
             groups=stated.get("groups", {}),
             listings=tuple(stated.get("listings", ())),
             pictures=tuple(stated.get("pictures", ())),
+            outputs={
+                name: Output(**one) for name, one in stated.get("outputs", {}).items()
+            },
             ids=stated.get("ids", ""),
             scene_files=None
             if scene_files is None
@@ -181,10 +213,10 @@ def _scene_files(package: str, stated: Mapping[str, Any]) -> SceneFiles:
 
 
 def instruments_by(kind: str) -> dict[str, Instrument]:
-    """Return the instrument of each command, listing or picture; the first that states a name has it.
+    """Return the instrument of each command, listing, picture or output; the first that states a name has it.
 
     Args:
-        kind: `commands`, `listings` or `pictures`.
+        kind: `commands`, `listings`, `pictures` or `outputs`.
     """
     found: dict[str, Instrument] = {}
     for instrument in instruments():
@@ -246,7 +278,8 @@ def scene_files(suffix: str) -> Any:
             instrument.scene_files is not None
             and suffix in instrument.scene_files.suffixes
         ):
-            return import_module(instrument.scene_files.module)
+            with instrument.needed(f"a file {suffix}"):
+                return import_module(instrument.scene_files.module)
     raise RegistryError(
         f"no installed instrument reads scene files {suffix!r}; known: {', '.join(scene_suffixes())}"
     )
@@ -313,11 +346,20 @@ def door(package: str) -> tuple[Callable[[str], Any], list[str]]:
         if name not in origins:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module, original = origins[name]
-        value = getattr(import_module(module), original)
+        with _needed_by(module):
+            value = getattr(import_module(module), original)
         setattr(sys.modules[package], name, value)
         return value
 
     return lookup, sorted(origins)
+
+
+def _needed_by(module: str) -> AbstractContextManager[None]:
+    """Make a failing import of a module name the extra of its instrument."""
+    for instrument in bundled_instruments():
+        if instrument.extra and module.startswith(f"{instrument.package}."):
+            return instrument.needed(instrument.package)
+    return nullcontext()
 
 
 def _type_checking_imports(file: Path) -> dict[str, tuple[str, str]]:

@@ -289,6 +289,8 @@ def episode_record(result: Result) -> dict[str, Any]:
     )
     kept += ("mte", "lsd_normalized", "pd_normalized", "el")
     values = {name: getattr(result.score, name) for name in kept}
+    if (solved := result.score.verification) is not None:
+        values |= {"distance": solved.scaled, "distance_unit": solved.scale_unit}
     return {
         "outcome": result.outcome.value,
         "grade": result.score.grade,
@@ -550,18 +552,19 @@ def rank_lines(
 ) -> Iterator[str]:
     """Yield the ranks of each grade, and the scores of configurations that fail a check."""
     titles = {
-        ("trials", PUBLISHED): "Real trials, published constants",
-        ("trials", EFFECTIVE): "Real trials, constants of these trials",
-        ("recording", PUBLISHED): "One recording, published constants",
-        ("law", PUBLISHED): "Laws, published constants",
+        ("trials", PUBLISHED): "Validation: real trials, published constants",
+        ("trials", EFFECTIVE): "Validation: real trials, constants of these trials",
+        ("recording", PUBLISHED): "Validation: one recording, published constants",
+        ("law", PUBLISHED): "Verification: laws, published constants",
     }
     passing = sum(not failed_checks(one) for _, one in rows)
     yield from ("### Ranks", "")
     yield (
         f"Among the {passing} configurations that fail no check of these laws. A cell has the score, 1 being a typical "
-        "trial, and the best to worst rank in this experiment: behind those that are distinguishably closer, before "
-        "those that are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference "
-        f"of at most {NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
+        "trial, or the error against an exact law in mm. Behind it is the best to worst rank in this experiment: after "
+        "those that are distinguishably closer, before those that are distinguishably further, at 5 % for all pairs of "
+        "the experiment together (Holm). A difference of at most "
+        f"{NEGLIGIBLE} of a score, or {NEGLIGIBLE} mm, counts as none. The mean rank counts each experiment the same."
     )
     by_name = dict(rows)
     for grade in data["grades"]:
@@ -639,7 +642,9 @@ def apart_cells(one: Mapping[str, Any]) -> list[str]:
 
 
 def primary(episode: Mapping[str, Any]) -> str:
-    """Return the primary score of an episode, or its outcome."""
+    """Return the primary score of an episode, the distance from its solution, or its outcome."""
+    if "distance" in episode:
+        return f"{episode['distance']:.3f} {episode['distance_unit']}"
     value = episode.get(f"{episode.get('primary') or 'rmse'}_normalized")
     return episode["outcome"] if value is None else f"{value:.2f}"
 

@@ -1,4 +1,4 @@
-"""Draw the moving picture of the README: 22 real drops of a ball, two engines out of the box, and the growing error.
+"""Draw the moving picture of the README: 22 real drops of a ball, and three engines out of the box with their error.
 
 The real drops are those of the package, one picture for each of their frames; nothing is interpolated.
 """
@@ -16,24 +16,24 @@ from PIL import Image
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_title
-from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
+from gauge_envs.pages.figures import OURS, REAL, new_figure
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 from scripts.build_leaderboard import OUT_OF_BOX, configurations
 from scripts.generated import ROOT, Request
 
 OUT = ROOT / "docs" / "images" / "bouncing_ball.gif"
 NAME = "BouncingBall-rubber"
-ENGINES = ("physx", "mujoco")
+ENGINES = ("physx", "pybullet", "mujoco")
 FRAME_MS, LAST_MS = 170, 2500
 """Time that a picture and the last one are shown [ms]; a frame of the trials is 33 ms."""
 
-SIZE_IN, DPI = (8.0, 4.5), 100
-TRIAL_WIDTH_MM = 130.0
-"""Width over which the real drops are spread, so that each is seen [mm]."""
+SIZE_IN, DPI = (8.0, 5.2), 100
+HEIGHT_MM = (-15.0, 540.0)
+"""Heights that are shown [mm]."""
 
 
 def heights_mm(engine: str, folder: Path) -> NDArray[np.float64]:
@@ -56,7 +56,7 @@ def draw(
     simulated: dict[str, NDArray[np.float64]],
     radius_mm: float,
 ) -> Image.Image:
-    """Return the picture of one frame.
+    """Return the picture of one frame: the real drops above, each engine and its error below.
 
     Args:
         frame: Number of the frame.
@@ -67,74 +67,59 @@ def draw(
     figure = new_figure(*SIZE_IN)
     # Every picture has the same places.
     figure.set_layout_engine("none")
-    drops, errors = (
-        figure.add_axes((0.0, 0.1, 0.52, 0.9)),
-        figure.add_axes((0.6, 0.16, 0.37, 0.74)),
-    )
     mean = real.mean(axis=0)
-    for number, trial in enumerate(real):
-        x_mm = TRIAL_WIDTH_MM * (number / (len(real) - 1) - 0.5)
-        ball(drops, x_mm, trial[frame], radius_mm, color=REAL, alpha=0.12)
-    ball(drops, 0.0, mean[frame], radius_mm, edgecolor=REAL, fill=False, lw=2)
-    for column, (engine, heights) in enumerate(simulated.items(), start=1):
-        for earlier in range(frame):
-            ball(
-                drops,
-                220.0 * column,
-                heights[earlier],
-                radius_mm,
-                color=OURS[column - 1],
-                alpha=0.08,
-            )
-        ball(drops, 220.0 * column, heights[frame], radius_mm, color=OURS[column - 1])
-        ball(
-            drops,
-            220.0 * column,
-            mean[frame],
-            radius_mm,
-            edgecolor=REAL,
-            fill=False,
-            lw=2,
-        )
-        error = np.abs(heights - mean)[: frame + 1]
-        errors.plot(
-            np.arange(frame + 1) / FRAME_RATE_HZ, error, color=OURS[column - 1], lw=4
-        )
-        errors.plot(
-            frame / FRAME_RATE_HZ, error[-1], "o", color=OURS[column - 1], ms=10
-        )
+    title = {"fontsize": 18, "loc": "left", "weight": "bold", "pad": 4}
+    above = _track(figure, (0.02, 0.55, 0.96, 0.38), len(mean))
+    above.set_title(f"Reality: {len(real)} drops of a rubber ball", color=REAL, **title)
+    for at in range(frame + 1):
+        for trial in real:
+            ball(above, _place(above, at), trial[at], radius_mm, color=REAL, alpha=0.05)
+    width = 0.96 / len(simulated)
+    for column, (engine, heights) in enumerate(simulated.items()):
+        color = OURS[column]
+        place = (0.02 + width * column, 0.12, width - 0.02, 0.31)
+        below = _track(figure, place, len(mean))
+        below.set_title(backend_title(engine), color=color, **title)
+        for at in range(frame + 1):
+            x_mm = _place(below, at)
+            ball(below, x_mm, heights[at], radius_mm, color=color, alpha=0.75)
+            ball(below, x_mm, mean[at], radius_mm, edgecolor=REAL, fill=False)
+        error = (heights - mean)[: frame + 1]
         rms_mm = float(np.sqrt(np.mean(np.square(error))))
-        errors.text(0.03, 1.0 - 0.12 * column, f"{backend_title(engine)}: {rms_mm:.0f} mm RMS",
-            transform=errors.transAxes, color=OURS[column - 1], fontsize=17, weight="bold")  # fmt: skip
-    drops.axhline(0.0, color="#808080", lw=3)
-    drops.set(xlim=(-110, 550), ylim=(-15, 530), aspect="equal", yticks=[])
-    drops.set_xticks(
-        [0.0, 220.0, 440.0],
-        [f"{len(real)} real", *(backend_title(engine) for engine in simulated)],
-    )
-    drops.tick_params(length=0, labelsize=19)
-    drops.spines[:].set_visible(False)
-    tidy_axis(errors)
-    errors.set(
-        xlim=(0, len(mean) / FRAME_RATE_HZ), ylim=(0, 330), yticks=[0, 100, 200, 300]
-    )
-    errors.set_title("mm from the real mean", fontsize=17)
-    errors.set_xlabel(f"{frame / FRAME_RATE_HZ:.2f} s", fontsize=19)
-    errors.tick_params(labelsize=14)
+        text = f"{rms_mm:.0f} mm off"
+        below.text(0.0, -0.07, text, transform=below.transAxes, color=color,
+            fontsize=22, weight="bold", va="top")  # fmt: skip
     stream = BytesIO()
     figure.savefig(stream, dpi=DPI)
     return Image.open(stream).convert("RGB")
+
+
+def _track(figure: Any, place: tuple[float, float, float, float], count: int) -> Any:
+    """Return axes with the floor, in which circles are round and all frames have room."""
+    axis = figure.add_axes(place)
+    height_mm = HEIGHT_MM[1] - HEIGHT_MM[0]
+    aspect = place[2] * SIZE_IN[0] / (place[3] * SIZE_IN[1])
+    axis.set(xlim=(0.0, height_mm * aspect), ylim=HEIGHT_MM, xticks=[], yticks=[])
+    axis.axhline(0.0, color="#808080", lw=3)
+    axis.spines[:].set_visible(False)
+    axis.frame_count = count
+    return axis
+
+
+def _place(axis: Any, frame: int) -> float:
+    """Return where the ball of a frame is drawn [mm]: time goes from left to right."""
+    return (frame + 0.5) / axis.frame_count * axis.get_xlim()[1]
 
 
 def ball(axis: Any, x_mm: float, z_mm: float, radius_mm: float, **style: Any) -> None:
     """Add a circle."""
     from matplotlib.patches import Circle
 
-    axis.add_patch(Circle((x_mm, z_mm), radius_mm, **style))
+    axis.add_patch(Circle((x_mm, z_mm), radius_mm, clip_on=False, **style))
 
 
 def measure(request: Request) -> None:
-    """Run both engines into the folder, or take what it has, and write the picture."""
+    """Run the engines into the folder, or take what it has, and write the picture."""
     experiment = load_experiment(NAME)
     band = reference_band(experiment)
     assert band is not None and band.trials is not None

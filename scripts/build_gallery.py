@@ -160,8 +160,8 @@ def engines(film: FilmEntry) -> str:
 
 def command(film: FilmEntry) -> str:
     """Return the command that makes a film from a folder of results."""
-    to = "" if film.to_s is None else f" to_s={film.to_s:g}"
-    return f"gauge video film results --only {film.name} speed={film.speed:g}{to} --out {film.name}.mp4"
+    to = "" if film.to_s is None else f" --until {film.to_s:g}"
+    return f"gauge video film results --id {film.name} --speed {film.speed:g}{to} --out {film.name}.mp4"
 
 
 def page_lines(texts: dict[str, str]) -> Iterator[str]:

@@ -2,7 +2,8 @@
 
 `measure` runs each id on engines of different families: default settings, and each of time step, cell and iterations
 coarser and finer, one at a time. It extrapolates each of them to zero (Richardson), adds the corrections, and
-takes the mean over the engines. `studies/models/README.md` has the method.
+takes the mean over the engines. A cloth that moves alike across its width is solved by a one-dimensional sheet
+(`scripts/sheet.py`), which an engine only checks. `studies/models/README.md` has the method.
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import (
+    SHEET,
     STRIDE,
     EngineSolution,
     ModelSidecar,
@@ -41,11 +44,20 @@ from gauge_envs.references.models import (
     packed,
 )
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import SoftBody
+from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.build_convergence import supported
-from scripts.extrapolation import LEAST_SPAN, combined, extrapolate, known_frames, rms
+from scripts.extrapolation import (
+    LEAST_SPAN,
+    anchored,
+    combined,
+    extrapolate,
+    known_frames,
+    rms,
+)
 from scripts.generated import SCORING, Request
+from scripts.sheet import marker_places_m, sheet_of, solve_sheet
 
 FloatArray = NDArray[np.float64]
 
@@ -58,6 +70,15 @@ SCATTER_SHARE = 0.5
 MOTION_SHARE = 0.1
 """Share of the root mean square motion at which a reference ends where no scatter is published."""
 
+SHEET_SHARE = 0.05
+"""The same for the markers of a sheet, which is cheap enough to be known better. It was chosen on satin and oxford."""
+
+LEAST_SHARE_APART = 0.02
+"""Least uncertainty that is resolved, over the distance of the engines."""
+
+LEAST_UNCERTAINTY = 1e-6
+"""Least uncertainty that a file holds, in the unit of g(t)."""
+
 POINT_QUANTUM_MM = 0.01
 """Resolution of stored marker positions [mm]."""
 
@@ -66,6 +87,19 @@ DEFORMABLE_ENGINES = ("mujoco", "newton")
 
 RIGID_ENGINES = ("mujoco", "rapier", "physx", "drake")
 """Engines of different families for rigid scenes; Newton's rigid solver is MuJoCo's."""
+
+SHEET_CELLS = {1: 80, 2: 160}
+"""Cells of a sheet along the warp by default, by the number of its held ends."""
+
+CLOTH_HORIZON_S = 5.0
+"""End of the solution of a cloth whose angles are compared [s].
+
+The scenes have no damping, and the implicit steps of engines damp all the same. The longer the motion, the more of the
+agreement of engines is that of their damping."""
+
+TAUT_HORIZON_S = 1.5
+"""The same of a sheet between two held ends [s]. It falls flat and is caught; from then on waves run to and fro in it,
+and each refinement moves the markers by a tenth of their motion."""
 
 CELL_FACTORS = (2.0, 0.5)
 """Cells of the refined levels over those of the default settings, coarse to fine."""
@@ -98,13 +132,59 @@ class Level:
 
 
 def engines_of(experiment: Experiment) -> tuple[str, ...]:
-    """Return the engines that solve an experiment."""
+    """Return the engines that solve an experiment, the sheet first where the cloth is one.
+
+    All of them must simulate the same fabric: an engine whose law replaces a constant of it is left out.
+    """
     wanted = DEFORMABLE_ENGINES if experiment.scene.deformables else RIGID_ENGINES
-    return tuple(name for name in wanted if supported(experiment.name, name))
+    if sheet_of(experiment.scene) is not None:
+        return (SHEET, "mujoco")
+    return tuple(
+        name
+        for name in wanted
+        if supported(experiment.name, name)
+        and not (is_held_cloth(experiment) and replaces_constants(experiment, name))
+    )
+
+
+def is_held_cloth(experiment: Experiment) -> bool:
+    """Return whether the angles of a cloth are compared, whose motion rods and frames alone prescribe."""
+    return experiment.score.observable.unit == "rad"
+
+
+def replaces_constants(experiment: Experiment, engine: str) -> bool:
+    """Return whether the law of an engine cannot take all constants of a fabric as they are."""
+    mapping = backend(engine).fabric_constants
+    return any(
+        mapping is not None and bool(mapping(Fabric.of(body)).replaced)
+        for body in experiment.scene.deformables
+        if isinstance(body, Cloth)
+    )
+
+
+SHEET_LEVELS = (
+    Level(parameter="base", factor=1.0, settings={}),
+    Level(parameter="cell", factor=2.0, settings={"cell": 2.0}),
+    Level(parameter="step", factor=0.5, settings={"step": 0.5}),
+    Level(parameter="cell", factor=0.5, settings={"cell": 0.5}),
+)
+"""Runs of the undamped sheet."""
+
+
+def solved_span(experiment: Experiment) -> int:
+    """Return the number of frames, from the first one, that are solved."""
+    if not is_held_cloth(experiment):
+        return experiment.frame_count
+    sheet = sheet_of(experiment.scene)
+    is_taut = sheet is not None and len(sheet.held) == 2
+    horizon_s = TAUT_HORIZON_S if is_taut else CLOTH_HORIZON_S
+    return min(experiment.frame_count, round(horizon_s * FRAME_RATE_HZ) + 1)
 
 
 def levels_of(experiment: Experiment, engine: str) -> list[Level]:
     """Return the runs of an engine, the cheapest parameters first."""
+    if engine == SHEET:
+        return list(SHEET_LEVELS)
     scene = experiment.scene
     simulation = backend(engine).build(scene, {})
     default = dict(simulation.settings)
@@ -118,6 +198,14 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
         # Drivers move by whole intervals, so a step divides them.
         step = {"timestep_s": DRIVE_INTERVAL_S / steps}
         levels.append(Level(parameter="step", factor=count / steps, settings=step))
+    if sheet_of(scene) is not None:
+        # This engine only checks the sheet: where its changes explain the distance, they need not be finer.
+        assert cell_m is not None
+        coarse = {"cell_m": CELL_FACTORS[0] * cell_m}
+        return [
+            *levels,
+            Level(parameter="cell", factor=CELL_FACTORS[0], settings=coarse),
+        ]
     if scene.deformables:
         if vbd:
             for factor in (0.5, 0.25):
@@ -132,14 +220,27 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
             }
             levels.append(Level(parameter="iterations", factor=0.25, settings=tighter))
     if cell_m is not None:
-        is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
-        for factor in COSTLY_CELL_FACTORS if is_soft or vbd else CELL_FACTORS:
-            cell: dict[str, Any] = {"cell_m": factor * cell_m}
-            if vbd:
-                # An iteration moves information by one node.
-                cell["iterations"] = max(round(default["iterations"] / factor**2), 1)
-            levels.append(Level(parameter="cell", factor=factor, settings=cell))
+        levels += _cell_levels(scene, default, cell_m=cell_m, step_count=count)
     return levels
+
+
+def _cell_levels(
+    scene: Scene, default: Mapping[str, Any], *, cell_m: float, step_count: int
+) -> Iterator[Level]:
+    """Yield the runs with other cells: of all deformable bodies of a scene, or of each segment of a rod."""
+    is_vbd = default.get("solver") == "SolverVBD"
+    is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
+    is_rod = any(isinstance(body, Rod) for body in scene.deformables)
+    for factor in COSTLY_CELL_FACTORS if is_soft or is_vbd else CELL_FACTORS:
+        cell: dict[str, Any] = {"cell_m": factor * cell_m}
+        if is_vbd:
+            # An iteration moves information by one node.
+            cell["iterations"] = max(round(default["iterations"] / factor**2), 1)
+        elif factor < 1.0 and is_rod:
+            # Shorter segments are stiffer: with a longer step MuJoCo's rod would stretch too much.
+            steps = math.ceil(step_count / factor)
+            cell["timestep_s"] = DRIVE_INTERVAL_S / steps
+        yield Level(parameter="cell", factor=factor, settings=cell)
 
 
 def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | None:
@@ -159,7 +260,10 @@ def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | No
 
 def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
     """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out."""
+    if engine == SHEET:
+        return solve_as_sheet(experiment, level)
     start = _processor_s()
+    last_frame = solved_span(experiment) - 1
     try:
         env = GaugeEnv(
             experiment.name,
@@ -176,11 +280,12 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
         env.reset(seed=0)
         while not over and not fault:
             *_, terminated, truncated, info = env.step(zero)
-            over = terminated or truncated
+            over = terminated or truncated or info["frame"] >= last_frame
             fault = info.get("diverged", "")
             if _processor_s() - start > LIMIT_S:
                 fault = f"stopped after {LIMIT_S:g} s of processor time"
         trajectory = env.trajectory()
+        count = solved_span(experiment)
         points = (
             trajectory.bodies[..., :3]
             if trajectory.bodies.size
@@ -192,8 +297,8 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
             if isinstance(value, float | int | str)
         }
         return {
-            "frames": trajectory.frames,
-            "points_m": points,
+            "frames": trajectory.frames[:count],
+            "points_m": points[:count],
             "settings": json.dumps(settings),
             "versions": json.dumps(dict(env.versions)),
             "processor_s": _processor_s() - start,
@@ -201,6 +306,32 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
         }
     finally:
         env.close()
+
+
+def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
+    """Return the same of a sheet, with the factors on cell and step of a level."""
+    start = _processor_s()
+    sheet, markers = sheet_of(experiment.scene), experiment.scene.markers
+    assert sheet is not None
+    assert markers is not None
+    cells = SHEET_CELLS[len(sheet.held)]
+    nodes_m, _, _ = solve_sheet(
+        sheet,
+        cells=round(cells / level.settings.get("cell", 1.0)),
+        frames=solved_span(experiment),
+        step_factor=level.settings.get("step", 1.0),
+    )
+    points_m = marker_places_m(sheet, nodes_m, np.asarray(markers.positions_m))
+    return {
+        "frames": observe_markers(
+            points_m, markers=markers, observable=experiment.score.observable
+        ),
+        "points_m": points_m,
+        "settings": json.dumps({"preset": "undamped", "cells": cells}),
+        "versions": json.dumps({"numpy": np.__version__}),
+        "processor_s": _processor_s() - start,
+        "fault": "",
+    }
 
 
 def _processor_s() -> float:
@@ -320,13 +451,23 @@ def solutions(
 def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> str:
     """Write the reference of a variant, or return why it has none; empty if it has."""
     each = solutions(runs, "frames")
-    if len(each) < 2:
+    wanted = engines_of(experiment)
+    # One fabric is worth more than two engines: where only one takes its constants, its refinement is the uncertainty.
+    is_sheet = SHEET in each
+    least = 1 if is_sheet or (len(wanted) == 1 and is_held_cloth(experiment)) else 2
+    if len(each) < least:
         return unsolved_reason(experiment, each)
+    each = {engine: each[engine] for engine in wanted if engine in each}
+    merged = anchored if is_sheet else combined
     name, file = experiment.name, folder / f"{experiment.name}.npz"
-    mean, uncertainty, apart = combined(
+    mean, uncertainty, apart = merged(
         [(value, spread) for value, spread, _ in each.values()]
     )
-    baseline = published_baselines(name).get("rmse")
+    frame_count = experiment.frame_count
+    # A published scatter that geometry forbids is of another unit or observable, and limits nothing.
+    baseline = (
+        None if experiment.impossible_scores else published_baselines(name).get("rmse")
+    )
     motion = rms(mean - mean[0])
     limit = (
         SCATTER_SHARE * baseline.mean
@@ -338,32 +479,44 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     unit = experiment.score.observable.unit
     exceeds = f"exceeds {limit:.3g} {unit}"
     ends = "" if len(known) == len(mean) else f"its uncertainty {exceeds}"
-    points = solutions(runs, "points_m") if unit != "mm" else {}
-    points = {engine: found for engine, found in points.items() if engine in each}
+    if not ends and len(mean) < frame_count:
+        ends = (
+            "solvers agree there because they damp alike, and the scene has no damping"
+        )
+    found_points = solutions(runs, "points_m") if unit != "mm" else {}
+    points = {engine: found_points[engine] for engine in each if engine in found_points}
     point_count, point_gap, point_arrays = None, None, {}
     if points:
-        places, spread, _ = combined(
+        places, spread, _ = merged(
             [(value, left) for value, left, _ in points.values()]
         )
         # One number for each marker: the uncertainty of a coordinate of it.
         spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
         point_count, point_gap = known_frames(
-            np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])
+            np.sqrt(3.0) * spread,
+            (SHEET_SHARE if is_sheet else MOTION_SHARE) * rms(places - places[0]),
         )
         point_count = max(point_count, 1)
         point_arrays = {
             "points": packed(places[:point_count], POINT_QUANTUM_MM),
             "points_uncertainty": spread[:point_count:STRIDE].astype(np.float16),
         }
-    if count < 2 or max(count, point_count or 0) < LEAST_SPAN * len(mean):
+    is_short = max(count, point_count or 0) < LEAST_SPAN * len(mean)
+    if count < 2 or (is_short and not is_sheet):
         return (
             f"the solutions of {', '.join(each)} agree for {count / FRAME_RATE_HZ:.2f} of "
             f"{len(mean) / FRAME_RATE_HZ:.2f} s; then the uncertainty of their mean {exceeds}"
         )
+    # An angle that is 0 by symmetry is exact, and the engine that checks it is some noise away.
     quantum = rounded(
-        max(float(np.median(uncertainty[known])), 1e-9 * float(np.abs(mean).max()))
+        max(
+            float(np.median(uncertainty[known])),
+            1e-9 * float(np.abs(mean).max()),
+            LEAST_SHARE_APART * rms(apart[known]),
+        )
         / 20.0
     )
+    uncertainty = np.maximum(uncertainty, LEAST_UNCERTAINTY)
     values = [value[:count] - mean[:count] for value, _, _ in each.values()]
     arrays = {
         "mean": packed(mean[:count], quantum),
@@ -374,7 +527,7 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     sidecar = ModelSidecar(
         unit=unit,
         coordinates=coordinate_names(experiment, mean.shape[1]),
-        frames=len(mean),
+        frames=frame_count,
         solved_frames=count,
         point_frames=point_count,
         gap=gap,
@@ -517,7 +670,7 @@ def measure(request: Request) -> None:
     file = folder / "unsolved.json"
     reasons = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     for experiment in wanted_experiments(request.ids):
-        runs = read_runs(request.results / experiment.name, experiment.frame_count)
+        runs = read_runs(request.results / experiment.name, solved_span(experiment))
         if not runs:
             if not (folder / f"{experiment.name}.npz").is_file():
                 reasons[experiment.name] = {

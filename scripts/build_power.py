@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
@@ -20,8 +21,12 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.evaluation.deviation import release_offset
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.verification import point_lengths, root_mean_square
+from gauge_envs.evaluation.reference import reference_band, reference_loads
+from gauge_envs.evaluation.verification import (
+    load_length,
+    point_lengths,
+    root_mean_square,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -38,6 +43,12 @@ LOW = 0.8
 
 NEARLY_NONE = 0.01
 """Factor of a stiffness that is taken away: without any, some solvers fail."""
+
+STIFF = 10.0
+"""Factor of the stretch of a sheet that hardly stretches."""
+
+PLATE = 1e4
+"""Factor of the bending of a sheet that swings like a plate."""
 
 
 def changed_scenes(scene: Scene) -> Iterator[tuple[str, Scene]]:
@@ -75,9 +86,9 @@ def _with_deformables(scene: Scene) -> Iterator[tuple[str, Scene]]:
     constants: dict[str, tuple[str, tuple[float, ...]]] = {}
     if any(isinstance(body, Cloth) for body in scene.deformables):
         constants = {
-            "bend_stiffness_n_m_per_rad": ("bending", (NEARLY_NONE, LOW)),
+            "bend_stiffness_n_m_per_rad": ("bending", (NEARLY_NONE, LOW, PLATE)),
             "shear_stiffness_n_per_m": ("shear", (NEARLY_NONE, LOW)),
-            "stretch_stiffness_n_per_m": ("stretch", (LOW,)),
+            "stretch_stiffness_n_per_m": ("stretch", (LOW, STIFF)),
         }
     elif scene.deformables:
         constants = {"young_modulus_pa": ("Young's modulus", (LOW,))}
@@ -123,8 +134,8 @@ def _with_joints(scene: Scene, name: str) -> Iterator[tuple[str, Scene]]:
             yield f"joint {title} {text}", replace(scene, joints=tuple(changed))
 
 
-def motion(experiment: Experiment, scene: Scene) -> Episode:
-    """Return the finished episode of a scene."""
+def motion(experiment: Experiment, scene: Scene, *, last_frame: int) -> Episode:
+    """Return the episode of a scene up to a frame."""
     engine = backend_for("mujoco", experiment.model_file)
     simulation = engine.build(scene, None)
     try:
@@ -132,10 +143,13 @@ def motion(experiment: Experiment, scene: Scene) -> Episode:
         episode = Episode(
             replace(experiment, scene=scene),
             simulation,
-            band=None,
+            band=reference_band(experiment),
             marker_proxy=MarkerProxy.MATERIAL,
         )
-        episode.play()
+        episode.begin()
+        while not episode.is_over and episode.frame != last_frame:
+            episode.advance(episode.no_rates)
+            episode.end_frame()
         if episode.fault is not None:
             raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
         return episode
@@ -144,11 +158,15 @@ def motion(experiment: Experiment, scene: Scene) -> Episode:
 
 
 def compared_motion(band: Band, episode: Episode) -> FloatArray:
-    """Return what the reference compares, at the frames, shape [T, C]."""
+    """Return what the reference compares, at its frames, shape [T, C]; NaN at frames that were not run."""
     trajectory = episode.trajectory()
+    found = band.project(trajectory.frames)
     if band.points is not None:
-        return 1e3 * trajectory.markers_m.reshape(len(trajectory.markers_m), -1)
-    return band.project(trajectory.frames)
+        found = 1e3 * trajectory.markers_m.reshape(len(trajectory.markers_m), -1)
+    whole = np.full((band.points or band).mean.shape, np.nan)
+    count = min(len(found), len(whole))
+    whole[:count] = found[:count]
+    return whole
 
 
 def distance(
@@ -168,47 +186,92 @@ def distance(
     )
 
 
-def rows_of(name: str) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a variant."""
-    experiment = load_experiment(name)
-    band = reference_band(experiment)
-    assert band is not None
+def rows_of(
+    experiment: Experiment, band: Band, done: Collection[tuple[str, str]]
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a variant that the table lacks.
+
+    Args:
+        experiment: The experiment.
+        band: Its reference.
+        done: Change and quantity of the rows that the table has; the quantity of what the score is of is empty.
+    """
+    loads = reference_loads(experiment, band)
+    # Loads tell of cloth and foam alone, and no load of them of the rest of a scene.
+    deformable = {change for change, _ in _with_deformables(experiment.scene)}
+    wanted = [
+        (change, scene, missing)
+        for change, scene in changed_scenes(experiment.scene)
+        if (
+            missing := [
+                quantity
+                for quantity in ("", *(load.quantity for load in loads))
+                if (change, quantity) not in done
+                and (not quantity or change in deformable)
+            ]
+        )
+    ]
+    if not wanted:
+        return
     is_aligned = (
         band.grade.is_real and experiment.trial is None and not experiment.scene.drivers
     )
-    nominal = motion(experiment, experiment.scene)
+    last_load = max((last for load in loads for _, last in load.windows), default=0)
+    # No frame after the last known one is compared; an alignment needs the frames after it.
+    known = np.isfinite((band.points or band).mean).any(axis=1)
+    last_known = int(np.flatnonzero(known)[-1])
+    last_main = experiment.frame_count if is_aligned else max(last_load, last_known)
+    ends = [last_main if "" in missing else last_load for _, _, missing in wanted]
+    nominal = motion(experiment, experiment.scene, last_frame=max(ends))
+    holders = experiment.scene.holders
     unit = (band.points or band).unit
-    for change, scene in changed_scenes(experiment.scene):
+    for (change, scene, missing), last_frame in zip(wanted, ends, strict=True):
+        row = {"variant": experiment.name, "change": change}
         try:
-            moved = distance(
-                band, nominal, motion(experiment, scene), is_aligned=is_aligned
-            )
-            text = f"{moved:.4g}"
+            changed = motion(experiment, scene, last_frame=last_frame)
         except GaugeError as error:
-            print(f"{name}, {change}: {error}", file=sys.stderr)
-            text = ""
-        yield {"variant": name, "change": change, "distance": text, "unit": unit}
+            print(f"{experiment.name}, {change}: {error}", file=sys.stderr)
+            if "" in missing:
+                yield row | {"distance": "", "unit": unit, "quantity": ""}
+            continue
+        if "" in missing:
+            moved = distance(band, nominal, changed, is_aligned=is_aligned)
+            yield row | {"distance": f"{moved:.4g}", "unit": unit, "quantity": ""}
+        for load in loads:
+            if load.quantity not in missing:
+                continue
+            before, after = (
+                load.values(holders, one.trajectory().wrenches)
+                for one in (nominal, changed)
+            )
+            yield row | {
+                "distance": f"{load_length(after - before):.4g}",
+                "unit": load.unit,
+                "quantity": load.quantity,
+            }
 
 
 def measure(request: Request) -> None:
-    """Measure the variants that the table lacks; a stopped run goes on."""
+    """Measure the changes that the table lacks; a stopped run goes on."""
     file = power_file()
-    done = set()
+    done: dict[str, set[tuple[str, str]]] = defaultdict(set)
     if file.is_file():
         with file.open(encoding="utf-8") as text:
-            done = {row["variant"] for row in csv.DictReader(text)}
+            for row in csv.DictReader(text):
+                done[row["variant"]].add((row["change"], row["quantity"]))
     for variant in variants():
         name = variant.name
         is_wanted = any(fnmatchcase(name, pattern) for pattern in request.ids)
-        if name in done or not is_wanted:
+        experiment = load_experiment(name)
+        band = reference_band(experiment)
+        if band is None or not is_wanted:
             continue
-        if reference_band(load_experiment(name)) is None:
-            continue
-        rows = list(rows_of(name))
         is_new = not file.is_file()
         with file.open("a", newline="", encoding="utf-8") as text:
             writer = csv.DictWriter(text, POWER_COLUMNS, lineterminator="\n")
             if is_new:
                 writer.writeheader()
-            writer.writerows(rows)
-        print(name, [(row["change"], row["distance"]) for row in rows], flush=True)
+            for row in rows_of(experiment, band, done[name]):
+                writer.writerow(row)
+                text.flush()
+                print(*row.values(), flush=True)

@@ -275,6 +275,11 @@ def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, 
 
 def _sigma(values: Values) -> str:
     reference = values["reference"]
+    if BandGrade(reference["grade"]).is_solution:
+        return (
+            "Verification: distances are over u of the solution, those from an exact one in its unit, and none is over "
+            "the scatter of real trials."
+        )
     text = f"Sigma: {SIGMA_NOTES[SigmaSource(reference['sigma_source'])]}."
     if reference["single_shot"]:
         return f"{text} Each trial has a start of its own; a reset with a trial or a seed selects another one."

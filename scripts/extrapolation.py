@@ -129,6 +129,23 @@ def combined(
     )
 
 
+def anchored(
+    each: Sequence[tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the first solution, its standard uncertainty, and its distance from the others, which only check it.
+
+    What the uncertainty of another solution does not explain of the distance is added in quadrature.
+    """
+    (first, uncertainty), *others = each
+    square = np.square(uncertainty)
+    distance = np.zeros_like(first)
+    for value, spread in others:
+        apart = smoothed(value - first)
+        distance = np.maximum(distance, apart)
+        square = square + np.maximum(np.square(apart) - np.square(spread), 0.0)
+    return first, np.sqrt(square), distance
+
+
 LEAST_SPAN = 0.25
 """Share of an episode that a reference covers at least, and its part after a gap."""
 

@@ -415,7 +415,13 @@ def _point(
         to_closed_form=_worst(
             [member.exact[number] for member, number in found], units
         ),
-        to_reality=_worst([one.real for one in settings], units),
+        to_reality=_worst(
+            [
+                None if member.curve.measure.is_verified else one.to_reference
+                for (member, _), one in zip(found, settings, strict=True)
+            ],
+            units,
+        ),
         is_reference=all(one.is_converged for one in settings),
         is_on_main_line=all(one.is_main for one in settings),
     )

@@ -2,10 +2,10 @@
 
     python -m scripts matrix 3.12:lowest 3.13:newest --tests tests/cli tests/scene --rigid-tests tests/scene
 
-Each entry makes a fresh environment, installs the wheel with the `plot` extra and without any engine but MuJoCo, runs
-the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the package. The lowest MuJoCo
-has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it, and the other tests with
-the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
+Each entry makes a fresh environment, installs the wheel with the extras `plot`, `sanity` and `usd`, and without any
+engine but MuJoCo, runs the conformance checks of MuJoCo, and runs the tests from a copy that holds no sources of the
+package. The lowest MuJoCo has no deformable bodies. An entry with the lowest dependencies runs `--rigid-tests` with it,
+and the other tests with the lowest MuJoCo that has them. A version without an interpreter is skipped with a message;
 PYTHON3_12=/path/to/python names an interpreter that is not on the PATH.
 """
 
@@ -26,12 +26,14 @@ from pathlib import Path
 from scripts.lowest_versions import PYPROJECT, constraints
 
 ROOT = PYPROJECT.parent
-EXTRAS = ("plot",)
-TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
+EXTRAS = ("plot", "sanity", "usd")
+"""Extras that the tests below need; what works without them is the matter of `tests/test_core_alone.py`."""
+TEST_TOOLS = ("hypothesis", "jsonschema", "pytest", "pytest-xdist")
 COPIED = (
     "benchmarks",
     "docs",
     "examples",
+    "leaderboard",
     "scoring",
     "scripts",
     "studies",

@@ -18,6 +18,8 @@ import mujoco
 import numpy as np
 import pytest
 from hostile import install
+from json_lines import check_invocation
+from places import ROOT
 from typer.testing import CliRunner
 
 from gauge_envs import files, registry
@@ -79,6 +81,14 @@ def forked_children():
     fork_server.stop()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def json_lines():
+    """What commands print with `--json` follows their schemas."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CliRunner, "invoke", check_invocation)
+        yield
+
+
 @pytest.fixture
 def real_children(monkeypatch):
     """Children of the package start from nothing, as they do for a user."""
@@ -130,6 +140,28 @@ def gauge(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     runner = CliRunner(env=approval.TERMINAL)
     return lambda *words: runner.invoke(app, list(map(str, words)))
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory):
+    """The wheel of this checkout."""
+    out = tmp_path_factory.mktemp("wheel")
+    # The wheel is built from the sdist.
+    command = [
+        sys.executable,
+        "-m",
+        "build",
+        "--no-isolation",
+        "--outdir",
+        str(out),
+        str(ROOT),
+    ]
+    subprocess.run(command, check=True, capture_output=True)
+    assert {path.suffix for path in out.iterdir() if path.stat().st_size < 12e6} == {
+        ".gz",
+        ".whl",
+    }
+    return next(out.glob("*.whl"))
 
 
 @pytest.fixture

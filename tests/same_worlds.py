@@ -73,7 +73,7 @@ def assert_same_steps(batches, number, expected):
 
 def assert_same_record(mine, other):
     for key, values in vars(other).items():
-        assert np.array_equal(getattr(mine, key), values), key
+        assert np.array_equal(getattr(mine, key), values, equal_nan=True), key
 
 
 def assert_same_observation(batch, number, single):

@@ -20,12 +20,14 @@ CORE_INSTRUMENTS = {"catalog", "run"}
 CORE_BACKENDS = {"mujoco", "shared"}
 
 GUEST_PACKAGES = (
+    "PIL",
     "imageio",
     "matplotlib",
     "newton",
     "packaging",
     "pxr",
     "sapien",
+    "trimesh",
     "yaml",
 )
 """Packages that the core does without."""

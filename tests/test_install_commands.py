@@ -47,6 +47,22 @@ def page_runs():
 RUNS = page_runs()
 
 
+def shown_outputs(page, text):
+    """Parts of the output below each command of a page, with single spaces; `...` stands for what is left out."""
+    pairs = re.findall(
+        r"^```sh\n([^\n]+)\n```\n\n```text\n(.*?)^```$", text, re.M | re.S
+    )
+    return {
+        (page, command): [
+            " ".join(part.split()) for part in re.split(r"^\.\.\.$", output, flags=re.M)
+        ]
+        for command, output in pairs
+    }
+
+
+SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text(encoding="utf-8"))
+
+
 @pytest.fixture(scope="module")
 def commands_of(tmp_path_factory):
     """The folder of an environment's commands, made on first use."""
@@ -104,17 +120,26 @@ def test_commands_of_a_page(
             if command.text.startswith(("gauge sanity ", "gauge backend check mujoco"))
             else (0,)
         )
+        printed = " ".join((done.stdout + done.stderr).split())
+        for part in SHOWN.get((page, command.text), ()):
+            assert part in printed, f"{page}: {command.text} does not print: {part}"
         assert done.returncode in codes, (
             f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
         )
 
 
 def test_the_first_command_of_a_reader_is_run():
-    texts = [command.text for command in RUNS["default", "README.md"]]
-    assert "gauge sanity HalfCheetah-v5" in texts
+    texts = [command.text for command in RUNS["readme", "README.md"]]
+    assert texts[0] == "gauge sanity HalfCheetah-v5 --only foot-creep,foot-push"
+    assert [command for _, command in SHOWN] == texts[:4]
     assert [command.text for command in RUNS["plot", "scripts"]] == [
         "python examples/quickstart.py"
     ]
+
+
+def test_the_readme_is_read_in_a_minute():
+    words = (ROOT / "README.md").read_text(encoding="utf-8").split()
+    assert len(words) <= 900
 
 
 def test_a_page_names_the_extras_that_its_commands_need():

@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
-import sys
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
-from places import ROOT
 
+NOT_OF_THE_BASE = {
+    "imageio",
+    "matplotlib",
+    "packaging",
+    "pillow",
+    "pyyaml",
+    "trimesh",
+    "usd-core",
+}
+"""Packages that extras install."""
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    out = tmp_path_factory.mktemp("wheel")
-    # The wheel is built from the sdist.
-    command = [
-        sys.executable,
-        "-m",
-        "build",
-        "--no-isolation",
-        "--outdir",
-        str(out),
-        str(ROOT),
-    ]
-    subprocess.run(command, check=True, capture_output=True)
-    assert {path.suffix for path in out.iterdir() if path.stat().st_size < 12e6} == {
-        ".gz",
-        ".whl",
-    }
-    return next(out.glob("*.whl"))
+MOST_BASE_MB = 500.0
+"""Size of an environment with the wheel alone [MB], pip included."""
+
+NEEDS_EXTRA = (
+    (("sanity", "HalfCheetah-v5"), "sanity"),
+    (("data", "scenes", "--check"), "usd"),
+    (("video", "film", ".", "--out", "film.webp"), "video"),
+)
+"""Commands beyond a first run, and the extra that their messages name."""
 
 
 def test_wheel_carries_the_data(wheel):
@@ -90,23 +89,37 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_pa
     assert Path(file).is_relative_to(tmp_path)
     assert count == "75"
     assert float(rmse) == pytest.approx(14.1, abs=0.1)
-    # `gauge sanity` reads Gymnasium's MuJoCo environments, which import more than Gymnasium declares.
-    subprocess.run(
-        [
-            python,
-            "-I",
-            "-c",
-            "import gymnasium; gymnasium.make('HalfCheetah-v5').reset()",
-        ],
-        cwd=tmp_path,
-        check=True,
-    )
+    pip = [python, "-m", "pip", "--disable-pip-version-check"]
     listed = subprocess.run(
-        [tmp_path / "venv" / "bin" / "gauge", "list"],
-        cwd=tmp_path,
+        [*pip, "list", "--format", "json"],
+        check=True,
         capture_output=True,
         text=True,
-        check=True,
         env=variables,
     )
-    assert "75 ids in 22 families" in listed.stdout
+    names = {package["name"].lower() for package in json.loads(listed.stdout)}
+    assert {"gymnasium", "mujoco", "numpy"} <= names
+    assert names.isdisjoint(NOT_OF_THE_BASE)
+    size_mb = sum(
+        file.stat().st_size
+        for file in (tmp_path / "venv").rglob("*")
+        if file.is_file() and not file.is_symlink()
+    )
+    assert size_mb / 1e6 < MOST_BASE_MB
+
+    def gauge(*words):
+        return subprocess.run(
+            [tmp_path / "venv" / "bin" / "gauge", *words],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env=variables,
+        )
+
+    assert "75 ids in 22 families" in gauge("list").stdout
+    for words, extra in NEEDS_EXTRA:
+        refused = gauge(*words)
+        assert refused.returncode == 2
+        assert f"pip install 'gauge-envs[{extra}]'" in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1

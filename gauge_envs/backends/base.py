@@ -260,6 +260,21 @@ class World(ABC):
         """
         return None
 
+    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+        """Return the wrenches by which rigid bodies hold the deformable bodies attached to them.
+
+        They include what carries the attached row of a cloth: a body at rest that holds a whole cloth pulls up with the
+        weight of all of it. Contact is not part of them.
+
+        Args:
+            names: Names of fixed or driven bodies of attachments.
+
+        Returns:
+            A new array, shape [len(names), 6]: force [N] (3) and torque about the body origin [N m] (3) on the
+            deformable bodies, in the world frame. None where the engine does not read them.
+        """
+        return None
+
 
 class Simulation(World):
     """A world that advances on its own.
@@ -461,6 +476,11 @@ class _SeparateWorlds(Worlds):
     def close(self) -> None:
         for simulation in self.worlds:
             simulation.close()
+
+
+def separate_worlds(simulations: Sequence[Simulation]) -> Worlds:
+    """Return worlds that are simulations of their own."""
+    return _SeparateWorlds(simulations)
 
 
 class ArrayWorlds(Worlds):

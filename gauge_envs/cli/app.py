@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import errno
+import functools
+import inspect
+import os
 import re
-from inspect import cleandoc
+import sys
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 import typer.core
 
-from gauge_envs.cli.arguments import check_spelling
+from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -18,10 +23,22 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.output import EXIT_USAGE, echo, message
+from gauge_envs.cli.output import EXIT_USAGE, echo, message, quieted
+from gauge_envs.cli.spelling import check_options, checked_values
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.registry import command_lines, instruments_by
+
+OTHER_WORDS = {
+    "info": "show",
+    "describe": "show",
+    "envs": "list",
+    "eval": "run",
+    "evaluate": "run",
+    "test": "run",
+    "schema": "show COMMAND --schema, or gauge list schemas",
+}
+"""Commands by the words that other tools have for them."""
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -34,12 +51,57 @@ def load_command(name: str) -> Any:
         return _Group(name=name, help=command_lines()[name], no_args_is_help=True)
     function = instrument.function(name)
     # Rich would keep the ends of lines within a paragraph.
-    text = re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(function.__doc__ or ""))
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     below = [f"gauge {other}: {command_lines()[other]}" for other in _below(name)]
     epilog = "\n\n".join(["See also", *below]) if below else None
-    single.command(name, cls=_Command, help=text, epilog=epilog)(function)
+    command = _with_common_options(function)
+    single.command(name, cls=_Command, help=text, epilog=epilog)(command)
     return typer.main.get_command(single)
+
+
+JsonFlag = Annotated[
+    bool,
+    typer.Option(
+        "--json", rich_help_panel=arguments.OUTPUT, help="Short for --format json."
+    ),
+]
+
+QuietFlag = Annotated[
+    bool,
+    typer.Option(
+        "--quiet",
+        "-q",
+        rich_help_panel=arguments.OUTPUT,
+        help="No progress, notes and totals on stderr; errors stay.",
+    ),
+]
+
+
+def _with_common_options(function: Any) -> Any:
+    """Return a command with the options that every command has, and `--json` beside `--format`."""
+    signature = inspect.signature(function, eval_str=True)
+    common = {"quiet": QuietFlag} | (
+        {"json": JsonFlag} if "form" in signature.parameters else {}
+    )
+
+    @functools.wraps(function)
+    def command(**values: Any) -> Any:
+        # The parser has turned --json into --format json.
+        values.pop("json", None)
+        with quieted(values.pop("quiet")):
+            return function(**values)
+
+    parameters = [
+        inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=annotation
+        )
+        for name, annotation in common.items()
+    ]
+    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*signature.parameters.values(), *parameters]
+    )
+    return command
 
 
 def _below(name: str) -> list[str]:
@@ -54,21 +116,28 @@ class _Command(typer.core.TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        known = {
-            option for one in self.params for option in (*one.opts, *one.secondary_opts)
-        }
-        if "--format" in known and "--json" in args:
-            if any(word.startswith("--format") for word in args):
-                raise ParameterError("--json is --format json: give one of them")
-            args = ["--format=json" if word == "--json" else word for word in args]
-        for option in (word.partition("=")[0] for word in args):
-            if len(option) > 2 and option.startswith("--") and option not in known:
-                check_spelling(
-                    str(self.name),
-                    option,
-                    re.findall(r"\b([a-z]\w*)=", self.help or ""),
-                )
+        if not ctx.resilient_parsing:
+            check_options(self.params, args)
         return super().parse_args(ctx, args)
+
+    def make_parser(self, ctx: Any) -> Any:
+        parser: Any = super().make_parser(ctx)
+        parse = parser.parse_args
+
+        def checked(args: list[str]) -> Any:
+            values, rest, order = parse(args)
+            if not ctx.resilient_parsing:
+                values = checked_values(self.params, values, rest, order)
+                if values.get("json"):
+                    if "form" in values:
+                        raise ParameterError(
+                            "--json is --format json: give one of them"
+                        )
+                    values["form"] = "json"
+            return values, rest, order
+
+        parser.parse_args = checked
+        return parser
 
     def invoke(self, ctx: Any) -> Any:
         with reserved_stdout():
@@ -116,6 +185,10 @@ class _Group(typer.core.TyperGroup):
             name = self._full(" ".join(args[:count]))
             if name in command_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
+        if name in OTHER_WORDS:
+            raise ParameterError(
+                f"unknown command {name!r}: write gauge {OTHER_WORDS[name]}"
+            )
         raise UnknownNameError(
             "command", name, map(self._full, self.list_commands(ctx))
         )
@@ -127,14 +200,27 @@ class _Group(typer.core.TyperGroup):
 class _Root(_Group):
     """The command line, which prints errors of gauge-envs without a traceback; no other place catches them."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        first = args[0].partition("=")[0] if args else ""
+        known = {option for one in self.get_params(ctx) for option in one.opts}
+        if first.startswith("-") and first not in known and not ctx.resilient_parsing:
+            ctx.fail(f"{first} comes behind a command, as in gauge run {first}")
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:
         try:
             with command_runs():
-                return super().invoke(ctx)
-        except typer.Exit:
-            raise
+                result = super().invoke(ctx)
+        except typer.Exit as end:
+            if end.exit_code:
+                raise
+            result = None
         except BaseException as error:
             raise typer.Exit(_exit_code(error)) from None
+        # A signal that waits for the end of an import may come after the end of the command.
+        if was_interrupted():
+            raise typer.Exit(_exit_code(KeyboardInterrupt()))
+        return result
 
 
 def _exit_code(error: BaseException) -> int:
@@ -158,7 +244,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 done; 1 done, with a failure that the help of the command describes; 2 the request cannot be "
     "met; 3 done, and not all could be measured; 130 interrupted.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 
@@ -186,8 +272,22 @@ def _root(
     """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""
 
 
+def _name_glfw_library() -> None:
+    """State where the library of glfw is, which MuJoCo imports.
+
+    glfw would look for it with a program that reads paths as text: in the C locale it ends at a path beyond ASCII.
+    """
+    if sys.getfilesystemencoding() != "ascii":
+        return
+    spec = find_spec("glfw")
+    for folder in [] if spec is None else spec.submodule_search_locations or []:
+        for file in Path(folder).glob("x11/libglfw.so*"):
+            os.environ.setdefault("PYGLFW_LIBRARY", str(file))
+
+
 def main() -> None:
     """Run the `gauge` command in this process."""
+    _name_glfw_library()
     handle_interrupts()
     open_closed_streams()
     app()

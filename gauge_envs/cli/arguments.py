@@ -1,48 +1,145 @@
-"""Arguments that commands share, and how they are parsed."""
+"""Options that commands share, and how their values are read. docs/commands.md states the conventions."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from inspect import isfunction
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gauge_envs.cli.output import Format
-from gauge_envs.errors import ParameterError, UnknownNameError, first_fault, nearest
+from gauge_envs.errors import ParameterError, UnknownNameError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
+    from gauge_envs.scene.jitter import Jitter
 
-Form = Annotated[
-    Format,
-    typer.Option(
-        "--format", help="wide has all columns; --json is short for json, a line a row."
+SCENE, NUMERICS, SELECTION, OUTPUT = PANELS = (
+    "Scene",
+    "Numerics",
+    "Selection",
+    "Output",
+)
+"""Panels of the help: what is simulated, how, which part of it counts, and what is written."""
+
+ASSIGNED = "NAME=VALUE"
+"""Metavar of an option whose names are an open set."""
+
+PER_ENGINE = f"ENGINE[:{ASSIGNED},...]"
+"""Metavar of an option whose values are engines with settings."""
+
+MUJOCO = ["mujoco"]
+"""The engine of commands that take several."""
+
+
+def measured(
+    option: str,
+    unit: str,
+    text: str,
+    panel: str,
+    *,
+    least: float = 0.0,
+    is_positive: bool = False,
+    show_default: bool | str = True,
+) -> Any:
+    """Return the option of a quantity, whose value may end with its unit, as `2` or `2kg`.
+
+    Args:
+        option: Name of the option.
+        unit: Unit of the quantity, which the help shows in place of a type; empty for a number without a unit.
+        text: Line of help.
+        panel: Panel of the help.
+        least: Smallest value.
+        is_positive: Whether zero is refused.
+        show_default: Text for a default that is no number.
+    """
+
+    def value(given: str | float) -> float:
+        if isinstance(given, float):
+            return given
+        found = re.fullmatch(rf"\s*(.*?)\s*(?:{re.escape(unit)})?\s*", given, re.DOTALL)
+        number = _number(found[1] if found else given)
+        if number is None:
+            form = f" in {unit}, as 2 or 2{unit}" if unit else ", as 2"
+            raise typer.BadParameter(f"{given!r}: expected a number{form}")
+        if number < least or (is_positive and number == 0.0):
+            wanted = "a positive number" if is_positive else f"{least:g} or more"
+            raise typer.BadParameter(f"{given!r}: expected {wanted}")
+        return number
+
+    return typer.Option(
+        option,
+        metavar=unit or "number",
+        parser=value,
+        help=text,
+        rich_help_panel=panel,
+        show_default=show_default,
+    )
+
+
+def _number(text: str) -> float | None:
+    """Return the finite number of a text in decimal notation; None if it is none."""
+    is_number = re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", text)
+    number = float(text) if is_number and len(text) < 100 else math.nan
+    return number if math.isfinite(number) else None
+
+
+def _ids(incomplete: str) -> list[str]:
+    """Return the ids that complete a word in a shell."""
+    from gauge_envs.experiments.variants import beyond_variants, variants
+
+    known = (*variants(), *beyond_variants())
+    return [one.name for one in known if one.name.startswith(incomplete)]
+
+
+def _engines(incomplete: str) -> list[str]:
+    """Return the engines that complete a word in a shell."""
+    from gauge_envs.registry import engine_points
+
+    return [one.name for one in engine_points() if one.name.startswith(incomplete)]
+
+
+Ids = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="ID",
+        autocompletion=_ids,
+        help="Ids, patterns as 'SlopeSlider-*', experiment files or task files.",
     ),
 ]
 
 Sources = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[DIR or FILE]...", help="Results; results/ by default."),
+    typer.Argument(
+        metavar="PATH",
+        show_default="results",
+        help="Result files, or folders that hold some.",
+    ),
 ]
 
-Backends = Annotated[
-    list[str] | None,
-    typer.Option("--backend", help="Engine; repeatable; mujoco by default."),
-]
 
-Settings = Annotated[
+def experiment(text: str, panel: str = SCENE) -> Any:
+    """Return the option `--id`."""
+    return typer.Option("--id", metavar="ID", rich_help_panel=panel, help=text)
+
+
+# --- scene -----------------------------------------------------------------------------------------------------------
+
+Parameters = Annotated[
     list[str] | None,
     typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Setting of the engine, as timestep_s=0.0005.",
+        "--parameter",
+        "-p",
+        metavar=ASSIGNED,
+        rich_help_panel=SCENE,
+        show_default="calibrated",
+        help="Constant of the scene, as cube.friction=0.3; or the name of a set, as effective.",
     ),
 ]
 
@@ -50,39 +147,194 @@ Asset = Annotated[
     Path | None,
     typer.Option(
         "--asset",
+        rich_help_panel=SCENE,
         help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.",
     ),
 ]
 
-Parameters = Annotated[
-    str | None,
-    typer.Option(
-        help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"
-    ),
-]
-
 Use = Annotated[
-    str,
+    list[str] | None,
     typer.Option(
         "--use",
         metavar="DATA",
+        rich_help_panel=SCENE,
+        show_default="bundled",
         help="Data beyond the bundled: imported-drivers, imported-reference, imported for both; withheld bands.",
     ),
 ]
 
-Limits = Annotated[
-    str,
+JitterTexts = Annotated[
+    list[str] | None,
     typer.Option(
-        "--limits",
-        metavar="LIMITS",
-        help="Process of its own with limits, as 3600s,4GB; isolate for one without.",
+        "--jitter",
+        metavar="mm,deg",
+        rich_help_panel=SCENE,
+        show_default="off; real with repeats",
+        help="Standard deviations of the start, as 1mm,0.5deg, where one that is not given is 0; real, as manual "
+        "set-ups scatter; or off.",
     ),
 ]
 
+# --- numerics --------------------------------------------------------------------------------------------------------
+
+
+def backend(
+    text: str, panel: str = NUMERICS, *, show_default: bool | str = True
+) -> Any:
+    """Return the option `--backend`."""
+    return typer.Option(
+        "--backend",
+        "-b",
+        autocompletion=_engines,
+        rich_help_panel=panel,
+        show_default=show_default,
+        help=text,
+    )
+
+
+Backends = Annotated[list[str], backend("Engines.")]
+
+Backend = Annotated[str, backend("Engine.")]
+
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar=ASSIGNED,
+        rich_help_panel=NUMERICS,
+        show_default="those of the engine",
+        help="Setting of the engine, as timestep_s=0.0005 or timestep_s=1/1800.",
+    ),
+]
+
+Seed = Annotated[
+    int,
+    typer.Option(
+        "--seed", "-s", min=0, rich_help_panel=NUMERICS, help="Seed of the first start."
+    ),
+]
+
+Repeats = Annotated[
+    int,
+    typer.Option(
+        "--repeats",
+        min=1,
+        rich_help_panel=NUMERICS,
+        help="Episodes, with a seed more each, from starts that scatter.",
+    ),
+]
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        "-j",
+        min=1,
+        rich_help_panel=NUMERICS,
+        show_default="all processors",
+        help="Processes at once.",
+    ),
+]
+
+
+def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
+    """Return the option `--timeout`; zero is refused where it means that nothing can end."""
+    return measured(
+        "--timeout",
+        "s",
+        text,
+        NUMERICS,
+        is_positive=is_positive,
+        show_default=show_default,
+    )
+
+
+Timeout = Annotated[
+    float | None,
+    timeout("Time of an experiment, in a process of its own.", "3600 in such a one"),
+]
+
+Memory = Annotated[
+    float | None,
+    measured(
+        "--memory",
+        "GB",
+        "Memory of a process of its own.",
+        NUMERICS,
+        is_positive=True,
+        show_default="no limit",
+    ),
+]
+
+Isolate = Annotated[
+    bool,
+    typer.Option(
+        "--isolate",
+        rich_help_panel=NUMERICS,
+        help="Use a process of its own, as --timeout and --memory do.",
+    ),
+]
+
+# --- selection -------------------------------------------------------------------------------------------------------
+
 Only = Annotated[
     list[str] | None,
-    typer.Option("--only", metavar="ID", help="Ids or patterns; repeatable."),
+    typer.Option(
+        "--only",
+        metavar="ID",
+        rich_help_panel=SELECTION,
+        show_default="all",
+        help="Ids or patterns.",
+    ),
 ]
+
+Corrected = Annotated[
+    bool,
+    typer.Option(
+        "--corrected/--no-corrected",
+        rich_help_panel=SELECTION,
+        help="Whether engines count whose physics this package corrects.",
+    ),
+]
+
+Order = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--order",
+        metavar="PART",
+        rich_help_panel=SELECTION,
+        show_default="release,offset,rate",
+        help="Parts of the error in the order in which they are added to the fit.",
+    ),
+]
+
+MeasuredOnly = Annotated[
+    bool,
+    typer.Option(
+        "--measured-only",
+        rich_help_panel=SELECTION,
+        help="Leave out extrapolated frames.",
+    ),
+]
+
+# --- output ----------------------------------------------------------------------------------------------------------
+
+Form = Annotated[
+    Format,
+    typer.Option(
+        "--format",
+        rich_help_panel=OUTPUT,
+        help="Format on stdout; wide has all columns, json a line a row.",
+    ),
+]
+
+
+def target(text: str, *, show_default: bool | str = True) -> Any:
+    """Return the option `--out`: a folder or a file, or several files of different suffixes."""
+    return typer.Option(
+        "--out", "-o", rich_help_panel=OUTPUT, help=text, show_default=show_default
+    )
+
 
 USES = {
     "imported": ("drivers", "reference"),
@@ -92,8 +344,8 @@ USES = {
 }
 """Keyword arguments that the words of `--use` change."""
 
-DETAIL = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
-"""A detail of a command, NAME=VALUE. A file of such a name is written as ./NAME=VALUE."""
+
+# --- values ----------------------------------------------------------------------------------------------------------
 
 
 def split_list(text: str) -> list[str]:
@@ -108,45 +360,89 @@ def split_list(text: str) -> list[str]:
     return parts
 
 
-def _assigned(text: str) -> tuple[str, Any]:
-    key, equals, value = (part.strip() for part in text.partition("="))
-    if not (key and equals and value):
-        raise ParameterError(f"{text!r}: expected NAME=VALUE")
-    return key, json_or_text(value)
+def split_values(text: str, metavar: str = "") -> list[str]:
+    """Return the values of a list, which commas separate.
+
+    Args:
+        text: Values with commas. A value NAME=VALUE may have commas too, as may settings behind an engine.
+        metavar: That of the option.
+    """
+    values: list[str] = []
+    for part in map(str.strip, split_list(text)):
+        if metavar == PER_ENGINE:
+            goes_on = "=" in part and ":" not in part
+        else:
+            goes_on = metavar == ASSIGNED and "=" not in part and "=" in text
+        if goes_on and part and values:
+            values[-1] += f",{part}"
+        else:
+            values.append(part)
+    return values
 
 
-def json_or_text(value: str) -> Any:
-    """Return the value of a JSON text, or the text itself if it is none."""
+def assigned(option: str, texts: Sequence[str]) -> dict[str, str]:
+    """Return the values of `NAME=VALUE` by their names, each once.
+
+    Args:
+        option: Name of the option, for messages.
+        texts: The texts.
+    """
+    found: dict[str, str] = {}
+    for text in texts:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not (name and equals and value):
+            raise ParameterError(f"{option} {text!r}: expected {ASSIGNED}")
+        if name in found:
+            raise ParameterError(
+                f"{option}: {name} is given twice, {found[name]} and {value}"
+            )
+        found[name] = value
+    return found
+
+
+def value_of(text: str) -> Any:
+    """Return the value of a JSON text or of a fraction, or the text itself if it is neither."""
+    fraction = [_number(part) for part in text.split("/")]
+    if len(fraction) == 2 and fraction[0] is not None and fraction[1]:
+        return fraction[0] / fraction[1]
     try:
-        return json.loads(value)
+        return json.loads(text)
     except (ValueError, RecursionError):
-        return value
-
-
-def parsed_parameters(text: str | None) -> str | dict[str, Any] | None:
-    """Return the name of a parameter set, or overrides such as `cube.friction=0.3,cube.mass_kg=0.1` as a dictionary."""
-    if text is None or "=" not in text:
         return text
-    return dict(_assigned(part) for part in split_list(text))
+
+
+def parsed_parameters(texts: Sequence[str] | None) -> str | dict[str, Any] | None:
+    """Return the name of a parameter set, or overrides such as `cube.friction=0.3` as a dictionary."""
+    if not texts:
+        return None
+    if len(texts) == 1 and "=" not in texts[0]:
+        return texts[0]
+    if not all("=" in text for text in texts):
+        raise ParameterError(
+            f"--parameter {','.join(texts)}: expected {ASSIGNED}, or the name of one set alone"
+        )
+    changes = assigned("--parameter", texts)
+    return {name: value_of(value) for name, value in changes.items()}
 
 
 def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
     """Return settings such as `timestep_s=0.0005` as a dictionary; None for no settings."""
-    return dict(map(_assigned, changes or ())) or None
+    found = assigned("--set", changes or ())
+    return {name: value_of(value) for name, value in found.items()} or None
 
 
-def parsed_use(text: str, *names: str) -> dict[str, Any]:
+def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
     """Return those of the keyword arguments `drivers`, `reference` and `use_withheld` that a command has.
 
     Args:
-        text: Words of `--use` with commas, as `imported,withheld`.
+        words: Words of `--use`, as `imported` and `withheld`.
         names: The keyword arguments.
     """
     from gauge_envs.references.user_data import DataSource
 
     known = [word for word, changed in USES.items() if set(changed) & set(names)]
     used: set[str] = set()
-    for word in filter(None, map(str.strip, text.split(","))):
+    for word in words or ():
         if word not in known:
             raise UnknownNameError("word of --use", word, known)
         used.update(USES[word])
@@ -159,111 +455,29 @@ def parsed_use(text: str, *names: str) -> dict[str, Any]:
     )
 
 
-def parsed_limits(text: str) -> tuple[bool, float | None, float | None]:
-    """Return whether there is a process of its own, its limit of time [s] and of memory [GB], of `3600s,4GB`."""
-    values = quantities(
-        "--limits",
-        ",".join(word for word in text.split(",") if word != "isolate"),
-        s=3600.0,
-        GB=4.0,
-    )
-    return bool(text), values.get("s"), values.get("GB")
+def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:
+    """Return the scatter of `--jitter`: `1mm` and `0.5deg`, `real`, or `off`; None where nothing is given."""
+    from gauge_envs.scene.jitter import Jitter
 
-
-def parsed_jitter(text: str) -> dict[str, float]:
-    """Return the standard deviations that `jitter` states, as `1mm,0.5deg`, by the names of `gauge_envs.Jitter`."""
-    values = quantities("jitter", text, mm=1.0, deg=0.5)
-    position = {"position_m": 1e-3 * values["mm"]} if "mm" in values else {}
-    return position | (
-        {"angle_rad": math.radians(values["deg"])} if "deg" in values else {}
-    )
-
-
-def quantities(name: str, text: str, **units: float) -> dict[str, float]:
-    """Return the numbers of a text such as `3600s,4GB` by their units.
-
-    Args:
-        name: What the text is of, for messages.
-        text: Numbers with units and commas.
-        units: An example for each unit.
-    """
-    values = {}
-    for part in filter(None, text.split(",")):
-        found = re.fullmatch(
-            r"((?:\d+|\d*\.\d+)(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip()
-        )
-        if found is None or found[2] not in units:
-            example = ",".join(f"{value:g}{unit}" for unit, value in units.items())
+    if not texts:
+        return None
+    if list(texts) == ["real"]:
+        return Jitter()
+    scales = {"mm": ("position_m", 1.0e-3), "deg": ("angle_rad", math.radians(1.0))}
+    found = {"position_m": 0.0, "angle_rad": 0.0}
+    seen = set()
+    for part in [] if list(texts) == ["off"] else texts:
+        value = re.fullmatch(r"\s*(\S+?)\s*(mm|deg)\s*", part)
+        number = None if value is None else _number(value[1])
+        if value is None or number is None or number < 0.0 or value[2] in seen:
             raise ParameterError(
-                f"{name} {text!r}: expected numbers with units, as {example}"
+                f"--jitter {','.join(texts)}: expected numbers in mm and in degrees of 0 or more, each once, as "
+                "1mm,0.5deg; or real; or off"
             )
-        values[found[2]] = float(found[1])
-    return values
-
-
-def split_details(
-    words: Sequence[str] | None, **known: Any
-) -> tuple[list[str], dict[str, Any]]:
-    """Return the words of a command that are no details, and its details by name.
-
-    Args:
-        words: Arguments of the command.
-        known: The type of each detail, as pydantic checks it; or a function that returns its value from a text.
-    """
-    from pydantic import TypeAdapter, ValidationError
-
-    others, values = [], {}
-    for word in words or ():
-        found = DETAIL.fullmatch(word)
-        if found is None:
-            others.append(word)
-            continue
-        name, text = found.groups()
-        if name not in known:
-            raise ParameterError(
-                f"unknown detail {name!r}; {nearest(name, known)}; other values have options: --help"
-            )
-        convert = (
-            known[name]
-            if isfunction(known[name])
-            else TypeAdapter(known[name]).validate_python
-        )
-        try:
-            values[name] = convert(text)
-        except ValidationError as error:
-            raise ParameterError(f"{name}: {first_fault(error)[1]}") from None
-    return others, values
-
-
-def check_spelling(command: str, option: str, details: Iterable[str]) -> None:
-    """Raise an error that states the detail which an option is meant for: `--hold-s 1` is `hold_s=1`.
-
-    Args:
-        command: Name of the command.
-        option: An option that it does not have.
-        details: Names of its details, NAME=VALUE.
-    """
-    plain = option.removeprefix("--").replace("-", "_")
-    similar = [
-        name
-        for name in details
-        if name.startswith(plain) or plain.startswith(f"{name}_")
-    ]
-    if similar:
-        nearest = min(similar, key=lambda name: abs(len(name) - len(plain)))
-        raise ParameterError(
-            f"`gauge {command} {option}` is `gauge {command} {nearest}=...`"
-        )
-
-
-def split_subject(words: Sequence[str], **known: Any) -> tuple[str, dict[str, Any]]:
-    """Return the one word of a command that is no detail, and its details by name."""
-    others, values = split_details(words, **known)
-    if len(others) != 1:
-        raise ParameterError(
-            f"{' and '.join(others) or 'nothing'}: expected one name beside NAME=VALUE"
-        )
-    return others[0], values
+        seen.add(value[2])
+        name, scale = scales[value[2]]
+        found[name] = scale * number
+    return Jitter(**found)
 
 
 def matching(

@@ -9,7 +9,8 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -28,7 +29,7 @@ from rich.control import Control
 from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
-from gauge_envs.files import printable
+from gauge_envs.files import json_ready, printable
 
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Shown
@@ -110,8 +111,27 @@ def plain_text(text: str) -> str:
     return escape(text)
 
 
+_quiet = [False]
+"""Whether each command that runs is quiet, the innermost last."""
+
+
+@contextmanager
+def quieted(is_quiet: bool) -> Iterator[None]:
+    """Print neither progress nor notes and totals while a command runs, if it is quiet."""
+    _quiet.append(is_quiet)
+    try:
+        yield
+    finally:
+        _quiet.pop()
+
+
 def message(text: object, label: str = "") -> None:
-    """Print a sentence on stderr, behind a label such as `note`, which is yellow, or `error`, which is red."""
+    """Print a sentence on stderr, behind a label such as `note`, which is yellow, or `error`, which is red.
+
+    A quiet command prints only what has another label than `note`.
+    """
+    if _quiet[-1] and label in ("", "note"):
+        return
     color = "red" if label in ("error", "stale") else "yellow"
     start = f"[{color}]{label}:[/] " if label else ""
     stderr_console().print(f"{start}{plain_text(str(text))}", soft_wrap=True)
@@ -157,7 +177,10 @@ class Progress:
         )
         self._is_terminal = console.is_terminal
         self._bar = Progress(
-            *columns, console=console, transient=True, disable=not self._is_terminal
+            *columns,
+            console=console,
+            transient=True,
+            disable=_quiet[-1] or not self._is_terminal,
         )
         self._task = self._bar.add_task(noun, total=total, completed=done)
         self._total, self._first, self._done = total, done, done
@@ -279,5 +302,5 @@ def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return rows as JSON, one object a line."""
-    return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)
+    """Return rows as JSON, one object a line; null stands for NaN and infinity, which JSON lacks."""
+    return "".join(f"{json.dumps(json_ready(row), allow_nan=False)}\n" for row in rows)

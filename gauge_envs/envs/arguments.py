@@ -2,10 +2,10 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from enum import Enum
 from os import PathLike, fspath
-from typing import Any, TypedDict
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 from gymnasium import spaces
@@ -19,15 +19,15 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
     chosen,
+    nearest,
 )
-from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
+from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -152,12 +152,28 @@ def _plain(name: str, value: Any) -> Any:
         return value.value
     if isinstance(value, PathLike):
         return fspath(value)
+    if isinstance(value, Jitter):
+        return asdict(value)
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise ParameterError(
         f"argument {name} = {value!r} cannot be stored in the spec of an environment. "
         "Give numbers, text, paths, or lists and mappings of them."
     )
+
+
+def check_episode_steps(asked: int | None, steps: int) -> None:
+    """Raise an error if worlds that step together are to end after other steps than their episode has.
+
+    Args:
+        asked: `max_episode_steps` of `gymnasium.make_vec`; None for those of the episode.
+        steps: Steps of the episode.
+    """
+    if asked not in (None, steps):
+        raise ParameterError(
+            f"max_episode_steps is {asked!r}, and the episode has {steps} steps: worlds that step together end with "
+            "it; vectorization_mode='sync' cuts episodes, which then have no score"
+        )
 
 
 NO_RATES = np.zeros(0)
@@ -204,8 +220,105 @@ class TrialStart:
         return {"trial": self.trial}
 
 
-def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
-    """Return the start that the options of a reset ask for, or None for the calibrated start."""
+REAL = "real"
+"""Scatter of starts as real hands place bodies: the recorded starts of single-shot trials, elsewhere `Jitter()`."""
+
+Scatter = Jitter | bool | str | Mapping[str, float] | None
+"""Scatter of starts: `real`, True or a `Jitter`, or its fields as a mapping; None or False for none."""
+
+SEEDS = 2**31
+"""Number of seeds that an environment draws from."""
+
+
+def checked_scatter(
+    experiment: Experiment, value: Any, name: str = "jitter"
+) -> Jitter | Literal["real"] | None:
+    """Return a scatter of starts that an experiment can have; `real` only for recorded starts.
+
+    Args:
+        experiment: The experiment.
+        value: A `Scatter`.
+        name: Name of the argument, for messages.
+    """
+    if value is None or value is False:
+        return None
+    if value == REAL and shots_of(experiment) is not None:
+        return "real"
+    if value is True or value == REAL:
+        value = Jitter()
+    if isinstance(value, Mapping):
+        known = [one.name for one in fields(Jitter)]
+        unknown = [key for key in value if key not in known]
+        if unknown:
+            raise ParameterError(f"{name} {unknown[0]!r}: {nearest(unknown[0], known)}")
+        value = Jitter(**value)
+    if not isinstance(value, Jitter):
+        raise ParameterError(
+            f"{name} is {value!r}, expected 'real', True, False or a gauge_envs.Jitter"
+        )
+    jittered(experiment.scene, value, seed=0)
+    return value
+
+
+class Starts:
+    """How the episodes of an environment start: their scatter, and the seeds that draw it.
+
+    The options of a reset hold for the next ones, which an autoreset calls without any, until a reset has a seed or
+    options of its own.
+
+    Args:
+        experiment: The experiment, without scatter.
+        scatter: Scatter of every start without an option.
+    """
+
+    def __init__(self, experiment: Experiment, scatter: Scatter) -> None:
+        self._experiment = experiment
+        self._scatter = checked_scatter(experiment, scatter)
+        self._options: Mapping[str, Any] = {}
+
+    def of_reset(
+        self, options: Mapping[str, Any] | None, *, seeded: bool
+    ) -> Jitter | TrialStart | Literal["real"] | None:
+        """Return what draws the start of the next episode; None for the start of the scene.
+
+        Args:
+            options: Options of the reset.
+            seeded: Whether it has a seed.
+        """
+        if options is not None or seeded:
+            self._options = dict(options or {})
+        return jitter_option(self._experiment, self._options, self._scatter)
+
+
+def drawn_seed(
+    seed: int | None,
+    scatter: Jitter | TrialStart | Literal["real"] | None,
+    random: np.random.Generator,
+) -> int:
+    """Return the seed of an episode: the given one; without one a random one where the start scatters, and 0 elsewhere.
+
+    Args:
+        seed: Seed of the reset.
+        scatter: What draws the start.
+        random: Random numbers of the environment, which the last seed started.
+    """
+    if seed is not None:
+        return int(seed)
+    if scatter is None or isinstance(scatter, TrialStart):
+        return 0
+    return int(random.integers(SEEDS))
+
+
+def jitter_option(
+    experiment: Experiment, options: Mapping[str, Any], scatter: Any = None
+) -> Jitter | TrialStart | Literal["real"] | None:
+    """Return the start that the options of a reset ask for, or None for the calibrated start.
+
+    Args:
+        experiment: The experiment.
+        options: The options.
+        scatter: Scatter without an option.
+    """
     unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
     if unknown:
         raise ParameterError(
@@ -222,14 +335,9 @@ def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
                 "options 'jitter' and 'trial' both state a start: give one of them"
             )
         return TrialStart(int(trial))
-    value = options.get("jitter", False)
-    if isinstance(value, bool):
-        return Jitter() if value else None
-    if not isinstance(value, Jitter):
-        raise ParameterError(
-            f"option 'jitter' is {value!r}, expected True, False or a gauge_envs.Jitter"
-        )
-    return value
+    if "jitter" not in options:
+        return scatter
+    return checked_scatter(experiment, options["jitter"], "option 'jitter'")
 
 
 def jittered_experiment(
@@ -264,18 +372,22 @@ def jittered_experiment(
 
 
 def start_of(
-    experiment: Experiment, jitter: Jitter | TrialStart | None, *, seed: int
+    experiment: Experiment,
+    jitter: Jitter | TrialStart | Literal["real"] | None,
+    *,
+    seed: int,
 ) -> Jitter | TrialStart | None:
     """Return the start of an episode: what was asked for, else for single-shot trials the one that the seed selects.
 
     Args:
         experiment: The experiment.
-        jitter: Standard deviations or trial that were asked for, or None.
+        jitter: Standard deviations or trial that were asked for; None, or `real` for a recorded start.
         seed: Seed of the episode; modulo their number it counts the trials that repeat no other one.
     """
     shots = shots_of(experiment)
-    if jitter is not None or shots is None:
-        return jitter
+    if isinstance(jitter, Jitter | TrialStart) or shots is None:
+        assert jitter != REAL, "only single-shot trials have recorded starts"
+        return None if isinstance(jitter, str) else jitter
     trials = shots.trials()
     return TrialStart(trials[seed % len(trials)])
 
@@ -328,7 +440,6 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
     """
     if experiment.id in _warned:
         return
-    band = reward_band(experiment, band)
     if band is None:
         message = _no_reward_message(experiment)
     else:
@@ -338,12 +449,7 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
             f"{experiment.id}: its reference of grade {band.grade} ends at {last / FRAME_RATE_HZ:.2f} of "
             f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
         )
-        if band.grade is BandGrade.END:
-            message = (
-                f"{experiment.id}: engines disagree on its motion. "
-                "Only the last frame is rewarded, nothing is scored."
-            )
-        elif last >= experiment.frame_count - 1:
+        if last >= experiment.frame_count - 1:
             return
     warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
     _warned.add(experiment.id)

@@ -20,7 +20,12 @@ from gauge_envs.backends.base import Backend, Recording, Simulation, Worlds, wor
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
-from gauge_envs.envs.episode import Episode, Observation, reward_terms
+from gauge_envs.envs.episode import (
+    Episode,
+    Observation,
+    bounded_reward,
+    reward_terms,
+)
 from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
 from gauge_envs.evaluation.worlds import host_array, score_recording
 from gauge_envs.experiments.experiment import Experiment
@@ -73,12 +78,15 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._markers_m = np.full(
             (frame_count, count, *first.observer.markers_m.shape), np.nan
         )
+        self._holders = first.holders
+        self._wrenches = np.full((frame_count, count, len(self._holders), 6), np.nan)
         self._driver_states = np.full((count, len(self._driven), 13), np.nan)
         for number, episode in enumerate(episodes):
             episode.record_in(
                 self._samples[:, number],
                 self._bodies[:, number],
                 self._markers_m[:, number],
+                self._wrenches[:, number],
             )
         self._every = np.arange(count)
         self._no_rates = np.zeros(
@@ -86,13 +94,12 @@ class EpisodesAtOnce(EpisodesOneByOne):
         )
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
-        bands = {id(episode.reward_band): episode.reward_band for episode in episodes}
+        bands = {id(episode.band): episode.band for episode in episodes}
         self._rewards = []
         for key, band in bands.items():
-            has_band = np.array(
-                [id(episode.reward_band) == key for episode in episodes]
-            )
-            self._rewards.append((_BatchReward(band), has_band))
+            has_band = np.array([id(episode.band) == key for episode in episodes])
+            is_bounded = episodes[0].is_reward_bounded
+            self._rewards.append((_BatchReward(band, is_bounded), has_band))
         self._frame = 0
         self._faults: dict[int, str] = {}
         self._diverged = np.zeros(count, dtype=np.bool_)
@@ -172,12 +179,13 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def _simulated(
         self, running: Numbers, frame: int, rates: FloatArray
     ) -> tuple[FloatArray, dict[int, str]]:
-        """Drive and advance all worlds from a frame to the next, and record g(t) of some.
+        """Drive and advance all worlds from a frame to the next, and record g(t) and wrenches of some.
 
         Returns:
             States of the dynamic bodies then, shape [world_count, body_count, 13], and the reason for each of those
             worlds that has diverged.
         """
+        wrenches = np.zeros(self._wrenches.shape[1:])
         for sample in range(frame * SAMPLES_PER_FRAME, (frame + 1) * SAMPLES_PER_FRAME):
             first = 0
             for driver in self._drivers:
@@ -200,6 +208,11 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 self._samples[sample + 1] = g
             else:
                 self._samples[sample + 1, running] = g[running]
+            for number in running.tolist() if self._holders else ():
+                now = self.worlds.worlds[number].grip_wrenches(self._holders)
+                wrenches[number] += np.nan if now is None else now / SAMPLES_PER_FRAME
+        if frame + 1 < len(self._wrenches):
+            self._wrenches[frame + 1, running] = wrenches[running]
         states = self.worlds.body_states(self._dynamic)
         suspects = self._bounds.suspects(states)
         for bounds in self._deformable_bounds:
@@ -389,13 +402,15 @@ class _BatchReward:
 
     Args:
         band: The band, or None.
+        is_bounded: Whether rewards are bounded.
 
     Attributes:
         has_points: Whether the positions of markers are compared in place of g(t).
     """
 
-    def __init__(self, band: Band | None) -> None:
-        self._terms = reward_terms(band)
+    def __init__(self, band: Band | None, is_bounded: bool) -> None:
+        self._is_bounded = is_bounded
+        self._terms = reward_terms(band, is_bounded=is_bounded)
         self.has_points = band is not None and band.points is not None
         projection = None if self._terms is None else self._terms[0]
         # A product with the identity changes no bit of what is finite.
@@ -413,7 +428,9 @@ class _BatchReward:
             # A stack of matrix-vector products gives the bits of a single one; one matrix product would not.
             g = np.matmul(self._projection, g[:, :, None])[:, :, 0]
         deviations = np.abs(g - mean[frame])
-        return -np.matmul(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
+        distances = np.matmul(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
+        rewards = bounded_reward(distances) if self._is_bounded else -distances
+        return np.asarray(rewards)
 
 
 class RecordedEpisodes:

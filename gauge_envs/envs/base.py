@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
 from gauge_envs.envs.arguments import check_support, plain_spec
-from gauge_envs.envs.pictures import RENDER_MODES, Pictures
+from gauge_envs.envs.pictures import (
+    RENDER_MODES,
+    WORLDS_RENDER_MODES,
+    Pictures,
+    Rendered,
+)
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -40,7 +45,7 @@ class EngineEnvironment:
         experiment: The experiment, without jitter.
         backend_name: Name of the engine.
         versions: Versions of the engine's packages.
-        render_mode: None or `rgb_array`.
+        render_mode: None or one of `metadata["render_modes"]`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -170,10 +175,16 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         if not self._is_closed:
             self._is_closed = True
             self._free()
+            self._pictures.close()
 
     def _free(self) -> None:
-        self._pictures.close()
+        self._pictures.free()
         self.simulation.close()
+
+    def _show(self) -> None:
+        """Draw what a reset or a step has reached, in the window if there is one."""
+        if self.render_mode == "human":
+            self.render()
 
 
 class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]):
@@ -181,6 +192,7 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
         **EngineEnvironment.metadata,
+        "render_modes": [*WORLDS_RENDER_MODES],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -208,15 +220,15 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
             )
         return list(seed)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of each world in the form of the render mode, or None without one."""
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
         return tuple(self._picture(number) for number in range(self.num_envs))
 
     @abstractmethod
-    def _picture(self, number: int) -> NDArray[np.uint8]:
+    def _picture(self, number: int) -> Rendered | None:
         """Return the picture of a world."""
 
     def close_extras(self, **_: Any) -> None:

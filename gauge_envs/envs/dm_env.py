@@ -18,14 +18,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.errors import MissingExtraError, UnknownNameError
+from gauge_envs.errors import UnknownNameError, needs_extra
 from gauge_envs.evaluation.score import Score
 
-try:
+with needs_extra("gauge_envs.envs.dm_env", "dm"):
     import dm_env
     from dm_env import specs
-except ImportError as error:
-    raise MissingExtraError("gauge_envs.envs.dm_env", "dm", error) from error
 
 
 SCORED = "gauge_envs.envs.wrappers:scored_env"

@@ -3,20 +3,19 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar, Unpack
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gauge_envs.envs.arguments import (
     EnvArguments,
     EnvKeywords,
+    Scatter,
+    Starts,
     TrialStart,
-    jitter_option,
+    drawn_seed,
     jittered_experiment,
     start_of,
 )
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
-from gauge_envs.envs.pictures import Pictures, episode_picture
+from gauge_envs.envs.pictures import Pictures, Rendered, episode_picture
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
@@ -43,8 +42,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     added to the recorded one; the task file states its scale, `residual_rate_*`. Zero replays the recorded motion.
     Without driven bodies the action is `Discrete(1)`.
 
-    Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame, of the marker positions where the
-    band has `points`; 0 without a reference.
+    Reward: minus the mean z over band coordinates of |g - mean| / sigma at the frame, of the marker positions where the
+    band has `points`; 0 without a reference. With deformable bodies it is -z / (1 + z), with a tenth of the motion in
+    place of a smaller sigma.
 
     `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled` or
     `imported`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
@@ -55,12 +55,17 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
-        render_mode: None or `rgb_array`.
+        render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
+            `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+            `elevation_deg`.
         render_overlay: Whether pictures also show the tracked points, their paths so far, and the places of the
             reference, as far as g(t) is of positions. Off by default: a policy that learns from pictures must not see
             the reference, and pictures of different references stay comparable.
+        jitter: Scatter of the start of every episode. `real` draws starts as real hands scatter: recorded ones where
+            the trials have a start each, elsewhere by the default `Jitter`. Or a `Jitter`, or its fields as a mapping.
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
             `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
             `reference="bundled"`, `use_withheld=False`, `asset=None`.
@@ -98,11 +103,17 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
+        jitter: Scatter = None,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
         pictures = Pictures(
-            render_mode, width=width, height=height, has_overlay=render_overlay
+            render_mode,
+            width=width,
+            height=height,
+            camera=camera,
+            has_overlay=render_overlay,
         )
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
@@ -113,6 +124,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             settings=self.arguments.settings,
         )
         self.band = self.arguments.band(experiment)
+        self._starts = Starts(experiment, jitter)
         self.seed_used: int | None = None
         self.jitter: Jitter | TrialStart | None = None
         self._build(experiment)
@@ -142,13 +154,14 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """Start a new episode from the motion-capture initial state.
 
         Args:
-            seed: Seed of the engine and of the jitter.
-            options: `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
-                scatter; a `Jitter` states other standard deviations. `{"trial": 3}` starts from the positions and
-                velocities of imported trial 3, see `gauge_envs.envs.trial_start.trial_scene`, or replays a bundled
-                one with its own driven path, which then scores it. The scene is built anew, which takes as long as
-                making the environment. An experiment with single-shot trials starts from
-                one of them without an option too: from trial `seed` modulo their number.
+            seed: Seed of the engine and of the jitter, and of the random numbers that seed later resets without one.
+            options: They hold for the next resets too, which an autoreset calls without any, until a reset has a seed
+                or options. `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real
+                trial scatter; a `Jitter` states other standard deviations, and False takes the argument `jitter` back.
+                `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
+                `gauge_envs.envs.trial_start.trial_scene`, or replays a bundled one with its own driven path, which then
+                scores it. The scene is built anew, which takes as long as making the environment. An experiment with
+                single-shot trials starts from one of them without an option too: from trial `seed` modulo their number.
 
         Raises:
             EpisodeError: The environment is closed.
@@ -157,10 +170,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         self._check_open("reset")
         super().reset(seed=seed)
-        self.seed_used = 0 if seed is None else seed
-        jitter = start_of(
-            self.experiment, jitter_option(options or {}), seed=self.seed_used
-        )
+        scatter = self._starts.of_reset(options, seeded=seed is not None)
+        self.seed_used = drawn_seed(seed, scatter, self.np_random)
+        jitter = start_of(self.experiment, scatter, seed=self.seed_used)
         if jitter is not None or self.jitter is not None:
             experiment = jittered_experiment(
                 self.experiment, jitter, seed=self.seed_used, backend=self.backend_name
@@ -173,6 +185,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         self.jitter = jitter
         self.simulation.reset(self.seed_used)
         self.episode.begin()
+        self._show()
         return self.episode.observation(), self.episode.info()
 
     def step(
@@ -189,6 +202,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         episode.advance(episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
+        self._show()
         return (
             episode.observation(),
             episode.reward(),
@@ -223,8 +237,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         return self.episode.deformation() if self.episode.is_over else None
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`.
+    def render(self) -> Rendered | None:
+        """Return a picture of the scene in the form of the render mode; None without one, and with a window.
 
         Raises:
             RenderError: The machine has no OpenGL library.

@@ -16,10 +16,11 @@ from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.envs.reach import Reach
 from gauge_envs.errors import EpisodeError
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.evaluation.reference import reward_band
+from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -56,6 +57,8 @@ class Trajectory:
             markers are recorded.
         markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
             bodies are recorded.
+        wrenches: Wrenches of the scene's `holders` in the mean over the six samples of each frame, NaN at frame 0,
+            shape [frame_count, holder_count, 6]; `holder_count` is 0 where no reference compares them.
         later_times_s: Times of samples after the last frame [s], for the release alignment; shape [later_count], empty
             before the score is read and where nothing is aligned.
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
@@ -66,6 +69,7 @@ class Trajectory:
     frames: FloatArray
     bodies: FloatArray
     markers_m: FloatArray
+    wrenches: FloatArray
     later_times_s: FloatArray
     later_samples: FloatArray
 
@@ -90,8 +94,7 @@ class Episode:
 
     Attributes:
         experiment: The experiment.
-        band: Band that scores are relative to, or None.
-        reward_band: Band that rewards are relative to, or None: they are 0.
+        band: Band that scores and rewards are relative to, or None: rewards are 0.
         marker_proxy: Marker proxy of deformable bodies.
         frame: Number of the current frame; None before `begin`.
         fault: Why the simulation counts as diverged, or None.
@@ -100,6 +103,7 @@ class Episode:
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
         deformable_bounds: Bounds of each deformable body.
         observer: Observer of g(t).
+        holders: Bodies whose wrenches on cloth and foam are recorded; none without solved loads.
     """
 
     def __init__(
@@ -137,11 +141,9 @@ class Episode:
         self._recorded_rows = (
             slice(None) if rows == list(range(len(self._dynamic))) else rows
         )
-        self.reward_band = reward_band(experiment, band)
-        self._reward_terms = reward_terms(self.reward_band)
-        self._rewards_points = (
-            self.reward_band is not None and self.reward_band.points is not None
-        )
+        self.is_reward_bounded = is_reward_bounded(experiment)
+        self._reward_terms = reward_terms(band, is_bounded=self.is_reward_bounded)
+        self._rewards_points = band is not None and band.points is not None
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
         self.deformable_bounds = [
@@ -155,12 +157,9 @@ class Episode:
         else:
             self.observer = ObserverMarkers(scene, observable, world, marker_proxy)
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
-        reward_grade = (
-            self._grade if self.reward_band is None else self.reward_band.grade.value
-        )
         # What `info` states of every frame.
         self._origin: dict[str, Any] = {
-            "reference": reward_grade,
+            "reference": self._grade,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
         }
@@ -173,6 +172,8 @@ class Episode:
         self._samples = np.full((sample_count, self.observer.width), np.nan)
         self._bodies = np.full((frame_count, len(experiment.recorded), 13), np.nan)
         self._markers_m = np.full((frame_count, *self.observer.markers_m.shape), np.nan)
+        self.holders = scene.holders if reference_loads(experiment, band) else ()
+        self._wrenches = np.full((frame_count, len(self.holders), 6), np.nan)
         self.action_space = action_space_of(experiment)
         self.observation_space = observation_space_of(experiment)
 
@@ -229,11 +230,13 @@ class Episode:
         first = self._simulated_frame * SAMPLES_PER_FRAME
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
         simulation = world if isinstance(world, Simulation) else None
-        if simulation is not None and self._drivers.is_passive and after_sample is None:
+        is_watched = after_sample is not None or bool(self.holders)
+        if simulation is not None and self._drivers.is_passive and not is_watched:
             rows[:] = self.observer.sample(
                 simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S
             )
             return
+        wrenches = np.zeros(self._wrenches.shape[1:])
         for sample, row in enumerate(rows):
             self._drivers.drive(world, first + sample, rates)
             if simulation is not None:
@@ -241,8 +244,13 @@ class Episode:
             else:
                 yield
                 row[:] = self.observer.now(world)
+            if self.holders:
+                now = world.grip_wrenches(self.holders)
+                wrenches += np.nan if now is None else now / SAMPLES_PER_FRAME
             if after_sample is not None:
                 after_sample(sample)
+        if self._simulated_frame + 1 < len(self._wrenches):
+            self._wrenches[self._simulated_frame + 1] = wrenches
 
     def advance(
         self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None
@@ -344,7 +352,11 @@ class Episode:
             record[:] = kept
 
     def record_in(
-        self, samples: FloatArray, bodies: FloatArray, markers_m: FloatArray
+        self,
+        samples: FloatArray,
+        bodies: FloatArray,
+        markers_m: FloatArray,
+        wrenches: FloatArray,
     ) -> None:
         """Record in arrays of the caller from now on, which may be parts of those of many worlds.
 
@@ -352,13 +364,12 @@ class Episode:
             samples: Place of g(t) at the samples, of the shape of `sample_shape`.
             bodies: Place of the states of the recorded bodies at the frames, shape [frame_count, body_count, 13].
             markers_m: Place of the markers at the frames [m], shape [frame_count, marker_count, 3].
+            wrenches: Place of the wrenches of `holders`, shape [frame_count, holder_count, 6].
         """
-        samples[:], bodies[:], markers_m[:] = (
-            self._samples,
-            self._bodies,
-            self._markers_m,
-        )
-        self._samples, self._bodies, self._markers_m = samples, bodies, markers_m
+        places = (samples, bodies, markers_m, wrenches)
+        for place, record in zip(places, self._records(), strict=True):
+            place[:] = record
+        self._samples, self._bodies, self._markers_m, self._wrenches = places
 
     @property
     def sample_shape(self) -> tuple[int, int]:
@@ -367,7 +378,7 @@ class Episode:
         return count, width
 
     def _records(self) -> tuple[FloatArray, ...]:
-        return self._samples, self._bodies, self._markers_m
+        return self._samples, self._bodies, self._markers_m, self._wrenches
 
     @property
     def sample_count(self) -> int:
@@ -385,6 +396,7 @@ class Episode:
             frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
             bodies=self._bodies[: self.frame + 1].copy(),
             markers_m=self._markers_m[: self.frame + 1].copy(),
+            wrenches=self._wrenches[: self.frame + 1].copy(),
             later_times_s=(last + np.arange(len(self._later_rows()), dtype=np.float64))
             * SAMPLE_INTERVAL_S,
             later_samples=self._later_rows().copy(),
@@ -409,7 +421,9 @@ class Episode:
             times_s=times_s,
             values=values,
             markers_m=self._markers_m,
+            wrenches=self._wrenches if self.holders else None,
             backend=self._backend,
+            is_checked=True,
         )
 
     def deformation(self) -> DeformationScore | None:
@@ -479,7 +493,7 @@ class Episode:
     def reward(self) -> float:
         """Return minus the mean over band coordinates of |z| at the frame; 0 where the band knows nothing.
 
-        A band with `points` compares the positions of the markers [mm] instead.
+        A band with `points` compares the positions of the markers [mm] instead. Of deformable bodies it is bounded.
         """
         if self._reward_terms is None:
             return 0.0
@@ -489,7 +503,8 @@ class Episode:
         if self._rewards_points:
             here = 1e3 * self._markers_m[frame].ravel()
         deviation = projection.dot(here) - mean[frame]
-        return -float(np.abs(deviation).dot(weight[frame]))
+        distance = float(np.abs(deviation).dot(weight[frame]))
+        return bounded_reward(distance) if self.is_reward_bounded else -distance
 
     def fault_of(self, states: FloatArray) -> str | None:
         """Return why the simulation counts as diverged, or None.
@@ -513,36 +528,49 @@ class Episode:
 def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
     """Return the action space of an experiment: one entry for each motion of a driver; `Discrete(1)` without any."""
     motions = sum(len(driver.motions) for driver in experiment.scene.drivers)
+    # Learners act in single precision.
     return (
-        spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+        spaces.Box(-1.0, 1.0, (motions,), np.float32) if motions else spaces.Discrete(1)
     )
+
+
+STILL_RAD_PER_S = 0.01
+"""Angular speed that a driven body which does not turn may seem to have, by the rounding of engines."""
 
 
 def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
     """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
     scene = experiment.scene
-    distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
-    state = np.concatenate(
-        [np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)]
+    reach = Reach(scene)
+
+    def states(names: Sequence[str]) -> spaces.Box:
+        high = np.empty((len(names), 13))
+        high[:, 3:7], high[:, 7:10] = 1.0 + 1e-9, scene.speed_limit_m_per_s
+        for row, name in zip(high, names, strict=True):
+            row[10:] = scene.spin_limit_rad_per_s(scene.body(name)) + STILL_RAD_PER_S
+        low = -high
+        for index, name in enumerate(names):
+            low[index, :3], high[index, :3] = reach.box_m(name)
+        return spaces.Box(low, high, dtype=np.float64)
+
+    low, high = reach.observable(
+        experiment.score.observable, experiment.recorded, len(experiment.coordinates)
     )
-
-    def states(count: int) -> spaces.Box:
-        bound = np.tile(state, (count, 1))
-        return spaces.Box(-bound, bound, dtype=np.float64)
-
     entries: dict[str, spaces.Space[Any]] = {
-        "observable": spaces.Box(
-            -1e3 * distance, 1e3 * distance, (len(experiment.coordinates),), np.float64
-        ),
+        "observable": spaces.Box(low, high, dtype=np.float64),
         "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
     }
     if experiment.recorded:
-        entries["bodies"] = states(len(experiment.recorded))
+        entries["bodies"] = states(experiment.recorded)
     else:
-        count = 0 if scene.markers is None else len(scene.markers.positions_m)
-        entries["markers"] = spaces.Box(-distance, distance, (count, 3), np.float64)
+        markers = scene.markers
+        count = 0 if markers is None else len(markers.positions_m)
+        low_m, high_m = reach.box_m(*(() if markers is None else markers.bodies))
+        entries["markers"] = spaces.Box(
+            np.tile(low_m, (count, 1)), np.tile(high_m, (count, 1)), dtype=np.float64
+        )
     if scene.drivers:
-        entries["driver"] = states(len(scene.drivers))
+        entries["driver"] = states([driver.body for driver in scene.drivers])
     return cast("spaces.Space[Observation]", spaces.Dict(entries))
 
 
@@ -565,10 +593,32 @@ def run_on_together(
             episodes[number].end_later_frame()
 
 
-def reward_terms(band: Band | None) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+REWARD_MOTION_SHARE = 0.1
+"""Share of the motion of a deformable body at which a deviation pays half of the largest loss. It is a choice: actions
+move a cloth by its whole motion, and an engine is within a hundredth of it."""
+
+
+def is_reward_bounded(experiment: Experiment) -> bool:
+    """Return whether the reward of a frame lies between -1 and 0, as it does with deformable bodies.
+
+    Their solutions are known to a millimetre, and an action moves them by a metre: without a bound, a frame far off
+    would hide all others.
+    """
+    return bool(experiment.scene.deformables)
+
+
+def bounded_reward(distance: Any) -> Any:
+    """Return -z / (1 + z) of a distance z, or of an array of them: 0 at the reference, -1/2 at z = 1, above -1."""
+    return 1.0 / (1.0 + distance) - 1.0
+
+
+def reward_terms(
+    band: Band | None, *, is_bounded: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
 
-    z is the deviation over sigma, or over the uncertainty of the mean where that is larger.
+    z is the deviation over sigma, or over the uncertainty of the mean where that is larger. A bounded reward divides by
+    `REWARD_MOTION_SHARE` of the motion where that is larger still.
 
     They are those of the band's `points` if it has any. None without a band.
     """
@@ -580,19 +630,31 @@ def reward_terms(band: Band | None) -> tuple[FloatArray, FloatArray, FloatArray]
         if band.uncertainty is None
         else np.fmax(band.sigma, band.uncertainty)
     )
+    if is_bounded:
+        scale = np.fmax(scale, REWARD_MOTION_SHARE * motion_size(band))
     usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
     return band.projection, np.nan_to_num(band.mean), weight
 
 
-def reward_text(band: Band | None) -> str:
+def motion_size(band: Band) -> float:
+    """Return the root mean square of a coordinate of the mean about its first known value, in the band's unit."""
+    known = np.isfinite(band.mean).all(axis=1)
+    if not known.any():
+        return 0.0
+    mean = band.mean[known]
+    return float(np.sqrt(np.square(mean - mean[0]).mean()))
+
+
+def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
     """Return what the reward of an environment is made of, one sentence.
 
     Args:
         band: Band that rewards are relative to, or None.
+        is_bounded: Whether the reward is bounded, see `is_reward_bounded`.
     """
-    terms = reward_terms(band)
+    terms = reward_terms(band, is_bounded=is_bounded)
     if band is None or terms is None:
         return "0 at every frame: there is no reference in use"
     known = np.flatnonzero(terms[2].any(axis=1))
@@ -603,7 +665,7 @@ def reward_text(band: Band | None) -> str:
     )
     if known[-1] - known[0] + 1 != len(known):
         span = f"{len(known)} of the {span}"
-    elsewhere = "" if len(known) == len(band.mean) else "; 0 at the others"
+    elsewhere = "" if len(known) == len(band.mean) else "; else 0"
     compared = band.points or band
     names = (
         compared.coordinates
@@ -611,16 +673,14 @@ def reward_text(band: Band | None) -> str:
         else (f"{len(compared.coordinates)} coordinates",)
     )
     scale = "sigma"
-    if band.grade is BandGrade.END:
-        height_mm, left_mm = terms[1][known[0], 0], 1.0 / terms[2][known[0], 0]
-        return (
-            f"at {span} minus |{names[0]} of the recorded points - {height_mm:.3g} mm| / {left_mm:.2g} mm, the "
-            f"uncertainty of that height{elsewhere}; engines disagree on the motion"
-        )
+    sign = "-z / (1 + z) with z =" if is_bounded else "minus"
     if band.points is not None:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
         scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
+    if is_bounded and motion_size(compared) > 0.0:
+        share = REWARD_MOTION_SHARE * motion_size(compared)
+        scale = f"{share:.2g} {compared.unit}, a tenth of the motion"
     return (
-        f"minus the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
+        f"{sign} the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
         f"at {span} of {len(band.mean)}{elsewhere}"
     )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.tables import Camera
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -18,9 +19,19 @@ if TYPE_CHECKING:
     from gauge_envs.evaluation.reference_path import ReferencePath
     from gauge_envs.rendering.overlay import Overlay
     from gauge_envs.rendering.renderer import SceneRenderer
+    from gauge_envs.rendering.window import Window
 
-RENDER_MODES = ("rgb_array",)
+RENDER_MODES = ("human", "rgb_array", "depth_array", "rgbd_tuple")
 """Render modes of the environments, apart from None."""
+WORLDS_RENDER_MODES = RENDER_MODES[1:]
+"""Render modes of environments of many worlds: a window has one scene."""
+
+Picture = NDArray[np.uint8]
+"""Red, green and blue of each pixel, shape [height, width, 3]."""
+Depth = NDArray[np.float32]
+"""Distance of what each pixel shows from the plane of the camera [m], shape [height, width]."""
+Rendered = Picture | Depth | tuple[Picture, Depth]
+"""What `render` returns with `rgb_array`, `depth_array` and `rgbd_tuple`."""
 
 SIZE_LIMIT = 16_384
 """Largest width and height of a picture [pixels], that of common graphics cards."""
@@ -30,10 +41,13 @@ class Pictures:
     """Renderer of the scene that an environment simulates.
 
     Args:
-        render_mode: None or `rgb_array`.
+        render_mode: None or one of the modes.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        camera: Entries that replace those of the scene's camera, as `{"azimuth_deg": 90.0}`: the fields of
+            `gauge_envs.experiments.tables.Camera`.
         has_overlay: Whether the environment puts an overlay on its pictures.
+        modes: Render modes of the environment.
     """
 
     def __init__(
@@ -42,11 +56,14 @@ class Pictures:
         *,
         width: int,
         height: int,
+        camera: Mapping[str, Any] | None = None,
         has_overlay: bool = False,
+        modes: tuple[str, ...] = RENDER_MODES,
     ) -> None:
-        if render_mode not in (None, *RENDER_MODES):
+        if render_mode not in (None, *modes):
             raise ParameterError(
-                f"render_mode {render_mode!r}: choose None or 'rgb_array'"
+                f"render_mode {render_mode!r}: choose None or {', '.join(map(repr, modes))}"
+                + ("; a window shows one world" if render_mode == "human" else "")
             )
         for name, value in (("width", width), ("height", height)):
             if (
@@ -64,7 +81,9 @@ class Pictures:
         self.render_mode = render_mode
         self.has_overlay = bool(has_overlay)
         self._size = (width, height)
+        self._camera = _checked_camera(camera)
         self._renderer: SceneRenderer | None = None
+        self._window: Window | None = None
 
     def draw(
         self,
@@ -76,8 +95,8 @@ class Pictures:
         poses: Mapping[str, NDArray[np.float64]],
         nodes_m: Mapping[str, NDArray[np.float64]],
         overlay: Overlay | None = None,
-    ) -> NDArray[np.uint8]:
-        """Return a picture of a scene, shape [height, width, 3].
+    ) -> Rendered | None:
+        """Return a picture of a scene in the form of the render mode; draw it in the window with `human`.
 
         Args:
             experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
@@ -88,6 +107,8 @@ class Pictures:
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
         """
+        if self.render_mode == "human" and self._is_window_closed:
+            return None
         if self._renderer is None:
             from gauge_envs.evaluation.reference_path import reference_path
             from gauge_envs.rendering.camera import experiment_view, scene_view
@@ -101,6 +122,11 @@ class Pictures:
                 )
             else:
                 view = scene_view(experiment.scene, reference=reach)
+            view = type(view)(**{**view.model_dump(), **self._camera})
+            if self.render_mode == "human" and self._window is None:
+                from gauge_envs.rendering.window import Window
+
+                self._window = Window(width, height, experiment.id)
             self._renderer = SceneRenderer(
                 experiment.scene,
                 rest_nodes_m,
@@ -108,24 +134,73 @@ class Pictures:
                 height,
                 view=view,
                 materials=experiment.materials,
+                window=self._window,
             )
-        return self._renderer.picture(poses, nodes_m, overlay)
+        if self.render_mode == "human":
+            self._renderer.show(poses, nodes_m, overlay)
+            return None
+        if self.render_mode == "depth_array":
+            return self._renderer.depth_m(poses, nodes_m)
+        picture = self._renderer.picture(poses, nodes_m, overlay)
+        if self.render_mode == "rgbd_tuple":
+            return picture, self._renderer.depth_m(poses, nodes_m)
+        return picture
 
-    def close(self) -> None:
-        """Free the renderer; the next picture starts another one."""
+    @property
+    def _is_window_closed(self) -> bool:
+        """Whether a person has closed the window."""
+        return self._window is not None and not self._window.is_open
+
+    def free(self) -> None:
+        """Free the renderer; the next picture starts another one, in the same window."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
+    def close(self) -> None:
+        """Free the renderer, and close the window."""
+        self.free()
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the renderer, whose graphics context neither pickles nor copies."""
-        return vars(self) | {"_renderer": None}
+        """Leave out renderer and window, whose graphics context neither pickles nor copies."""
+        return vars(self) | {"_renderer": None, "_window": None}
+
+
+def _checked_camera(camera: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the entries of a camera that replace others, or raise an error for what no camera has."""
+    if camera is None:
+        return {}
+    if not isinstance(camera, Mapping):
+        raise ParameterError(
+            f"camera is {camera!r}, expected a mapping, as {{'azimuth_deg': 90.0}}"
+        )
+    entries = {
+        name: tuple(value) if isinstance(value, list | np.ndarray) else value
+        for name, value in camera.items()
+    }
+    usual: dict[str, Any] = {
+        "target_m": (0.0, 0.0, 0.0),
+        "distance_m": 1.0,
+        "azimuth_deg": 0.0,
+        "elevation_deg": 0.0,
+    }
+    try:
+        Camera(**usual | entries)
+    except ValueError as error:
+        raise ParameterError(
+            f"camera {dict(camera)!r}: its entries are target_m (three numbers), distance_m (above 0), azimuth_deg and "
+            "elevation_deg"
+        ) from error
+    return entries
 
 
 def episode_picture(
     pictures: Pictures, episode: Episode, *, drawn_as: Episode
-) -> NDArray[np.uint8]:
-    """Return a picture of an episode, shape [height, width, 3], with its overlay if the pictures have one.
+) -> Rendered | None:
+    """Return a picture of an episode in the form of the render mode, with its overlay if the pictures have one.
 
     Args:
         pictures: Renderer.

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, Literal, Unpack, cast
 
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from gymnasium.vector import (
     AsyncVectorEnv,
     AutoresetMode,
@@ -23,8 +24,11 @@ from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.arguments import (
     EnvArguments,
     EnvKeywords,
+    Scatter,
+    Starts,
     TrialStart,
-    jitter_option,
+    check_episode_steps,
+    drawn_seed,
     jittered_experiment,
     start_of,
     warn_without_reward,
@@ -33,7 +37,12 @@ from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.episode import Episode, Observation
 from gauge_envs.envs.lockstep import Rollout
-from gauge_envs.envs.pictures import Pictures, episode_picture
+from gauge_envs.envs.pictures import (
+    WORLDS_RENDER_MODES,
+    Pictures,
+    Rendered,
+    episode_picture,
+)
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
@@ -69,10 +78,13 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
         num_envs: Number of worlds, 1 or more.
-        render_mode: None or `rgb_array`.
+        render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `GaugeEnv`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+            `elevation_deg`.
         render_overlay: As for `GaugeEnv`.
+        jitter: As for `GaugeEnv`; each world has starts of its own.
         world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
             come on top of `parameters`. Engines that cannot mix constants in one batch build such worlds one by one.
         **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
@@ -105,13 +117,20 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
+        jitter: Scatter = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
         **arguments: Unpack[EnvKeywords],
     ) -> None:
         constants = world_constants(num_envs, world_parameters)
         pictures = Pictures(
-            render_mode, width=width, height=height, has_overlay=render_overlay
+            render_mode,
+            width=width,
+            height=height,
+            camera=camera,
+            has_overlay=render_overlay,
+            modes=WORLDS_RENDER_MODES,
         )
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
@@ -129,6 +148,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             and any(world_parameters or ())
         )
         self.band = None if is_another else band
+        self._starts = Starts(experiment, jitter)
+        self._randoms: list[np.random.Generator] = []
         self.seeds_used: tuple[int, ...] = ()
         self.jitter: Jitter | TrialStart | None = None
         common = dict(experiment.overrides)
@@ -167,24 +188,34 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
 
         Args:
             seed: Seed of the engine and of the first world's jitter; each next world has one more. Or the seed of each
-                world; the engine takes the first. None is 0.
-            options: See `GaugeEnv.reset`. With `{"jitter": True}` each world has a start of its own; `{"trial": 3}`
-                starts every world from imported trial 3. With single-shot trials each world starts from its seed's one.
+                world; the engine takes the first. None is 0; where starts scatter, the
+                random numbers of each world draw its seed, as at autoreset.
+            options: See `GaugeEnv.reset`; they hold for autoreset. With `{"jitter": True}` each world has a start of
+                its own; `{"trial": 3}` starts every world from imported trial 3. With single-shot trials each world
+                starts from its seed's one.
         """
-        seeds = cast("list[int]", self._seeds(0 if seed is None else seed))
+        stated = [None] * self.num_envs if seed is None else self._seeds(seed)
         self._check_open("reset")
+        jitter = self._starts.of_reset(options, seeded=seed is not None)
+        if seed is not None or not self._randoms:
+            self._randoms = [np_random(one)[0] for one in stated]
+        seeds = [*range(self.num_envs)]
+        if seed is not None or jitter is not None:
+            seeds = [
+                drawn_seed(one, jitter, random)
+                for one, random in zip(stated, self._randoms, strict=True)
+            ]
         super().reset(seed=seeds[0])
         self.seeds_used = tuple(seeds)
-        jitter = jitter_option(options or {})
         starts = [start_of(self.experiment, jitter, seed=one) for one in seeds]
-        if starts[0] is not None or self.jitter is not None:
+        if any(starts) or self.jitter is not None:
             experiments = [
                 jittered_experiment(stated, start, seed=one, backend=self.backend_name)
                 for stated, start, one in zip(self._stated, starts, seeds, strict=True)
             ]
             self._free()
             self._build(experiments)
-        self.jitter = jitter
+        self.jitter = starts[0]
         self._is_reset, self._has_no_record = True, False
         self._lockstep.begin(seeds[0])
         return self._lockstep.observations(), self._lockstep.infos(self._add_info)
@@ -271,8 +302,9 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
         The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `release_offset_s`,
-        `rmse_aligned` and `rmse_aligned_normalized`. Entries of worlds whose episode is not over or diverged are NaN.
-        A `Score` holds more, as intervals, and takes some milliseconds for each world.
+        `rmse_aligned` and `rmse_aligned_normalized`. The distance from a law or a solved model is not normalized.
+        Entries of worlds whose episode is not over or diverged are NaN. A `Score` holds more, as intervals and
+        `verification`, and takes some milliseconds for each world.
         """
         self._check_record("score_arrays")
         if self.band is None:
@@ -295,7 +327,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             for episode in self.episodes
         )
 
-    def _picture(self, number: int) -> NDArray[np.uint8]:
+    def _picture(self, number: int) -> Rendered | None:
         return episode_picture(
             self._pictures, self.episodes[number], drawn_as=self.episodes[0]
         )
@@ -373,10 +405,9 @@ class ScoreEpisodes(VectorWrapper):
             )
             for number in ended:
                 if found[number] is not None:
-                    added = {
-                        "score": found[number],
-                        "deformation": deformations[number],
-                    }
+                    added = {"score": found[number]}
+                    if deformations[number] is not None:
+                        added["deformation"] = deformations[number]
                     infos = self._add_info(infos, added, number)
         return observations, rewards, terminations, truncations, infos
 
@@ -394,19 +425,30 @@ class ScoreEpisodes(VectorWrapper):
                 "the sub-environments restart in the step that ends an episode, so its score is lost. Make them with "
                 "gymnasium.make, which scores each, or choose another autoreset mode."
             )
-        return cast("Sequence[Any]", infos["final_info"][name])
+        none: list[None] = [None] * self.num_envs
+        return cast("Sequence[Any]", infos["final_info"].get(name, none))
 
 
-def scored_vector_env(*, score_arrays: bool = False, **arguments: Any) -> ScoreEpisodes:
+def scored_vector_env(
+    *,
+    score_arrays: bool = False,
+    max_episode_steps: int | None = None,
+    **arguments: Any,
+) -> ScoreEpisodes:
     """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
+        max_episode_steps: Steps of an episode, as `gymnasium.make_vec` repeats them from the spec.
         **arguments: Arguments of `GaugeVectorEnv`.
+
+    Raises:
+        ParameterError: Other `max_episode_steps` than those of the experiment.
 
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
     envs = GaugeVectorEnv(**arguments)
+    check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
     return ScoreEpisodes(envs, arrays=score_arrays)

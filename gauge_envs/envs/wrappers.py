@@ -1,4 +1,4 @@
-"""The wrapper that scores episodes. `gymnasium.make` applies it to every id of this suite, innermost."""
+"""The wrapper that scores episodes, which `gymnasium.make` applies to every id, innermost; and one that logs scores."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
     Other wrappers may come before or after this one.
 
     Adds also `deformation`, a `gauge_envs.evaluation.deformation.DeformationScore`, for a foam with real statistics of
-    deformation; None for others.
+    deformation alone.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -43,8 +43,66 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
             score = env.score()
             if score is not None:
                 info["score"] = score
-                info["deformation"] = env.deformation()
+                deformation = env.deformation()
+                if deformation is not None:
+                    info["deformation"] = deformation
         return observation, reward, terminated, truncated, info
+
+
+LOGGED = (
+    "rmse",
+    "rmse_normalized",
+    "rmse_aligned",
+    "rmse_aligned_normalized",
+    "percentile_aligned",
+    "verification",
+)
+"""Fields of a score that `LogScore` sends."""
+
+
+class LogScore(gymnasium.Wrapper):
+    """Send the score of each episode to TensorBoard or to Weights & Biases, as `score/rmse` and the like.
+
+    With Stable-Baselines3 or CleanRL it goes around each environment; the step is that of the environment. Fields that
+    an id does not have are left out.
+
+    Args:
+        env: Scored environment, within other wrappers or not.
+        logger: A `SummaryWriter` of TensorBoard, or `wandb.log` and functions like it: values by name, and `step`.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> def log(values, step):
+        ...     print(step, round(values["score/rmse_aligned_normalized"], 2))
+        >>> env = gauge_envs.LogScore(gym.make("GAUGE/SlopeSlider-2-wood"), log)
+        >>> _ = env.reset(seed=0)
+        >>> over = False
+        >>> while not over:
+        ...     *_, over, info = env.step(0)
+        18 4.95
+    """
+
+    def __init__(self, env: gymnasium.Env, logger: Any) -> None:
+        super().__init__(env)
+        self.step_count = 0
+        self._logger = logger
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and send the score if the episode ends with one."""
+        outcome = self.env.step(action)
+        self.step_count += 1
+        score = outcome[4].get("score")
+        if score is not None:
+            stated = {f"score/{name}": getattr(score, name) for name in LOGGED}
+            self._send({name: one for name, one in stated.items() if one is not None})
+        return outcome
+
+    def _send(self, values: dict[str, float]) -> None:
+        if not hasattr(self._logger, "add_scalar"):
+            self._logger(values, step=self.step_count)
+            return
+        for name, value in values.items():
+            self._logger.add_scalar(name, value, self.step_count)
 
 
 def scored_env(**arguments: Any) -> ScoreEpisode:

@@ -1,17 +1,25 @@
 """Compare the deformation of a solid with real trials: strain, volume ratio and non-affine residual of its markers.
 
-The grade of these numbers is `statistics`. They stand beside the score and enter no other number.
+The grade of these numbers is `statistics`: validation, of a quantity that is no g(t). They stand beside the score and
+enter no other number.
+
+Interval. The simulated value is exact, so the error of the difference is that of the real value. For one recording it
+is the stated error of the measurement, s: +- 1.96 s. For n trials it is that of their mean: +- t s / sqrt(n) with their
+scatter s and Student's t of n - 1 degrees of freedom.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import stdtrit
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.verification import COVERAGE_FACTOR
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 from gauge_envs.references.imported import load_imported
@@ -32,6 +40,7 @@ class StatisticScore:
         uncertainty: 1-sigma uncertainty of the real value, or scatter over several trials.
         z: Simulated minus real value, in units of the uncertainty; None where that is 0.
         z_rms: Root mean square of z over all known frames.
+        difference_95: 95 % interval of simulated minus real, low and high; None in results of earlier versions.
     """
 
     name: str
@@ -42,6 +51,15 @@ class StatisticScore:
     uncertainty: float
     z: float | None
     z_rms: float | None
+    difference_95: tuple[float, float] | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the interval of the difference leaves out 0."""
+        if self.difference_95 is None:
+            return False
+        low, high = self.difference_95
+        return low > 0.0 or high < 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,7 +147,13 @@ def score_deformation(
         markers = markers[:, list(reference.markers)]
     simulated = deformation_statistics(markers[0], markers, solid)
     scores = [
-        _score(name, simulated[:, STATISTICS.index(name)], mean, sigma)
+        _score(
+            name,
+            simulated[:, STATISTICS.index(name)],
+            mean,
+            sigma,
+            trial_count=reference.trial_count,
+        )
         for name, mean, sigma in zip(
             reference.statistics, reference.mean.T, reference.sigma.T, strict=True
         )
@@ -143,7 +167,12 @@ def score_deformation(
 
 
 def _score(
-    name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray
+    name: str,
+    simulated: FloatArray,
+    mean: FloatArray,
+    sigma: FloatArray,
+    *,
+    trial_count: int,
 ) -> StatisticScore | None:
     from gauge_envs.observables.deformation import statistic_unit
 
@@ -162,4 +191,27 @@ def _score(
         uncertainty=float(sigma[frame]),
         z=float(z[frame]) if usable[frame] else None,
         z_rms=float(np.sqrt(np.square(z[usable]).mean())) if usable.any() else None,
+        difference_95=interval_95(
+            float(simulated[frame]),
+            float(mean[frame]),
+            float(sigma[frame]),
+            trial_count,
+        ),
     )
+
+
+def interval_95(
+    simulated: float, real: float, sigma: float, trial_count: int
+) -> tuple[float, float]:
+    """Return the 95 % interval of simulated minus real, low and high.
+
+    Args:
+        simulated: Simulated value.
+        real: Real value, the mean over trials.
+        sigma: Standard uncertainty of the value of one recording, or scatter of several trials.
+        trial_count: Number of trials.
+    """
+    reach = COVERAGE_FACTOR * sigma
+    if trial_count > 1:
+        reach = float(stdtrit(trial_count - 1, 0.975)) * sigma / math.sqrt(trial_count)
+    return simulated - real - reach, simulated - real + reach

@@ -130,8 +130,12 @@ def experiment_sensitivities(
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
-    """Return the published scores of real trials that normalize scores against a band, by metric; may be empty."""
-    if not band.normalized_by_baseline or experiment.impossible_scores:
+    """Return the published scores of real trials that normalize scores against a band, by metric; may be empty.
+
+    The distance from a law or a solved model is a numerical error, which the scatter of real trials does not measure.
+    """
+    is_normalized = band.grade.is_real and band.normalized_by_baseline
+    if not is_normalized or experiment.impossible_scores:
         return {}
     return experiment.baselines
 
@@ -249,10 +253,14 @@ class TrialDistances:
         raw: E_RMSE, shape [trial_count].
         aligned: The same after the constant time shift that minimises it. A trial ends at the last frame, so a shift to
             earlier times compares fewer frames. Shape [trial_count].
+        deviations: Each trial minus the mean of the others, shape [trial_count, T, C]; NaN where one is not known.
+        aligned_deviations: The same after that shift.
     """
 
     raw: FloatArray
     aligned: FloatArray
+    deviations: FloatArray
+    aligned_deviations: FloatArray
 
 
 @lru_cache(maxsize=64)
@@ -262,14 +270,27 @@ def trial_distances(band: Band) -> TrialDistances | None:
         return None
     seen = np.isfinite(band.trials)
     totals, counts = np.where(seen, band.trials, 0.0).sum(axis=0), seen.sum(axis=0)
-    raw, aligned = [], []
+    raw: list[float] = []
+    aligned: list[float] = []
+    deviations: list[FloatArray] = []
+    aligned_deviations: list[FloatArray] = []
     for trial, is_seen in zip(band.trials, seen, strict=True):
         others = counts - is_seen
         mean = (totals - np.where(is_seen, trial, 0.0)) / np.maximum(others, 1)
         mean = np.where((others > 0) & np.isfinite(band.mean), mean, np.nan)
-        raw.append(float(_shifted_rmse(trial, mean, np.zeros(1))[0]))
-        aligned.append(_aligned_rmse(trial, mean))
-    return TrialDistances(np.array(raw), np.array(aligned))
+        shift_s = _release_shift_s(trial, mean)
+        for found, distances, late_s in (
+            (deviations, raw, 0.0),
+            (aligned_deviations, aligned, shift_s),
+        ):
+            found.append(_shifted_deviation(trial, mean, late_s))
+            distances.append(_shifted_rmse(trial, mean, late_s))
+    return TrialDistances(
+        raw=np.array(raw),
+        aligned=np.array(aligned),
+        deviations=np.array(deviations),
+        aligned_deviations=np.array(aligned_deviations),
+    )
 
 
 def aligned_baseline(band: Band) -> float | None:
@@ -325,42 +346,50 @@ def percentile_interval(
     return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 
 
-def _shifted_rmse(
-    trial: FloatArray, mean: FloatArray, shifts_s: FloatArray
+def _shifted_deviation(
+    trial: FloatArray, mean: FloatArray, shift_s: float
 ) -> FloatArray:
-    """Return the RMSE of a trial that is shifted in time, over the common frames; inf where these are too few."""
+    """Return a trial that is shifted in time minus the mean, shape [T, C]; NaN at frames that it does not reach."""
+    deviation = np.full(mean.shape, np.nan)
     seen = np.isfinite(trial).all(axis=1)
     frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
     known_s = frames_s[: len(trial)][seen]
-    scores = np.full(len(shifts_s), np.inf)
     if not len(known_s):
-        return scores
+        return deviation
+    queries_s = frames_s - shift_s
+    # Before the release a body rests, so earlier times have the first sample; later ones are not known.
+    usable = np.isfinite(mean).any(axis=1) & (queries_s <= known_s[-1] + 1e-9)
+    shifted = np.column_stack(
+        [np.interp(queries_s[usable], known_s, column) for column in trial[seen].T]
+    )
+    deviation[usable] = shifted - mean[usable]
+    return deviation
+
+
+def _shifted_rmse(trial: FloatArray, mean: FloatArray, shift_s: float) -> float:
+    """Return the RMSE of a trial that is shifted in time, over the common frames; inf where these are too few."""
+    deviation = _shifted_deviation(trial, mean, shift_s)
+    usable = np.isfinite(deviation).any(axis=1)
     wanted = np.isfinite(mean).any(axis=1)
-    for number, shift_s in enumerate(shifts_s):
-        queries_s = frames_s - shift_s
-        # Before the release a body rests, so earlier times have the first sample; later ones are not known.
-        usable = wanted & (queries_s <= known_s[-1] + 1e-9)
-        if usable.sum() < LEAST_OVERLAP * wanted.sum():
-            continue
-        shifted = np.column_stack(
-            [np.interp(queries_s[usable], known_s, column) for column in trial[seen].T]
-        )
-        squares = np.nansum(np.square(shifted - mean[usable]), axis=1)
-        scores[number] = np.sqrt(squares.mean())
-    return scores
+    if not usable.any() or usable.sum() < LEAST_OVERLAP * wanted.sum():
+        return math.inf
+    squares = np.nansum(np.square(deviation[usable]), axis=1)
+    return math.sqrt(float(squares.mean()))
 
 
-def _aligned_rmse(trial: FloatArray, mean: FloatArray) -> float:
+def _release_shift_s(trial: FloatArray, mean: FloatArray) -> float:
+    """Return the constant time shift [s] that minimises the RMSE of a trial."""
     count = round(MAX_RELEASE_OFFSET_S / SHIFT_STEP_S)
     grid_s: FloatArray = SHIFT_STEP_S * np.arange(-count, count + 1, dtype=np.float64)
-    scores = _shifted_rmse(trial, mean, grid_s)
+    scores = [_shifted_rmse(trial, mean, float(shift_s)) for shift_s in grid_s]
     best = int(np.argmin(scores))
+    coarse_s = float(grid_s[best])
     if not np.isfinite(scores[best]):
-        return float(scores[best])
+        return coarse_s
     refined = minimize_scalar(
-        lambda shift_s: float(_shifted_rmse(trial, mean, np.array([shift_s]))[0]),
-        bounds=(grid_s[best] - SHIFT_STEP_S, grid_s[best] + SHIFT_STEP_S),
+        lambda shift_s: _shifted_rmse(trial, mean, float(shift_s)),
+        bounds=(coarse_s - SHIFT_STEP_S, coarse_s + SHIFT_STEP_S),
         method="bounded",
         options={"xatol": 1e-5},
     )
-    return min(float(refined.fun), float(scores[best]))
+    return float(refined.x) if refined.fun < scores[best] else coarse_s

@@ -4,9 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
+from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
     frozen_distance,
+    load_length,
     point_lengths,
     root_mean_square,
     solution_uncertainty,
@@ -33,6 +35,7 @@ class Power:
             distance of real trials.
         scale_text: What it is, in words.
         frozen: Distance of a scene in which nothing moves, over the scale.
+        loads: What the loads of rods and grips tell beside it, each over u of its own, by quantity.
         changes: Distance that each change of the scene moves the motion, over the scale; None for a scene that fails.
     """
 
@@ -41,25 +44,42 @@ class Power:
     scale_text: str
     frozen: float
     changes: Mapping[str, float | None]
+    loads: Mapping[str, Mapping[str, float | None]]
 
     @property
     def told(self) -> Mapping[str, float]:
-        """Changes that move the score by at least `LEAST_POWER`, a scene in which nothing moves first."""
-        sizes = {"nothing moves": self.frozen, **self.changes}
+        """Changes that move the score or a load by at least `LEAST_POWER`, each by the quantity that tells it best.
+
+        A scene in which nothing moves is the first.
+        """
+        best = {"nothing moves": ("", self.frozen)}
+        quantities = {"": self.changes} | {
+            f" by {name}": changes for name, changes in self.loads.items()
+        }
+        for quantity, changes in quantities.items():
+            for name, size in changes.items():
+                if size is not None and size > best.get(name, ("", 0.0))[1]:
+                    best[name] = (quantity, size)
         return {
-            name: size
-            for name, size in sizes.items()
-            if size is not None and size >= LEAST_POWER
+            name + quantity: size
+            for name, (quantity, size) in best.items()
+            if size >= LEAST_POWER
         }
 
     @property
     def not_told(self) -> list[str]:
-        """Changes that it does not tell; a solution at rest is that of a scene in which nothing moves."""
+        """Changes that neither it nor a load tells; at rest a solution is that of a scene in which nothing moves."""
         sizes = {"nothing moves": self.frozen or None, **self.changes}
+        by_load = {
+            name
+            for changes in self.loads.values()
+            for name, size in changes.items()
+            if size is not None and size >= LEAST_POWER
+        }
         return [
             name
             for name, size in sizes.items()
-            if size is not None and size < LEAST_POWER
+            if size is not None and size < LEAST_POWER and name not in by_load
         ]
 
 
@@ -76,7 +96,7 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
     scale: float | None
     if compared is not None:
         unit, frozen = compared.unit, frozen_distance(compared)
-        scale, text = solution_uncertainty(band), "u of the solution"
+        scale, text = solution_uncertainty(band), "its u"
         if scale is None and frozen > 0.0:
             scale = EXACT_SCALE_SHARE * frozen
             text = "1 % of the motion, as the solution is exact"
@@ -102,5 +122,14 @@ def reference_power(experiment: Experiment, band: Band | None) -> Power | None:
         changes={
             row.change: None if row.distance is None else row.distance / scale
             for row in power_rows(experiment.name)
+        },
+        loads={
+            load.quantity: {
+                row.change: None
+                if row.distance is None
+                else row.distance / load_length(load.uncertainty)
+                for row in power_rows(experiment.name, load.quantity)
+            }
+            for load in reference_loads(experiment, band)
         },
     )

@@ -7,8 +7,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.grips import GripLoad, solved_loads
 from gauge_envs.references.imported import load_imported
-from gauge_envs.references.models import end_band, solved_model
+from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import (
     CarriedLaw,
     UniaxialLaw,
@@ -82,22 +83,17 @@ def reference_band(
     )
 
 
-def reward_band(experiment: Experiment, band: Band | None) -> Band | None:
-    """Return what rewards are relative to: the band, or without one what is known of the last frame, if anything.
+def reference_loads(experiment: Experiment, band: Band | None) -> tuple[GripLoad, ...]:
+    """Return the loads of rods and grips that an experiment is verified by, beside its band.
 
     Args:
         experiment: The experiment.
         band: Band that its scores are relative to.
     """
-    if band is not None or not _is_calibrated(experiment):
-        return band
-    markers = experiment.scene.markers
-    return end_band(
-        experiment.name,
-        frame_count=experiment.frame_count,
-        body_count=len(experiment.recorded),
-        marker_count=0 if markers is None else len(markers.positions_m),
-    )
+    is_solved = band is not None and band.grade.is_solution
+    if not is_solved or experiment.reference is not None:
+        return ()
+    return solved_loads(experiment.name) if _is_calibrated(experiment) else ()
 
 
 def _is_calibrated(experiment: Experiment) -> bool:
@@ -134,6 +130,12 @@ def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | N
         return bundled_band(variant)
     imported = load_imported(variant)
     return None if imported is None else imported.band
+
+
+def grade_of(experiment: Experiment) -> BandGrade:
+    """Return the grade of what an experiment is scored against, as `info` of its environment."""
+    band = reference_band(experiment)
+    return BandGrade.NONE if band is None else band.grade
 
 
 def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGrade:

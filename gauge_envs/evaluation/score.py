@@ -1,4 +1,10 @@
-"""Score one trajectory against reality: every number that is reported for an episode."""
+"""Score one trajectory: every number that is reported for an episode.
+
+A score answers one of two questions. Validation: is the motion like reality? The distance from real trials or a
+recording is divided by the scatter of real trials. Verification: does the engine solve its scene? The distance from a
+law or a solved model is divided by what the solution leaves open. An event is compared with its published real value
+under any grade.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +13,10 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
+from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.deviation import (
     Deviation,
     Deviations,
@@ -21,6 +29,7 @@ from gauge_envs.evaluation.deviation import (
     trial_distances,
 )
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
+from gauge_envs.evaluation.likely_mistakes import value_mistake
 from gauge_envs.evaluation.metrics.trajectory import (
     band_coverage,
     dtw_path,
@@ -30,6 +39,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     trajectory_rmse,
     z_scores,
 )
+from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.swing import (
     EventTime,
     event_intervals,
@@ -37,7 +47,7 @@ from gauge_envs.evaluation.swing import (
     swing_notes,
 )
 from gauge_envs.evaluation.uncertainty import BudgetEntry
-from gauge_envs.evaluation.verification import Verification, verify
+from gauge_envs.evaluation.verification import Verification, verify, verify_loads
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
@@ -47,6 +57,25 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+VERIFICATION = "verification"
+"""Value of `Score.primary` for a law and a solved model."""
+
+VALIDATION_FIELDS = (
+    "rmse_95",
+    "rmse_normalized",
+    "rmse_normalized_95",
+    "dtw_normalized",
+    "dtw_normalized_95",
+    "trial_count",
+    "percentile",
+    "percentile_95",
+    "mean_abs_z",
+    "inside_1sigma",
+    "inside_2sigma",
+    "budget",
+)
+"""Fields that compare a motion with real trials. They are not set for a law and a solved model."""
 
 LEAST_SHARE = 0.01
 """Share of an error below which an input explains nothing."""
@@ -176,15 +205,20 @@ def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Distance of an episode from reality. None is a metric that does not apply or has no reference.
+    """Distance of an episode from its reference. None is a metric that does not apply or has no reference.
+
+    The grade says which question is answered: `trials` and `recording` validate, `law` and `model` verify. For these
+    two, nothing is divided by the scatter of real trials: the fields of `VALIDATION_FIELDS` are not set, and
+    `verification` has the distance with its interval. `rmse` and `dtw` are then distances of g(t) from the solution.
+    Events have their published real values under any grade.
 
     Attributes:
         grade: Grade of the band: `trials`, `recording`, `law`, `model` or `none`.
         unit: Unit of `rmse`, `dtw`, `rmse_aligned` and `signed_error`.
-        primary: Field with the score that reports show first: `rmse_aligned` for an experiment that starts with a
-            release, else `rmse`; None without a band.
+        primary: Field with the score that reports show first: `verification` for a law and a solved model,
+            `rmse_aligned` for an experiment that starts with a release, else `rmse`; None without a band.
         coordinates: Names of the scored coordinates, in the order of `signed_error`.
-        rmse: E_RMSE of the paper.
+        rmse: E_RMSE of the paper, the root mean square distance from the mean of the reference.
         rmse_95: 95 % interval of `rmse`, low and high (`evaluation.uncertainty`).
         rmse_normalized: `rmse` over the published baseline mean; 1 is the mean, and not the median, of real trials.
         rmse_normalized_95: 95 % interval of `rmse_normalized`, low and high (`evaluation.uncertainty`).
@@ -236,6 +270,8 @@ class Score:
         sensitivities: Engine and settings of these sensitivities.
         verification: How far the episode is from the solution of its scene, for grades `law` and `model`. None for
             other grades, and where a model is compared by markers whose positions are not known.
+        also_verified: The same of further quantities, as the force on a rod; empty where the engine or the file does
+            not state them. Ranks are by `verification`.
         rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
             reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.
@@ -294,13 +330,35 @@ class Score:
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
     verification: Verification | None = None
+    also_verified: tuple[Verification, ...] = ()
     rmse_without: Mapping[str, float] = field(default_factory=dict, hash=False)
     withheld: str | None = None
     edited: bool = False
 
+    def __post_init__(self) -> None:
+        """Leave out what gauge-envs 0.2 and earlier divided by the scatter of real trials, for a law and a model."""
+        if self.grade not in (BandGrade.LAW, BandGrade.MODEL):
+            return
+        defaults = {one.name: one.default for one in fields(self)}
+        for name in VALIDATION_FIELDS:
+            object.__setattr__(self, name, defaults[name])
+        if self.primary is not None:
+            object.__setattr__(self, "primary", VERIFICATION)
+
+    @property
+    def verifications(self) -> tuple[Verification, ...]:
+        """The distances of all verified quantities."""
+        first = () if self.verification is None else (self.verification,)
+        return (*first, *self.also_verified)
+
     @property
     def primary_normalized(self) -> float | None:
-        """The normalized score that reports show first."""
+        """The score that reports show first, over its scale.
+
+        That is the mean distance of real trials, or u of a solution; an exact solution leaves it in its unit.
+        """
+        if self.primary == VERIFICATION:
+            return None if self.verification is None else self.verification.scaled
         return (
             None
             if self.primary is None
@@ -310,6 +368,8 @@ class Score:
     @property
     def primary_95(self) -> tuple[float, float] | None:
         """The 95 % interval of `primary_normalized`."""
+        if self.primary == VERIFICATION:
+            return None if self.verification is None else self.verification.scaled_95
         return (
             None
             if self.primary is None
@@ -342,8 +402,10 @@ def score_trajectory(
     times_s: FloatArray,
     values: FloatArray,
     markers_m: FloatArray | None = None,
+    wrenches: FloatArray | None = None,
     backend: str | None = None,
     sensitivities: Sensitivities | None = None,
+    is_checked: bool = False,
 ) -> Score:
     """Score a generalized trajectory.
 
@@ -356,14 +418,22 @@ def score_trajectory(
         values: g(t) at those times, shape [sample_count, coordinate_count].
         markers_m: Positions of the markers at the frames [m], shape [frame_count, marker_count, 3], which solved models
             of cloth and foam are compared by; None if they are not known.
+        wrenches: Wrenches of the scene's `holders` in the mean over each frame, shape [frame_count, holder_count, 6];
+            None if they are not known.
         backend: Engine of the trajectory with its default settings, whose sensitivities say what inputs can explain;
             None for other settings, or one of unknown origin.
         sensitivities: Measured sensitivities that replace the stored ones of the engine.
+        is_checked: Whether unit and start are known to be right, as those of an episode.
 
     Raises:
-        ShapeError: A frame is missing, or values are not finite or have the wrong width.
+        ShapeError: A frame is missing, or values are not finite or have the wrong width; or they have another unit
+            than the observable, or start elsewhere than the scene.
     """
     frames = sampled_frames(experiment, times_s, values)
+    if not is_checked and np.isfinite(frames[0]).all():
+        fault = value_mistake(experiment, frames, band=band)
+        if fault is not None:
+            raise ShapeError(f"{experiment.name}: {fault}")
     baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
@@ -399,6 +469,12 @@ def score_trajectory(
         withheld=None if band is None else band.withheld,
         edited=experiment.edited,
         verification=verify(band, frames=frames, markers_m=markers_m),
+        also_verified=verify_loads(
+            reference_loads(experiment, band),
+            band,
+            holders=experiment.scene.holders,
+            wrenches=wrenches,
+        ),
         **scores,
     )
 
@@ -429,34 +505,72 @@ def _band_scores(
     frames: FloatArray,
     sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
-    baselines = normalizing_baselines(experiment, band)
+    """Return the distances of g(t) from a band, and what its grade says of them."""
     simulated = band.project(frames)
     deviations = band_deviations(experiment, band, times_s=times_s, values=values)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
     cost, path = dtw_path(simulated[known], band.mean[known])
     distances = {"rmse": deviations.raw.rmse, "dtw": cost / len(path)}
-    # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
-    sigma = np.where(band.measured[:, None], band.sigma, np.nan)
-    z = z_scores(simulated, band.mean, sigma)
     squares = np.nansum(np.square(deviations.raw.values), axis=1)
-    raw, trials = deviations.raw, trial_distances(band)
+    baselines = normalizing_baselines(experiment, band)
     scores: dict[str, Any] = _metric_fields(distances, baselines) | {
-        "primary": deviations.primary,
+        "primary": VERIFICATION if band.grade.is_solution else deviations.primary,
         "coordinates": band.coordinates,
-        "rmse_95": raw.interval,
-        "rmse_normalized_95": raw.normalized_interval,
-        "trial_count": None if trials is None else len(trials.raw),
         "compared_frames": int(known.sum()),
         "measured_frames": int((known & band.measured).sum()),
         "extrapolated_share": float(squares[~band.measured].sum() / squares.sum())
         if squares.any()
         else 0.0,
+        "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
+        "sensitivities": None if sensitivities is None else _origin(sensitivities),
+    }
+    if not band.grade.is_solution:
+        path_frames = np.flatnonzero(known)[path]
+        scores |= _validation_scores(
+            band, deviations, simulated, path_frames, dtw_baseline=baselines.get("dtw")
+        )
+    elif band.grade is BandGrade.MODEL and (solved := solved_model(experiment.name)):
+        scores["rmse_without"] = {
+            name: trajectory_rmse(simulated, mean)
+            for name, mean in solved.others.items()
+        }
+    if sensitivities is not None:
+        scores["explained"] = explained(
+            experiment, band, sensitivities, deviations, times_s=times_s, values=values
+        )
+    return scores
+
+
+def _validation_scores(
+    band: Band,
+    deviations: Deviations,
+    simulated: FloatArray,
+    path_frames: NDArray[np.intp],
+    *,
+    dtw_baseline: Baseline | None,
+) -> dict[str, Any]:
+    """Return what real trials say of deviations from their mean.
+
+    Args:
+        band: Reference of grade `trials` or `recording`.
+        deviations: The deviations.
+        simulated: Band coordinates of the simulation at the frames, shape [T, C].
+        path_frames: Frames (simulated, real) of the cells of the warping path, shape [cell_count, 2].
+        dtw_baseline: Published DTW of real trials; None where nothing is divided by it.
+    """
+    # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
+    sigma = np.where(band.measured[:, None], band.sigma, np.nan)
+    z = z_scores(simulated, band.mean, sigma)
+    raw, trials = deviations.raw, trial_distances(band)
+    scores: dict[str, Any] = {
+        "rmse_95": raw.interval,
+        "rmse_normalized_95": raw.normalized_interval,
+        "trial_count": None if trials is None else len(trials.raw),
         "mean_abs_z": mean_abs_z(z),
         "inside_1sigma": band_coverage(z, 1.0),
         "inside_2sigma": band_coverage(z, 2.0),
-        "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
-        "sensitivities": None if sensitivities is None else _origin(sensitivities),
+        "refused": tuple(_refused(deviations)),
     }
     aligned = deviations.aligned
     if aligned is not None:
@@ -474,32 +588,16 @@ def _band_scores(
             if aligned is None
             else _percentiles("percentile_aligned", trials.aligned, aligned)
         )
-    if (
-        raw.baseline is not None
-        and (line := baselines.get("dtw")) is not None
-        and line.mean
-    ):
-        cells = np.flatnonzero(known)[path]
-        ends = raw.errors.path_interval(cells, simulated, band.mean)
+    if raw.baseline is not None and dtw_baseline is not None and dtw_baseline.mean:
+        ends = raw.errors.path_interval(path_frames, simulated, band.mean)
         scores["dtw_normalized_95"] = (
-            None if ends is None else (ends[0] / line.mean, ends[1] / line.mean)
+            None
+            if ends is None
+            else (ends[0] / dtw_baseline.mean, ends[1] / dtw_baseline.mean)
         )
-    scores["refused"] = tuple(_refused(deviations))
-    if (
-        band.grade is BandGrade.MODEL
-        and (solved := solved_model(experiment.name)) is not None
-    ):
-        scores["rmse_without"] = {
-            name: trajectory_rmse(simulated, mean)
-            for name, mean in solved.others.items()
-        }
     first = deviations.first
     if first.baseline is not None:
         scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
-    if sensitivities is not None:
-        scores["explained"] = explained(
-            experiment, band, sensitivities, deviations, times_s=times_s, values=values
-        )
     return scores
 
 

@@ -11,13 +11,14 @@ A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in
 Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
 and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
 Samples of up to 10 frames after the last published one serve the release alignment: a file that ends with the last
-frame is not shifted to earlier times. Later ones are not used.
+frame is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
 """
 
 import csv
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.evaluation.likely_mistakes import count_mistake, time_mistake
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import (
@@ -44,6 +46,11 @@ FRAME_TOLERANCE_S = 5e-4
 
 MOST_FILE_BYTES = 32 * MEGABYTE
 MOST_ARRAY_BYTES = 256 * MEGABYTE
+
+TIME_NAME = re.compile(
+    r"(?i)(t|time|timestamp|sim_?time|seconds?|(t|time)[ _-]*\(?(s|sec|ms|seconds?)\)?)"
+)
+"""Names of columns that hold times."""
 
 LARGEST = 10**12
 """Larger values are mistakes, and their squares overflow."""
@@ -77,12 +84,14 @@ class StatedOrigin:
         parameters: Parameters of the scene, not checked.
         backend: Engine of the trajectory with its default settings; None for other settings.
         has_asset: Whether the file is a result whose scene was that of an asset.
+        scatter: Standard deviations of its start, or its trial, as `Result.jitter`; empty for none.
     """
 
     id: str | None = None
     parameters: Any = None
     backend: str | None = None
     has_asset: bool = False
+    scatter: Mapping[str, Any] = field(default_factory=dict)
 
 
 def stated_origin(file: Path) -> StatedOrigin:
@@ -95,7 +104,7 @@ def stated_origin(file: Path) -> StatedOrigin:
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
-    backend = content.get("backend")
+    backend, scatter = content.get("backend"), content.get("jitter")
     return StatedOrigin(
         id=name,
         parameters=parameters,
@@ -103,6 +112,7 @@ def stated_origin(file: Path) -> StatedOrigin:
         if isinstance(backend, str) and not content.get("settings_given")
         else None,
         has_asset=bool(content.get("asset")),
+        scatter=scatter if isinstance(scatter, dict) else {},
     )
 
 
@@ -128,12 +138,21 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     )
     times, values, markers = reader(layout)
     if times is None:
+        fault = count_mistake(len(values), experiment.frame_count)
+        if fault is not None:
+            raise layout.error("", fault)
         times = np.arange(len(values)) / FRAME_RATE_HZ
+    elif len(times) > 1:
+        fault = time_mistake(times, experiment.frame_count)
+        if fault is not None:
+            raise layout.error("", fault)
     width = values.shape[1]
-    if markers is not None:
+    # A g(t) of marker positions is those of the markers, so theirs add nothing.
+    is_of_markers = experiment.score.observable is Observable.MARKER_POSITION
+    if markers is not None and not is_of_markers:
         values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
     trajectory = _on_frames(file, times, values, experiment.frame_count)
-    if experiment.score.observable is Observable.MARKER_POSITION:
+    if is_of_markers:
         rows = _frame_rows(trajectory, experiment.frame_count)
         return replace(
             trajectory, markers_m=1e-3 * rows[:, :width].reshape(-1, width // 3, 3)
@@ -327,6 +346,11 @@ def _csv_columns(
     for column in header:
         name, bracket, rest = column.partition("[")
         name, unit = name.strip(), rest.strip(" ]")
+        if TIME_NAME.fullmatch(name) and name != "time_s":
+            raise layout.error(
+                "header",
+                f"column {column!r}: a time column is named time_s, seconds from the start. Rename it",
+            )
         wanted = "s" if name == "time_s" else layout.unit
         if bracket and (name in layout.names or name == "time_s") and unit != wanted:
             raise layout.error(

@@ -24,8 +24,8 @@ Interval. With a unit vector u, a true distance L would have been observed as |L
 gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d minus another draw of e.
 The 95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count
 the error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a
-root (CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e
-is added to d. `studies/coverage` measures how often the intervals hold the truth.
+root (CLs), so that a distance below its own errors gives no empty interval. `studies/coverage` measures how often the
+intervals hold the truth. Laws and solved models have an error of their own (`evaluation.verification`).
 """
 
 from __future__ import annotations
@@ -66,6 +66,11 @@ LEAST_SCATTER = math.sqrt(0.5 * math.pi - 1.0)
 
 PRIOR_TRIALS = 10
 """Number of trials that this scatter counts as, where that of the trials is smaller."""
+
+UNSEEN_EXCESS = 2.0
+"""How much farther than the mean distance an outlier lies, in mean distances, that a sample did not show.
+
+It is chosen on half of the simulated worlds (`studies/coverage/levels.py`)."""
 
 SMEARS = np.array([0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0])
 """Standard deviations of releases, over that of the trials, between which the smear of the mean is interpolated."""
@@ -177,7 +182,6 @@ class BandErrors:
             of, and farther from that of the others.
         baseline_source: Origin of these two.
         sources: Origin of each group of shapes.
-        is_observed: Whether the mean was observed; the mean of a law was not.
         trial_count: Number of trials with a shape of their own in each group `release` and `sampling`; 0 without.
         influence: Relative effect of each trial on the baseline, shape [trial_count].
     """
@@ -189,7 +193,6 @@ class BandErrors:
     baseline_bias: float
     baseline_source: str
     sources: tuple[_Source, ...]
-    is_observed: bool
     trial_count: int
     influence: FloatArray
 
@@ -282,7 +285,7 @@ class BandErrors:
         influence = _relative_influence(distances, -self._trials)
         return replace(
             self,
-            baseline=_trial_weights(count) @ influence,
+            baseline=_baseline_draws(influence),
             baseline_bias=math.sqrt(count / (count - 1)),
             baseline_source=f"scatter of the distances of {count} trials",
             influence=influence,
@@ -431,10 +434,6 @@ class BandErrors:
         # e . d and |d - e| of each draw
         along = drawn @ (self._components.shapes @ vector)
         added = np.sqrt(np.maximum(size**2 - 2.0 * along + squares, 0.0))
-        if not self.is_observed:
-            low, high = np.quantile(added / ratio, [tail, 1.0 - tail])
-            # The law itself is one of the possible truths.
-            return min(float(low), size), float(high)
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
         products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
         along = (along[:-1] - products) / np.maximum(added[1:], 1e-150)
@@ -509,10 +508,6 @@ class BandErrors:
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
         along = 2.0 * drawn @ (self._components.shapes @ vector)
         squares = np.square(drawn).sum(axis=1)
-        if not self.is_observed:
-            return np.asarray(
-                np.sqrt(np.maximum(square + along + squares, 0.0)) / ratio
-            )
         lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
@@ -521,8 +516,8 @@ class BandErrors:
     ) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
 
-        Each is the standard deviation along the observed deviation. Of a law, whose deviation is often zero, it is the
-        root mean square over all directions.
+        Each is the standard deviation along the observed deviation; without one, the root mean square over all
+        directions.
 
         Args:
             deviation: Simulation minus mean, shape [T, C].
@@ -534,9 +529,7 @@ class BandErrors:
         count = self.trial_count
         for source in self.sources:
             shapes = self.shapes[source.columns]
-            effects = (
-                shapes @ (vector / size) if size > 0.0 and self.is_observed else shapes
-            )
+            effects = shapes @ (vector / size) if size > 0.0 else shapes
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
             if source.kind == "smear":
                 effects = np.std(self.factors[:, source.columns] @ effects, axis=0)
@@ -631,7 +624,7 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
     if band.trials is not None and count > 1:
         influence = _from_trials(band, band.trials, shapes)
         baseline, bias = (
-            _trial_weights(count) @ influence,
+            _baseline_draws(influence),
             math.sqrt((count - 1) / count),
         )
         baseline_source = f"scatter of the distances of {count} trials"
@@ -647,7 +640,6 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
         baseline_bias=bias,
         baseline_source=baseline_source,
         sources=tuple(shapes.sources),
-        is_observed=band.grade.is_real,
         trial_count=count,
         influence=influence,
     )
@@ -668,23 +660,17 @@ def _from_spread(
 ) -> tuple[FloatArray, str]:
     """Add the error of a mean without single trials; return that of the baseline in each draw, and its source."""
     trial_count = input_uncertainties().trials.count
-    # A model is no mean of trials: it errs by its own uncertainty alone.
-    if band.grade is not BandGrade.MODEL:
-        shared = (
-            1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
-        )
-        known = "one trial" if shared == 1 else f"{shared} trials"
-        columns = list(
-            np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared)
-        )
-        shapes.add(
-            "mean of the trials",
-            "sampling",
-            "B",
-            f"scatter of the trials over the root of their number ({known}), taken as constant in time",
-            columns,
-            _random("sampling").standard_normal((DRAW_COUNT, len(columns))),
-        )
+    shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
+    known = "one trial" if shared == 1 else f"{shared} trials"
+    columns = list(np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared))
+    shapes.add(
+        "mean of the trials",
+        "sampling",
+        "B",
+        f"scatter of the trials over the root of their number ({known}), taken as constant in time",
+        columns,
+        _random("sampling").standard_normal((DRAW_COUNT, len(columns))),
+    )
     if baseline_spread is None:
         return np.zeros(DRAW_COUNT), "not published"
     count = band.trial_count or trial_count
@@ -772,6 +758,22 @@ def _relative_influence(distances: FloatArray, residuals: FloatArray) -> FloatAr
     )
 
 
+def _baseline_draws(influence: FloatArray) -> FloatArray:
+    """Return draws of the logarithm of the measured over the true mean distance of trials, shape [draw_count].
+
+    A sample may lack the outliers of its population, and then its mean distance is too small. With n trials the share
+    that none of them shows has the law Beta(1, n) before a flat prior (Laplace).
+
+    Args:
+        influence: Relative effect of each trial on the mean distance, shape [trial_count].
+    """
+    count = len(influence)
+    unseen = _random("unseen").beta(1.0, count, DRAW_COUNT)
+    return np.asarray(
+        _trial_weights(count) @ influence - np.log1p(UNSEEN_EXCESS * unseen)
+    )
+
+
 def widening(series: FloatArray) -> float:
     """Return by how much an interval is wider than that of independent trials, at least 1.
 
@@ -831,9 +833,4 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
         if spread.any():
             columns = [unit * spread for unit in np.eye(spread.shape[1])]
             factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
-            source = (
-                "convergence and distance of the engines' solutions"
-                if band.grade is BandGrade.MODEL
-                else TABLE
-            )
-            shapes.add(name, kind, "B", source, columns, factors)
+            shapes.add(name, kind, "B", TABLE, columns, factors)

@@ -5,7 +5,8 @@ reality, but whether an engine solves it. So a distance to them has fields of it
 scatter of real trials.
 
 A solved model of cloth or foam is compared by the positions of its markers: they see the motion, where the published
-observables of some scenes do not (a swinging sheet stays developable, so that its angle deficits vanish).
+observables of some scenes do not (a swinging sheet stays developable, so that its angle deficits vanish). Mass and
+stiffness hardly change a driven motion; they change the force that drives it, which is a further quantity.
 
 Interval. An observed distance d = |x - r| has the error e of the reference r, whose root mean square is the stated
 uncertainty u. By the triangle inequality the true distance L obeys |d - L| <= |e|. Whatever the correlation of e over
@@ -15,12 +16,13 @@ direction, and larger otherwise (Szekely and Bakirov, "Extremal probabilities fo
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.grips import GripLoad
 from gauge_envs.scene.geometry import FloatArray
 
 COVERAGE_FACTOR = 1.96
@@ -47,8 +49,8 @@ class Verification:
         distance: Root mean square over the compared frames; over markers too where these are compared.
         distance_95: 95 % interval of the distance from the exact solution; None where the reference is exact.
         uncertainty: Standard uncertainty u of the reference, in the same norm; None where it is exact.
-        frozen: Distance of a scene in which nothing moves, in the same norm.
-        frames: Number of compared frames.
+        frozen: Distance of a scene in which nothing moves, in the same norm; of a load, that of no load.
+        frames: Number of compared frames; of a load, of windows.
     """
 
     grade: str
@@ -59,6 +61,32 @@ class Verification:
     uncertainty: float | None
     frozen: float
     frames: int
+
+    @property
+    def scale(self) -> float:
+        """What distances are divided by: u, or 1 where the solution is exact.
+
+        An exact solution has no u, and the motion is no scale: some scenes do not move, as a cube that sticks.
+        """
+        return self.uncertainty or 1.0
+
+    @property
+    def scale_unit(self) -> str:
+        """Unit of a distance over `scale`: `u`, or the unit of the distance where the solution is exact."""
+        return "u" if self.uncertainty else self.unit
+
+    @property
+    def scaled(self) -> float:
+        """The distance over `scale`: what tables and ranks show."""
+        return self.distance / self.scale
+
+    @property
+    def scaled_95(self) -> tuple[float, float] | None:
+        """95 % interval of `scaled`; None where the solution is exact."""
+        if self.distance_95 is None:
+            return None
+        low, high = self.distance_95
+        return low / self.scale, high / self.scale
 
     @property
     def distance_in_u(self) -> float | None:
@@ -84,7 +112,7 @@ class Verification:
 
 def verification_band(band: Band | None) -> Band | None:
     """Return the band that verification compares with, that of markers where there is one; None for other grades."""
-    if band is None or band.grade not in (BandGrade.LAW, BandGrade.MODEL):
+    if band is None or not band.grade.is_solution:
         return None
     return band.points or band
 
@@ -105,9 +133,10 @@ def verify(
     compared = verification_band(band)
     if compared is None or band is None:
         return None
-    errors = frame_errors(band, frames=frames, markers_m=markers_m)
-    if errors is None:
+    deviation = frame_deviation(band, frames=frames, markers_m=markers_m)
+    if deviation is None:
         return None
+    errors = point_lengths(deviation, compared)
     count = compared_points(compared)
     if count > 1:
         quantity = f"positions of {count} markers"
@@ -115,20 +144,81 @@ def verify(
         quantity = f"{len(compared.coordinates)} coordinates of g(t)"
     else:
         quantity = ", ".join(compared.coordinates)
-    distance = root_mean_square(errors)
-    uncertainty = solution_uncertainty(band)
-    reach = COVERAGE_FACTOR * (uncertainty or 0.0)
-    return Verification(
+    return _verification(
         grade=band.grade.value,
         quantity=quantity,
         unit=compared.unit,
+        distance=root_mean_square(errors),
+        uncertainty=solution_uncertainty(band),
+        frozen=frozen_distance(compared),
+        frames=int(np.isfinite(errors).sum()),
+    )
+
+
+def verify_loads(
+    loads: Sequence[GripLoad],
+    band: Band | None,
+    *,
+    holders: tuple[str, ...],
+    wrenches: FloatArray | None,
+) -> tuple[Verification, ...]:
+    """Return how far the loads of an episode are from those of the solution of its scene.
+
+    Args:
+        loads: The solved loads.
+        band: Reference of the score, whose grade they share.
+        holders: Names of the bodies that hold cloth or foam.
+        wrenches: Their wrenches in the mean over each frame, shape [frame_count, len(holders), 6]; None if unknown.
+    """
+    if band is None or wrenches is None:
+        return ()
+    found = []
+    for load in loads:
+        values = load.values(holders, wrenches)
+        if not np.isfinite(values).all():
+            continue
+        found.append(
+            _verification(
+                grade=band.grade.value,
+                quantity=load.quantity,
+                unit=load.unit,
+                distance=load_length(values - load.mean),
+                uncertainty=load_length(load.uncertainty),
+                frozen=load_length(load.mean),
+                frames=len(load.windows),
+            )
+        )
+    return tuple(found)
+
+
+def load_length(values: FloatArray) -> float:
+    """Return the length of a load, shape [W, C], root mean square over its windows."""
+    return math.sqrt(float(np.square(values).sum(axis=1).mean()))
+
+
+def _verification(
+    *,
+    grade: str,
+    quantity: str,
+    unit: str,
+    distance: float,
+    uncertainty: float | None,
+    frozen: float,
+    frames: int,
+) -> Verification:
+    """Return a verification with the interval of its distance."""
+    reach = COVERAGE_FACTOR * (uncertainty or 0.0)
+    return Verification(
+        grade=grade,
+        quantity=quantity,
+        unit=unit,
         distance=distance,
         distance_95=(max(distance - reach, 0.0), distance + reach)
         if uncertainty
         else None,
         uncertainty=uncertainty,
-        frozen=frozen_distance(compared),
-        frames=int(np.isfinite(errors).sum()),
+        frozen=frozen,
+        frames=frames,
     )
 
 
@@ -137,13 +227,24 @@ def frame_errors(
 ) -> FloatArray | None:
     """Return the distance from the mean at each frame, root mean square over markers, shape [frame_count].
 
+    It is NaN where the mean or the motion is not known. Arguments and None are those of `frame_deviation`.
+    """
+    deviation = frame_deviation(band, frames=frames, markers_m=markers_m)
+    return None if deviation is None else point_lengths(deviation, band.points or band)
+
+
+def frame_deviation(
+    band: Band, *, frames: FloatArray, markers_m: FloatArray | None
+) -> FloatArray | None:
+    """Return the motion minus the mean at each frame, shape [frame_count, coordinate_count].
+
     Args:
         band: The reference; its `points` are compared where it has any.
         frames: g(t) at the first 30 Hz frames, shape [at most frame_count, coordinate_count].
         markers_m: Markers at the same frames [m], shape [at most frame_count, marker_count, 3]; None if unknown.
 
     Returns:
-        The distances, NaN where the mean or the motion is not known; None where markers are compared but unknown.
+        The deviation, NaN where the mean or the motion is not known; None where markers are compared but unknown.
     """
     if band.points is None:
         compared, motion = band, band.project(frames)
@@ -154,7 +255,7 @@ def frame_errors(
     whole = np.full(compared.mean.shape, np.nan)
     count = min(len(motion), len(whole))
     whole[:count] = motion[:count]
-    return point_lengths(whole - compared.mean, compared)
+    return whole - compared.mean
 
 
 def compared_points(compared: Band) -> int:
@@ -189,15 +290,26 @@ def frozen_distance(compared: Band) -> float:
 
 
 def solution_uncertainty(band: Band) -> float | None:
-    """Return u of the solution that a band of grade `law` or `model` states; None where it is exact.
-
-    A law of a user's file has a sigma alone.
-    """
+    """Return u of the solution that a band of grade `law` or `model` states, over frames; None where it is exact."""
     compared = verification_band(band)
     if compared is None or band.is_exact:
         return None
-    stated = compared.sigma if compared.uncertainty is None else compared.uncertainty
-    return root_mean_square(point_lengths(stated, compared))
+    return root_mean_square(point_lengths(stated_uncertainty(compared), compared))
+
+
+def stated_uncertainty(compared: Band) -> FloatArray:
+    """Return u of the mean of a solution that is not exact, shape [frame_count, coordinate_count].
+
+    A law of a user's file has a sigma alone.
+    """
+    return compared.sigma if compared.uncertainty is None else compared.uncertainty
+
+
+def drawn_spread(band: Band) -> FloatArray:
+    """Return what a picture shades about a mean: the scatter of real trials, or u of a solution, 0 if it is exact."""
+    if not band.grade.is_solution:
+        return band.sigma
+    return np.zeros_like(band.mean) if band.is_exact else stated_uncertainty(band)
 
 
 def root_mean_square(lengths: FloatArray) -> float:

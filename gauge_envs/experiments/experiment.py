@@ -9,7 +9,7 @@ from typing import Any
 from gauge_envs.experiments.tables import Camera, task_camera
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.observables.kinds import coordinate_names
+from gauge_envs.observables.kinds import coordinate_names, largest_distance
 from gauge_envs.references.published import Baseline, Reference, published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
@@ -120,12 +120,15 @@ class Experiment:
     @property
     def impossible_scores(self) -> str:
         """Published scores that geometry forbids, so that they have another unit or observable; empty without any."""
-        most = self.score.observable.largest_distance(len(self.coordinates))
+        most = largest_distance(
+            self.score.observable, self.scene, recorded=self.recorded
+        )
         found = [
             f"{metric.upper()} of {engine} {line.mean * over:.3g} {line.unit}"
             for metric, line in self.baselines.items()
-            for engine, over in line.engines.items()
-            if most is not None and over is not None and line.mean * over > most
+            for engine, over in {"real trials": 1.0, **line.engines}.items()
+            if metric in ("rmse", "dtw") and over is not None
+            if line.mean * over > most
         ]
         if not found:
             return ""

@@ -22,8 +22,8 @@ from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.variants import (
     Variant,
+    find_subject,
     find_variant,
-    is_experiment_file,
     task_path,
 )
 from gauge_envs.references.imported import load_imported, recorded_drivers
@@ -146,6 +146,14 @@ def load_experiment(
     path, spec = task_path(variant.family), task_spec(variant.family)
     label, overrides = parameter_overrides(spec, variant, parameters)
     builder = SceneBuilder(path, spec, variant, overrides)
+    if isinstance(parameters, str):
+        # A set of the file may state a constant that only some subtasks read.
+        read = builder.constants_read | {
+            key for key in overrides if not builder.is_constant(key)
+        }
+        overrides = {key: value for key, value in overrides.items() if key in read}
+    else:
+        builder.check_read(overrides)
     scene = builder.build()
     subtask = spec.subtasks[variant.subtask] if variant.subtask else None
     experiment = TaskExperiment(
@@ -219,7 +227,8 @@ def resolve_experiment(
     """Load the experiment that arguments of `gymnasium.make` or of the command line name.
 
     Args:
-        subject: Variant, name or id; `GAUGE/Asset`; or the path of an experiment file, as `crate.toml`.
+        subject: Variant, name or id; `GAUGE/Asset`; or the path of an experiment file, as `crate.toml`, or of a task
+            file with one variant.
         parameters: As for `load_experiment`.
         drivers: As for `load_experiment`.
         reference: As for `load_experiment`.
@@ -232,7 +241,9 @@ def resolve_experiment(
                 f"GAUGE/{ASSET_NAME} needs an experiment file, as asset='crate.toml'"
             )
         subject, path = str(path), None
-    if isinstance(subject, str) and is_experiment_file(Path(subject)):
+    if isinstance(subject, str):
+        subject = find_subject(subject)
+    if isinstance(subject, str):
         if path is not None:
             raise ParameterError(
                 f"{subject} names its own USD layer; remove asset={str(asset)!r}"

@@ -11,7 +11,12 @@ from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
 from gauge_envs.experiments.tables import JointConstants, MotorSpec, hinge_terms
-from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
+from gauge_envs.experiments.task_format import (
+    ContactSpec,
+    JointSpec,
+    Placement,
+    TaskSpec,
+)
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
@@ -33,12 +38,33 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 AIR = "air"
 """Name under which overrides state the air of a scene, as `air.density_kg_per_m3`."""
 
-NOT_OF_DEFORMABLES = ("friction", "restitution", "density_kg_per_m3")
+GRAVITY = "scene.gravity_m_per_s2"
+"""Override of the gravity of a scene [m/s^2]."""
+
+NUMBERS = {
+    "position_m": 1,
+    "positions_m": 2,
+    "hangs_from_m": 1,
+    "euler_deg": 1,
+    "velocity_m_per_s": 1,
+    "angular_velocity_deg_per_s": 1,
+    "wind_m_per_s": 1,
+}
+"""Dimensions of the overrides that are not one number."""
+
+EXPECTED = ("a number", "three numbers", "three numbers for each body")
+"""What an override of 0, 1 or 2 dimensions must be."""
+
+OF_CONTACTS = ("friction", "restitution")
+"""Constants that contacts read."""
+
+NOT_OF_DEFORMABLES = (*OF_CONTACTS, "density_kg_per_m3")
 """Constants of a task file that are those of contacts, or follow from others."""
 
 Parameters = str | Mapping[str, Any]
@@ -49,6 +75,11 @@ def parameter_overrides(
     spec: TaskSpec, variant: Variant, parameters: Parameters
 ) -> tuple[str, dict[str, Any]]:
     """Return the name of the parameters, `custom` for overrides, and the overrides that they are."""
+    if not isinstance(parameters, str | Mapping):
+        raise ParameterError(
+            f"parameters is {parameters!r}: expected the name of a parameter set, as 'calibrated', or overrides, as "
+            "{'cube.friction': 0.3}"
+        )
     if isinstance(parameters, Mapping):
         return ("custom" if parameters else "calibrated"), dict(parameters)
     if parameters == "calibrated":
@@ -105,8 +136,9 @@ class SceneBuilder:
             if name in spec.constants
         }
         self.air: dict[str, Any] = {}
+        self.gravity_m_per_s2 = GRAVITY_M_PER_S2
         for key, value in overrides.items():
-            self._override(key, value)
+            self._override(key, self._numbers(key, value))
         frames = subtask.frames if subtask else spec.frames
         try:
             self.frame_count = frames.get(variant.material) or frames["all"]
@@ -129,8 +161,27 @@ class SceneBuilder:
                 )
         return merged
 
+    def _numbers(self, key: str, value: Any) -> Any:
+        """Return an override as a number, or as tuples of numbers; a text is none, also that of a number."""
+        if isinstance(value, np.ndarray | np.generic):
+            value = value.tolist()
+        dimensions = NUMBERS.get(key.rpartition(".")[2], 0)
+        if not _has_dimensions(value, dimensions):
+            kind = "text" if isinstance(value, str) else type(value).__name__
+            raise ParameterError(
+                f"{self.variant.name}: override {key!r} is {value!r} ({kind}): expected {EXPECTED[dimensions]}"
+            )
+        return value
+
     def _override(self, key: str, value: Any) -> None:
         name, _, constant = key.rpartition(".")
+        if key == GRAVITY:
+            if not 0.0 < value < np.inf:
+                raise ParameterError(
+                    f"{self.variant.name}: override {key!r} is {value!r}: expected a number above 0, downwards"
+                )
+            self.gravity_m_per_s2 = float(value)
+            return
         if name == AIR:
             air = [one.name for one in fields(Air)]
             if constant not in air:
@@ -142,7 +193,8 @@ class SceneBuilder:
         if name not in self.present:
             hint = nearest(name, self.present)
             raise ParameterError(
-                f"{self.variant.name}: override {key!r} names no body of the scene ({AIR!r} for cloth); {hint}"
+                f"{self.variant.name}: override {key!r} names no body of the scene "
+                f"({AIR!r} for cloth, {GRAVITY!r}); {hint}"
             )
         try:
             if constant in Placement.model_fields:
@@ -165,6 +217,100 @@ class SceneBuilder:
                 f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}"
             ) from error
 
+    @property
+    def constants_read(self) -> set[str]:
+        """Keys `body.constant` of the constants that a contact, a mass, a joint or a fabric of the scene reads."""
+        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [
+            hinge.bodies[1] for hinge in self.spec.body_hinges
+        ]
+        joints = {self.spec_name(name) for name in hinged if self._is_present(name)}
+        read = set()
+        for name, constants in self.constants.items():
+            if name not in self.spec.bodies:
+                unread = {*NOT_OF_DEFORMABLES}
+                if name in self.spec.cloths:
+                    unread.add("mass_kg")
+            elif self._motion(name) is Motion.DYNAMIC:
+                unread = {*NOT_OF_DEFORMABLES}
+                if name not in joints:
+                    unread |= JointConstants.model_fields.keys()
+            else:
+                unread = {*constants}
+            read |= {f"{name}.{one}" for one in constants.keys() - unread}
+        for contact, movable in self._pairs():
+            if movable and contact.constants_of is not None:
+                read |= {
+                    f"{contact.constants_of}.{constant}"
+                    for constant in OF_CONTACTS
+                    if getattr(contact, constant) is None
+                }
+        return read
+
+    def _motion(self, name: str) -> Motion:
+        stated = self.spec.bodies[name].motion
+        return self.subtask.motion.get(name, stated) if self.subtask else stated
+
+    def _pairs(self) -> Iterator[tuple[ContactSpec, tuple[str, ...]]]:
+        """Yield each contact with the bodies of the scene that it is of; none where nothing of it can move."""
+        for contact in self.contacts:
+            sides = [
+                {
+                    name
+                    for name in self.present
+                    for scene_name in self._scene_names(name)
+                    if fnmatchcase(scene_name, pattern)
+                }
+                for pattern in contact.bodies
+            ]
+            moves = any(
+                name not in self.spec.bodies or self._motion(name) is Motion.DYNAMIC
+                for name in sides[0] | sides[1]
+            )
+            both = all(sides) and moves
+            yield contact, tuple(sorted(sides[0] | sides[1])) if both else ()
+
+    def _scene_names(self, name: str) -> list[str]:
+        count = self.spec.bodies[name].count if name in self.spec.bodies else None
+        return [name] if count is None else [f"{name}-{i + 1}" for i in range(count)]
+
+    def is_constant(self, key: str) -> bool:
+        """Return whether the key of an override is that of a constant of a body."""
+        name, _, constant = key.rpartition(".")
+        return constant in self.constants.get(name, {})
+
+    def check_read(self, overrides: Mapping[str, Any]) -> None:
+        """Raise an error for an override of a constant that nothing in the scene reads; it names what is read."""
+        read = self.constants_read
+        for key in overrides:
+            name, _, constant = key.rpartition(".")
+            if self.is_constant(key) and key not in read:
+                raise ParameterError(
+                    f"{self.variant.name}: override {key!r} would change nothing: {self._reader(name, constant, read)}"
+                )
+
+    def _reader(self, name: str, constant: str, read: set[str]) -> str:
+        """Return why nothing reads a constant of a body, and which override does what it seems to."""
+        if constant in OF_CONTACTS:
+            for contact, bodies in self._pairs():
+                if name not in bodies:
+                    continue
+                pair = " and ".join(contact.bodies)
+                if getattr(contact, constant) is not None:
+                    return f"the contact of {pair} states its own {constant} in the task file"
+                return (
+                    f"the contact of {pair} has the {constant} of {contact.constants_of}. "
+                    f"Override '{contact.constants_of}.{constant}'"
+                )
+            known = sorted(key for key in read if key.endswith(f".{constant}"))
+            if not known:
+                return f"no contact of the scene has {constant}"
+            return f"no contact of the scene has the {constant} of {name}. Overrides of others: {', '.join(known)}"
+        if name in self.spec.bodies and self._motion(name) is not Motion.DYNAMIC:
+            return f"{name} is {self._motion(name)}, so no motion depends on its {constant}"
+        if name in self.spec.cloths:
+            return f"the mass follows from the size. Override '{name}.areal_density_kg_per_m2'"
+        return f"the mass is stated. Override '{name}.mass_kg'"
+
     def _air(self) -> Air | None:
         """Return the air that the overrides state; None without such overrides."""
         if not self.air:
@@ -186,7 +332,7 @@ class SceneBuilder:
         except ParameterError as error:
             if self.is_overridden:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
-            raise TaskFileError(self.path, "(file)", str(error)) from None
+            raise TaskFileError(self.path, None, str(error)) from None
 
     def _check_hinges(self) -> None:
         """Check that each body with constants of a joint has one hinge that they belong to."""
@@ -266,6 +412,7 @@ class SceneBuilder:
             if markers is None
             else Markers(**(markers.model_dump() | {"bodies": carriers})),
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
+            gravity_m_per_s2=self.gravity_m_per_s2,
             air=self._air(),
         )
 
@@ -275,9 +422,7 @@ class SceneBuilder:
 
     def _bodies(self, name: str) -> Iterator[RigidBody]:
         body = self.spec.bodies[name]
-        motion = (
-            self.subtask.motion.get(name, body.motion) if self.subtask else body.motion
-        )
+        motion = self._motion(name)
         poses = self.placements[name].poses()
         if len(poses) != (body.count or 1):
             raise TaskFileError(
@@ -403,3 +548,12 @@ class SceneBuilder:
                 restitution=restitution,
                 mode=contact.mode,
             )
+
+
+def _has_dimensions(value: Any, dimensions: int) -> bool:
+    """Return whether a value is a number, or a list of so many dimensions of numbers."""
+    if dimensions == 0:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, list | tuple) and all(
+        _has_dimensions(one, dimensions - 1) for one in value
+    )

@@ -39,10 +39,10 @@ def load_task(path: Path) -> TaskSpec:
         raw = toml_document(read_regular(path, MEGABYTE))
     except OSError as error:
         raise TaskFileError(
-            path, "(file)", f"cannot be read: {error.strerror or error}"
+            path, None, f"cannot be read: {error.strerror or error}"
         ) from error
     except ValueError as error:
-        raise TaskFileError(path, "(file)", str(error)) from error
+        raise TaskFileError(path, None, str(error)) from error
     try:
         spec = TaskSpec.model_validate(raw)
     except ValidationError as error:
@@ -71,7 +71,7 @@ def _check_scenes(path: Path, spec: TaskSpec) -> None:
                 )
                 raise TaskFileError(
                     path,
-                    "(file)",
+                    None,
                     f"the scene of {variant.name} cannot be built: {cause}",
                 ) from error
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.errors import MissingExtraError
+from gauge_envs.errors import needs_extra
+from gauge_envs.files import printable
 from gauge_envs.pages.document import save_file
 
 if TYPE_CHECKING:
@@ -27,13 +29,14 @@ REAL = "#303030"
 LEGEND_WIDTH, KEY_WIDTH = 100, 6
 """Width of a legend that fits above a panel beside bars, and of its lines and gaps [characters]."""
 
+MOST_LABEL = 90
+"""Width from which on the name of a curve has another line [characters]."""
+
 
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size [inch]."""
-    try:
+    with needs_extra("plotting", "plot"):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("plotting", "plot", error) from error
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -42,8 +45,14 @@ def save_png(figure: Figure, path: Path) -> Path:
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
+        if not isinstance(text, Text):
+            continue
+        # A name of a user may hold what no font has, as an escape character.
+        lines = text.get_text().split("\n")
+        if not all(line.isprintable() for line in lines):
+            text.set_text("\n".join(map(printable, lines)))
         # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
-        if isinstance(text, Text) and "$" in text.get_text():
+        if "$" in text.get_text():
             text.set_parse_math(False)
     stream = BytesIO()
     figure.savefig(stream, format="png", dpi=120)
@@ -59,7 +68,7 @@ def tidy_axis(axis: Axes) -> None:
 
 def _legend_width(labels: Sequence[str], columns: int) -> int:
     """Return the width of a legend [characters]: matplotlib fills one column after the other, as evenly as possible."""
-    lengths = [KEY_WIDTH + len(label) for label in labels]
+    lengths = [KEY_WIDTH + max(map(len, label.split("\n"))) for label in labels]
     return sum(
         int(max(part, default=0)) for part in np.array_split(np.array(lengths), columns)
     )
@@ -67,7 +76,8 @@ def _legend_width(labels: Sequence[str], columns: int) -> int:
 
 def legend_above(axis: Axes) -> None:
     """Put the legend above the curves, with bold lines for faint curves."""
-    labels = axis.get_legend_handles_labels()[1]
+    handles, texts = axis.get_legend_handles_labels()
+    labels = [fill(text, MOST_LABEL) for text in texts]
     # A legend that is wider than its panel would make the panel narrower.
     columns = next(
         (count for count in (3, 2) if _legend_width(labels, count) <= LEGEND_WIDTH), 1
@@ -77,6 +87,8 @@ def legend_above(axis: Axes) -> None:
         "bbox_to_anchor": (0.0, 1.0),
         "borderpad": 0.2,
     }
-    legend = axis.legend(fontsize=8, frameon=False, ncols=columns, **place)
+    legend = axis.legend(
+        handles, labels, fontsize=8, frameon=False, ncols=columns, **place
+    )
     for line in legend.get_lines():
         line.set(alpha=1.0, linewidth=max(1.4, line.get_linewidth()))

@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.scatter import ASSUMED, Scatter
+from gauge_envs.evaluation.score import VERIFICATION, Score
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
@@ -131,13 +132,22 @@ ALIGNED = Metric(
 )
 """The RMSE after the best constant shift in time, which was not published."""
 
+VERIFIED = Metric(
+    key=VERIFICATION,
+    title="distance from the solution",
+    unit=None,
+    ideal=0.0,
+    score_field=VERIFICATION,
+)
+"""The distance from a law or a solved model, in its unit and over u; see `evaluation.verification`."""
+
 SCORE_METRICS: Mapping[str, Metric] = {
     metric.key: metric
     for is_event in (False, True)
-    for metric in (*METRICS.values(), ALIGNED)
+    for metric in (*METRICS.values(), ALIGNED, VERIFIED)
     if metric.is_event is is_event
 }
-"""Metrics of a score by key, in the order of tables: the aligned RMSE follows the metrics that need a band."""
+"""Metrics of a score by key, in the order of tables: those that need a band come before events."""
 
 PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
 """Field of `Score` with the percentage of real trials that are closer to their mean, by metric."""
@@ -145,20 +155,36 @@ PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
 
 def raw_score(score: Score, metric: str) -> float | None:
     """Return a metric in its unit."""
+    if metric == VERIFICATION:
+        return None if score.verification is None else score.verification.distance
     value: float | None = getattr(score, SCORE_METRICS[metric].score_field)
     return value
 
 
 def normalized_score(score: Score, metric: str) -> float | None:
-    """Return a metric over the mean of the real trials; None for one that is not normalized."""
+    """Return a metric over its scale: the mean of real trials, or of `verification` u; None without a scale.
+
+    The distance from an exact solution stays in its unit.
+    """
+    if metric == VERIFICATION:
+        return None if score.verification is None else score.verification.scaled
     field = SCORE_METRICS[metric].normalized_field
     return None if field is None else getattr(score, field)
 
 
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric."""
+    if metric == VERIFICATION:
+        return None if score.verification is None else score.verification.scaled_95
     field = SCORE_METRICS[metric].normalized_field
     return None if field is None else getattr(score, f"{field}_95")
+
+
+def scale_unit(score: Score, metric: str) -> str:
+    """Return the unit of a metric over its scale: `1` over real trials, else as `Verification.scale_unit`."""
+    if metric != VERIFICATION or score.verification is None:
+        return "1"
+    return score.verification.scale_unit
 
 
 def percentile_text(score: Score, metric: str) -> str | None:
@@ -180,9 +206,42 @@ def percentile_text(score: Score, metric: str) -> str | None:
 
 VERIFICATION_NOTE = (
     "u: standard uncertainty of the solution. In brackets: 95 % interval of the true distance. Frozen: distance of a "
-    "scene in which nothing moves. `gauge show ID` lists which wrong constants are told. Nothing here is of reality."
+    "scene in which nothing moves; of a force, that of none. `gauge show ID` lists which wrong constants are told. "
+    "Nothing here is of reality."
 )
 """What a table of verification needs to be read."""
+
+
+SCATTER_NOTE = (
+    "Mean (standard deviation) of E_RMSE and E_DTW, of each real trial to the mean of all, and of each run to that of "
+    "as many runs. p: share of groups that are as far from the others as the real trials are, with half, once "
+    "and twice the assumed spread of starts, and with uneven trials. Release: spread of delays that gives the real "
+    "E_RMSE."
+)
+"""What a table of the scatter needs to be read."""
+
+
+def scatter_cells(one: Scatter) -> dict[str, str]:
+    """Return the scatter of runs beside that of real trials as texts; of the runs with the assumed starts."""
+
+    def pair(mean: float, std: float) -> str:
+        return f"{score_text(mean)} ({score_text(std)})"
+
+    cells = {
+        "real_rmse": with_unit(pair(*one.real[:2]), one.unit),
+        "real_dtw": with_unit(pair(*one.real[2:]), one.unit),
+        "verdict": one.verdict,
+    }
+    middle = next((each for each in one.spreads if each.starts == ASSUMED), None)
+    if middle is None:
+        return cells
+    low_s, high_s = middle.release_95_s
+    return cells | {
+        "rmse": pair(*middle.simulated[:2]),
+        "dtw": pair(*middle.simulated[2:]),
+        "p": ", ".join(f"{each.p_value:.3f}" for each in one.spreads),
+        "release": f"{1e3 * middle.release_s:.0f} [{1e3 * low_s:.0f}, {1e3 * high_s:.0f}] ms",
+    }
 
 
 def verification_text(one: Verification) -> str:
@@ -204,7 +263,10 @@ def verification_text(one: Verification) -> str:
     return f"{text}; {one.verdict}"
 
 
-NO_MARKERS = "no verification: the solution is compared by markers, whose positions the result does not have"
+NO_MARKERS = (
+    "no verification: the solution is compared by markers, whose positions are not known, or the score is of an "
+    "earlier version; run it again, or use `gauge score`"
+)
 """Why a result that is compared with a solution has no distance to it."""
 
 MAX_CAUSES = 3
@@ -214,7 +276,7 @@ MAX_CAUSES = 3
 def reality_lines(name: str, score: Score) -> Iterator[str]:
     """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
 
-    Of a law or a solved model they say how well the engine solves the scene.
+    Of a law or a solved model the line says how well the engine solves the scene.
 
     Args:
         name: Name of the result.
@@ -222,11 +284,15 @@ def reality_lines(name: str, score: Score) -> Iterator[str]:
     """
     if score.primary is None:
         return
-    if not BandGrade(score.grade).is_real:
+    if BandGrade(score.grade).is_solution:
         yield (
             f"{name}: {NO_MARKERS}."
             if score.verification is None
             else f"{name}: {verification_text(score.verification)}."
+        )
+        yield from (
+            f"{name}, {one.quantity}: {verification_text(one)}."
+            for one in score.also_verified
         )
         return
     percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
@@ -258,7 +324,11 @@ NAMES = {
 
 
 def convergence_text(
-    rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False
+    rows: Mapping[str, Mapping[str, Any]],
+    *,
+    has_cells: bool,
+    with_unit: bool = False,
+    over_trials: bool = True,
 ) -> str:
     """Return what half the step, half the cell and the preset `training` change, in one line.
 
@@ -267,6 +337,8 @@ def convergence_text(
         has_cells: Whether the experiment has deformable bodies, whose cells can be halved.
         with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t), and the preset
             `training`: nobody asks for it beside a result.
+        over_trials: Whether a change is a share of the scatter of real trials; else it is the root mean square of g(t),
+            beside a distance from the solution of the scene.
 
     Example:
         >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
@@ -286,7 +358,8 @@ def convergence_text(
             parts.append(f"{name}: diverged")
         else:
             parts.append(
-                f"{name} moves the trajectory by {_amount(row, with_unit=with_unit)}"
+                f"{name} moves the trajectory by "
+                f"{_amount(row, with_unit=with_unit, over_trials=over_trials)}"
             )
             if setting == "training":
                 parts[-1] += (
@@ -300,20 +373,19 @@ def _speeds(row: Mapping[str, Any]) -> str:
     return f"{row['refined']:.0f} env-steps/s, by default {row['default']:.0f}"
 
 
-def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:
+def _amount(row: Mapping[str, Any], *, with_unit: bool, over_trials: bool) -> str:
     """Return the share of the scatter; without a published scatter, the distance of the observed points."""
+    rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
+    ends = f" and {largest} {row['unit']} at most" if with_unit else ""
+    if not over_trials:
+        return f"{rms} {row['unit']} rms{ends}"
     if row["share"] is None:
         amount = (
             f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
         )
     else:
         amount = f"{percent_text(row['share'])} % of the real scatter"
-    if not with_unit:
-        return amount
-    rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
-    return (
-        f"{amount}, g(t) by {rms} {row['unit']} rms and {largest} {row['unit']} at most"
-    )
+    return f"{amount}, g(t) by {rms} {row['unit']} rms{ends}" if with_unit else amount
 
 
 def percent_text(share: float) -> str:
@@ -345,4 +417,5 @@ def discretization_text(
     ):
         return None
     has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
-    return convergence_text(rows, has_cells=has_cells)
+    is_verified = BandGrade(result.score.grade).is_solution
+    return convergence_text(rows, has_cells=has_cells, over_trials=not is_verified)

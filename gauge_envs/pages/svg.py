@@ -35,6 +35,7 @@ class CurvePanel:
         mean: Real mean at those times; NaN is unknown.
         sigma: Its standard deviation.
         measured: Whether a time was measured; the others are extrapolated and drawn dotted.
+        least_range: Range that the panel has at least: rounding errors must not fill it.
     """
 
     title: str
@@ -44,6 +45,7 @@ class CurvePanel:
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))
     sigma: FloatArray = field(default_factory=lambda: np.zeros(0))
     measured: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    least_range: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,10 +224,12 @@ def _range(panel: CurvePanel) -> tuple[float, float]:
     )
     values = values[np.isfinite(values)]
     if len(reals):
-        reach = 10.0 * max(float(np.ptp(reals)), 1e-9)
+        reach = 10.0 * max(float(np.ptp(reals)), panel.least_range, 1e-9)
         values = np.clip(values, reals.min() - reach, reals.max() + reach)
     every = np.concatenate([reals, values])
     low, high = (float(every.min()), float(every.max())) if len(every) else (0.0, 1.0)
+    lacking = max(panel.least_range - (high - low), 0.0)
+    low, high = low - 0.5 * lacking, high + 0.5 * lacking
     margin = 0.05 * (high - low) or max(0.05 * abs(high), 1e-6)
     return low - margin, high + margin
 
@@ -310,8 +314,8 @@ MIN_SCORE = 0.1
 """Left end of the axis of scores; an arrow points at what is below it."""
 
 
-def forest(title: str, rows: Sequence[ForestRow]) -> Html:
-    """Return scores with intervals on a logarithmic axis, with a line at 1: the mean score of the real trials."""
+def forest(title: str, rows: Sequence[ForestRow], *, unity: str) -> Html:
+    """Return scores with intervals on a logarithmic axis, with a line at 1, whose meaning is `unity`."""
     highest = max(
         [1.0, *(row.interval[1] if row.interval else row.value for row in rows)]
     )
@@ -334,7 +338,7 @@ def forest(title: str, rows: Sequence[ForestRow]) -> Html:
         )
         # More decades leave too little room for the words.
         text = (
-            "1 = real trials"
+            f"1 = {unity}"
             if power == 0 and span[1] - span[0] <= MAX_WORDED
             else f"{value:g}"
         )

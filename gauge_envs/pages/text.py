@@ -17,11 +17,17 @@ NORMALIZED_NOTE = (
     "is ideal. EL: 0 is ideal. Engines: as published (GAUGE, Table 5)."
 )
 
+QUESTIONS = {
+    "validation": "Validation: is the motion like reality?",
+    "verification": "Verification: does the engine solve the stated scene?",
+}
+"""What references answer. No table, axis or rank mixes the two."""
+
 GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
     BandGrade.LAW: "a closed form with calibrated parameters: how well an engine solves the scene, and not reality",
-    BandGrade.MODEL: "how well an engine solves the calibrated scene, and nothing of reality",
+    BandGrade.MODEL: "how well an engine solves the calibrated scene",
     BandGrade.NONE: "no reference: RMSE and DTW are not scored",
 }
 

@@ -14,8 +14,6 @@ class BandGrade(StrEnum):
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
     MODEL = "model"
     """Solution of the calibrated scene by several engines, with its uncertainty. It says nothing of reality."""
-    END = "end"
-    """Mean height at the last frame, of engines that disagree on the motion. It is rewarded and not scored."""
     NONE = "none"
     """No reference: no score."""
 
@@ -23,3 +21,8 @@ class BandGrade(StrEnum):
     def is_real(self) -> bool:
         """Whether the mean was measured. The motion of a law or a model starts at frame 0, so it is not aligned."""
         return self in (BandGrade.TRIALS, BandGrade.RECORDING)
+
+    @property
+    def is_solution(self) -> bool:
+        """Whether the mean solves the stated scene: a distance from it is an error of the engine, not of reality."""
+        return self in (BandGrade.LAW, BandGrade.MODEL)

@@ -34,6 +34,9 @@ from gauge_envs.references.tables import (
 )
 from gauge_envs.scene.geometry import FloatArray
 
+SHEET = "sheet"
+"""Name of the one-dimensional sheet (`scripts/sheet.py`) among the engines of a solution, of which it is the mean."""
+
 STRIDE = 5
 """Frames between stored values of an uncertainty, which varies slowly."""
 
@@ -121,8 +124,13 @@ class ModelSidecar(FileModel):
     def source(self) -> str:
         """The reference in one sentence."""
         *first, last = (one.engine for one in self.engines)
-        names = f"{', '.join(first)} and {last}" if first else last
-        return f"the calibrated scene as {names} solve it, refined one parameter at a time; it says nothing of reality"
+        if first and first[0] == SHEET:
+            how = f"an undamped one-dimensional sheet solves it, checked with {last}"
+        elif first:
+            how = f"{', '.join(first)} and {last} solve it"
+        else:
+            how = f"{last} solves it"
+        return f"the calibrated scene as {how}, refined one parameter at a time"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,51 +167,6 @@ def unsolved_scenes() -> Mapping[str, UnsolvedScene]:
     file = scoring_folder("models") / "unsolved.json"
     with faults_of(file):
         return TypeAdapter(dict[str, UnsolvedScene]).validate_json(read_content(file))
-
-
-@cache
-def end_band(
-    variant: str, *, frame_count: int, body_count: int, marker_count: int
-) -> Band | None:
-    """Return the mean height of all recorded points at the last frame, where engines disagree; others are unknown.
-
-    It is the mean over engines. Its uncertainty is of their distance, and of the scatter of each over step and cell.
-
-    Args:
-        variant: Name of the variant.
-        frame_count: Number of frames T of an episode.
-        body_count: Number of recorded bodies; 0 where the markers are recorded.
-        marker_count: Number of markers.
-
-    Returns:
-        A band of grade `end`, of positions [mm]; None for a variant with fewer than two engines.
-    """
-    unsolved = unsolved_scenes().get(variant)
-    found = {} if unsolved is None else unsolved.statistics.get("mean height [mm]", {})
-    if len(found) < 2:
-        return None
-    heights, scatters = np.array([(mean, std) for mean, std, _ in found.values()]).T
-    uncertainty = np.sqrt(
-        (np.var(heights, ddof=1) + np.mean(np.square(scatters))) / len(heights)
-    )
-    mean = np.full((frame_count, 1), np.nan)
-    mean[-1] = heights.mean()
-    points = body_count or marker_count
-    band = Band(
-        grade=BandGrade.END,
-        unit="mm",
-        coordinates=("mean height",),
-        projection=np.tile([0.0, 0.0, 1.0 / points], points)[None],
-        mean=mean,
-        sigma=np.zeros_like(mean),
-        measured=np.isfinite(mean[:, 0]),
-        trial_count=None,
-        source=f"the calibrated scene as {' and '.join(found)} solve it without agreeing; it says nothing of reality",
-        sigma_source=SigmaSource.MODEL,
-        uncertainty=np.where(np.isfinite(mean), uncertainty, np.nan),
-        normalized_by_baseline=False,
-    )
-    return band if body_count else replace(band, points=band)
 
 
 def solved_model(variant: str) -> SolvedModel | None:

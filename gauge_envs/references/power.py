@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
-POWER_COLUMNS = ("variant", "change", "distance", "unit")
+POWER_COLUMNS = ("variant", "change", "distance", "unit", "quantity")
 """Columns of the file."""
 
 
@@ -19,12 +19,14 @@ class PowerRow(FileModel):
         distance: Distance between the motions with and without the change, in the norm of the score; None for a scene
             that fails with the change.
         unit: Unit of the distance.
+        quantity: Load of a rod or grip that is compared; None for what the score is of.
     """
 
     variant: str
     change: str
     distance: float | None
     unit: str
+    quantity: str | None = None
 
 
 def power_file() -> Path:
@@ -40,6 +42,11 @@ def _rows() -> Mapping[str, tuple[PowerRow, ...]]:
     return {variant: tuple(rows) for variant, rows in table.items()}
 
 
-def power_rows(variant: str) -> tuple[PowerRow, ...]:
-    """Return the changes of a variant's scene that were measured; none for a variant without a reference."""
-    return _rows().get(variant, ())
+def power_rows(variant: str, quantity: str | None = None) -> tuple[PowerRow, ...]:
+    """Return the changes of a variant's scene that were measured; none for a variant without a reference.
+
+    Args:
+        variant: Variant id.
+        quantity: Load of a rod or grip; None for what the score is of.
+    """
+    return tuple(row for row in _rows().get(variant, ()) if row.quantity == quantity)

@@ -6,8 +6,9 @@ import numpy as np
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
-from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Plane, Rope, Scene, SoftBody
+from gauge_envs.scene import Hinge, Plane, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.meshes import outline_m
 
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view of the camera [deg]."""
@@ -133,7 +134,7 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
         if not isinstance(body.shape, Plane):
             points.append(body.pose.to_world(body.shape.corners_m))
     for soft in scene.deformables:
-        points.append(_outline_m(soft))
+        points.append(outline_m(soft))
     for driver in scene.drivers:
         carrier = scene.body(driver.body)
         end = driver.pose(carrier.pose, scene.duration_s)
@@ -146,7 +147,7 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
         }
         for soft in scene.deformables:
             if soft.name in carried:
-                points.append(_outline_m(soft) + way_m)
+                points.append(outline_m(soft) + way_m)
     for joint in scene.joints:
         anchor = np.asarray(joint.anchor_m)
         arm_m = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
@@ -167,16 +168,3 @@ def _start_and_reach_m(scene: Scene) -> FloatArray:
             [corners, [[lowest[0], lowest[1], scene.floor_height_m]]]
         )
     return corners
-
-
-def _outline_m(body: Deformable) -> FloatArray:
-    """Return the corners of a deformable body at the start [m], shape [8, 3]."""
-    if isinstance(body, SoftBody):
-        box = body.shape
-    elif isinstance(body, Cloth):
-        box = Box(size_m=(*body.size_m, 0.0))
-    elif isinstance(body, Rope):
-        box = Box(size_m=(body.length_m, 0.0, 0.0))
-    else:
-        box = Box(size_m=(0.0, 0.0, body.length_m))
-    return body.pose.to_world(box.corners_m)

@@ -20,8 +20,10 @@ from gauge_envs.rendering.materials import STRING, look_of
 from gauge_envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color, Overlay
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.rendering.studio import studio_model
+from gauge_envs.rendering.window import Window
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 STRING_RADIUS_M = 0.0015
 """Radius of a string in pictures [m]."""
@@ -48,9 +50,6 @@ DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
 def _graphics_context(width: int, height: int) -> Any:
     """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
-    # After Mesa's LLVM, loading that of triton, which PyTorch for CUDA brings, ends in a segmentation fault.
-    with suppress(ImportError):
-        import_module("triton")
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
         wanted = (
@@ -86,7 +85,8 @@ class SceneRenderer:
         height: Picture height [pixels].
         view: Perspective camera, or a parallel projection; None for a camera by the rule.
         materials: Material of bodies by name, as `wood`; others have colours by how they move. A parallel projection
-            states its own colours.
+                states its own colours.
+        window: Window that `show` draws in, or None for pictures alone.
 
     Attributes:
         camera: The perspective camera; None for a parallel projection.
@@ -101,8 +101,14 @@ class SceneRenderer:
         *,
         view: View | FlatView | None = None,
         materials: Mapping[str, str] | None = None,
+        window: Window | None = None,
     ) -> None:
-        self._context = _graphics_context(width, height)
+        # After Mesa's LLVM, loading that of triton, which PyTorch for CUDA brings, ends in a segmentation fault.
+        with suppress(ImportError):
+            import_module("triton")
+        self._window = window
+        self._context = window or _graphics_context(width, height)
+        self._context.make_current()
         self._scene = scene
         self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._skins = [
@@ -144,6 +150,10 @@ class SceneRenderer:
         self._free_camera = (
             light_camera(scene) if self.camera is None else self.camera.mujoco_camera()
         )
+        if window is not None:
+            # The next renderer of a window keeps what the mouse has done.
+            window.camera = window.camera or self._free_camera
+            self._free_camera = window.camera
         self._data = mujoco.MjData(self._model)
         self._mocap_ids = {
             body.name: int(self._model.body(body.name).mocapid[0])
@@ -162,7 +172,11 @@ class SceneRenderer:
         self._device = mujoco.MjrContext(
             self._model, mujoco.mjtFontScale.mjFONTSCALE_100
         )
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
+        buffers = mujoco.mjtFramebuffer
+        mujoco.mjr_setBuffer(
+            buffers.mjFB_OFFSCREEN if window is None else buffers.mjFB_WINDOW,
+            self._device,
+        )
 
     def picture(
         self,
@@ -180,6 +194,63 @@ class SceneRenderer:
         Returns:
             Picture, shape [height, width, 3], top row first.
         """
+        self._update(poses, nodes_m, overlay)
+        picture = self._rendered()
+        return picture if overlay is None else self._with_overlay(picture, overlay)
+
+    def depth_m(
+        self, poses: Mapping[str, FloatArray], nodes_m: Mapping[str, FloatArray]
+    ) -> NDArray[np.float32]:
+        """Return the distance of what each pixel shows from the plane of the camera [m].
+
+        Args:
+            poses: As for `picture`.
+            nodes_m: As for `picture`.
+
+        Returns:
+            Distances along the view, shape [height, width], top row first; each is that of a point within the pixel.
+            The background is at the far plane.
+        """
+        self._update(poses, nodes_m, None)
+        stored = np.empty(
+            (self._viewport.height, self._viewport.width), dtype=np.float32
+        )
+        # The nearest values are 1 and the farthest 0, where floating point numbers are densest.
+        self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+        mujoco.mjr_render(self._viewport, self._drawing, self._device)
+        mujoco.mjr_readPixels(None, stored, self._viewport, self._device)
+        planes = self._model.vis.map
+        near_m = planes.znear * self._model.stat.extent
+        far_m = planes.zfar * self._model.stat.extent
+        depth_m = near_m * far_m / (near_m + stored[::-1] * (far_m - near_m))
+        return depth_m.astype(np.float32)
+
+    def show(
+        self,
+        poses: Mapping[str, FloatArray],
+        nodes_m: Mapping[str, FloatArray],
+        overlay: Overlay | None = None,
+    ) -> None:
+        """Draw the scene in the window, at most as often as there are frames; the arguments are those of `picture`."""
+        window = self._window
+        assert window is not None
+
+        def draw() -> None:
+            self._update(poses, nodes_m, overlay)
+            if overlay is not None:
+                _add_overlay(self._drawing, self._model, overlay, pixel_m=self._pixel_m)
+            viewport = mujoco.MjrRect(0, 0, *window.size)
+            mujoco.mjr_render(viewport, self._drawing, self._device)
+
+        window.show(draw, interval_s=1.0 / FRAME_RATE_HZ)
+
+    def _update(
+        self,
+        poses: Mapping[str, FloatArray],
+        nodes_m: Mapping[str, FloatArray],
+        overlay: Overlay | None,
+    ) -> None:
+        """Bring the drawing to poses and nodes, with room for an overlay."""
         for name, pose in poses.items():
             index = self._mocap_ids[name]
             self._data.mocap_pos[index] = pose[:3]
@@ -206,8 +277,6 @@ class SceneRenderer:
             self._flat.aim(
                 self._drawing, width=self._viewport.width, height=self._viewport.height
             )
-        picture = self._rendered()
-        return picture if overlay is None else self._with_overlay(picture, overlay)
 
     def _with_overlay(
         self, picture: NDArray[np.uint8], overlay: Overlay

@@ -29,6 +29,7 @@ from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
+from gauge_envs.runs.scatter import with_scatter
 from gauge_envs.scene.jitter import Jitter, jittered
 
 _log = logging.getLogger(__name__)
@@ -56,7 +57,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
 
     Returns:
         Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
-        against its own single-shot trial.
+        against its own single-shot trial. As many repeats as there are real trials, or more, have a scatter.
     """
     experiment = request.experiment()
     seeds = range(request.seed, request.seed + request.repeats)
@@ -96,9 +97,9 @@ def run_episodes(request: RunRequest) -> list[Result]:
         ]
     finally:
         lockstep.worlds.close()
-    return (
-        with_measured_uncertainty(request, results) if request.uncertainty else results
-    )
+    if request.uncertainty:
+        results = with_measured_uncertainty(request, results)
+    return with_scatter(request, results)
 
 
 def with_measured_uncertainty(
@@ -138,8 +139,10 @@ def with_measured_uncertainty(
                 times_s=times_s,
                 values=values,
                 markers_m=result.trajectory.markers_m(),
+                wrenches=result.trajectory.recorded_wrenches(),
                 backend=request.backend,
                 sensitivities=measured,
+                is_checked=True,
             )
             result = replace(result, score=score)
         rescored.append(result)
@@ -313,6 +316,9 @@ def _finished(
         versions={**engine_versions, **versions()},
         error=None,
         trajectory=RecordedTrajectory.of(
-            episode.experiment, *recorded.dense, markers_m=recorded.markers_m
+            episode.experiment,
+            *recorded.dense,
+            markers_m=recorded.markers_m,
+            wrenches=recorded.wrenches,
         ),
     )

@@ -1,12 +1,11 @@
 """The request of a run: one experiment on one engine, once or with repeats."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file
+from gauge_envs.experiments.variants import Variant, find_subject
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene.jitter import Jitter
 
@@ -47,8 +46,8 @@ class RunRequest(EnvArguments):
             raise ParameterError(
                 f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter"
             )
-        if isinstance(self.variant, str) and not is_experiment_file(Path(self.variant)):
-            object.__setattr__(self, "variant", find_variant(self.variant))
+        if isinstance(self.variant, str):
+            object.__setattr__(self, "variant", find_subject(self.variant))
 
     @property
     def scatter(self) -> Jitter | None:

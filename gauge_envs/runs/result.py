@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.deformation import DeformationScore
+from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
@@ -47,6 +48,8 @@ class RecordedTrajectory:
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
             markers.
+        wrenches: Force [N] and torque [N m] of each holder of the scene in the mean over each frame, shape
+            [frame_count, 6 holder_count]; empty where no reference compares them, or in a file of an earlier version.
     """
 
     unit: str
@@ -56,6 +59,7 @@ class RecordedTrajectory:
     later_times_s: list[float] = field(default_factory=list)
     later_samples: list[list[float | None]] = field(default_factory=list)
     markers_mm: list[list[float | None]] = field(default_factory=list)
+    wrenches: list[list[float | None]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         for times_s, samples in (
@@ -79,6 +83,7 @@ class RecordedTrajectory:
         times_s: NDArray[np.float64],
         samples: NDArray[np.float64],
         markers_m: NDArray[np.float64] | None = None,
+        wrenches: NDArray[np.float64] | None = None,
     ) -> RecordedTrajectory:
         """Return the record of a generalized trajectory, split at the last frame.
 
@@ -87,6 +92,7 @@ class RecordedTrajectory:
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
             markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
+            wrenches: Wrenches of the holders, shape [frame_count, holder_count, 6]; None or empty without them.
         """
         has_markers = markers_m is not None and markers_m.size > 0
         count = int(
@@ -103,6 +109,7 @@ class RecordedTrajectory:
             later_times_s=times_s[count:].tolist(),
             later_samples=rows[count:],
             markers_mm=json_ready(_rounded_mm(markers_m)) if has_markers else [],
+            wrenches=json_ready(_rounded_n(wrenches)),
         )
 
     def markers_m(self) -> NDArray[np.float64] | None:
@@ -111,6 +118,13 @@ class RecordedTrajectory:
             return None
         rows = np.array(self.markers_mm, dtype=np.float64)
         return 1e-3 * rows.reshape(len(rows), -1, 3)
+
+    def recorded_wrenches(self) -> NDArray[np.float64] | None:
+        """Return the wrenches of the holders, shape [frame_count, holder_count, 6]; None if they are not recorded."""
+        if not self.wrenches:
+            return None
+        rows = np.array(self.wrenches, dtype=np.float64)
+        return rows.reshape(len(rows), -1, 6)
 
     def arrays(
         self, *, later: bool = False
@@ -144,6 +158,8 @@ class Result:
     Attributes:
         id: Gymnasium id.
         outcome: How the episode ended.
+        scatter: Scatter of the repeats of its run beside that of real trials; None for fewer repeats than trials, and
+            where that is not published.
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
@@ -183,6 +199,7 @@ class Result:
     task_sha256: str
     revision: int = 1
     deformation: DeformationScore | None = None
+    scatter: Scatter | None = None
     backend: str | None = None
     frames: int = 0
     diverged: bool = False
@@ -231,3 +248,13 @@ class Result:
                 key: value for key, value in values["asset"].items() if key not in BULKY
             }
         return values
+
+
+WRENCH_DECIMALS = 7
+"""Digits of a wrench [N, N m] in a file: a millionth of the weight of a cloth."""
+
+
+def _rounded_n(wrenches: NDArray[np.float64] | None) -> list[list[float]]:
+    if wrenches is None or not np.isfinite(wrenches).any():
+        return []
+    return np.round(wrenches.reshape(len(wrenches), -1), WRENCH_DECIMALS).tolist()

@@ -28,7 +28,7 @@ from gauge_envs.experiments.experiment import (
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.variants import find_variant
+from gauge_envs.experiments.variants import OWN_TASKS, find_variant
 from gauge_envs.files import (
     MEGABYTE,
     json_document,
@@ -118,6 +118,7 @@ def parse_result(text: bytes, name: str) -> Result:
         )
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
+        content.setdefault("scatter", None)
         content.setdefault("cpu_s", None)
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
@@ -159,7 +160,12 @@ def _check(result: Result) -> None:
                 f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits"
             )
     else:
-        find_variant(result.id)
+        try:
+            find_variant(result.id)
+        except UnknownNameError as error:
+            raise ValueError(
+                f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
+            ) from None
     choices = {
         "score.grade": (result.score.grade, BandGrade),
         "marker_proxy": (result.marker_proxy, MarkerProxy),

@@ -2,8 +2,17 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.deformation import score_deformation
+from gauge_envs.evaluation.deviation import sampled_frames
+from gauge_envs.evaluation.likely_mistakes import (
+    START_TOLERANCE_MM,
+    marker_mistake,
+    start_values,
+    value_mistake,
+)
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.evaluation.trajectory_file import (
@@ -12,7 +21,7 @@ from gauge_envs.evaluation.trajectory_file import (
     stated_origin,
 )
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
@@ -20,7 +29,14 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+MOST_SIGMAS = 6.0
+"""Standard deviations of a start that a trajectory may have."""
+
+LEVER_M = 1.0
+"""Distance from the axis of a rotated start of the farthest recorded point of any experiment [m]."""
 
 
 def score_file(
@@ -47,7 +63,19 @@ def score_file(
     origin = stated_origin(file)
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)
     trajectory = read_trajectory(file, experiment)
+    experiment = _with_its_trial(experiment, origin, trajectory.values[0])
     band = reference_band(experiment, use_withheld=use_withheld)
+    fault = value_mistake(
+        experiment,
+        sampled_frames(experiment, trajectory.times_s, trajectory.values),
+        band=band,
+        tolerance_mm=START_TOLERANCE_MM + _scatter_mm(origin),
+    )
+    if fault is None and trajectory.markers_m is not None:
+        fault = marker_mistake(experiment, trajectory.markers_m)
+        fault = fault and f"markers_m: {fault}"
+    if fault is not None:
+        raise TrajectoryFileError(f"{file}: {fault}")
     score = score_trajectory(
         experiment,
         band,
@@ -55,6 +83,7 @@ def score_file(
         values=trajectory.values,
         markers_m=trajectory.markers_m,
         backend=origin.backend,
+        is_checked=True,
     )
     result = Result(
         id=experiment.id,
@@ -70,6 +99,7 @@ def score_file(
         revision=experiment.revision,
         frames=experiment.frame_count,
         sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
+        jitter={} if experiment.trial is None else {"trial": experiment.trial},
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(
             experiment.name,
@@ -85,6 +115,32 @@ def score_file(
         ),
     )
     return result, trajectory.interpolated_frames
+
+
+def _with_its_trial(
+    experiment: Experiment, origin: StatedOrigin, start: FloatArray
+) -> Experiment:
+    """Return an experiment with the single-shot trial that a trajectory starts as: the stated one, or the nearest.
+
+    Args:
+        experiment: The experiment.
+        origin: What the file states.
+        start: g(t) of the first frame, shape [coordinate_count].
+    """
+    shots = shots_of(experiment)
+    if shots is None:
+        return experiment
+    stated = origin.scatter.get("trial")
+    trials = shots.trials() if stated is None else (stated,)
+    found = [with_trial(experiment, trial) for trial in trials]
+    return min(found, key=lambda one: float(np.linalg.norm(start_values(one) - start)))
+
+
+def _scatter_mm(origin: StatedOrigin) -> float:
+    """Return how far the stated scatter of a start may move a point [mm]."""
+    position_m = origin.scatter.get("position_m", 0.0)
+    angle_rad = origin.scatter.get("angle_rad", 0.0)
+    return MOST_SIGMAS * 1e3 * (position_m + LEVER_M * angle_rad)
 
 
 def _experiment_of_file(

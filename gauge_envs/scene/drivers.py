@@ -160,6 +160,11 @@ class Driver:
             [position, rotation.as_quat(scalar_first=True), linear, angular], axis=1
         )
 
+    @property
+    def spin_limit_rad_per_s(self) -> float:
+        """Bound on the angular speed of the driven body [rad/s]."""
+        return sum(one.largest_rate for one in self.motions if one.kind == "rotate")
+
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""
         speed = 0.0

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, MinLen
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+
+from gauge_envs.errors import needs_extra
 
 if TYPE_CHECKING:
     # It takes 0.2 s, and only pictures need it.
@@ -96,8 +98,7 @@ class Box:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         return trimesh.creation.box(extents=self.size_m)
 
 
@@ -120,8 +121,7 @@ class Sphere:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         return trimesh.creation.icosphere(radius=self.radius_m)
 
 
@@ -147,8 +147,7 @@ class Cylinder:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         return trimesh.creation.cylinder(radius=self.radius_m, height=self.length_m)
 
 
@@ -200,8 +199,7 @@ class ConvexUnion:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         return trimesh.util.concatenate(
             [trimesh.convex.convex_hull(np.asarray(piece)) for piece in self.pieces_m]
         )
@@ -232,8 +230,7 @@ class Capsule:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         return trimesh.creation.capsule(radius=self.radius_m, height=self.length_m)
 
 
@@ -290,8 +287,7 @@ class Compound:
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""
-        import trimesh
-
+        trimesh = _trimesh()
         meshes = []
         for part in self.parts:
             mesh = part.shape.mesh()
@@ -301,6 +297,12 @@ class Compound:
 
 
 Shape = Box | Sphere | Cylinder | Plane | ConvexUnion | Compound
+
+
+def _trimesh() -> Any:
+    with needs_extra("a mesh of a shape", "usd"):
+        import trimesh
+    return trimesh
 
 
 def pose_distance(one: Pose, other: Pose) -> float:

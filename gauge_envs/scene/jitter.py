@@ -44,7 +44,8 @@ class Jitter:
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
-            if not (math.isfinite(value) and value >= 0.0):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not (is_number and math.isfinite(value) and value >= 0.0):
                 raise ParameterError(
                     f"jitter {name} is {value!r}: give a finite number of 0 or more"
                 )

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from gauge_envs.scene.bodies import Region, RigidBody
+from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
 from gauge_envs.scene.geometry import (
     Box,
     Capsule,
@@ -157,28 +157,28 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
         across = (3.0 * shape.radius_m**2 + shape.length_m**2) / 12.0
         return np.zeros(3), mass_kg * np.diag([across, across, 0.5 * shape.radius_m**2])
     if isinstance(shape, ConvexUnion):
-        # Imported here, since the import takes 0.2 s and most scenes only have primitives.
-        import trimesh
-
-        pieces = [
-            trimesh.convex.convex_hull(np.asarray(piece)) for piece in shape.pieces_m
-        ]
-        density = mass_kg / sum(piece.volume for piece in pieces)
-        centre = (
-            density
-            / mass_kg
-            * sum(piece.volume * piece.center_mass for piece in pieces)
+        corners_m = np.concatenate(
+            [_tetrahedra(np.asarray(piece)) for piece in shape.pieces_m]
         )
-        inertia = np.zeros((3, 3))
-        for piece in pieces:
-            arm = piece.center_mass - centre
-            # Steiner's theorem moves each piece's own inertia to the common centre.
-            steiner = piece.volume * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            inertia += density * (piece.moment_inertia + steiner)
-        return centre, inertia
+        volumes_m3 = np.abs(np.linalg.det(corners_m[:, 1:] - corners_m[:, :1])) / 6.0
+        masses_kg = mass_kg * volumes_m3 / volumes_m3.sum()
+        centre = masses_kg @ corners_m.mean(axis=1) / mass_kg
+        arms_m = corners_m - centre
+        sums_m = arms_m.sum(axis=1)
+        # Second moments of a uniform tetrahedron: m / 20 of the sum over its corners of r r^T, and of their sum's.
+        second = np.einsum("t,tci,tcj->ij", masses_kg / 20.0, arms_m, arms_m)
+        second += np.einsum("t,ti,tj->ij", masses_kg / 20.0, sums_m, sums_m)
+        return centre, np.trace(second) * np.eye(3) - second
     if isinstance(shape, Compound):
         return _compound_properties(shape, mass_kg)
     return np.zeros(3), np.zeros((3, 3))
+
+
+def _tetrahedra(points_m: FloatArray) -> FloatArray:
+    """Return tetrahedra that fill the convex hull of points [m], corners of shape [tetrahedron_count, 4, 3]."""
+    faces_m = points_m[ConvexHull(points_m).simplices]
+    inner = np.broadcast_to(points_m.mean(axis=0), (len(faces_m), 1, 3))
+    return np.concatenate([inner, faces_m], axis=1)
 
 
 def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
@@ -232,3 +232,16 @@ def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> FloatArray:
     across = tube * (3.0 * radius**2 + length**2) / 12.0
     across += ball * (0.4 * radius**2 + 0.25 * length**2 + 0.375 * radius * length)
     return np.diag([across, across, along])
+
+
+def outline_m(body: Deformable) -> FloatArray:
+    """Return the corners of a deformable body at the start [m], shape [8, 3]."""
+    if isinstance(body, SoftBody):
+        box = body.shape
+    elif isinstance(body, Cloth):
+        box = Box(size_m=(*body.size_m, 0.0))
+    elif isinstance(body, Rope):
+        box = Box(size_m=(body.length_m, 0.0, 0.0))
+    else:
+        box = Box(size_m=(0.0, 0.0, body.length_m))
+    return body.pose.to_world(box.corners_m)

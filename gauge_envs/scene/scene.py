@@ -199,6 +199,16 @@ class Scene:
         """Rigid bodies that move under forces, in scene order."""
         return tuple(body for body in self.bodies if body.motion is Motion.DYNAMIC)
 
+    @property
+    def holders(self) -> tuple[str, ...]:
+        """Names of the fixed and driven bodies that a deformable body is attached to, in scene order."""
+        attached = {attachment.to for attachment in self.attachments}
+        return tuple(
+            body.name
+            for body in self.bodies
+            if body.name in attached and body.motion is not Motion.DYNAMIC
+        )
+
     @cached_property
     def has_impact_chain(self) -> bool:
         """Whether more than two dynamic bodies collide with each other, so that impacts travel through them."""
@@ -319,6 +329,18 @@ class Scene:
                 spin = body.pose.rotation.apply(angular, inverse=True)
                 total += 0.5 * float(spin @ inertia @ spin)
         return 1.25 * total
+
+    def spin_limit_rad_per_s(self, body: RigidBody) -> float:
+        """Return a bound on the angular speed of a body [rad/s], which all energy of the scene turns, or a driver."""
+        if body in self.dynamic_bodies:
+            inertia = body_mass_properties(body)[1]
+            least = float(np.linalg.eigvalsh(inertia)[0])
+            return float(np.sqrt(2.0 * self.kinetic_energy_limit_j / least))
+        return sum(
+            driver.spin_limit_rad_per_s
+            for driver in self.drivers
+            if driver.body == body.name
+        )
 
     @cached_property
     def _start_speed_m_per_s(self) -> float:

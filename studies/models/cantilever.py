@@ -5,6 +5,9 @@
 ASTM D1388 and ISO 9073-7 slide a strip over an edge until the line from the edge to its tip falls by 41.5 degrees. The
 overhang O is then twice the bending length, O^3 = 8 D / w, with the bending stiffness D and the weight w per area
 (Peirce 1930). So a strip with O^3 w / D = 8 must hang at 41.5 degrees. Air brings it to rest; Newton has none.
+
+A mesh clamps the strip half a cell inside its edge: the first hinge that can bend lies there. `heavy_elastica` says at
+which angle such a strip hangs, so each cell has an expected angle of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.integrate import solve_bvp
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import Air
@@ -32,11 +36,11 @@ from scripts.extrapolation import extrapolate
 STANDARD_DEG = 41.5
 """Angle of the standards, at which the overhang is twice the bending length."""
 
-TIP_SLOPE = 0.04
-"""Slope of the tip at the gravity of `cantilever_strip`: O^3 w / (6 D)."""
-
 LOAD = 8.0
 """O^3 w / D at the angle of the standards."""
+
+CELL_M = 0.025
+"""Cell of the default settings [m]."""
 
 SECONDS = 20.0
 
@@ -48,12 +52,47 @@ AIR = Air(density_kg_per_m3=2.0, normal_coefficient=2.0)
 LEVELS = {
     "cell": (
         ({}, 1.0),
-        ({"cell_m": 0.0125}, 0.5),
-        ({"cell_m": 0.025 / 3.0}, 1.0 / 3.0),
+        ({"cell_m": CELL_M / 2.0}, 0.5),
+        ({"cell_m": CELL_M / 3.0}, 1.0 / 3.0),
     ),
     "step": (({}, 1.0), ({"timestep_s": 1 / 1800}, 0.5)),
 }
 """Settings of the runs of each parameter, and its size over the default one."""
+
+
+def heavy_elastica(load: float) -> tuple[float, float]:
+    """Return where the tip of a heavy strip lies from its clamp, forward and down, over its free length.
+
+    D theta'' = -w (O - s) cos(theta), with theta = 0 at the clamp and no moment at the tip (Wang, "A critical review of
+    the heavy elastica", 1986).
+
+    Args:
+        load: O^3 w / D.
+    """
+
+    def slopes(s: np.ndarray, state: np.ndarray) -> np.ndarray:
+        theta, bend = state[:2]
+        return np.array(
+            [bend, -load * (1.0 - s) * np.cos(theta), np.cos(theta), np.sin(theta)]
+        )
+
+    def ends(clamp: np.ndarray, tip: np.ndarray) -> np.ndarray:
+        return np.array([clamp[0], tip[1], clamp[2], clamp[3]])
+
+    s = np.linspace(0.0, 1.0, 101)
+    start = np.array([s, 1.0 - s, s, s**2])
+    solution = solve_bvp(slopes, ends, s, start, tol=1e-9)
+    if not solution.success:
+        raise ArithmeticError(solution.message)
+    return float(solution.y[2, -1]), float(solution.y[3, -1])
+
+
+def expected_angle_deg(cell_m: float) -> float:
+    """Return the angle from the edge to the tip of a strip that is clamped half a cell inside its edge [deg]."""
+    inside_m = 0.5 * cell_m
+    free_m = BENT_FREE_M + inside_m
+    forward, down = heavy_elastica(LOAD * (free_m / BENT_FREE_M) ** 3)
+    return float(np.degrees(np.arctan2(down * free_m, forward * free_m - inside_m)))
 
 
 def resting_angle_deg(settings: dict[str, float | str]) -> tuple[float, float]:
@@ -62,7 +101,9 @@ def resting_angle_deg(settings: dict[str, float | str]) -> tuple[float, float]:
     The strip still swings a little. A mean under a Hann window over these seconds is the angle at rest.
     """
     # A softer fabric bends as far at the gravity of the check, and moves slowly enough for air to stop it.
-    softer = LOAD / (6.0 * TIP_SLOPE)
+    weight_n_per_m2 = BENT_FABRIC.areal_density_kg_per_m2 * BENT_GRAVITY
+    load = BENT_FREE_M**3 * weight_n_per_m2 / BENT_FABRIC.bend_stiffness_n_m_per_rad
+    softer = LOAD / load
     made_of = replace(
         BENT_FABRIC,
         bend_stiffness_n_m_per_rad=BENT_FABRIC.bend_stiffness_n_m_per_rad / softer,
@@ -98,7 +139,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     base, still = resting_angle_deg({})
     total, square = base, 0.0
-    rows = [["default", 1.0, f"{base:.3f}", f"{still:.3f}", "", ""]]
+    expected = f"{expected_angle_deg(CELL_M):.3f}"
+    rows = [["default", 1.0, f"{base:.3f}", f"{still:.3f}", "", "", expected]]
     for parameter, levels in LEVELS.items():
         found = [
             (base, still) if not settings else resting_angle_deg(settings)
@@ -112,17 +154,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         for (angle, moving), factor in zip(found, factors, strict=True):
             order = "" if result.order is None else f"{result.order:.2f}"
+            cell_m = factor * CELL_M if parameter == "cell" else CELL_M
             rows.append(
-                [parameter, f"{factor:.3g}", f"{angle:.3f}", f"{moving:.3f}", order, ""]
+                [
+                    parameter,
+                    f"{factor:.3g}",
+                    f"{angle:.3f}",
+                    f"{moving:.3f}",
+                    order,
+                    "",
+                    f"{expected_angle_deg(cell_m):.3f}",
+                ]
             )
-    rows.append(["solution", 0.0, f"{total:.3f}", "", "", f"{square**0.5:.3f}"])
-    print(f"{total:.2f} +- {square**0.5:.2f} degrees, the standards {STANDARD_DEG}")
+    exact = expected_angle_deg(0.0)
+    rows.append(
+        ["solution", 0.0, f"{total:.3f}", "", "", f"{square**0.5:.3f}", f"{exact:.3f}"]
+    )
+    print(
+        f"{total:.2f} +- {square**0.5:.2f} degrees, the elastica {exact:.2f}, the standards {STANDARD_DEG}"
+    )
     with (Path(__file__).parent / "cantilever.csv").open(
         "w", encoding="utf-8", newline=""
     ) as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(
-            ["refined", "factor", "angle_deg", "change_deg", "order", "uncertainty_deg"]
+            [
+                "refined",
+                "factor",
+                "angle_deg",
+                "change_deg",
+                "order",
+                "uncertainty_deg",
+                "elastica_deg",
+            ]
         )
         writer.writerows(rows)
     return 0

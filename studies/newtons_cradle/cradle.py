@@ -42,8 +42,9 @@ def gap_parameters(gap_m: float, restitution: float | None = None) -> dict[str, 
     for number, ball in enumerate(BALLS):
         x, y, z = anchors[ball]
         overrides[f"{ball}.hangs_from_m"] = (x, y + number * gap_m, z)
-        if restitution is not None:
-            overrides[f"{ball}.restitution"] = restitution
+    if restitution is not None:
+        # The contacts of all balls have that of the first.
+        overrides[f"{BALLS[0]}.restitution"] = restitution
     return overrides
 
 

@@ -142,7 +142,11 @@ def late_score(request: RunRequest, steps_late: int) -> Score:
     band = reference_band(experiment)
     end = len(times_s) - steps_late
     return score_trajectory(
-        experiment, band, times_s=times_s[:end], values=values[steps_late:]
+        experiment,
+        band,
+        times_s=times_s[:end],
+        values=values[steps_late:],
+        is_checked=True,
     )
 
 

@@ -1,12 +1,8 @@
 """What the package provides to authors of backends: replayed states, constants of bodies, driven motion."""
 
-from __future__ import annotations
-
 import pickle
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,13 +14,13 @@ from gauge_envs.backends import (
     Backend,
     ReplayedSimulation,
     Simulation,
-    Support,
     backend,
 )
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Contact, Pose, Scene
+from gauge_envs.scene import Pose, Scene
+from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.conformance import Status, run_checks
 
 MUJOCO = backend("mujoco")
@@ -35,10 +31,10 @@ MUJOCO = backend("mujoco")
 class NoState(Passed):
     """An engine that can save no state."""
 
-    def state(self) -> Any:
+    def state(self):
         return Simulation.state(self)
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         Simulation.restore(self, state)
 
 
@@ -47,18 +43,16 @@ class Stateless(Backend):
 
     name = "stateless"
 
-    def __init__(self, *, replayed: bool) -> None:
+    def __init__(self, *, replayed):
         self.replayed = replayed
 
-    def versions(self) -> dict[str, str]:
+    def versions(self):
         return {}
 
-    def supports(self, scene: Scene) -> Support:
+    def supports(self, scene):
         return MUJOCO.supports(scene)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
+    def build(self, scene, settings=None):
         simulation = NoState(MUJOCO.build(scene, settings), scene)
         return ReplayedSimulation(simulation) if self.replayed else simulation
 
@@ -83,26 +77,26 @@ STATE_CHECKS = [
     ],
     ids=["short", "long"],
 )
-def test_a_replayed_simulation_continues_bit_for_bit(only: list[str]) -> None:
+def test_a_replayed_simulation_continues_bit_for_bit(only):
     results = list(run_checks(Stateless(replayed=True), only=only))
     assert {one.status for one in results} == {Status.PASS}
 
 
-def test_a_replayed_simulation_reports_the_faults_of_its_engine() -> None:
+def test_a_replayed_simulation_reports_the_faults_of_its_engine():
     scene = load_experiment("BouncingBall-rubber").scene
     inner = MUJOCO.build(scene)
-    inner.fault = lambda: "gave up"  # type: ignore[method-assign]
+    inner.fault = lambda: "gave up"
     assert ReplayedSimulation(inner).fault() == "gave up"
     assert ReplayedSimulation(MUJOCO.build(scene)).fault() is None
 
 
-def test_without_it_the_error_says_what_to_do() -> None:
+def test_without_it_the_error_says_what_to_do():
     (result,) = run_checks(Stateless(replayed=False), only=["restore"])
     assert result.status is Status.ERROR
     assert "ReplayedSimulation" in result.diagnosis
 
 
-def test_a_replayed_state_is_taken_before_any_reset() -> None:
+def test_a_replayed_state_is_taken_before_any_reset():
     scene = load_experiment("BouncingBall-rubber").scene
     first, other = (Stateless(replayed=True).build(scene) for _ in range(2))
     saved = pickle.loads(pickle.dumps(first.state()))
@@ -112,7 +106,7 @@ def test_a_replayed_state_is_taken_before_any_reset() -> None:
     assert (first.body_states(["ball"]) == other.body_states(["ball"])).all()
 
 
-def test_the_base_class_saves_no_state() -> None:
+def test_the_base_class_saves_no_state():
     simulation = NoState(
         MUJOCO.build(load_experiment("BouncingBall-rubber").scene),
         Scene(bodies=(), duration_s=1.0),
@@ -127,9 +121,7 @@ def test_the_base_class_saves_no_state() -> None:
 TRIANGLE = {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.6}
 
 
-def combined(
-    values: Mapping[str, float], pair: tuple[str, str], rule: Combination
-) -> float:
+def combined(values, pair, rule):
     one, other = values[pair[0]], values[pair[1]]
     return {
         Combination.PRODUCT: one * other,
@@ -153,9 +145,7 @@ def combined(
         (Combination.PRODUCT, {}),
     ],
 )
-def test_values_of_bodies_give_those_of_pairs(
-    rule: Combination, pairs: dict[tuple[str, str], float]
-) -> None:
+def test_values_of_bodies_give_those_of_pairs(rule, pairs):
     values = body_values(pairs, rule)
     assert all(value >= 0.0 for value in values.values())
     for pair, value in pairs.items():
@@ -176,14 +166,12 @@ def test_values_of_bodies_give_those_of_pairs(
         ),
     ],
 )
-def test_no_solution_names_a_pair(
-    rule: str, pairs: dict[tuple[str, str], float], named: str
-) -> None:
+def test_no_solution_names_a_pair(rule, pairs, named):
     with pytest.raises(UnsupportedSceneError, match=named):
         body_values(pairs, rule)
 
 
-def test_pairs_of_a_scene() -> None:
+def test_pairs_of_a_scene():
     scene = load_experiment("SlopeSlider-2-wood").scene
     pairs = pair_values(scene, "friction")
     assert pairs["cube", "board"] == scene.contacts[0].friction
@@ -193,26 +181,26 @@ def test_pairs_of_a_scene() -> None:
 # --- pairs in two contacts ---
 
 
-def test_a_pair_in_two_contacts_is_an_error() -> None:
+def test_a_pair_in_two_contacts_is_an_error():
     scene = load_experiment("SlopeSlider-2-wood").scene
-    again = Contact(first=("board",), second=("cube",), friction=0.9, restitution=0.0)
+    again = contact("board", "cube", friction=0.9)
     with pytest.raises(
         ParameterError, match="two contacts list the pair 'board' and 'cube'"
     ):
         replace(scene, contacts=(*scene.contacts, again))
 
 
-def test_a_group_with_itself_lists_a_pair_once() -> None:
+def test_a_group_with_itself_lists_a_pair_once():
     scene = load_experiment("NewtonsCradle-metal").scene
     names = tuple(one.name for one in scene.dynamic_bodies)
-    inner = Contact(first=names, second=names, friction=0.1, restitution=0.5)
+    inner = contact(names, names, friction=0.1, restitution=0.5)
     assert len(list(replace(scene, contacts=(inner,)).colliding_pairs(inner))) == 10
 
 
 # --- driven motion ---
 
 
-def test_mean_velocities_follow_the_motion_exactly() -> None:
+def test_mean_velocities_follow_the_motion_exactly():
     start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
     motion = DrivenMotion(
         start,

@@ -1,21 +1,18 @@
 """Joints of free bodies, and joints in several worlds and after a restore; the conformance checks have the rest."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import Feature, Simulation, Worlds, scene_support
+from gauge_envs.backends.base import Feature, scene_support
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
 from gauge_envs.scene.driver_path import motor_commands
 from gauge_envs.scene.motors import Servo, TorqueMotor
-from gauge_envs.tools.bench.parts import body, box_inertia_kg_m2, ramp
+from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, ramp
 
 ENGINES = {
     "mujoco": "mujoco",
@@ -31,22 +28,12 @@ STEP = ramp(0.03, start_s=0.0, duration_s=1e-6, ramp_s=0.0)
 
 
 @on_every_engine
-def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> None:
+def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name):
     """Both centres are on the axis, so each body turns about its own."""
     pytest.importorskip(ENGINES[name])
     bodies = (
-        body(
-            "small",
-            Box(size_m=(0.1, 0.02, 0.03)),
-            Pose(position_m=(0.0, 0.0, 1.0)),
-            mass_kg=0.3,
-        ),
-        body(
-            "large",
-            Box(size_m=(0.2, 0.03, 0.03)),
-            Pose(position_m=(0.0, 0.1, 1.0)),
-            mass_kg=0.5,
-        ),
+        box("small", (0.0, 0.0, 1.0), (0.1, 0.02, 0.03), mass_kg=0.3),
+        box("large", (0.0, 0.1, 1.0), (0.2, 0.03, 0.03), mass_kg=0.5),
     )
     hinge = BodyHinge(
         first="large",
@@ -73,7 +60,7 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
         )
 
 
-def _arm(name: str = "mujoco") -> Scene:
+def _arm(name="mujoco"):
     """Return two bars on the world, the upper one with a servo, the lower one with friction and a torque motor.
 
     On an engine that builds it, both have play too.
@@ -120,9 +107,7 @@ def _arm(name: str = "mujoco") -> Scene:
     )
 
 
-def _played(
-    world: Simulation | Worlds, first: int, last: int
-) -> list[NDArray[np.float64]]:
+def _played(world, first, last):
     states = []
     for values in motor_commands(_arm(), 36)[first:last]:
         world.command(values)
@@ -132,7 +117,7 @@ def _played(
 
 
 @on_every_engine
-def test_several_worlds_and_a_restored_one_move_as_one_does(name: str) -> None:
+def test_several_worlds_and_a_restored_one_move_as_one_does(name):
     pytest.importorskip(ENGINES[name])
     engine, scene = backend(name), _arm(name)
     simulation = engine.build(scene)

@@ -3,10 +3,7 @@
 PhysX, PyBullet and Genesis have such tests beside their other ones.
 """
 
-from __future__ import annotations
-
 import inspect
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +15,7 @@ SCENE = load_experiment("SlopeSlider-2-wood").scene
 STEP = {"timestep_s": 1 / 540, "drive_interval_s": 1 / 180}
 
 
-def different(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
+def different(ours, theirs):
     """Values that differ by more than the rounding of single precision, by name."""
     return {
         name: (ours[name], value)
@@ -28,7 +25,7 @@ def different(ours: dict[str, Any], theirs: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_out_of_box_is_a_mujoco_model_that_states_nothing() -> None:
+def test_out_of_box_is_a_mujoco_model_that_states_nothing():
     import mujoco
 
     plain = mujoco.MjModel.from_xml_string(
@@ -49,7 +46,7 @@ def test_out_of_box_is_a_mujoco_model_that_states_nothing() -> None:
     assert not built.pair_margin.any() and not built.pair_gap.any()
 
 
-def test_out_of_box_is_a_rapier_world_that_states_nothing() -> None:
+def test_out_of_box_is_a_rapier_world_that_states_nothing():
     rapier = pytest.importorskip("rapier3d")
     from gauge_envs.backends.rapier.settings import PRESETS
 
@@ -83,7 +80,7 @@ def test_out_of_box_is_a_rapier_world_that_states_nothing() -> None:
     assert body.gyroscopic_forces_enabled and plain.length_unit == 1.0
 
 
-def test_out_of_box_is_a_drake_plant_that_states_nothing() -> None:
+def test_out_of_box_is_a_drake_plant_that_states_nothing():
     plant = pytest.importorskip("pydrake.multibody.plant")
     from gauge_envs.backends.drake.settings import PRESETS
 
@@ -100,7 +97,7 @@ def test_out_of_box_is_a_drake_plant_that_states_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_out_of_box_differs_from_newton_in_its_contacts_alone() -> None:
+def test_out_of_box_differs_from_newton_in_its_contacts_alone():
     solvers = pytest.importorskip("newton.solvers")
     from gauge_envs.backends.newton.settings import PRESETS
 

@@ -1,7 +1,5 @@
 """Each pair of bodies touches with its own constants, also where no values of bodies give those of all pairs."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import replace
 
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 from straight import fitted_acceleration
 
-from gauge_envs.backends import Backend
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
 from gauge_envs.errors import UnsupportedSceneError
@@ -28,7 +25,7 @@ FRICTIONS = {
 """Friction of each cube on each board: no coefficients of the four bodies have these means or products."""
 
 
-def crossed_slides(boards: dict[str, str], motion: Motion) -> Scene:
+def crossed_slides(boards, motion):
     """Two cubes that may touch both of two leaning boards, each on the board that is named."""
     lean = (0.0, 30.0, 0.0)
     bodies = []
@@ -47,9 +44,7 @@ def crossed_slides(boards: dict[str, str], motion: Motion) -> Scene:
 @pytest.mark.parametrize("engine", ENGINES, indirect=True)
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
 @pytest.mark.parametrize("boards", [("low", "high"), ("high", "low")])
-def test_pairs_have_their_friction(
-    engine: Backend, motion: Motion, boards: tuple[str, str]
-) -> None:
+def test_pairs_have_their_friction(engine, motion, boards):
     pairs = list(zip(("one", "two"), boards, strict=True))
     scene = crossed_slides(dict(pairs), motion)
     for rule in ("mean", "product"):
@@ -70,7 +65,7 @@ def test_pairs_have_their_friction(
 
 
 @pytest.mark.parametrize("engine", ENGINES, indirect=True)
-def test_pairs_have_their_restitution(engine: Backend) -> None:
+def test_pairs_have_their_restitution(engine):
     """Two balls that may touch each other rebound from a plane, each with its own speed."""
     drop_m, restitutions = 0.2, {"first": 0.8, "second": 0.4}
     balls = (

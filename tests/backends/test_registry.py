@@ -1,17 +1,11 @@
 """Finding backends, and what happens when one of somebody else's cannot be loaded."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
-from typing import Any
-
 import pytest
 
 from gauge_envs.backends import Backend, Support, backend, backend_names
 from gauge_envs.backends.registry import backend_class, backend_title
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.scene import Scene
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.listing import list_rows
 from gauge_envs.tools.conformance import words
@@ -23,7 +17,7 @@ class EntryPoint:
 
     value = "somebody:Backend"
 
-    def __init__(self, name: str, load: Callable[[], Any]) -> None:
+    def __init__(self, name, load):
         self.name = name
         self.load = load
 
@@ -33,21 +27,21 @@ class BackendNothing(Backend):
     title = "Nothing at all"
     color = "#123456"
 
-    def versions(self) -> dict[str, str]:
+    def versions(self):
         return {"nothing": "1.0"}
 
-    def supports(self, scene: Scene) -> Support:
+    def supports(self, scene):
         return Support(("it does nothing",))
 
-    def build(self, scene: Scene, settings: Any = None) -> Any:
+    def build(self, scene, settings=None):
         raise AssertionError("supports declines every scene")
 
 
-def broken() -> Any:
+def broken():
     raise OSError("libengine.so: cannot open shared object file")
 
 
-def missing() -> Any:
+def missing():
     raise MissingExtraError(
         "backend 'other'",
         "fast",
@@ -57,7 +51,7 @@ def missing() -> Any:
 
 
 @pytest.fixture
-def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def installed(monkeypatch):
     points = [
         EntryPoint("nothing", lambda: BackendNothing),
         EntryPoint("broken", broken),
@@ -70,12 +64,12 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("installed")
-def test_names_are_listed_without_loading_anything() -> None:
+def test_names_are_listed_without_loading_anything():
     assert backend_names() == ("broken", "nothing", "other")
 
 
 @pytest.mark.usefixtures("installed")
-def test_a_backend_that_cannot_be_loaded_says_which_and_why() -> None:
+def test_a_backend_that_cannot_be_loaded_says_which_and_why():
     with pytest.raises(
         BackendError, match=r"'broken' \(somebody:Backend\): OSError: libengine\.so"
     ):
@@ -87,7 +81,7 @@ def test_a_backend_that_cannot_be_loaded_says_which_and_why() -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_the_others_stay_usable(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_others_stay_usable(monkeypatch):
     for module in (words, listing):
         monkeypatch.setattr(module, "is_bundled", lambda name: True)
     rows = {row["name"]: row for row in backends_table().rows}
@@ -102,7 +96,7 @@ def test_the_others_stay_usable(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("installed")
-def test_somebody_elses_engine_gives_its_title_and_colour() -> None:
+def test_somebody_elses_engine_gives_its_title_and_colour():
     assert backend_title("nothing") == "Nothing at all"
     assert backend_class("nothing").color == "#123456"
     # Results of engines that cannot be loaded, or are nowhere, keep the name of their backend.
@@ -111,9 +105,7 @@ def test_somebody_elses_engine_gives_its_title_and_colour() -> None:
         assert backend_class(name).color == ""
 
 
-def test_engines_of_this_package_have_titles_and_colours_without_being_installed() -> (
-    None
-):
+def test_engines_of_this_package_have_titles_and_colours_without_being_installed():
     classes = {name: backend_class(name) for name in backend_names()}
     assert {one.title.lower() for one in classes.values()} == set(classes)
     assert (

@@ -1,7 +1,5 @@
 """The preset `training` of the engines that build deformable bodies: it exists, follows the scene, and stays near."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -28,9 +26,7 @@ SCENES = (
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
 @pytest.mark.parametrize("name", SCENES)
-def test_every_scene_has_a_training_preset_that_is_not_finer(
-    engine: str, name: str
-) -> None:
+def test_every_scene_has_a_training_preset_that_is_not_finer(engine, name):
     scene = load_experiment(name).scene
     chosen = backend(engine)
     default, training = (
@@ -62,9 +58,7 @@ def test_every_scene_has_a_training_preset_that_is_not_finer(
         ("SlopeSlider-2-wood", 12, 0.8),
     ],
 )
-def test_a_trajectory_for_training_is_near(
-    name: str, frames: int, limit_mm: float
-) -> None:
+def test_a_trajectory_for_training_is_near(name, frames, limit_mm):
     paths = []
     for settings in ({}, {"preset": "training"}):
         env = GaugeEnv(name, settings=settings, marker_proxy="material")

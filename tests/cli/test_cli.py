@@ -26,7 +26,7 @@ def test_backend_list(gauge):
 
 def test_overrides_are_parsed_and_change_the_score(gauge):
     plain, changed, moved = (
-        lines(gauge("run", NAME, "--json", "--parameters", p))[0]
+        lines(gauge("run", NAME, "--json", "--parameter", p))[0]
         for p in (
             "calibrated",
             "cube.friction=0.2,cube.mass_kg=0.1",

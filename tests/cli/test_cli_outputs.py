@@ -1,7 +1,5 @@
 """Outputs that cannot be written, and requests that cannot be met, are errors before anything runs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 
@@ -43,9 +41,7 @@ def test_a_matrix_has_its_place_before_its_checks_run(gauge, suffix, tmp_path):
         assert reason in result.stderr
 
 
-def test_a_name_of_a_file_reaches_the_terminal_as_text(
-    capsys,
-):
+def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys):
     for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
         echo(text)
     assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"

@@ -1,7 +1,5 @@
 """The command line as a whole: its size, its help, and what it answers to old and wrong spellings."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys
@@ -13,14 +11,6 @@ from places import ROOT
 from rich.text import Text
 
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.arguments import (
-    parsed_jitter,
-    parsed_limits,
-    parsed_use,
-    split_details,
-)
-from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
-from gauge_envs.references.user_data import DataSource
 from gauge_envs.registry import command_lines, instruments_by
 
 MOST_HELP_COST = 8.0
@@ -150,47 +140,3 @@ def test_the_help_loads_no_tool():
 
 def test_the_version_is_shown(gauge):
     assert gauge("--version").stdout.startswith("gauge-envs 0.")
-
-
-# --- wrong spellings ---
-
-
-# --- texts of options ---
-
-
-def test_limits_are_a_time_a_memory_and_a_process():
-    assert parsed_limits("") == (False, None, None)
-    assert parsed_limits("isolate") == (True, None, None)
-    assert parsed_limits("90.5s") == (True, 90.5, None)
-    assert parsed_limits(".5s,5e-1GB") == (True, 0.5, 0.5)
-    assert parsed_limits("4GB, 1e3s") == (True, 1000.0, 4.0)
-    for text in ("9" * 100_000, "s", "-1s", "nans", "1s4GB", "1h", "3600"):
-        with pytest.raises(ParameterError, match="expected numbers with units"):
-            parsed_limits(text)
-
-
-def test_a_jitter_has_the_names_of_the_api():
-    assert parsed_jitter("1mm") == {"position_m": 1e-3}
-    assert parsed_jitter("0.5deg,2mm").keys() == {"position_m", "angle_rad"}
-
-
-def test_data_of_a_command_are_those_that_it_can_use():
-    assert parsed_use("", "reference", "use_withheld") == {
-        "reference": DataSource.BUNDLED,
-        "use_withheld": False,
-    }
-    assert parsed_use("imported,withheld", "reference", "use_withheld") == {
-        "reference": DataSource.IMPORTED,
-        "use_withheld": True,
-    }
-    with pytest.raises(UnknownNameError, match="imported-drivers"):
-        parsed_use("imported-drivers", "use_withheld")
-
-
-def test_a_file_may_look_like_a_detail():
-    assert split_details(["results", "seed=3", "./seed=4"], seed=int) == (
-        ["results", "./seed=4"],
-        {"seed": 3},
-    )
-    with pytest.raises(GaugeError):
-        split_details(["seed="], seed=int)

@@ -1,7 +1,5 @@
 """Finds the numbers that a page states, and where each comes from."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Guides on adding a check, a phenomenon and a stack: files work, commands run, planted faults are found."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import importlib.util
@@ -54,7 +52,7 @@ def parts(request, tmp_path, monkeypatch):
     monkeypatch.setattr(model, "_CHECKS", dict(model._CHECKS))
     monkeypatch.chdir(tmp_path)
     spec = importlib.util.spec_from_file_location(name, file)
-    assert spec is not None and spec.loader is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, name, module)
     spec.loader.exec_module(module)
@@ -175,7 +173,6 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
             mujoco.MjModel.from_xml_string(planted.model_xml(one)), only=[name]
         ).rows
         assert row.verdict is verdict
-    assert row.cause is not None
     assert set(row.cause.settings) & set(changed.culprits)
 
 

@@ -1,11 +1,7 @@
 """Pages of families and `gauge show`: they name every id, fit, and say what environments do."""
 
-from __future__ import annotations
-
 import json
 import re
-import shutil
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -29,9 +25,7 @@ from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.description import all_limits, episode_costs, known_limits
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 from gauge_envs.tools.control.tasks import control_tasks
-from scripts import build_environments
 from scripts.environment_page import family_document, note_of
-from scripts.generated import stale_files
 
 PAGES = ROOT / "docs" / "environments"
 VARIANTS = (*variants(), *beyond_variants())
@@ -39,7 +33,7 @@ ONE_EACH = {one.family: one.name for one in VARIANTS}.values()
 MOST_LINES, WIDTH = 60, 100
 
 
-def shown(*arguments: str) -> str:
+def shown(*arguments):
     result = CliRunner(env={"COLUMNS": str(WIDTH)}).invoke(app, ["show", *arguments])
     assert result.exit_code == 0, result.output
     return result.stdout
@@ -48,7 +42,7 @@ def shown(*arguments: str) -> str:
 # --- every id --------------------------------------------------------------------------------------------------------
 
 
-def test_every_registered_experiment_has_a_page_that_names_it() -> None:
+def test_every_registered_experiment_has_a_page_that_names_it():
     controls = {task.id for task in control_tasks()}
     ids = (
         {name for name in gymnasium.registry if name.startswith("GAUGE/")}
@@ -76,7 +70,7 @@ def test_every_registered_experiment_has_a_page_that_names_it() -> None:
         *(task.name for task in control_tasks()),
     ],
 )
-def test_an_id_is_shown_on_a_page(name: str) -> None:
+def test_an_id_is_shown_on_a_page(name):
     lines = shown(name).splitlines()
     assert len(lines) <= MOST_LINES
     assert max(map(len, lines)) <= WIDTH
@@ -84,29 +78,10 @@ def test_an_id_is_shown_on_a_page(name: str) -> None:
     assert values["id"] == f"GAUGE/{name}"
 
 
-def test_a_page_has_what_gymnasium_pages_have() -> None:
-    for variant in VARIANTS:
-        page = (PAGES / f"{variant.family}.md").read_text(encoding="utf-8")
-        titles = re.findall(r"^## (.+)$", page, flags=re.MULTILINE)
-        needed = [
-            "Ids",
-            "Action space",
-            "Observation space",
-            "Reward",
-            "Reference",
-            "Published scores",
-            "Engines",
-        ]
-        assert titles[: len(needed)] == needed
-        assert {"Known limits", "Constants", "Where the numbers are from"} <= set(
-            titles
-        )
-
-
 # --- what an environment does ----------------------------------------------------------------------------------------
 
 
-def part(observation: dict[str, np.ndarray], name: str) -> np.ndarray:
+def part(observation, name):
     """The part of an observation that a row names, as `bodies[:, 0:3]`."""
     key, _, columns = name.partition("[:, ")
     first, last = map(int, columns.rstrip("]").split(":")) if columns else (None, None)
@@ -117,7 +92,7 @@ def part(observation: dict[str, np.ndarray], name: str) -> np.ndarray:
     "name",
     ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "ElbowToss-blocks"],
 )
-def test_rows_of_spaces_describe_observations(name: str) -> None:
+def test_rows_of_spaces_describe_observations(name):
     env = GaugeEnv(name)
     observation, _ = env.reset(seed=0)
     rows = observation_rows(env.experiment)
@@ -136,12 +111,11 @@ def test_rows_of_spaces_describe_observations(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
-def test_an_action_moves_as_its_row_says(name: str) -> None:
+def test_an_action_moves_as_its_row_says(name):
     """An action of 1 for one frame of 1/30 s adds a thirtieth of the stated rate."""
     experiment = resolve_experiment(name)
     (row,) = action_rows(experiment)
     found = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
-    assert found is not None
     ends = []
     for action in (0.0, 1.0):
         env = GaugeEnv(name)
@@ -161,7 +135,7 @@ def test_an_action_moves_as_its_row_says(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "SlopeContact-wood", "WallBreaking-wood"]
 )
-def test_rewards_are_where_their_sentence_says(name: str) -> None:
+def test_rewards_are_where_their_sentence_says(name):
     env = GaugeEnv(name)
     text = reward_text(env.band)
     found = re.search(r"at frames (\d+) to (\d+) of (\d+)", text)
@@ -183,12 +157,10 @@ def test_rewards_are_where_their_sentence_says(name: str) -> None:
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
-def test_engines_answer_without_being_installed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_engines_answer_without_being_installed(monkeypatch):
     before = as_markdown(family_document("SlopeContact", picture="a.webp", caption=""))
 
-    def missing(name: str) -> None:
+    def missing(name):
         raise MissingExtraError(f"backend {name!r}", name, ImportError(name))
 
     monkeypatch.setattr(listing, "backend", missing)
@@ -203,7 +175,7 @@ def test_engines_answer_without_being_installed(
 @pytest.mark.parametrize(
     "name", ["TextileBending-satin", "RopeWinding-rubber", "SlopeSlider-1-wood"]
 )
-def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) -> None:
+def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name):
     scene = load_experiment(name).scene
     for engine in filter(is_bundled, backend_names()):
         try:
@@ -216,7 +188,7 @@ def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) 
 # --- limits and costs ------------------------------------------------------------------------------------------------
 
 
-def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
+def test_limits_are_of_known_variants_and_studies(tmp_path):
     bare = []
     for limit in all_limits():
         assert [
@@ -234,7 +206,7 @@ def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
     assert bare == []
 
 
-def test_limits_without_a_study_quote_the_task_files() -> None:
+def test_limits_without_a_study_quote_the_task_files():
     ratio = task_spec("StickStack").constants["rod"]["soft"]["poisson_ratio"]
     modulus = task_spec("RopeWinding").constants["rope"]["rubber"]["young_modulus_pa"]
     assert (
@@ -252,11 +224,11 @@ def test_limits_without_a_study_quote_the_task_files() -> None:
     assert numbers == set(quoted)
 
 
-def texts(variant: str) -> str:
+def texts(variant):
     return " ".join(limit.text for limit in known_limits(variant))
 
 
-def test_costs_are_of_engines_that_run_the_family() -> None:
+def test_costs_are_of_engines_that_run_the_family():
     measured = 0
     for family in {variant.family for variant in VARIANTS}:
         for engine, cost in episode_costs(family).items():
@@ -276,25 +248,3 @@ def test_costs_are_of_engines_that_run_the_family() -> None:
 
 
 # --- the script ------------------------------------------------------------------------------------------------------
-
-
-def test_every_family_has_a_page_and_a_picture_of_a_moderate_size() -> None:
-    families = {variant.family for variant in (*variants(), *beyond_variants())}
-    pages = {file.stem for file in build_environments.PAGES.glob("*.md")}
-    pictures = build_environments.PICTURES.glob("*.webp")
-    sizes = {file.stem: file.stat().st_size for file in pictures}
-    assert pages == families | {"index"}
-    assert set(sizes) == families == set(build_environments.captions())
-    assert 0 < min(sizes.values()) <= max(sizes.values()) <= 300_000
-    assert sum(sizes.values()) <= 4_000_000
-
-
-def test_a_changed_page_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shutil.copytree(build_environments.PAGES, tmp_path / "pages")
-    monkeypatch.setattr(build_environments, "PAGES", tmp_path / "pages")
-    page = tmp_path / "pages" / "Pendulum.md"
-    text = page.read_text(encoding="utf-8")
-    page.write_text(text.replace("3000", "300"), encoding="utf-8")
-    assert stale_files(build_environments.contents()) == [page]

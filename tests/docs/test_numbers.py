@@ -9,8 +9,6 @@ A number with a unit, or a decimal fraction, on the README and the guides is one
 Anything else has to get such a source, or to go.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

@@ -1,7 +1,5 @@
 """Arguments that no environment can use, environments used after `close`, and environments in threads."""
 
-from __future__ import annotations
-
 import copy
 import gc
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Worlds that advance together: arrays in place of a loop change no number of an episode."""
 
-from __future__ import annotations
-
 import threading
 
 import gymnasium

@@ -1,7 +1,5 @@
 """The warning for an environment without reward: once for each id, and it says what to do."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from functools import partial

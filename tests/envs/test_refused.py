@@ -1,7 +1,5 @@
 """Arguments and calls that no environment can use are refused, in words that a person has approved."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import gymnasium
@@ -88,7 +86,9 @@ def test_calls_are_refused(approved):
         "reset option of dm_env": lambda: load(SLIDE, options={"x": 1}).reset(),
         "variant 3": lambda: GaugeEnv(3),
         "no variant": lambda: GaugeEnv(None),
-        "window": lambda: GaugeEnv(SLIDE, render_mode="human"),
+        "unknown render mode": lambda: GaugeEnv(SLIDE, render_mode="ansi"),
+        "camera": lambda: GaugeEnv(SLIDE, camera={"zoom": 2.0}),
+        "camera of no mapping": lambda: GaugeEnv(SLIDE, camera="top"),
         "window of worlds": lambda: GaugeVectorEnv(SLIDE, render_mode="human"),
         "fine cloth": lambda: GaugeEnv("Funnel-satin", **coarse),
         "reset option": lambda: GaugeEnv(SLIDE).reset(options={"jitterr": True}),

@@ -1,7 +1,5 @@
 """Option `trial` of a reset: positions and velocities of an imported trial."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import gymnasium
@@ -27,11 +25,7 @@ def imported(tmp_path, monkeypatch):
     """Imports trials of a variant, whose recorded body has the positions [mm] that a function gives to each trial."""
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "data"))
 
-    def run(
-        name,
-        positions_mm,
-        rotations=lambda *_: None,
-    ):
+    def run(name, positions_mm, rotations=lambda *_: None):
         experiment = load_experiment(name)
         times_s = np.arange(experiment.frame_count + 12)[:, None] / 30
         for number in range(3):
@@ -86,9 +80,7 @@ def test_a_ball_starts_and_flies_as_its_trial(trial, imported):
     assert observation["bodies"][0, :3] == pytest.approx(recorded, abs=1e-4)
 
 
-def test_a_reset_without_the_option_returns_to_the_calibrated_start(
-    imported,
-):
+def test_a_reset_without_the_option_returns_to_the_calibrated_start(imported):
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
     first, _ = env.reset(seed=0)
@@ -158,9 +150,7 @@ def spinning(name, spin):
     return rotations
 
 
-def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(
-    imported,
-):
+def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(imported):
     before = load_experiment(SLIDE).scene.body("cube")
     normal = face_normal(before.pose)
 
@@ -179,9 +169,7 @@ def test_a_cube_starts_with_the_yaw_and_the_spin_of_its_trial(
         assert cube.angular_velocity_rad_per_s == pytest.approx(spin, abs=1e-9)
 
 
-def test_a_ball_starts_with_the_spin_of_its_trial(
-    imported,
-):
+def test_a_ball_starts_with_the_spin_of_its_trial(imported):
     spin = np.array([3.0, -5.0, 7.0])
     imported(BALL, thrown, spinning(BALL, spin))
     env = gymnasium.make(f"GAUGE/{BALL}")

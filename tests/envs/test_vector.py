@@ -1,7 +1,5 @@
 """Vector environments: worlds are single environments to the bit, and scores arrive in every mode."""
 
-from __future__ import annotations
-
 import warnings
 
 import gymnasium
@@ -20,15 +18,6 @@ from gauge_envs.errors import (
 )
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
-# Alike in spaces but for their bounds, and unlike in length.
-SIX = (
-    "SlopeContact-wood",
-    "SlopeContact-plastic",
-    "SlopeSlider-2-wood",
-    "SlopeSlider-2-plastic",
-    "SlopeSlider-2-metal",
-    "BouncingBall-rubber",
-)
 COARSE = {"timestep_s": 1 / 900}
 """A step for what does not depend on it."""
 
@@ -197,34 +186,6 @@ def test_episodes_that_are_cut_short_have_no_score():
     steps = run_to_end(envs)
     assert len(steps) == 5
     assert "score" not in steps[-1][4]
-
-
-def test_six_ids_at_once_for_three_episodes():
-    singles = {}
-    for name in SIX:
-        env = gymnasium.make(f"GAUGE/{name}", settings=COARSE)
-        env.reset(seed=0)
-        over = False
-        while not over:
-            *_, over, info = env.step(0)
-        singles[name] = info["score"]
-    envs = AsyncVectorEnv(
-        [
-            lambda name=name: gymnasium.make(f"GAUGE/{name}", settings=COARSE)
-            for name in SIX
-        ],
-        observation_mode="different",
-    )
-    envs.reset(seed=0)
-    scores = {name: [] for name in SIX}
-    while min(map(len, scores.values())) < 3:
-        *_, infos = envs.step(zeros(envs))
-        for number in np.flatnonzero(infos.get("_score", [])):
-            scores[SIX[number]].append(infos["score"][number])
-    envs.close()
-    for name in SIX:
-        assert scores[name][:3] == [singles[name]] * 3
-    assert len({score.rmse for score in singles.values()} - {None}) == 6
 
 
 def test_no_warning_from_make_vec():

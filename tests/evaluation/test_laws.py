@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gauge_envs import load_experiment, reference_band, score_trajectory
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import backend
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.laws import distance_to_contact_m, free_flight, slide
+from gauge_envs.evaluation.score import VALIDATION_FIELDS, score_trajectory
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Box, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene
@@ -217,9 +218,7 @@ def test_the_recorded_slide_ends_with_the_law() -> None:
 
 
 def test_friction_that_holds_and_a_gap_are_no_slide() -> None:
-    held = load_experiment(
-        "SlopeContact-wood", {"teh.friction": 1.5, "base.friction": 1.5}
-    )
+    held = load_experiment("SlopeContact-wood", {"teh.friction": 1.5})
     with pytest.raises(ShapeError, match="holds teh on base"):
         slide(held.scene, "teh", "base")
     scene = load_experiment("SlopeContact-wood").scene
@@ -244,21 +243,23 @@ def test_scores_against_such_a_law_are_not_normalized(variant: str) -> None:
         np.isfinite(band.mean), band.mean + np.array([3.0, 0.0, 4.0]), 1e3
     )
     score = score_trajectory(
-        experiment, band, times_s=np.arange(len(values)) / 30, values=values
+        experiment,
+        band,
+        times_s=np.arange(len(values)) / 30,
+        values=values,
+        is_checked=True,
     )
     assert (score.grade, score.rmse) == (BandGrade.LAW, pytest.approx(5.0))
-    assert (score.rmse_normalized, score.dtw_normalized, score.rmse_aligned) == (
-        None,
-        None,
-        None,
-    )
-    assert score.mean_abs_z == pytest.approx(7 / 3)
+    assert all(not getattr(score, name) for name in VALIDATION_FIELDS)
+    assert score.rmse_aligned is None
+    # The solution is exact: the distance stays in mm.
+    solved = score.verification
+    assert (solved.scaled, solved.scale_unit) == (pytest.approx(5.0), "mm")
+    assert score.primary_normalized == solved.scaled
 
 
 def test_changed_parameters_do_not_move_the_law() -> None:
-    changed = load_experiment(
-        "SlopeContact-wood", {"teh.friction": 0.1, "base.friction": 0.1}
-    )
+    changed = load_experiment("SlopeContact-wood", {"teh.friction": 0.1})
     band = reference_band(changed)
     assert band is not None
     assert np.array_equal(band.mean, band_of("SlopeContact-wood").mean, equal_nan=True)

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from chain import event_driven_chain, simultaneous_impact
 
-from gauge_envs import Score, load_experiment, score_trajectory
+from gauge_envs import Score, load_experiment
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.implied import implied_parameters
+from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_notes
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
@@ -184,7 +185,9 @@ def test_a_ball_that_stays_has_no_simulated_events() -> None:
         (experiment.frame_count, 1),
     )
     times_s = np.arange(len(still)) / 30
-    score = score_trajectory(experiment, None, times_s=times_s, values=still)
+    score = score_trajectory(
+        experiment, None, times_s=times_s, values=still, is_checked=True
+    )
     assert score.events is not None and {
         event.simulated_s for event in score.events
     } == {None}

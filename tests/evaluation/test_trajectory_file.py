@@ -110,8 +110,10 @@ def test_frames_between_samples_are_interpolated_and_counted(tmp_path):
 def test_ten_frames_after_the_last_one_serve_the_alignment_and_nothing_else_is_used(
     tmp_path,
 ):
-    longer = coulomb_slide(np.arange(2 * FRAMES) / 30.0)
-    result, _ = score_file(write_csv(tmp_path / "a.csv", longer), variant=NAME)
+    times = np.arange(2 * FRAMES) / 30.0
+    longer = coulomb_slide(times)
+    file = write_csv(tmp_path / "a.csv", longer, header="time_s,x,y,z", times=times)
+    result, _ = score_file(file, variant=NAME)
     ten_more, _ = score_file(
         write_csv(tmp_path / "b.csv", longer[: FRAMES + 10]), variant=NAME
     )

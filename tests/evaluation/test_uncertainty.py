@@ -23,6 +23,8 @@ from gauge_envs.evaluation.deviation import (
     trial_distances,
 )
 from gauge_envs.evaluation.uncertainty import (
+    BELOW_NOISE,
+    DRAW_COUNT,
     GROUP_SHARE,
     LAG_MARGIN,
     WIDEST,
@@ -40,7 +42,6 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter, tilted
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.compare.experiment_figure import save_figures
 
 SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 BALL = "BouncingBall-rubber"
@@ -266,20 +267,6 @@ def test_a_budget_is_whole_and_names_its_sources(scores):
             "tilt",
         }
         assert score.sensitivities.startswith("mujoco")
-
-
-def test_a_law_has_an_interval_although_its_simulation_is_exact():
-    """The real mean may lie beside the law by the scatter of 20 starts over the root of 20."""
-    score = run_episode(RunRequest("SlopeSlider-1-plastic")).score
-    baseline = published_baselines("SlopeSlider-1-plastic")["rmse"]
-    low, high = score.rmse_normalized_95
-    assert low <= score.rmse_normalized < 0.05
-    combined = math.hypot(*(entry.standard_uncertainty for entry in score.budget))
-    assert combined == pytest.approx(
-        math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean,
-        rel=1e-5,
-    )
-    assert combined < high < 3.0 * combined
 
 
 # --- sensitivities ---------------------------------------------------------------------------------------------------
@@ -508,6 +495,83 @@ def test_intervals_scale_with_the_unit(name, size_mm, over_baseline):
     if over_baseline:
         drawn = errors.draws(deviation)
         assert in_metres.draws(1e-3 * deviation) == pytest.approx(1e-3 * drawn)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.02, 0.1, 0.6])
+@pytest.mark.parametrize("count", [5, 12])
+def test_few_alike_trials_count_as_scattered_in_their_number_of_directions(
+    count, scatter
+):
+    """Trials that each deviate along a direction of their own have count - 1 of them about their mean.
+
+    Distances of normal deviations in so many directions scatter by sqrt((pi / 2 - 1) / (count - 1)) of their mean.
+    """
+    errors = band_errors(reference_band(load_experiment("SlopeSlider-1-wood")), None)
+    residuals = np.eye(count, errors.known.size) - 1.0 / count
+    residuals[:, count:] = 0.0
+    errors = replace(
+        errors,
+        shapes=np.zeros((0, errors.known.size)),
+        factors=np.zeros((DRAW_COUNT, 0)),
+        sources=(),
+        trial_count=count,
+    ).with_source(
+        "trials", "sampling", "A", "a test", residuals, np.zeros((DRAW_COUNT, count))
+    )
+    steps = np.linspace(-1.0, 1.0, count)
+    distances = 3.0 * (1.0 + scatter * steps / steps.std(ddof=1))
+    normal = math.sqrt((0.5 * math.pi - 1.0) / (count - 1))
+    variance = ((count - 1) * scatter**2 + 10.0 * max(scatter, normal) ** 2) / (
+        count - 1 + 10.0
+    )
+    found = errors.with_baseline(distances)
+    expected = math.sqrt(variance) if scatter else 0.0
+    assert found.influence.std(ddof=1) == pytest.approx(expected, abs=1e-12)
+    assert found.influence.sum() == pytest.approx(0.0, abs=1e-12)
+    assert found.baseline_bias == pytest.approx(math.sqrt(count / (count - 1)))
+
+
+@pytest.mark.parametrize("over_baseline", [True, False])
+@pytest.mark.parametrize("size", [0.002, 0.3, 1.0, 2.5, 40.0])
+def test_an_interval_along_one_error_follows_from_its_draws(size, over_baseline):
+    """A deviation s along an error d, both in units of its scatter, and the baseline measured r times too large.
+
+    The truth is s - d sgn(s - d'), with the next draw d' in place of the unknown one: the root of
+    t^2 + 2 t d sgn(s - d') + d^2 = s^2.
+    """
+    random, scatter = np.random.default_rng(5), 0.7
+    errors = band_errors(reference_band(load_experiment("SlopeSlider-1-wood")), None)
+    direction = np.sin(np.arange(errors.known.size)).reshape(errors.known.shape)
+    direction *= errors.known / np.linalg.norm(errors.flat(direction))
+    logarithm, drawn = 0.1 * random.normal(size=DRAW_COUNT), random.normal(size=4000)
+    errors = replace(
+        errors,
+        shapes=np.zeros((0, errors.known.size)),
+        factors=np.zeros((DRAW_COUNT, 0)),
+        baseline=logarithm,
+        baseline_bias=1.1,
+        sources=(),
+        trial_count=0,
+    ).with_source(
+        "a direction",
+        "start",
+        "B",
+        "a test",
+        scatter * errors.flat(direction)[None],
+        drawn[:, None],
+    )
+    ratio = 1.1 * np.exp(logarithm) if over_baseline else np.ones(DRAW_COUNT)
+    reached = np.mean(drawn**2 <= size**2)
+    if reached < BELOW_NOISE:
+        low, high = 0.0, np.quantile(np.abs(size - drawn) * ratio, 0.95)
+    else:
+        truths = (size - drawn[:-1] * np.sign(size - drawn[1:])) * ratio[:-1]
+        low = max(np.quantile(truths, 0.025, method="lower"), 0.0)
+        high = np.quantile(truths, 1.0 - 0.025 * reached, method="higher")
+    found = errors.interval(scatter * size * direction, over_baseline=over_baseline)
+    assert np.array(found) / scatter == pytest.approx(
+        [min(low, size), max(high, size)], rel=1e-4, abs=1e-9
+    )
 
 
 def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
@@ -765,16 +829,3 @@ def test_an_experiment_of_a_law_does_not_run_on():
     run_to_end(env)
     assert not len(env.unwrapped.trajectory().later_times_s)
     assert reference_band(env.unwrapped.experiment).grade == "law"
-
-
-def test_a_plot_of_a_law_has_its_interval(tmp_path):
-    """The lower end is the score itself, but for the last digit."""
-    results = [
-        run_episode(RunRequest(f"SlopeSlider-1-{material}"))
-        for material in ("wood", "plastic", "metal")
-    ]
-    assert all(
-        result.score.rmse_normalized_95[0] <= result.score.rmse_normalized + 1e-12
-        for result in results
-    )
-    assert len(list(save_figures(results[:1], tmp_path))) == 1

@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import VALIDATION_FIELDS, VERIFICATION, Score
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
     Verification,
+    compared_points,
+    solution_uncertainty,
+    stated_uncertainty,
     verification_band,
     verify,
 )
@@ -122,6 +127,83 @@ def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directi
         inside += low <= true_in_u <= high
     # Three standard deviations of 600 draws at 95 %.
     assert inside / worlds >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / worlds)
+
+
+@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("correlation_frames", [0.1, 10.0, 1e4])
+@pytest.mark.parametrize("name", ["Turntable-3-wood", "TextileBending-leather"])
+def test_the_interval_holds_the_true_distance_for_errors_with_the_stated_shape(
+    name: str, correlation_frames: float, shared: bool
+) -> None:
+    """Errors have the stated u of each frame and coordinate; they are alike over few, some or all frames, in all
+    coordinates or in each alone."""
+    band = reference_band(load_experiment(name))
+    compared = verification_band(band)
+    assert band is not None and compared is not None
+    known = np.isfinite(compared.mean).any(axis=1)
+    spread = stated_uncertainty(compared)[known]
+    count, width = spread.shape
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / correlation_frames
+    root = np.linalg.cholesky(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(count))
+    random = np.random.default_rng([11, *name.encode(), int(correlation_frames)])
+    size = np.sqrt(count * compared_points(compared))
+    u = solution_uncertainty(band)
+    assert u == pytest.approx(np.linalg.norm(spread) / size)
+    worlds = 200
+    for true_in_u in (0.0, 0.5, 1.0, 2.0, 5.0):
+        inside = 0
+        for _ in range(worlds):
+            error = spread * (
+                root @ random.standard_normal((count, 1 if shared else width))
+            )
+            # An engine that is off at a constant rate, in a direction of its own.
+            offset = np.outer(
+                np.linspace(0.0, 1.0, count), random.standard_normal(width)
+            )
+            offset *= true_in_u * u * size / np.linalg.norm(offset)
+            motion = np.nan_to_num(compared.mean)
+            motion[known] += offset - error
+            markers = (
+                None
+                if band.points is None
+                else 1e-3 * motion.reshape(-1, width // 3, 3)
+            )
+            found = verify(band, frames=motion, markers_m=markers)
+            assert found is not None and found.distance_95 is not None
+            low, high = found.distance_95
+            inside += low <= true_in_u * u <= high
+        assert inside / worlds >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / worlds)
+
+
+def test_scores_of_earlier_versions_are_read_without_what_they_divided_by_trials() -> (
+    None
+):
+    """Version 0.2 divided the distance from a law by the scatter of real trials, and named `rmse` the first score."""
+    old = {
+        "unit": "mm",
+        "primary": "rmse",
+        "rmse": 0.25,
+        "rmse_normalized": 0.125,
+        "rmse_normalized_95": [0.0, 0.5],
+        "dtw": 0.2,
+        "dtw_normalized": 0.1,
+        "inside_1sigma": 1.0,
+        "mte": 0.9,
+        "mte_normalized": 0.97,
+    }
+    law = Score.from_dict(old | {"grade": "law"})
+    # Result files are read by their types, and not by `from_dict`.
+    assert law == TypeAdapter(Score).validate_python(old | {"grade": "law"})
+    assert (law.rmse, law.dtw, law.mte_normalized) == (0.25, 0.2, 0.97)
+    assert all(not getattr(law, name) for name in VALIDATION_FIELDS)
+    assert (law.primary, law.primary_normalized, law.primary_95) == (
+        VERIFICATION,
+        None,
+        None,
+    )
+    trials = Score.from_dict(old | {"grade": "trials"})
+    assert (trials.primary, trials.primary_normalized) == ("rmse", 0.125)
+    assert trials.dtw_normalized == 0.1
 
 
 def references() -> list[tuple[str, Band]]:

@@ -1,7 +1,5 @@
 """The order of the published rotations is an assumption: where it matters, the task says so."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np
@@ -16,7 +14,7 @@ from studies.euler_order import euler_order
 ORDERS = list(euler_order.other_orders())
 
 
-def test_only_the_tilted_bodies_have_more_than_one_published_angle() -> None:
+def test_only_the_tilted_bodies_have_more_than_one_published_angle():
     assert [order.variant for order in ORDERS] == [
         f"NonsmoothContact-{subtask}-{material}"
         for subtask in "123"
@@ -25,9 +23,7 @@ def test_only_the_tilted_bodies_have_more_than_one_published_angle() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS, ids=lambda order: order.variant)
-def test_the_other_order_is_the_product_the_other_way_round(
-    order: euler_order.OtherOrder,
-) -> None:
+def test_the_other_order_is_the_product_the_other_way_round(order):
     x, y, z = order.euler_deg
     assert z == 0.0
     about_x, about_y = (
@@ -49,9 +45,7 @@ def test_the_other_order_is_the_product_the_other_way_round(
 
 
 @pytest.mark.parametrize("order", ORDERS, ids=lambda order: order.variant)
-def test_the_task_and_the_study_state_what_the_order_does(
-    order: euler_order.OtherOrder,
-) -> None:
+def test_the_task_and_the_study_state_what_the_order_does(order):
     decisions = " ".join(description(load_experiment(order.variant))["decisions"])
     assert "no order of the published rotations" in decisions
     assert order.corner_mm < 1.2

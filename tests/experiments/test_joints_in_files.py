@@ -1,9 +1,5 @@
 """Joint terms in TOML: constants of the body, a motor in the joint, overrides, and errors for people."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import gymnasium
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
-from gauge_envs.scene import JointDynamics, Scene
+from gauge_envs.scene import JointDynamics
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile
 from gauge_envs.tools.catalog.description import description
@@ -87,13 +83,7 @@ frames = "nominal: a test"
 SERVO_COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 
 
-def built(
-    folder: Path,
-    old: str = "",
-    new: str = "",
-    material: str = "brass",
-    **overrides: float,
-) -> Scene:
+def built(folder, old="", new="", material="brass", **overrides):
     """Return the scene of the arm's task file with one passage changed; `upper__mass_kg` overrides a constant."""
     assert old in ARM
     path = folder / "arm.toml"
@@ -104,7 +94,7 @@ def built(
     ).build()
 
 
-def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path: Path) -> None:
+def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path):
     brass, steel = (
         built(tmp_path, material=material).hinges for material in ("brass", "steel")
     )
@@ -130,13 +120,12 @@ COMMAND = (
 GAINS = "kp_n_m_per_rad = 8.0, kv_n_m_s_per_rad = 0.1, torque_limit_n_m = 1.5, "
 
 
-def test_a_motor_without_a_command_rests(tmp_path: Path) -> None:
+def test_a_motor_without_a_command_rests(tmp_path):
     servo = built(tmp_path, COMMAND).hinges[1].motor
-    assert isinstance(servo, Servo)
     assert [servo.command.value(time) for time in (-1.0, 0.0, 0.5, 9.0)] == [0.0] * 4
 
 
-def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
+def test_a_torque_motor_has_a_sampled_command(tmp_path):
     command = (
         ', command = { kind = "sampled", times_s = [0.0, 0.1], values = [0.0, 0.3] }'
     )
@@ -156,14 +145,13 @@ def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
     assert scene.hinges[1].motor == expected
 
 
-def test_overrides_state_terms(tmp_path: Path) -> None:
+def test_overrides_state_terms(tmp_path):
     upper, lower = built(
         tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0
     ).hinges
     assert upper.dynamics == JointDynamics(
         dry_friction_n_m=0.5, armature_kg_m2=0.002, backlash_rad=0.02
     )
-    assert lower.motor is not None
     assert lower.motor.delay_s == 0.0
     with pytest.raises(ParameterError, match=r"dry_friction_n_m'.*given: -1\.0"):
         built(tmp_path, upper__dry_friction_n_m=-1.0)
@@ -229,18 +217,14 @@ def test_overrides_state_terms(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_wrong_joint_names_key_and_reason(
-    old: str, new: str, key: str, reason: str, tmp_path: Path
-) -> None:
+def test_a_wrong_joint_names_key_and_reason(old, new, key, reason, tmp_path):
     with pytest.raises(TaskFileError) as caught:
         built(tmp_path, old, new)
     assert key in caught.value.place
     assert reason in caught.value.reason
 
 
-def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(
-    tmp_path: Path,
-) -> None:
+def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(tmp_path):
     spin = "upper = { position_m = [0.0, 0.0, 0.85], angular_velocity_deg_per_s = [0.0, 90.0, 0.0] }"
     alone = ARM[: ARM.index("[[body_hinges]]")] + ARM[ARM.index("[score]") :]
     path = tmp_path / "arm.toml"
@@ -287,14 +271,14 @@ joints = "nominal: a test"
 
 
 @pytest.fixture
-def swing(tmp_path: Path) -> Path:
+def swing(tmp_path):
     """Experiment file whose layer has the arm of the task file."""
     to_usd(built(tmp_path), tmp_path / "arm.usda")
     (tmp_path / "swing.toml").write_text(SWING, encoding="utf-8")
     return tmp_path / "swing.toml"
 
 
-def test_an_experiment_file_replaces_the_terms_of_its_layer(swing: Path) -> None:
+def test_an_experiment_file_replaces_the_terms_of_its_layer(swing):
     upper, lower = load_experiment_file(swing).scene.hinges
     assert upper.dynamics == JointDynamics(dry_friction_n_m=0.02)
     assert lower.dynamics == JointDynamics()
@@ -304,9 +288,7 @@ def test_an_experiment_file_replaces_the_terms_of_its_layer(swing: Path) -> None
     )
 
 
-def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(
-    swing: Path, tmp_path: Path
-) -> None:
+def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing, tmp_path):
     result = run_episode(RunRequest(str(swing), backend="mujoco"))
     moved = np.ptp(np.array(result.trajectory.samples), axis=0)
     assert moved.max() > 10.0
@@ -345,16 +327,14 @@ def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(
         ("[0.0, 0.2]", "[0.2, 0.2]", TaskFileError, "joints.1.motor.command.*times_s"),
     ],
 )
-def test_wrong_terms_in_an_experiment_file(
-    old: str, new: str, error: type[Exception], reason: str, swing: Path
-) -> None:
+def test_wrong_terms_in_an_experiment_file(old, new, error, reason, swing):
     assert old in SWING
     swing.write_text(SWING.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(error, match=reason):
         load_experiment_file(swing)
 
 
-def test_a_chain_is_shown(swing: Path) -> None:
+def test_a_chain_is_shown(swing):
     values = description(load_experiment_file(swing))
     world, between = values["joints"]
     assert (world["kind"], between["kind"]) == ("hinge", "hinge of two bodies")

@@ -1,11 +1,7 @@
 """A material that is added to a task file, as the guide describes, gives ids that run without a score."""
 
-from __future__ import annotations
-
 import re
 import shutil
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -39,7 +35,7 @@ EDITS = (
 
 
 @pytest.fixture
-def tasks_with_glass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def tasks_with_glass(tmp_path, monkeypatch):
     """A copy of the task files, with a glass cube on the slope."""
     folder = tmp_path / "tasks"
     shutil.copytree(data_folder("tasks"), folder)
@@ -68,9 +64,7 @@ def tasks_with_glass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
 
 
 @pytest.mark.parametrize("subtask", ["1", "2", "3"])
-def test_a_new_material_runs_without_a_score(
-    subtask: str, tasks_with_glass: Path
-) -> None:
+def test_a_new_material_runs_without_a_score(subtask, tasks_with_glass):
     name = f"SlopeSlider-{subtask}-glass"
     assert name in [variant.name for variant in variants.variants()]
     experiment = load_experiment(name)
@@ -82,9 +76,7 @@ def test_a_new_material_runs_without_a_score(
     assert info["reference"] == "none"
 
 
-def test_the_longer_key_states_where_new_numbers_are_from(
-    tasks_with_glass: Path,
-) -> None:
+def test_the_longer_key_states_where_new_numbers_are_from(tasks_with_glass):
     spec = load_task(tasks_with_glass / "slope_slider.toml")
     assert spec.provenance_of("constants.cube.glass.mass_kg").startswith("nominal")
     assert spec.provenance_of("constants.cube.wood.mass_kg") == "metadata"

@@ -1,9 +1,6 @@
 """A change of what decides scores raises the revision of its experiment."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +10,7 @@ from scripts.build_revisions import LEDGER, current, not_raised
 from scripts.inputs import task_digest
 
 
-def test_what_decides_scores_changes_only_with_the_revision() -> None:
+def test_what_decides_scores_changes_only_with_the_revision():
     stated, found = json.loads(LEDGER.read_text(encoding="utf-8")), current()
     assert not_raised(stated, found) == [], (
         "scores may change: raise `revision` in the task file"
@@ -21,7 +18,7 @@ def test_what_decides_scores_changes_only_with_the_revision() -> None:
     assert stated == found, "run `python -m scripts build revisions`"
 
 
-def test_a_change_without_a_raise_is_found() -> None:
+def test_a_change_without_a_raise_is_found():
     found = current()
     earlier = {"SlopeSlider": {"revision": 1, "digest": "0"}}
     assert not_raised(earlier, found) == ["SlopeSlider"]
@@ -37,9 +34,7 @@ def test_a_change_without_a_raise_is_found() -> None:
         ('title = "Slope slider"', 'title = "Slope"', False),
     ],
 )
-def test_the_digest_knows_numbers_from_texts(
-    old: str, new: str, changes: bool, tmp_path: Path
-) -> None:
+def test_the_digest_knows_numbers_from_texts(old, new, changes, tmp_path):
     task = data_folder("tasks") / "slope_slider.toml"
     text = task.read_text(encoding="utf-8")
     assert old in text
@@ -48,5 +43,5 @@ def test_the_digest_knows_numbers_from_texts(
     assert (task_digest(edited) != task_digest(task)) is changes
 
 
-def test_a_task_file_states_its_revision() -> None:
+def test_a_task_file_states_its_revision():
     assert task_spec("SlopeSlider").revision == current()["SlopeSlider"]["revision"]

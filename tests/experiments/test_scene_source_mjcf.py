@@ -1,20 +1,16 @@
 """MJCF files in the place of a scene: they replay the backend bit for bit, edits count or are refused."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from functools import partial
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from texts import changed_text
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends import backend, backend_for, backend_of_suffix
-from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_episodes
@@ -27,46 +23,33 @@ from gauge_envs.tools.mjcf.diff import model_changes
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
 TILTED = "SlopeSlider-3-wood"
+CLOTH = "TextileStretching-rayon"
 QUICK = (
-    *(
-        SLIDE,
-        TILTED,
-        "NonsmoothContact-1-wood",
-        "Turntable-1-wood",
-        "BouncingBall-rubber",
-        "NewtonsCradle-metal",
-    ),
-    *(
-        "WallBreaking-wood",
-        "Pendulum-metal",
-        "RopeWinding-rubber",
-        "TextileStretching-rayon",
-        "StickStack-soft",
-    ),
+    SLIDE,
+    TILTED,
+    "NonsmoothContact-1-wood",
+    "Turntable-1-wood",
+    "BouncingBall-rubber",
+    "NewtonsCradle-metal",
+    "WallBreaking-wood",
+    "Pendulum-metal",
+    "RopeWinding-rubber",
+    CLOTH,
+    "StickStack-soft",
 )
 """Of each kind of body, joint and driver one id; `build_assets.py --check` compares the files of all."""
 
-Rollout = Callable[..., tuple[Any, Trajectory, dict]]
 
-
-def shipped(name: str) -> Path:
+def shipped(name):
     return assets_folder() / "mjcf" / f"{name}.xml"
 
 
 @pytest.fixture
-def edited(tmp_path: Path) -> Callable[..., Path]:
+def edited(tmp_path):
     """Writes a copy of a shipped file with texts replaced: edited(name, (old, new), ...)."""
-
-    def make(name: str, *replacements: tuple[str, str]) -> Path:
-        text = shipped(name).read_text(encoding="utf-8")
-        for old, new in replacements:
-            assert old in text, old
-            text = text.replace(old, new)
-        path = tmp_path / f"{name}.xml"
-        path.write_text(text, encoding="utf-8")
-        return path
-
-    return make
+    return lambda name, *replacements: changed_text(
+        shipped(name), *replacements, to=tmp_path / f"{name}.xml", count=-1
+    )
 
 
 # --- the shipped files -----------------------------------------------------------------------------------------------
@@ -79,15 +62,14 @@ def edited(tmp_path: Path) -> Callable[..., Path]:
         for name in ALL
     ],
 )
-def test_the_shipped_file_is_the_scenes(name: str) -> None:
+def test_the_shipped_file_is_the_scenes(name):
     found = load_experiment_from_asset(name, shipped(name))
-    assert found.asset is not None
     assert found.asset.changes == ()
     assert found.scene == load_experiment(name).scene
 
 
-def test_the_shipped_file_states_the_settings_in_force() -> None:
-    for name in ("Pendulum-metal", "TextileStretching-rayon"):
+def test_the_shipped_file_states_the_settings_in_force():
+    for name in ("Pendulum-metal", CLOTH):
         file = gymnasium.make(
             f"GAUGE/{name}", asset=shipped(name)
         ).unwrapped.simulation.settings
@@ -112,15 +94,13 @@ def test_the_shipped_file_states_the_settings_in_force() -> None:
         pytest.param(
             name,
             marks=()
-            if name in (TILTED, "NonsmoothContact-1-wood", "BouncingBall-rubber")
+            if name in (TILTED, "NonsmoothContact-1-wood", CLOTH)
             else pytest.mark.slow,
         )
         for name in ALL
     ],
 )
-def test_a_file_gives_the_same_trajectory_bit_for_bit(
-    name: str, tmp_path: Path, rollout: Rollout
-) -> None:
+def test_a_file_gives_the_same_trajectory_bit_for_bit(name, tmp_path, rollout):
     """It is written here: the last digits of tables of stiffness, which a file holds, depend on the processor."""
     write_mjcf(load_experiment(name), tmp_path / f"{name}.xml")
     _, task, _ = rollout(name, frames=10)
@@ -129,88 +109,33 @@ def test_a_file_gives_the_same_trajectory_bit_for_bit(
     assert not env.experiment.edited
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "TextileStretching-rayon",
-        "StickStack-soft",
-        pytest.param("FoamShearing-soft", marks=pytest.mark.slow),
-    ],
-)
-def test_deformable_bodies_are_read_from_a_file(name: str) -> None:
-    runs = []
-    for asset in (None, shipped(name)):
-        env = gymnasium.make(f"GAUGE/{name}", asset=asset)
-        env.reset(seed=0)
-        for _ in range(3):
-            env.step(np.zeros(env.action_space.shape))
-        runs.append(env.unwrapped.trajectory())
-    # Equal to the bit where the file was built; elsewhere tables differ in their last digits.
-    np.testing.assert_allclose(runs[1].samples, runs[0].samples, rtol=0.0, atol=1e-9)
-    assert np.abs(np.diff(runs[0].samples, axis=0)).max() > 0.0
-
-
-def test_actions_add_to_the_motion_of_a_file() -> None:
-    angles = []
-    for asset in (None, shipped(TILTED)):
-        env = gymnasium.make(f"GAUGE/{TILTED}", asset=asset)
-        env.reset(seed=0)
-        for _ in range(10):
-            env.step(np.full(1, 0.5))
-        angles.append(env.unwrapped.simulation.body_states(["board"]))
-    np.testing.assert_array_equal(*angles)
-
-
 # --- edits -----------------------------------------------------------------------------------------------------------
 
 
-def test_half_the_friction_changes_the_slide_as_the_law_says(
-    edited: Callable[..., Path], rollout: Rollout
-) -> None:
-    path = edited(
-        SLIDE,
-        (
-            'friction="0.273673 0.273673 0 0 0" solref="0.002"',
-            'friction="0.1368365 0.1368365 0 0 0" solref="0.002"',
-        ),
-    )
-    accelerations = []
-    for asset in (None, path):
-        env, trajectory, info = rollout(SLIDE, asset=asset)
-        on_board = trajectory.times_s < 0.4
-        way = 1e-3 * trajectory.samples[on_board] @ [np.sqrt(0.75), 0.0, -0.5]
-        course = 0.5 * trajectory.times_s[on_board] ** 2
-        accelerations.append(course @ (way - way[0]) / (course @ course))
-    assert np.diff(accelerations)[0] == pytest.approx(
-        9.80665 * np.sqrt(0.75) * 0.1368365, rel=5e-3
-    )
-    assert info["score"].edited
-    assert env.experiment.asset.changes == (
-        "contact cube/board: pair_friction 0.273673 0.273673 0 0 0 -> 0.1368365 0.1368365 0 0 0",
-    )
-
-
-def test_an_edited_mass_and_pose_reach_scene_and_model(
-    edited: Callable[..., Path],
-) -> None:
+def test_an_edited_mass_pose_and_friction_reach_scene_and_model(edited):
+    pair = 'friction="{0} {0} 0 0 0" solref="0.002"'
     path = edited(
         SLIDE,
         ('mass="0.0903"', 'mass="0.2"'),
         ('name="cube" pos="0.097247', 'name="cube" pos="0.098247'),
+        (pair.format("0.273673"), pair.format("0.1368365")),
     )
     env = gymnasium.make(f"GAUGE/{SLIDE}", asset=path)
-    cube = env.unwrapped.experiment.scene.body("cube")
+    experiment, model = env.unwrapped.experiment, env.unwrapped.simulation.model
+    cube = experiment.scene.body("cube")
     assert (cube.mass_kg, cube.pose.position_m[0]) == (0.2, 0.098247)
     observation, _ = env.reset(seed=0)
     assert observation["observable"][0] == pytest.approx(98.247)
-    assert [line.split(" ")[1] for line in env.unwrapped.experiment.asset.changes] == [
-        "body_mass",
-        "body_inertia",
-        "body_pos",
+    assert model.body("cube").mass[0] == 0.2
+    assert 0.1368365 in model.pair_friction[:, 0]
+    changes = [
+        line.partition(": ")[2].split(" ")[0] for line in experiment.asset.changes
     ]
+    assert changes == ["body_mass", "body_inertia", "body_pos", "pair_friction"]
+    assert experiment.edited
 
 
-def test_a_longer_step_is_the_files(edited: Callable[..., Path]) -> None:
+def test_a_longer_step_is_the_files(edited):
     path = edited(
         SLIDE, ('timestep="0.00011111111111111112"', f'timestep="{1 / 1800!r}"')
     )
@@ -222,33 +147,29 @@ def test_a_longer_step_is_the_files(edited: Callable[..., Path]) -> None:
     assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
 
 
-def test_an_edited_table_is_a_change(edited: Callable[..., Path]) -> None:
-    text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
+def test_an_edited_table_is_a_change(edited):
+    text = shipped(CLOTH).read_text(encoding="utf-8")
     numbers = re.search(
         r'name="flex_bending/textile/weight" size="\d+" data="([^ ]*)', text
     )
-    assert numbers is not None
     old = numbers.group(0)
-    path = edited("TextileStretching-rayon", (old, f"{old[: -len(numbers.group(1))]}7"))
-    changes = load_experiment_from_asset("TextileStretching-rayon", path).asset.changes  # type: ignore[union-attr]
+    path = edited(CLOTH, (old, f"{old[: -len(numbers.group(1))]}7"))
+    changes = load_experiment_from_asset(CLOTH, path).asset.changes
     assert len(changes) == 1
     assert changes[0].startswith("flex_bending: ")
 
 
-def rows_text(change: Callable[[np.ndarray], None]) -> tuple[str, str]:
+def rows_text(change):
     """The driven motion of the tilted board as it stands in its file, and changed."""
     text = shipped(TILTED).read_text(encoding="utf-8")
     match = re.search(r'name="driver/board" size="\d+" data="([^"]*)"', text)
-    assert match is not None
     rows = np.array(match.group(1).split(), dtype=np.float64).reshape(-1, 19)
     change(rows)
     return match.group(1), " ".join(map(repr, rows.ravel().tolist()))
 
 
-def test_other_rows_become_a_sampled_driver(
-    edited: Callable[..., Path], rollout: Rollout
-) -> None:
-    def lift(rows: np.ndarray) -> None:
+def test_other_rows_become_a_sampled_driver(edited, rollout):
+    def lift(rows):
         rows[:, 2] += 1e-3 * np.minimum(np.arange(len(rows)) / 100.0, 1.0)
 
     path = edited(TILTED, rows_text(lift))
@@ -267,6 +188,20 @@ def test_other_rows_become_a_sampled_driver(
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
+
+
+def faster(rows):
+    rows[:, 7:13] *= 2.0
+
+
+def shifted(rows):
+    rows[:, 0] += 0.01
+
+
+def moved_node():
+    text = shipped(CLOTH).read_text(encoding="utf-8")
+    node = re.search(r'<body name="textile/\d+" pos="', text).group(0)
+    return node, f"{node}1"
 
 
 @pytest.mark.parametrize(
@@ -305,64 +240,32 @@ def test_other_rows_become_a_sampled_driver(
             "1/180 s is 5.55556 steps of 0.001 s",
         ),
         (
-            "TextileStretching-rayon",
+            CLOTH,
             ('"flex_stiffness/textile/kind"', '"kind"'),
             "flex_stiffness/textile/kind', the index of each row, is missing",
         ),
         (
-            "TextileStretching-rayon",
+            CLOTH,
             ('"flex_bending/textile/', '"flex_bending/cloth/'),
             "flex_bending/cloth: the file has no flex of this name",
         ),
+        (
+            TILTED,
+            partial(rows_text, faster),
+            "velocities or forces changed but poses did not",
+        ),
+        (TILTED, partial(rows_text, shifted), "its rows start at"),
+        (CLOTH, moved_node, "nodes of a deformable body cannot be moved in MJCF"),
     ],
 )
-def test_what_a_file_lacks_is_reported(
-    name: str, replacement: tuple[str, str], message: str, edited: Callable[..., Path]
-) -> None:
+def test_what_a_file_lacks_is_reported(name, replacement, message, edited):
+    replaced = replacement() if callable(replacement) else replacement
     with pytest.raises(AssetError, match=message) as caught:
-        load_experiment_from_asset(name, edited(name, replacement))
+        load_experiment_from_asset(name, edited(name, replaced))
     assert str(caught.value).startswith(f"{caught.value.file}: ")
 
 
-def test_velocities_without_poses_are_refused(edited: Callable[..., Path]) -> None:
-    def faster(rows: np.ndarray) -> None:
-        rows[:, 7:13] *= 2.0
-
-    with pytest.raises(
-        AssetError, match="velocities or forces changed but poses did not"
-    ):
-        load_experiment_from_asset(TILTED, edited(TILTED, rows_text(faster)))
-
-
-def test_rows_that_start_elsewhere_are_refused(edited: Callable[..., Path]) -> None:
-    def shift(rows: np.ndarray) -> None:
-        rows[:, 0] += 0.01
-
-    with pytest.raises(AssetError, match="its rows start at"):
-        load_experiment_from_asset(TILTED, edited(TILTED, rows_text(shift)))
-
-
-def test_nodes_of_cloth_stay_where_they_are(edited: Callable[..., Path]) -> None:
-    text = shipped("TextileStretching-rayon").read_text(encoding="utf-8")
-    node = re.search(r'<body name="textile/\d+" pos="', text)
-    assert node is not None
-    with pytest.raises(
-        AssetError, match="nodes of a deformable body cannot be moved in MJCF"
-    ):
-        load_experiment_from_asset(
-            "TextileStretching-rayon",
-            edited("TextileStretching-rayon", (node.group(0), f"{node.group(0)}1")),
-        )
-
-
-def test_a_file_of_another_experiment_is_refused() -> None:
-    with pytest.raises(
-        AssetError, match="cube: no body of that name: the file has ball, ground"
-    ):
-        load_experiment_from_asset(SLIDE, shipped("Pendulum-metal"))
-
-
-def test_settings_and_jitter_need_a_scene() -> None:
+def test_settings_and_jitter_need_a_scene():
     with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
         gymnasium.make(
             f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800}
@@ -376,7 +279,7 @@ def test_settings_and_jitter_need_a_scene() -> None:
 # --- the hook --------------------------------------------------------------------------------------------------------
 
 
-def test_only_mujoco_has_model_files() -> None:
+def test_only_mujoco_has_model_files():
     assert backend_of_suffix(".xml") is backend("mujoco")
     assert backend_of_suffix(".stl") is None
     scene = load_experiment(SLIDE).scene
@@ -391,7 +294,7 @@ def test_only_mujoco_has_model_files() -> None:
             refused(shipped(SLIDE), scene)
 
 
-def test_changes_of_a_model_find_every_kind_of_edit() -> None:
+def test_changes_of_a_model_find_every_kind_of_edit():
     text = shipped(SLIDE).read_text(encoding="utf-8")
     built = mujoco.MjModel.from_xml_string(text)
     for old, new, message in (
@@ -438,9 +341,7 @@ THROWN = {
 }
 
 
-def test_an_exported_start_velocity_replays_bit_for_bit(
-    tmp_path: Path, rollout: Rollout
-) -> None:
+def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path, rollout):
     experiment = load_experiment(SLIDE, THROWN)
     write_mjcf(experiment, tmp_path / "thrown.xml")
     text = (tmp_path / "thrown.xml").read_text(encoding="utf-8")
@@ -466,47 +367,37 @@ def test_an_exported_start_velocity_replays_bit_for_bit(
     )
 
 
-def test_a_start_velocity_of_a_file_is_the_scenes(tmp_path: Path) -> None:
-    write_mjcf(load_experiment(SLIDE, THROWN), tmp_path / "thrown.xml")
-    found = load_experiment_from_asset(SLIDE, tmp_path / "thrown.xml")
-    cube = found.scene.body("cube")
-    assert cube.linear_velocity_m_per_s == pytest.approx(
-        THROWN["cube.velocity_m_per_s"], rel=1e-15
-    )
-    assert np.degrees(cube.angular_velocity_rad_per_s) == pytest.approx(
-        THROWN["cube.angular_velocity_deg_per_s"]
-    )
-    assert found.asset is not None
-    assert len(found.asset.changes) == 2
+@pytest.mark.parametrize(
+    ("name", "body", "start"),
+    [
+        (SLIDE, "cube", THROWN),
+        (
+            "Pendulum-metal",
+            "ball",
+            {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)},
+        ),
+    ],
+)
+def test_a_start_velocity_of_a_file_is_the_scenes(name, body, start, tmp_path):
+    experiment = load_experiment(name, start)
+    write_mjcf(experiment, tmp_path / "thrown.xml")
+    found = load_experiment_from_asset(name, tmp_path / "thrown.xml")
+    mine, its = (one.scene.body(body) for one in (found, experiment))
+    rates = [*its.linear_velocity_m_per_s, *its.angular_velocity_rad_per_s]
+    assert [
+        *mine.linear_velocity_m_per_s,
+        *mine.angular_velocity_rad_per_s,
+    ] == pytest.approx(rates, abs=1e-9)
+    assert np.abs(rates).max() > 0.1
     assert found.asset.changes[0].startswith(
-        "cube: linear_velocity_m_per_s 0 0 0 -> 0.4 0.1 0.3333333333"
+        f"{body}: linear_velocity_m_per_s 0 0 0 ->"
     )
     simulation = backend_for("mujoco", found.model_file).build(found.scene)
-    expected = [*cube.linear_velocity_m_per_s, *cube.angular_velocity_rad_per_s]
     for _ in range(2):
-        assert simulation.body_states(["cube"])[0, 7:] == pytest.approx(
-            expected, abs=1e-12
-        )
+        now = simulation.body_states([body])[0, 7:]
+        assert now == pytest.approx(rates, abs=1e-9)
         simulation.advance(0.1)
         simulation.reset(0)
-
-
-def test_a_hinged_start_velocity_of_a_file(tmp_path: Path) -> None:
-    spinning = load_experiment(
-        "Pendulum-metal", {"ball.angular_velocity_deg_per_s": (0.0, 90.0, 0.0)}
-    )
-    write_mjcf(spinning, tmp_path / "swung.xml")
-    found = load_experiment_from_asset(
-        "Pendulum-metal", tmp_path / "swung.xml"
-    ).scene.body("ball")
-    ball = spinning.scene.body("ball")
-    assert found.linear_velocity_m_per_s == pytest.approx(
-        ball.linear_velocity_m_per_s, abs=1e-9
-    )
-    assert found.angular_velocity_rad_per_s == pytest.approx(
-        ball.angular_velocity_rad_per_s, abs=1e-9
-    )
-    assert np.linalg.norm(found.linear_velocity_m_per_s) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -516,9 +407,7 @@ def test_a_hinged_start_velocity_of_a_file(tmp_path: Path) -> None:
         (TILTED, '<key name="start" qvel="{}"/>', "its qvel moves joint 'board'"),
     ],
 )
-def test_a_keyframe_that_moves_anything_else_is_refused(
-    name: str, key: str, message: str, edited: Callable[..., Path]
-) -> None:
+def test_a_keyframe_that_moves_anything_else_is_refused(name, key, message, edited):
     model = mujoco.MjModel.from_xml_path(str(shipped(name)))
     rates = np.zeros(model.nv)
     if name == TILTED:
@@ -529,7 +418,7 @@ def test_a_keyframe_that_moves_anything_else_is_refused(
         load_experiment_from_asset(name, path)
 
 
-def test_other_keyframes_have_no_effect(edited: Callable[..., Path]) -> None:
+def test_other_keyframes_have_no_effect(edited):
     path = edited(
         SLIDE,
         (

@@ -1,16 +1,12 @@
 """Task files of rope, textiles and deformable solids: every variant resolves, and its numbers fit together."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs import load_experiment
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group
 from gauge_envs.experiments.variants import variants
@@ -24,13 +20,10 @@ from gauge_envs.scene import (
     Box,
     Cloth,
     ConvexUnion,
-    Deformable,
     Motion,
-    Region,
     RigidBody,
     Rod,
     Rope,
-    Scene,
     SoftBody,
 )
 
@@ -62,11 +55,11 @@ TOLERANCE_M = 1e-3
 experiment = cache(load_experiment)
 
 
-def of_family(family: str) -> Experiment:
+def of_family(family):
     return experiment(f"{family}-{MATERIALS[family][0]}")
 
 
-def half_size_m(body: Deformable) -> NDArray[np.float64]:
+def half_size_m(body):
     """Half extents of a deformable body along its own axes."""
     if isinstance(body, Cloth):
         return 0.5 * np.array([*body.size_m, 0.0])
@@ -78,7 +71,7 @@ def half_size_m(body: Deformable) -> NDArray[np.float64]:
     )
 
 
-def outside_m(body: Deformable, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def outside_m(body, points_m):
     """Distance of world points from the surface of a deformable body at rest, shape [point_count]."""
     local = body.pose.to_body(points_m)
     if isinstance(body, Rod):
@@ -89,7 +82,7 @@ def outside_m(body: Deformable, points_m: NDArray[np.float64]) -> NDArray[np.flo
     return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) - inside
 
 
-def region_points_m(body: Deformable, region: Region) -> NDArray[np.float64]:
+def region_points_m(body, region):
     """Centre and ends of the glued end of a body, in the world."""
     half = half_size_m(body)
     if isinstance(body, Rope | Rod):
@@ -101,7 +94,7 @@ def region_points_m(body: Deformable, region: Region) -> NDArray[np.float64]:
     return body.pose.to_world(corners)
 
 
-def gap_m(body: RigidBody | Deformable, points_m: NDArray[np.float64]) -> float:
+def gap_m(body, points_m):
     """How far the furthest world point is outside the body's bounding pieces; negative inside."""
     local = body.pose.to_body(points_m)
     if isinstance(body, RigidBody):
@@ -117,7 +110,7 @@ def gap_m(body: RigidBody | Deformable, points_m: NDArray[np.float64]) -> float:
     return min(float((local @ p[:, :3].T + p[:, 3]).max()) for p in planes)
 
 
-def end_pose(scene: Scene, body: str, time_s: float):
+def end_pose(scene, body, time_s):
     driver = next(driver for driver in scene.drivers if driver.body == body)
     return driver.pose(scene.body(body).pose, time_s)
 
@@ -340,7 +333,6 @@ def test_observable_has_what_it_needs(family):
     if observable is Observable.POSITION:
         assert found.recorded
         return
-    assert markers is not None
     assert bool(markers.faces) == (
         observable in (Observable.CURVATURE, Observable.FACE_AREA)
     )

@@ -1,25 +1,23 @@
 """Task files: every variant resolves, and a wrong file gets an error that names file, key and reason."""
 
-from __future__ import annotations
-
 import re
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from texts import changed_text
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import TaskFileError
 from gauge_envs.experiments.task_files import load_task, task_spec
 from gauge_envs.experiments.task_format import TaskSpec
-from gauge_envs.experiments.variants import task_files, task_path, variants
+from gauge_envs.experiments.variants import _names_of, task_files, task_path, variants
 from gauge_envs.scene import Scene
 
 ORDER = list(TaskSpec.model_fields)
 
 
-def test_75_variants_resolve_to_a_scene() -> None:
+def test_75_variants_resolve_to_a_scene():
     scenes = {variant.name: load_experiment(variant).scene for variant in variants()}
     assert len(scenes) == 75
     assert all(isinstance(scene, Scene) for scene in scenes.values())
@@ -30,42 +28,33 @@ def test_75_variants_resolve_to_a_scene() -> None:
 
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
-def test_every_file_has_the_same_order(path: Path) -> None:
+def test_every_file_has_the_same_order(path):
     keys = list(tomllib.loads(path.read_text(encoding="utf-8")))
     assert keys == sorted(keys, key=ORDER.index)
 
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
-def test_file_name_is_the_family_in_snake_case(path: Path) -> None:
+def test_file_name_is_the_family_in_snake_case(path):
     family = load_task(path).family
     assert path.stem == re.sub(r"(?<!^)(?=[A-Z])", "_", family).lower()
     assert task_path(family) == path
 
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
-def test_every_named_parameter_set_resolves(path: Path) -> None:
+def test_every_named_parameter_set_resolves(path):
     spec = load_task(path)
     for name in spec.parameters:
         for variant in spec.variants():
             assert load_experiment(variant, name).parameters == name
 
 
-def test_provenance_prefers_the_longest_match() -> None:
+def test_provenance_prefers_the_longest_match():
     spec = task_spec("SlopeSlider")
     assert spec.provenance_of("initial.all.ground.position_m").startswith("video")
     assert spec.provenance_of("subtasks.2.initial.wood.cube.position_m").startswith(
         "metadata"
     )
     assert spec.provenance_of("constants.cube.wood.friction").startswith("metadata")
-
-
-def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
-    """A task file with one passage changed."""
-    text = task_path(family).read_text(encoding="utf-8")
-    assert old in text
-    path = tmp_path / "edited.toml"
-    path.write_text(text.replace(old, new, 1), encoding="utf-8")
-    return path
 
 
 @pytest.mark.parametrize(
@@ -211,9 +200,9 @@ def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
     ],
 )
 def test_a_wrong_file_names_file_key_and_reason(
-    family: str, old: str, new: str, key: str, reason: str, tmp_path: Path
-) -> None:
-    path = edited(tmp_path, family, old, new)
+    family, old, new, key, reason, tmp_path
+):
+    path = changed_text(task_path(family), (old, new), to=tmp_path / "edited.toml")
     with pytest.raises(TaskFileError) as caught:
         load_task(path)
     assert caught.value.file == path
@@ -222,7 +211,7 @@ def test_a_wrong_file_names_file_key_and_reason(
     assert str(path) in str(caught.value)
 
 
-def test_flat_piece_encloses_no_volume(tmp_path: Path) -> None:
+def test_flat_piece_encloses_no_volume(tmp_path):
     text = task_path("SlopeContact").read_text(encoding="utf-8")
     flat = "pieces_m = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]]"
     path = tmp_path / "flat.toml"
@@ -234,7 +223,7 @@ def test_flat_piece_encloses_no_volume(tmp_path: Path) -> None:
         load_task(path)
 
 
-def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute() -> None:
+def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute():
     raw = tomllib.loads(task_path("StickStack").read_text(encoding="utf-8"))
     entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
     assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
@@ -246,8 +235,52 @@ def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute() ->
     assert rod.poisson_ratio == 0.49
 
 
-def test_plate_with_hole_has_the_area_of_the_ring() -> None:
+def test_plate_with_hole_has_the_area_of_the_ring():
     shape = load_experiment("Funnel-satin").scene.body("board").shape
     hole = np.pi * 0.10**2
     # The hole is a circumscribed polygon of 32 sides, 0.3 % larger than the circle.
     assert shape.volume_m3 == pytest.approx((0.25 - hole) * 0.012, rel=0.001)
+
+
+SUBTASKS = """family = "Puck"
+materials = ["steel"]
+notes = ["no subtasks here"]
+
+[frames]
+steel = 9
+
+[subtasks.1]
+weights = [
+[1, 2],
+]
+frames = { steel = 7 }
+
+[provenance]
+"subtasks.*.frames" = "nominal"
+frames = "nominal"
+"""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(path.read_text(encoding="utf-8") for path in task_files()),
+        SUBTASKS,
+        SUBTASKS.replace("[subtasks.1]", '["subtasks".1]'),
+        SUBTASKS.replace("[subtasks.1]", "[subtasks]\n1.frames.steel = 6\n[other]"),
+        SUBTASKS.replace("steel = 9", "steel = 9 # of 12"),
+        SUBTASKS.replace("[frames]\n", "[ frames ]\n"),
+        SUBTASKS.replace("notes =", "subtasks.2.frames.steel = 5\nnotes ="),
+    ],
+)
+def test_names_that_are_read_at_import_are_those_of_the_file(content):
+    names = _names_of(content.encode())
+    whole = tomllib.loads(content)
+    for key in ("family", "materials", "collection"):
+        assert names.get(key) == whole.get(key)
+    assert names.get("frames", {}) == whole.get("frames", {})
+    found, stated = names.get("subtasks", {}), whole.get("subtasks", {})
+    assert list(found) == list(stated)
+    assert [one.get("frames") for one in found.values()] == [
+        one.get("frames") for one in stated.values()
+    ]

@@ -1,12 +1,10 @@
 """Start velocities in task files and in overrides."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from texts import changed_text
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, TaskFileError
@@ -17,19 +15,15 @@ from gauge_envs.experiments.variants import find_variant, task_path
 SLIDE = "SlopeSlider-2-wood"
 
 
-def built(tmp_path: Path, name: str, *replacements: tuple[str, str]) -> SceneBuilder:
+def built(tmp_path, name, *replacements):
     """The builder of a variant whose task file has texts replaced."""
     variant = find_variant(name)
-    text = task_path(variant.family).read_text(encoding="utf-8")
-    for old, new in replacements:
-        assert old in text, old
-        text = text.replace(old, new)
     path = tmp_path / f"{variant.family}.toml"
-    path.write_text(text, encoding="utf-8")
+    changed_text(task_path(variant.family), *replacements, to=path)
     return SceneBuilder(path, load_task(path), variant, {})
 
 
-def test_a_task_file_states_a_velocity(tmp_path: Path) -> None:
+def test_a_task_file_states_a_velocity(tmp_path):
     start = "ball = { position_m"
     scene = built(
         tmp_path,
@@ -45,7 +39,7 @@ def test_a_task_file_states_a_velocity(tmp_path: Path) -> None:
     )
 
 
-def test_a_task_file_whose_fixed_body_moves_is_refused(tmp_path: Path) -> None:
+def test_a_task_file_whose_fixed_body_moves_is_refused(tmp_path):
     start = "ground = { position_m"
     with pytest.raises(
         TaskFileError, match="'ground' is fixed and has a start velocity"
@@ -57,13 +51,13 @@ def test_a_task_file_whose_fixed_body_moves_is_refused(tmp_path: Path) -> None:
         )
 
 
-def test_an_override_states_a_velocity() -> None:
+def test_an_override_states_a_velocity():
     scene = load_experiment(SLIDE, {"cube.velocity_m_per_s": (0.1, 0.0, 0.2)}).scene
     assert scene.body("cube").linear_velocity_m_per_s == (0.1, 0.0, 0.2)
     assert scene.body("cube").angular_velocity_rad_per_s == (0.0, 0.0, 0.0)
 
 
-def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity() -> None:
+def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity():
     axis = np.array(load_experiment("Pendulum-metal").scene.joints[0].axis)
     scene = load_experiment(
         "Pendulum-metal", {"ball.angular_velocity_deg_per_s": tuple(90.0 * axis)}
@@ -99,8 +93,6 @@ def test_the_velocity_of_a_pendulum_follows_from_its_angular_velocity() -> None:
         ),
     ],
 )
-def test_an_override_that_cannot_be(
-    name: str, key: str, value: tuple[float, ...], message: str
-) -> None:
+def test_an_override_that_cannot_be(name, key, value, message):
     with pytest.raises(ParameterError, match=message):
         load_experiment(name, {key: value})

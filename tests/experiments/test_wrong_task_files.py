@@ -1,11 +1,7 @@
 """One wrong task file is named, and the others stay usable; a scene that cannot be built is found when it is loaded."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from places import ROOT
@@ -22,7 +18,7 @@ from gauge_envs.tools.catalog import overview
 EXAMPLE = ROOT / "examples" / "usd_experiment"
 
 
-def test_a_scene_that_cannot_be_built_is_found(tmp_path: Path) -> None:
+def test_a_scene_that_cannot_be_built_is_found(tmp_path):
     text = task_path("SlopeSlider").read_text(encoding="utf-8")
     file = tmp_path / "slope_slider.toml"
     file.write_text(
@@ -37,7 +33,7 @@ def test_a_scene_that_cannot_be_built_is_found(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def tasks(tmp_path, monkeypatch):
     """A copy of the folder of task files, which is read in place of the package's."""
     folder = tmp_path / "tasks"
     shutil.copytree(task_path("Pendulum").parent, folder)
@@ -69,9 +65,7 @@ BREAKS = {
 
 
 @pytest.mark.parametrize("broken", BREAKS)
-def test_one_wrong_file_is_named_and_the_others_are_listed(
-    broken: str, tasks: Path
-) -> None:
+def test_one_wrong_file_is_named_and_the_others_are_listed(broken, tasks):
     content, reason = BREAKS[broken]
     (tasks / "pendulum.toml").write_bytes(content)
     result = CliRunner().invoke(app, ["list", "--json"])
@@ -95,14 +89,14 @@ def test_one_wrong_file_is_named_and_the_others_are_listed(
 
 
 @pytest.fixture
-def crate(tmp_path: Path) -> Path:
+def crate(tmp_path):
     """A copy of the example."""
     shutil.copytree(EXAMPLE, tmp_path / "example")
     return tmp_path / "example" / "crate.toml"
 
 
 @pytest.mark.parametrize("frames", [18_001, 10**9, 10**30])
-def test_the_number_of_frames_is_limited(frames: int, crate: Path) -> None:
+def test_the_number_of_frames_is_limited(frames, crate):
     lines = [
         line if not line.startswith("frames") else f"frames = {frames}"
         for line in crate.read_text().splitlines()
@@ -112,7 +106,7 @@ def test_the_number_of_frames_is_limited(frames: int, crate: Path) -> None:
         load_experiment_file(crate)
 
 
-def test_a_number_that_python_cannot_write_is_an_error(crate: Path) -> None:
+def test_a_number_that_python_cannot_write_is_an_error(crate):
     crate.write_text(
         crate.read_text().replace("frames = ", f"frames = 0x{'f' * 9000} # ")
     )
@@ -120,9 +114,7 @@ def test_a_number_that_python_cannot_write_is_an_error(crate: Path) -> None:
         load_experiment_file(crate)
 
 
-def test_an_error_of_a_band_prints_no_text_of_the_file(
-    crate: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_of_a_band_prints_no_text_of_the_file(crate, tmp_path, monkeypatch):
     monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
     private = tmp_path / "private.csv"
     private.write_text("root:secret:0,frame\n1,2\n")

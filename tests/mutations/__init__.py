@@ -38,7 +38,7 @@ __all__ = [
     "is_of_the_fault",
 ]
 
-FAULTS: dict[str, Fault] = {
+FAULTS = {
     **rigid_scenes.FAULTS,
     **reports.FAULTS,
     **stepping.FAULTS,

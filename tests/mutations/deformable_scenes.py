@@ -1,30 +1,24 @@
 """Faults of a backend that builds cloth, foam, ropes, rods or air other than those of the scene."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope, SoftBody
 from gauge_envs.scene.geometry import vector
-from mutations.mutant import Fault, fault
+from mutations.mutant import fault
 from mutations.scenes import change_contacts, change_deformables
 
-Array = NDArray[np.float64]
 
-
-def _random_fabric(scene: Scene) -> Scene:
+def _random_fabric(scene):
     return change_deformables(
         Cloth,
         stretch_stiffness_n_per_m=1.0 + 1e-9 * float(np.random.default_rng().random()),
     )(scene)
 
 
-def _warp_along_y(scene: Scene) -> Scene:
+def _warp_along_y(scene):
     changed = [
         replace(one, size_m=(one.size_m[1], one.size_m[0]))
         if isinstance(one, Cloth)
@@ -34,7 +28,7 @@ def _warp_along_y(scene: Scene) -> Scene:
     return replace(scene, deformables=tuple(changed))
 
 
-def _edge_only(scene: Scene) -> Scene:
+def _edge_only(scene):
     attachments = [
         replace(one, region=replace(one.region, depth_m=0.0))
         for one in scene.attachments
@@ -42,7 +36,7 @@ def _edge_only(scene: Scene) -> Scene:
     return replace(scene, attachments=tuple(attachments))
 
 
-def _one_row_more(scene: Scene) -> Scene:
+def _one_row_more(scene):
     held = (
         scene.attachments
         if any(isinstance(one, Cloth) for one in scene.deformables)
@@ -55,7 +49,7 @@ def _one_row_more(scene: Scene) -> Scene:
     return replace(scene, attachments=tuple(deeper or scene.attachments))
 
 
-def _lines_turned(scene: Scene) -> Scene:
+def _lines_turned(scene):
     turn = Rotation.from_euler("z", 3.0, degrees=True)
     changed = [
         replace(
@@ -68,7 +62,7 @@ def _lines_turned(scene: Scene) -> Scene:
     return replace(scene, deformables=tuple(changed))
 
 
-def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
+def _air(change):
     return lambda scene: (
         scene if scene.air is None else replace(scene, air=change(scene.air))
     )
@@ -77,17 +71,17 @@ def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
 class _PumpingAir(Air):
     """Air that drives the cloth along its motion."""
 
-    def forces_n(self, areas_m2: Array, velocities_m_per_s: Array) -> Array:
+    def forces_n(self, areas_m2, velocities_m_per_s):
         return -super().forces_n(areas_m2, velocities_m_per_s)
 
 
-def _pumping(air: Air) -> Air:
+def _pumping(air):
     """Return air of the wrong sign in the scene that checks energy, so that no simpler check sees it first."""
     is_of_energy_check = air.lift_coefficient > 0.0 and air.normal_coefficient > 0.0
     return _PumpingAir(**asdict(air)) if is_of_energy_check else air
 
 
-def _thick(scene: Scene) -> Scene:
+def _thick(scene):
     changed = [
         replace(
             one,
@@ -103,7 +97,7 @@ def _thick(scene: Scene) -> Scene:
     return replace(scene, deformables=tuple(changed))
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "cloth-stretch",

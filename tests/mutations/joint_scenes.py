@@ -1,27 +1,19 @@
 """Faults of friction, armature and motors of joints, of chains on the world, and of grasps by motors."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends import Simulation
-from gauge_envs.scene import Box, JointDynamics, Scene, Shape, Sphere
+from gauge_envs.scene import Box, JointDynamics, Sphere
 from gauge_envs.scene.motors import Servo
-from mutations.mutant import Fault, Passed, fault
+from mutations.mutant import Passed, fault
 from mutations.scenes import change_contacts
 
-Array = NDArray[np.float64]
 
-
-def _hinges(change: Callable[[Any], Any]) -> Callable[[Scene], Scene]:
+def _hinges(change):
     """Return a fault that changes each hinge, which is all joints of scenes with friction or motors."""
 
-    def changed(scene: Scene) -> Scene:
+    def changed(scene):
         if all(
             hinge.motor is None and hinge.dynamics == JointDynamics()
             for hinge in scene.hinges
@@ -35,13 +27,11 @@ def _hinges(change: Callable[[Any], Any]) -> Callable[[Scene], Scene]:
     return changed
 
 
-def _terms(
-    change: Callable[[JointDynamics], JointDynamics],
-) -> Callable[[Scene], Scene]:
+def _terms(change):
     return _hinges(lambda hinge: replace(hinge, dynamics=change(hinge.dynamics)))
 
 
-def _servos(change: Callable[[Servo], Servo]) -> Callable[[Scene], Scene]:
+def _servos(change):
     return _hinges(
         lambda one: (
             replace(one, motor=change(one.motor))
@@ -54,25 +44,25 @@ def _servos(change: Callable[[Servo], Servo]) -> Callable[[Scene], Scene]:
 class _Reversed(Passed):
     """Turns motors the other way."""
 
-    def command(self, values: Array) -> None:
+    def command(self, values):
         self.inner.command(-values)
 
 
 class _ReversedBetween(Passed):
     """Turns motors between bodies the other way."""
 
-    def command(self, values: Array) -> None:
+    def command(self, values):
         self.inner.command(-values if self.scene.body_hinges else values)
 
 
 class _Late(Passed):
     """Passes a command on with the next one."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
-        self._last: Array | None = None
+        self._last = None
 
-    def command(self, values: Array) -> None:
+    def command(self, values):
         self.inner.command(np.zeros_like(values) if self._last is None else self._last)
         self._last = values.copy()
 
@@ -80,7 +70,7 @@ class _Late(Passed):
 class _SoftFriction(Passed):
     """Dry friction with MuJoCo's own impedance."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
         self.inner.model.dof_solimp[:] = (0.9, 0.95, 0.001, 0.5, 2.0)
         self.inner.model.dof_solref[:] = (0.02, 1.0)
@@ -89,7 +79,7 @@ class _SoftFriction(Passed):
 class _RestingRotor(Passed):
     """Starts rotors with play at rest, and bodies with their rate."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         model, rates = self.inner.model, self.inner.data.qvel
         for joint in map(model.joint, range(model.njnt)):
@@ -100,12 +90,12 @@ class _RestingRotor(Passed):
                 )
 
 
-def _grasps(change: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
+def _grasps(change):
     """Return a fault that changes scenes in which bodies with motors touch others."""
     return lambda scene: change(scene) if scene.motors and scene.contacts else scene
 
 
-def _pads(kind: type, shape: Shape) -> Callable[[Scene], Scene]:
+def _pads(kind, shape):
     """Return a fault that gives bodies of a kind of shape on hinges another shape."""
     return lambda scene: replace(
         scene,
@@ -121,7 +111,7 @@ def _pads(kind: type, shape: Shape) -> Callable[[Scene], Scene]:
 class _SoftPads(Passed):
     """Contacts of bodies with motors have MuJoCo's largest softness."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
         if scene.motors:
             self.inner.model.pair_solref[:] = (0.05, 1.0)
@@ -131,7 +121,7 @@ class _SoftPads(Passed):
 class _CreepingPads(Passed):
     """Friction of bodies with motors has the impedance of the normal force."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
         if scene.motors:
             self.inner.model.opt.impratio = 0.1
@@ -140,16 +130,16 @@ class _CreepingPads(Passed):
 class _TiredMotors(Passed):
     """Motors lose a third of their torque after 300 intervals."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         self._count = 0
 
-    def command(self, values: Array) -> None:
+    def command(self, values):
         self._count += 1
         self.inner.command(0.7 * values if self._count > 300 else values)
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "joint-dry-high",

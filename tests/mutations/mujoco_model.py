@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends import Simulation
-from gauge_envs.scene import Box, ConvexUnion, RigidBody, Rope, Scene
+from gauge_envs.scene import Box, ConvexUnion, Rope
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
-from mutations.mutant import Fault, Passed, fault
+from mutations.mutant import Passed, fault
 from mutations.rigid_scenes import _tilted
 
-Array = NDArray[np.float64]
 
-
-def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
+def _model(change):
     """Return a simulation whose MuJoCo model is changed after it is built."""
 
     class Changed(Passed):
-        def __init__(self, inner: Simulation, scene: Scene) -> None:
+        def __init__(self, inner, scene):
             super().__init__(inner, scene)
             change(self.inner.model, scene)
             # MuJoCo keeps the mass matrix of simple bodies as a constant.
@@ -33,26 +28,25 @@ def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
     return Changed
 
 
-def _dynamic(scene: Scene, kind: type) -> list[RigidBody]:
+def _dynamic(scene, kind):
     return [one for one in scene.dynamic_bodies if isinstance(one.shape, kind)]
 
 
-def _inertia_times(kind: type, factor: float) -> Callable[[Any, Scene], None]:
-    def change(model: Any, scene: Scene) -> None:
+def _inertia_times(kind, factor):
+    def change(model, scene):
         for one in _dynamic(scene, kind):
             model.body(one.name).inertia[:] *= factor
 
     return change
 
 
-def _mean_of_vertices(model: Any, scene: Scene) -> None:
+def _mean_of_vertices(model, scene):
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[:] = one.shape.corners_m.mean(axis=0)
 
 
-def _mean_of_pieces(model: Any, scene: Scene) -> None:
+def _mean_of_pieces(model, scene):
     for one in _dynamic(scene, ConvexUnion):
-        assert isinstance(one.shape, ConvexUnion)
         centres = [
             mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0]
             for piece in one.shape.pieces_m
@@ -60,46 +54,46 @@ def _mean_of_pieces(model: Any, scene: Scene) -> None:
         model.body(one.name).ipos[:] = np.mean(centres, axis=0)
 
 
-def _damped(model: Any, scene: Scene) -> None:
+def _damped(model, scene):
     model.dof_damping[:] = 1e-4
 
 
-def _armature(model: Any, scene: Scene) -> None:
+def _armature(model, scene):
     model.dof_armature[:] = 1e-4
 
 
-def _hanging(change: Callable[[Any, str], None]) -> Callable[[Any, Scene], None]:
+def _hanging(change):
     """Return a change of the bodies that hang on other bodies in MuJoCo's model, which gets each of their names."""
 
-    def change_all(model: Any, scene: Scene) -> None:
+    def change_all(model, scene):
         for name in parent_hinges(scene.body_hinges, scene.hung):
             change(model, name)
 
     return change_all
 
 
-def _hinge_tilted(model: Any, name: str) -> None:
+def _hinge_tilted(model, name):
     joint = model.joint(name)
     joint.axis[:] = _tilted(vector(joint.axis), 3.0)
 
 
-def _hinge_shifted(model: Any, name: str) -> None:
+def _hinge_shifted(model, name):
     side = np.cross(model.joint(name).axis, [0.3, -0.5, 0.8])
     model.joint(name).pos += 2e-3 * side / np.linalg.norm(side)
 
 
-def _hinge_heavy(model: Any, name: str) -> None:
+def _hinge_heavy(model, name):
     model.body(name).inertia[:] *= 1.5
 
 
-def _hinge_damped(model: Any, name: str) -> None:
+def _hinge_damped(model, name):
     model.joint(name).damping[:] = 1e-3
 
 
 class _HangingWeightless(Passed):
     """Bodies that hang on other bodies feel no gravity."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         for name in parent_hinges(self.scene.body_hinges, self.scene.hung):
             weight = self.scene.body(name).mass_kg * self.scene.gravity_m_per_s2
@@ -109,20 +103,20 @@ class _HangingWeightless(Passed):
 class _HingeBackwards(Passed):
     """Starts hinges between bodies in the other direction."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         for name in parent_hinges(self.scene.body_hinges, self.scene.hung):
             self.inner.data.qvel[self.inner.model.joint(name).dofadr[0]] *= -1.0
 
 
-def _gravity_tilted(model: Any, scene: Scene) -> None:
+def _gravity_tilted(model, scene):
     model.opt.gravity[:2] = 0.1
 
 
 class _ResetKeepsVelocity(Passed):
     """Keeps velocities over a reset."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         velocity = self.inner.data.qvel.copy()
         super().reset(seed)
         self.inner.data.qvel[:] = velocity
@@ -131,7 +125,7 @@ class _ResetKeepsVelocity(Passed):
 class _RestoreForgetsVelocity(Passed):
     """Drops velocities when a state is restored."""
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state)
         self.inner.data.qvel[:] = 0.0
 
@@ -139,7 +133,7 @@ class _RestoreForgetsVelocity(Passed):
 class _RestoreForgetsWarmStart(Passed):
     """Drops the solver's warm start when a state is restored."""
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state)
         self.inner.data.qacc_warmstart[:] = 0.0
 
@@ -147,7 +141,7 @@ class _RestoreForgetsWarmStart(Passed):
 class _GainsEnergy(Passed):
     """Gains 2 % of speed in each interval."""
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         super().advance(seconds)
         self.inner.data.qvel[:] *= 1.02
 
@@ -155,7 +149,7 @@ class _GainsEnergy(Passed):
 class _Blast(Passed):
     """Throws fast bodies off with a speed that the scene cannot give, yet finite."""
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         super().advance(seconds)
         speed = np.abs(self.inner.data.qvel)
         self.inner.data.qvel[speed > 1.0] *= 1.5
@@ -164,7 +158,7 @@ class _Blast(Passed):
 class _StartsTurning(Passed):
     """Starts with a slow rotation."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         self.inner.data.qvel[3:4] = 0.01
 
@@ -172,35 +166,35 @@ class _StartsTurning(Passed):
 class _ResetForgetsVelocity(Passed):
     """Starts with the velocities of the scene after build only."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         if not self.scene.body_hinges:
             self.inner.data.qvel[:] = 0.0
 
 
-def _centre_elsewhere(model: Any, scene: Scene) -> None:
+def _centre_elsewhere(model, scene):
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[0] += 0.005
 
 
-def _rope_ends(model: Any, scene: Scene) -> None:
+def _rope_ends(model, scene):
     if any(isinstance(one, Rope) for one in scene.deformables):
         masses = model.body_mass
         masses[np.isclose(masses, 0.5 * np.median(masses[masses > 0.0]))] *= 2.0
 
 
-def _torsional(model: Any, scene: Scene) -> None:
+def _torsional(model, scene):
     model.geom_condim[:] = 4
     model.geom_friction[:, 1] = 5e-3
     model.pair_dim[:] = 4
     model.pair_friction[:, 2] = 5e-3
 
 
-def _speeds(change: Callable[[Array, Array], None]) -> type[Passed]:
+def _speeds(change):
     """Return a simulation that changes velocities and angular velocities of free bodies after each interval."""
 
     class Changed(Passed):
-        def advance(self, seconds: float) -> None:
+        def advance(self, seconds):
             super().advance(seconds)
             if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
                 for row in self.inner.data.qvel.reshape(-1, 6):
@@ -209,7 +203,7 @@ def _speeds(change: Callable[[Array, Array], None]) -> type[Passed]:
     return Changed
 
 
-def _limit(vector: Array, most: float) -> None:
+def _limit(vector, most):
     vector *= min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
 
 
@@ -218,7 +212,7 @@ class _Asleep(Passed):
 
     slow_s: Any = 0.0
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         super().advance(seconds)
         if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
             rows = self.inner.data.qvel.reshape(-1, 6)
@@ -228,10 +222,10 @@ class _Asleep(Passed):
             self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
             rows[self.slow_s > 0.5] = 0.0
 
-    def state(self) -> Any:
+    def state(self):
         return super().state(), np.copy(self.slow_s)
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state[0])
         self.slow_s = np.copy(state[1])
 
@@ -239,7 +233,7 @@ class _Asleep(Passed):
 class _HeavySpin(Passed):
     """Pulls spinning bodies down by 1 % more."""
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         for one in self.scene.dynamic_bodies:
             if (
                 np.linalg.norm(self.body_states([one.name])[0, 10:]) > 5.0
@@ -252,13 +246,11 @@ class _HeavySpin(Passed):
         super().advance(seconds)
 
 
-def _own(
-    id: str, what: str, caught_by: str, says: str, **how: Any
-) -> tuple[str, Fault]:
+def _own(id, what, caught_by, says, **how):
     return fault(id, what, caught_by, says, engine="mujoco", **how)
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         _own(
             "box-inertia",

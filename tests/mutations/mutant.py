@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends import Backend, Simulation, Support
-from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.tools.conformance.model import CheckResult
+from gauge_envs.backends import Backend, Simulation
+from gauge_envs.scene import Motion, Scene
 from gauge_envs.tools.conformance.run import run_checks
-
-Array = NDArray[np.float64]
 
 
 class Passed(Simulation):
@@ -25,35 +21,33 @@ class Passed(Simulation):
         scene: The scene that the caller asked for.
     """
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
-        self.inner: Any = inner
+    def __init__(self, inner, scene):
+        self.inner = inner
         self.scene = scene
         self.settings = inner.settings
         self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         """Pass on."""
         self.inner.reset(seed)
 
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
+    def drive(self, body, pose, velocity, acceleration):
         """Pass on."""
         self.inner.drive(body, pose, velocity, acceleration)
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         """Pass on."""
         self.inner.apply_wrench(body, wrench)
 
-    def command(self, values: Array) -> None:
+    def command(self, values):
         """Pass on."""
         self.inner.command(values)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         """Pass on."""
         self.inner.advance(seconds)
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         """Pass on, with the original poses of fixed bodies."""
         states = np.array(self.inner.body_states(names))
         for row, name in zip(states, names, strict=True):
@@ -62,29 +56,29 @@ class Passed(Simulation):
                 row[:7] = [*pose.position_m, *pose.quaternion]
         return states
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name):
         """Pass on."""
         return np.array(self.inner.nodes(name))
 
-    def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
+    def track(self, name, points_m):
         """Pass on."""
-        found: Callable[[], Array] | None = self.inner.track(name, points_m)
+        found = self.inner.track(name, points_m)
         return found
 
-    def state(self) -> Any:
+    def state(self):
         """Pass on."""
         return self.inner.state()
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         """Pass on."""
         self.inner.restore(state)
 
-    def close(self) -> None:
+    def close(self):
         """Pass on."""
         self.inner.close()
 
 
-def _same(scene: Scene) -> Scene:
+def _same(scene):
     return scene
 
 
@@ -121,23 +115,21 @@ class Mutant(Backend):
 
     name = "mutant"
 
-    def __init__(self, backend: Backend, fault: Fault) -> None:
-        self.features = backend.features  # type: ignore[misc]  # a class variable of engines
+    def __init__(self, backend, fault):
+        self.features = backend.features  # a class variable of engines
         self.engine_name = backend.name
         self.healthy = backend
         self._fault = fault
 
-    def versions(self) -> dict[str, str]:
+    def versions(self):
         """Return the versions of the healthy backend."""
         return self.healthy.versions()
 
-    def supports(self, scene: Scene) -> Support:
+    def supports(self, scene):
         """Return what the healthy backend supports."""
         return self.healthy.supports(scene)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
+    def build(self, scene, settings=None):
         """Build the faulty scene in the faulty simulation."""
         inner = self.healthy.build(
             self._fault.scene(scene), {**(settings or {}), **self._fault.settings}
@@ -145,7 +137,7 @@ class Mutant(Backend):
         return self._fault.simulation(inner, scene)
 
 
-FAILS_ITSELF: Mapping[str, frozenset[str]] = {
+FAILS_ITSELF = {
     "mujoco": frozenset({"grasp-creep", "oblique-slip-rebound", "rebound-flat"}),
     "newton": frozenset({"oblique-slip-rebound", "rebound-flat"}),
     "rapier": frozenset(
@@ -161,7 +153,7 @@ FAILS_ITSELF: Mapping[str, frozenset[str]] = {
 """Checks that a healthy engine fails by a physics of its own, as its page says."""
 
 
-def first_failure(mutant: Mutant, only: Sequence[str] = ()) -> CheckResult | None:
+def first_failure(mutant, only=()):
     """Return the result of the first check that fails on a mutant, but not on its engine; None when it passes all.
 
     Args:
@@ -174,7 +166,7 @@ def first_failure(mutant: Mutant, only: Sequence[str] = ()) -> CheckResult | Non
     )
 
 
-def is_of_the_fault(mutant: Mutant, result: CheckResult) -> bool:
+def is_of_the_fault(mutant, result):
     """Return whether a check fails, and otherwise than it does on the healthy engine by more than its tolerance."""
     if not result.is_bad or result.check not in FAILS_ITSELF.get(
         mutant.engine_name, frozenset()
@@ -186,8 +178,6 @@ def is_of_the_fault(mutant: Mutant, result: CheckResult) -> bool:
     return abs(result.measured - healthy.measured) > (result.width or 0.0)
 
 
-def fault(
-    id: str, what: str, caught_by: str, says: str, **how: Any
-) -> tuple[str, Fault]:
+def fault(id, what, caught_by, says, **how):
     """Return the entry of a fault in a table: its id and the fault."""
     return id, Fault(what=what, caught_by=caught_by, says=says, **how)

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends import Simulation
-from gauge_envs.scene import Motion, Rod, Rope, Scene
+from gauge_envs.scene import Motion, Rod, Rope
 from gauge_envs.scene.meshes import mass_properties
-from mutations.mutant import Fault, Passed, fault
+from mutations.mutant import Passed, fault
 
 Array = NDArray[np.float64]
 
 
-def _reporting(change: Callable[[Array], None]) -> type[Passed]:
+def _reporting(change):
     """Return a simulation that reports other states than it has."""
 
     class Misreported(Passed):
-        def body_states(self, names: Sequence[str]) -> Array:
+        def body_states(self, names):
             states = super().body_states(names)
             change(states)
             return states
@@ -29,39 +27,39 @@ def _reporting(change: Callable[[Array], None]) -> type[Passed]:
     return Misreported
 
 
-def _rotations(states: Array) -> Rotation:
+def _rotations(states):
     return Rotation.from_quat(states[:, 3:7], scalar_first=True)
 
 
-def _scalar_last(states: Array) -> None:
+def _scalar_last(states):
     states[:, 3:7] = np.roll(states[:, 3:7], -1, axis=1)
 
 
-def _inverse(states: Array) -> None:
+def _inverse(states):
     states[:, 4:7] *= -1.0
 
 
-def _millimetres(states: Array) -> None:
+def _millimetres(states):
     states[:, :3] *= 1e3
 
 
-def _spin_in_body(states: Array) -> None:
+def _spin_in_body(states):
     states[:, 10:] = _rotations(states).apply(states[:, 10:], inverse=True)
 
 
-def _velocity_in_body(states: Array) -> None:
+def _velocity_in_body(states):
     states[:, 7:10] = _rotations(states).apply(states[:, 7:10], inverse=True)
 
 
-def _spin_in_degrees(states: Array) -> None:
+def _spin_in_degrees(states):
     states[:, 10:] = np.degrees(states[:, 10:])
 
 
-def _spin_reversed(states: Array) -> None:
+def _spin_reversed(states):
     states[:, 10:] *= -1.0
 
 
-def _quaternion_grown(states: Array) -> None:
+def _quaternion_grown(states):
     fast = np.linalg.norm(states[:, 10:], axis=1) > 50.0
     states[fast, 3:7] *= 1.001
 
@@ -69,7 +67,7 @@ def _quaternion_grown(states: Array) -> None:
 class _VelocityOfCentre(Passed):
     """Reports the velocity of the centre of mass."""
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         states = super().body_states(names)
         for row, name in zip(states, names, strict=True):
             centre_m, _ = mass_properties(self.scene.body(name).shape, 1.0)
@@ -83,7 +81,7 @@ class _VelocityOfCentre(Passed):
 class _SceneOrder(Passed):
     """Returns rows in alphabetical order."""
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         return super().body_states(sorted(names))
 
 
@@ -92,15 +90,15 @@ class _NaNMass(Passed):
 
     stepped = False
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         self.stepped = False
         super().reset(seed)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         self.stepped = True
         super().advance(seconds)
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         states = super().body_states(names)
         for row, name in zip(states, names, strict=True):
             if self.stepped and self.scene.body(name).motion is Motion.DYNAMIC:
@@ -113,26 +111,26 @@ class _StateLate(Passed):
 
     _before: Mapping[str, Array] = {}
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         self._before = {}
         super().reset(seed)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         names = [one.name for one in self.scene.bodies]
         self._before = dict(zip(names, super().body_states(names), strict=True))
         super().advance(seconds)
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         return (
             np.array([self._before[name] for name in names])
             if self._before
             else super().body_states(names)
         )
 
-    def state(self) -> Any:
+    def state(self):
         return super().state(), self._before
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state[0])
         self._before = state[1]
 
@@ -140,29 +138,29 @@ class _StateLate(Passed):
 class _NodesLag(Passed):
     """Nodes are those of an interval before."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._before: dict[str, Array] = {}
+        self._before = {}
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         self._before = {}
         super().reset(seed)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         self._before = {
             one.name: np.array(self.inner.nodes(one.name))
             for one in self.scene.deformables
         }
         super().advance(seconds)
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name):
         return self._before[name] if name in self._before else super().nodes(name)
 
 
 class _NodesShuffled(Passed):
     """Nodes of ropes and rods are in an arbitrary order, always the same."""
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name):
         nodes = super().nodes(name)
         one = next(body for body in self.scene.deformables if body.name == name)
         if not isinstance(one, Rope | Rod):
@@ -175,15 +173,15 @@ class _NodesReversed(Passed):
 
     stepped = False
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         self.stepped = False
         super().reset(seed)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         self.stepped = True
         super().advance(seconds)
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name):
         nodes = super().nodes(name)
         return nodes[::-1] if self.stepped else nodes
 
@@ -191,11 +189,11 @@ class _NodesReversed(Passed):
 class _NodesInMillimetres(Passed):
     """Nodes are in mm."""
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name):
         return 1e3 * super().nodes(name)
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "quaternion-order",

@@ -1,12 +1,8 @@
 """Faults of a backend that builds rigid bodies, joints or contacts other than those of the scene."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import (
@@ -19,15 +15,12 @@ from gauge_envs.scene import (
     Motion,
     Plane,
     Pose,
-    RigidBody,
-    Scene,
-    Shape,
     Sphere,
     Tether,
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
-from mutations.mutant import Fault, Passed, fault
+from mutations.mutant import Passed, fault
 from mutations.scenes import (
     change_bodies,
     change_contacts,
@@ -35,17 +28,15 @@ from mutations.scenes import (
     change_shapes,
 )
 
-Array = NDArray[np.float64]
 
-
-def _gravity(change: Callable[[float], float]) -> Callable[[Scene], Scene]:
+def _gravity(change):
     return lambda scene: replace(scene, gravity_m_per_s2=change(scene.gravity_m_per_s2))
 
 
 MARGIN_M = 1e-3
 
 
-def _margin(one: RigidBody) -> RigidBody:
+def _margin(one):
     """Return a fixed or driven body whose surface is 1 mm further out."""
     if one.motion is Motion.DYNAMIC:
         return one
@@ -57,7 +48,7 @@ def _margin(one: RigidBody) -> RigidBody:
     return replace(one, shape=_grown(one.shape, MARGIN_M))
 
 
-def _grown(shape: Shape, margin_m: float) -> Shape:
+def _grown(shape, margin_m):
     """Return a shape whose faces are further out; a convex union keeps its lower and lateral faces."""
     if isinstance(shape, Box):
         x, y, z = (size + 2.0 * margin_m for size in shape.size_m)
@@ -81,19 +72,19 @@ def _grown(shape: Shape, margin_m: float) -> Shape:
     return shape
 
 
-def _level(one: RigidBody) -> RigidBody:
+def _level(one):
     if not isinstance(one.shape, Plane):
         return one
     return replace(one, pose=Pose(position_m=one.pose.position_m))
 
 
-def _plane_at_origin(one: RigidBody) -> RigidBody:
+def _plane_at_origin(one):
     if not isinstance(one.shape, Plane):
         return one
     return replace(one, pose=replace(one.pose, position_m=(0.0, 0.0, 0.0)))
 
 
-def _cylinder(radius: float = 1.0, length: float = 1.0) -> Callable[[Shape], Shape]:
+def _cylinder(radius=1.0, length=1.0):
     return lambda shape: (
         Cylinder(radius_m=radius * shape.radius_m, length_m=length * shape.length_m)
         if isinstance(shape, Cylinder)
@@ -101,26 +92,26 @@ def _cylinder(radius: float = 1.0, length: float = 1.0) -> Callable[[Shape], Sha
     )
 
 
-def _box_twice(shape: Shape) -> Shape:
+def _box_twice(shape):
     if not isinstance(shape, Box):
         return shape
     x, y, z = (2.0 * size for size in shape.size_m)
     return Box(size_m=(x, y, z))
 
 
-def _sphere_larger(shape: Shape) -> Shape:
+def _sphere_larger(shape):
     return (
         Sphere(radius_m=1.05 * shape.radius_m) if isinstance(shape, Sphere) else shape
     )
 
 
-def _hull(shape: Shape) -> Shape:
+def _hull(shape):
     if not isinstance(shape, ConvexUnion):
         return shape
     return ConvexUnion(pieces_m=(tuple(vector(corner) for corner in shape.corners_m),))
 
 
-def _first_piece(shape: Shape) -> Shape:
+def _first_piece(shape):
     return (
         ConvexUnion(pieces_m=shape.pieces_m[:1])
         if isinstance(shape, ConvexUnion)
@@ -131,13 +122,13 @@ def _first_piece(shape: Shape) -> Shape:
 SLOW_LIMIT_M_PER_S = 0.6
 
 
-def _no_slow_rebound(scene: Scene) -> Scene:
+def _no_slow_rebound(scene):
     if scene.speed_limit_m_per_s > SLOW_LIMIT_M_PER_S:
         return scene
     return change_contacts(restitution=lambda e: 0.0)(scene)
 
 
-def _all_collide(scene: Scene) -> Scene:
+def _all_collide(scene):
     listed = {
         frozenset(pair)
         for contact in scene.contacts
@@ -153,17 +144,17 @@ def _all_collide(scene: Scene) -> Scene:
     return replace(scene, contacts=(*scene.contacts, *more))
 
 
-def _first_contact_only(scene: Scene) -> Scene:
+def _first_contact_only(scene):
     return replace(scene, contacts=scene.contacts[:1])
 
 
-def _one_friction(scene: Scene) -> Scene:
+def _one_friction(scene):
     if not scene.contacts:
         return scene
     return change_contacts(friction=lambda mu: scene.contacts[-1].friction)(scene)
 
 
-def _per_point(scene: Scene) -> Scene:
+def _per_point(scene):
     boxes = {one.name for one in scene.dynamic_bodies if isinstance(one.shape, Box)}
     contacts = (
         replace(one, restitution=0.5 * one.restitution)
@@ -174,7 +165,7 @@ def _per_point(scene: Scene) -> Scene:
     return replace(scene, contacts=tuple(contacts))
 
 
-def _one_restitution(scene: Scene) -> Scene:
+def _one_restitution(scene):
     largest = max(
         (one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT),
         default=0.0,
@@ -182,20 +173,20 @@ def _one_restitution(scene: Scene) -> Scene:
     return change_contacts(restitution=lambda e: largest)(scene)
 
 
-def _always_impact(scene: Scene) -> Scene:
+def _always_impact(scene):
     return replace(
         scene,
         contacts=tuple(replace(one, mode=ContactMode.IMPACT) for one in scene.contacts),
     )
 
 
-def _random_friction(scene: Scene) -> Scene:
+def _random_friction(scene):
     return change_contacts(
         friction=lambda mu: mu * float(1.0 + 1e-9 * np.random.default_rng().random())
     )(scene)
 
 
-def _nothing_fixed(scene: Scene) -> Scene:
+def _nothing_fixed(scene):
     if scene.deformables:
         return scene
     return change_bodies(
@@ -207,29 +198,27 @@ def _nothing_fixed(scene: Scene) -> Scene:
     )(scene)
 
 
-def _tilted(
-    axis: tuple[float, float, float], degrees: float
-) -> tuple[float, float, float]:
+def _tilted(axis, degrees):
     return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
 
 
-def _gravity_twice(scene: Scene) -> Scene:
+def _gravity_twice(scene):
     return replace(scene, gravity_m_per_s2=2.0 * scene.gravity_m_per_s2)
 
 
-def _scalar_read_last(one: RigidBody) -> RigidBody:
+def _scalar_read_last(one):
     x, y, z, w = one.pose.quaternion
     return replace(one, pose=replace(one.pose, quaternion=(w, x, y, z)))
 
 
-def _thrown(change: Callable[[RigidBody], RigidBody]) -> Callable[[Scene], Scene]:
+def _thrown(change):
     """Return a change of the bodies that do not start at rest."""
     changed = change_bodies(lambda one: one if one.starts_at_rest else change(one))
     # Another start of one body opens a hinge between two.
     return lambda scene: scene if scene.body_hinges else changed(scene)
 
 
-def _velocity_of_centre(one: RigidBody) -> RigidBody:
+def _velocity_of_centre(one):
     """Give the centre of mass the velocity that the scene states for the origin."""
     arm = one.pose.rotation.apply(mass_properties(one.shape, one.mass_kg)[0])
     linear = np.subtract(
@@ -238,7 +227,7 @@ def _velocity_of_centre(one: RigidBody) -> RigidBody:
     return replace(one, linear_velocity_m_per_s=vector(linear))
 
 
-def _spin_turned(one: RigidBody) -> RigidBody:
+def _spin_turned(one):
     return replace(
         one,
         angular_velocity_rad_per_s=vector(
@@ -250,7 +239,7 @@ def _spin_turned(one: RigidBody) -> RigidBody:
 class _WithoutCylinder(Passed):
     """Reports a body that it has left out as if it stood still."""
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         states = np.zeros((len(names), 13))
         for row, name in zip(states, names, strict=True):
             pose = self.scene.body(name).pose
@@ -263,16 +252,14 @@ class _WithoutCylinder(Passed):
 class _AsIs(Passed):
     """Reports fixed bodies where the engine has them."""
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names):
         return np.array(self.inner.body_states(names))
 
 
-def _of_pairs(
-    chosen: Callable[[Scene, Contact], bool], change: Callable[[float], float]
-) -> Callable[[Scene], Scene]:
+def _of_pairs(chosen, change):
     """Return a fault that changes the friction of some contacts of a scene."""
 
-    def changed(scene: Scene) -> Scene:
+    def changed(scene):
         contacts = (
             replace(one, friction=change(one.friction)) if chosen(scene, one) else one
             for one in scene.contacts
@@ -282,11 +269,11 @@ def _of_pairs(
     return changed
 
 
-def _is_impact(scene: Scene, contact: Contact) -> bool:
+def _is_impact(scene, contact):
     return contact.mode is ContactMode.IMPACT
 
 
-def _is_of_two_moving(scene: Scene, contact: Contact) -> bool:
+def _is_of_two_moving(scene, contact):
     moving = {body.name for body in scene.dynamic_bodies}
     return (
         set(contact.first) <= moving
@@ -295,11 +282,11 @@ def _is_of_two_moving(scene: Scene, contact: Contact) -> bool:
     )
 
 
-def _turning(change: Callable[[Contact], Contact]) -> Callable[[Scene], Scene]:
+def _turning(change):
     return lambda scene: replace(scene, contacts=tuple(map(change, scene.contacts)))
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "torsion-share",

@@ -1,24 +1,18 @@
 """Changes of a scene's parts, from which faults are made."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
-from gauge_envs.scene import Motion, RigidBody, Scene, Shape
+from gauge_envs.scene import Motion
 
 
-def change_bodies(change: Callable[[RigidBody], RigidBody]) -> Callable[[Scene], Scene]:
+def change_bodies(change):
     """Return a fault that changes each body."""
     return lambda scene: replace(
         scene, bodies=tuple(change(one) for one in scene.bodies)
     )
 
 
-def change_shapes(
-    change: Callable[[Shape], Shape], *motions: Motion
-) -> Callable[[Scene], Scene]:
+def change_shapes(change, *motions):
     """Return a change of the shapes of bodies that move in one of some ways; of dynamic ones by default."""
     chosen = motions or (Motion.DYNAMIC,)
     return change_bodies(
@@ -28,14 +22,10 @@ def change_shapes(
     )
 
 
-def change_contacts(
-    *,
-    friction: Callable[[float], float] = float,
-    restitution: Callable[[float], float] = float,
-) -> Callable[[Scene], Scene]:
+def change_contacts(*, friction=float, restitution=float):
     """Return a fault that changes the friction or the restitution of each contact."""
 
-    def change(scene: Scene) -> Scene:
+    def change(scene):
         contacts = (
             replace(
                 one,
@@ -49,10 +39,10 @@ def change_contacts(
     return change
 
 
-def change_deformables(kind: type, **factors: float) -> Callable[[Scene], Scene]:
+def change_deformables(kind, **factors):
     """Return a fault that multiplies fields of each deformable body of a kind by factors."""
 
-    def change(scene: Scene) -> Scene:
+    def change(scene):
         changed = [
             replace(
                 one,
@@ -67,7 +57,7 @@ def change_deformables(kind: type, **factors: float) -> Callable[[Scene], Scene]
     return change
 
 
-def change_joints(kind: type, change: Callable[[Any], Any]) -> Callable[[Scene], Scene]:
+def change_joints(kind, change):
     """Return a fault that changes each joint of a kind."""
     return lambda scene: replace(
         scene,

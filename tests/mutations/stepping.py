@@ -2,49 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends import Simulation
-from gauge_envs.scene import Pose, Scene
-from mutations.mutant import Fault, Passed, fault
-
-Array = NDArray[np.float64]
+from mutations.mutant import Passed, fault
 
 
-class _OneStepShort(Passed):
-    """Simulates one step less in each call."""
+def _advancing(change):
+    """Return a simulation that advances by another time, a function of the asked time and the timestep [s]."""
 
-    def advance(self, seconds: float) -> None:
-        step = float(self.settings["timestep_s"])
-        # Engines with one step for each interval of 1/180 s would stand still, so they lose a tenth of the intervals.
-        if seconds > 1.5 * step:
-            super().advance(seconds - step)
+    class Advances(Passed):
+        def advance(self, seconds):
+            changed_s = change(seconds, float(self.settings["timestep_s"]))
+            if changed_s:
+                super().advance(changed_s)
 
-
-class _OneStepPerCall(Passed):
-    """Simulates 1/180 s in each call."""
-
-    def advance(self, seconds: float) -> None:
-        super().advance(1.0 / 180.0)
+    return Advances
 
 
-class _HalfTheTime(Passed):
-    """Simulates half the time."""
+def _one_step_short(seconds, step_s):
+    # Engines with one step for each interval of 1/180 s would stand still, so they lose a tenth of the intervals.
+    return seconds - step_s if seconds > 1.5 * step_s else 0.0
 
-    def advance(self, seconds: float) -> None:
-        super().advance(0.5 * seconds)
+
+def _driving(change):
+    """Return a simulation that gives driven bodies another velocity and acceleration, each shape [6]."""
+
+    class Drives(Passed):
+        def drive(self, body, pose, velocity, acceleration):
+            changed = change(np.array(velocity), np.array(acceleration))
+            super().drive(body, pose, *changed)
+
+    return Drives
+
+
+def _in_degrees(rates):
+    return np.concatenate([rates[:3], np.degrees(rates[3:])])
+
+
+SWAPPED = [0, 1, 2, 4, 3, 5]
 
 
 class _ReadsFirst(Passed):
     """Reads positions before it advances."""
 
-    def sample_positions(
-        self, names: Sequence[str], count: int, interval_s: float
-    ) -> Array:
+    def sample_positions(self, names, count, interval_s):
         positions = np.empty((count, len(names), 3))
         for row in positions:
             row[:] = self.body_states(names)[:, :3]
@@ -55,77 +58,31 @@ class _ReadsFirst(Passed):
 class _StepsAtBuild(Passed):
     """Has already moved when it is built."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
         self.inner.advance(1.0 / 180.0)
-
-
-class _Teleport(Passed):
-    """Moves driven bodies without a velocity."""
-
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
-        super().drive(body, pose, np.zeros(6), np.zeros(6))
-
-
-class _NoAcceleration(Passed):
-    """Ignores the acceleration of driven bodies."""
-
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
-        super().drive(body, pose, velocity, np.zeros(6))
-
-
-class _DrivenInDegrees(Passed):
-    """Takes the rates of driven bodies for degrees."""
-
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
-        velocity, acceleration = np.array(velocity), np.array(acceleration)
-        velocity[3:], acceleration[3:] = (
-            np.degrees(velocity[3:]),
-            np.degrees(acceleration[3:]),
-        )
-        super().drive(body, pose, velocity, acceleration)
-
-
-class _DriveSwapped(Passed):
-    """Exchanges x and y of the angular velocity and acceleration of driven bodies."""
-
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
-        order = [0, 1, 2, 4, 3, 5]
-        super().drive(
-            body, pose, np.asarray(velocity)[order], np.asarray(acceleration)[order]
-        )
 
 
 class _DriveLate(Passed):
     """Drives each body by the interval before."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._before: dict[str, tuple[Pose, Array, Array]] = {}
+        self._before = {}
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         self._before = {}
         super().reset(seed)
 
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
+    def drive(self, body, pose, velocity, acceleration):
         now = (pose, np.array(velocity), np.array(acceleration))
         super().drive(body, *self._before.get(body, now))
         self._before[body] = now
 
-    def state(self) -> Any:
+    def state(self):
         return super().state(), dict(self._before)
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state[0])
         self._before = dict(state[1])
 
@@ -133,7 +90,7 @@ class _DriveLate(Passed):
 class _NoReset(Passed):
     """Does not reset."""
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         pass
 
 
@@ -142,10 +99,10 @@ class _StateStaysBehind(Passed):
 
     kept: Any = None
 
-    def state(self) -> Any:
+    def state(self):
         self.kept = super().state()
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         if self.kept is not None:
             super().restore(self.kept)
 
@@ -153,61 +110,61 @@ class _StateStaysBehind(Passed):
 class _LiveState(Passed):
     """Returns a state that changes as the simulation goes on."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._given: list[list[Any]] = []
+        self._given = []
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         super().advance(seconds)
         for state in self._given:
             state[0] = super().state()
 
-    def state(self) -> Any:
+    def state(self):
         self._given.append([super().state()])
         return self._given[-1]
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state[0])
 
 
 class _StateDisturbs(Passed):
     """Goes on from its reported state whenever a state is taken."""
 
-    def state(self) -> Any:
+    def state(self):
         saved = super().state()
         super().advance(1.0 / 180.0)
         return saved
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "step-short",
             "one step less in each call",
             "time",
             "count steps",
-            simulation=_OneStepShort,
+            simulation=_advancing(_one_step_short),
         ),
         fault(
             "step-per-call",
             "1/180 s in each call",
             "time",
             "one step for each call",
-            simulation=_OneStepPerCall,
+            simulation=_advancing(lambda asked, step: 1.0 / 180.0),
         ),
         fault(
             "half-time",
             "half the time",
             "free-fall",
             "simulates 0.5 times the time",
-            simulation=_HalfTheTime,
+            simulation=_advancing(lambda asked, step: 0.5 * asked),
         ),
         fault(
             "driven-degrees",
             "rates of driven bodies in degrees",
             "driven-path",
             "turns 57.3 times as far",
-            simulation=_DrivenInDegrees,
+            simulation=_driving(lambda *rates: map(_in_degrees, rates)),
         ),
         fault(
             "reads-first",
@@ -228,21 +185,21 @@ FAULTS: dict[str, Fault] = dict(
             "driven bodies without velocity",
             "driven-velocity",
             "no velocity",
-            simulation=_Teleport,
+            simulation=_driving(lambda rate, change: np.zeros((2, 6))),
         ),
         fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
             "driven-flick",
             "acceleration that drive() gives",
-            simulation=_NoAcceleration,
+            simulation=_driving(lambda rate, change: (rate, 0.0 * change)),
         ),
         fault(
             "drive-swapped",
             "x and y of a driven body's angular velocity exchanged",
             "driven-flick",
             "exchanges axes",
-            simulation=_DriveSwapped,
+            simulation=_driving(lambda *rates: np.array(rates)[:, SWAPPED]),
         ),
         fault(
             "drive-late",

@@ -1,38 +1,30 @@
 """Faults of wrenches on bodies."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from gauge_envs.backends import Simulation
-from gauge_envs.scene import Cylinder, Scene, Sphere
+from gauge_envs.scene import Cylinder, Sphere
 from gauge_envs.scene.meshes import mass_properties
-from mutations.mutant import Fault, Passed, fault
-
-Array = NDArray[np.float64]
+from mutations.mutant import Passed, fault
 
 
 class _WrenchIgnored(Passed):
     """Ignores wrenches."""
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         pass
 
 
 class _TorqueIgnored(Passed):
     """Ignores torques."""
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         super().apply_wrench(body, np.concatenate([wrench[:3], np.zeros(3)]))
 
 
 class _WrenchInBody(Passed):
     """Takes the wrench in the body frame of the start."""
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         rotation = self.scene.body(body).pose.rotation
         super().apply_wrench(
             body,
@@ -43,15 +35,15 @@ class _WrenchInBody(Passed):
 class _WrenchOnce(Passed):
     """Applies a wrench during one interval only."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._applied: set[str] = set()
+        self._applied = set()
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         super().apply_wrench(body, wrench)
         self._applied.add(body)
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         super().advance(seconds)
         for body in self._applied:
             super().apply_wrench(body, np.zeros(6))
@@ -61,7 +53,7 @@ class _WrenchOnce(Passed):
 class _ForceAtOrigin(Passed):
     """Applies the force at the body origin."""
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         one = self.scene.body(body)
         centre_m, _ = mass_properties(one.shape, 1.0)
         torque = np.cross(-one.pose.rotation.apply(centre_m), wrench[:3])
@@ -71,15 +63,15 @@ class _ForceAtOrigin(Passed):
 class _WrenchKept(Passed):
     """Keeps wrenches over a reset."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._applied: dict[str, Array] = {}
+        self._applied = {}
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         super().apply_wrench(body, wrench)
         self._applied[body] = np.array(wrench)
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed):
         super().reset(seed)
         for body, wrench in self._applied.items():
             super().apply_wrench(body, wrench)
@@ -88,15 +80,15 @@ class _WrenchKept(Passed):
 class _RestoreForgetsWrench(Passed):
     """Drops wrenches when a state is restored."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
-        self._applied: set[str] = set()
+        self._applied = set()
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body, wrench):
         super().apply_wrench(body, wrench)
         self._applied.add(body)
 
-    def restore(self, state: Any) -> None:
+    def restore(self, state):
         super().restore(state)
         for body in self._applied:
             super().apply_wrench(body, np.zeros(6))
@@ -105,7 +97,7 @@ class _RestoreForgetsWrench(Passed):
 class _RollingFriction(Passed):
     """Brakes spheres and cylinders in contact by a torque of 0.01 m g times their radius."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
+    def __init__(self, inner, scene):
         super().__init__(inner, scene)
         touching = {
             name
@@ -118,7 +110,7 @@ class _RollingFriction(Passed):
             if isinstance(one.shape, Sphere | Cylinder) and one.name in touching
         }
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         for name, largest in self._levers.items():
             spin = self.inner.body_states([name])[0, 10:]
             # The torque falls to zero below 0.05 rad/s, so that bodies at rest do not jitter.
@@ -127,7 +119,7 @@ class _RollingFriction(Passed):
         super().advance(seconds)
 
 
-FAULTS: dict[str, Fault] = dict(
+FAULTS = dict(
     (
         fault(
             "rolling-friction",

@@ -1,7 +1,5 @@
 """Statistics of deformation: closed forms, planar and missing markers, and propagation of noise by Monte Carlo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -28,9 +26,7 @@ FOAM_MARKERS_M = np.array(
 )
 
 
-def statistics(
-    rest_m: np.ndarray, now_m: np.ndarray, solid: MarkedSolid = UPRIGHT, **options
-) -> dict[str, float]:
+def statistics(rest_m, now_m, solid=UPRIGHT, **options):
     """Statistics of one frame by name."""
     return dict(
         zip(
@@ -41,14 +37,14 @@ def statistics(
     )
 
 
-def mapped(rest_m: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+def mapped(rest_m, gradient):
     return rest_m @ np.asarray(gradient).T + [0.1, -0.2, 0.3]
 
 
 # Closed forms
 
 
-def test_rigid_motion_is_no_strain() -> None:
+def test_rigid_motion_is_no_strain():
     found = statistics(FOAM_MARKERS_M, mapped(FOAM_MARKERS_M, ROTATION))
     assert found["volume_ratio"] == pytest.approx(1.0, abs=1e-12)
     assert np.isnan(found["area_ratio"])
@@ -61,9 +57,7 @@ def test_rigid_motion_is_no_strain() -> None:
     ("elongation", "poisson"), [(0.05, 0.23), (-0.05, 0.34), (0.2, 0.05)]
 )
 @pytest.mark.parametrize("turned", [np.eye(3), ROTATION])
-def test_uniaxial_stretch(
-    elongation: float, poisson: float, turned: np.ndarray
-) -> None:
+def test_uniaxial_stretch(elongation, poisson, turned):
     """In the axes of the block, whichever way the block stands, and however it is rotated afterwards."""
     stretch = np.diag(
         [1 - poisson * elongation, 1 - poisson * elongation, 1 + elongation]
@@ -80,7 +74,7 @@ def test_uniaxial_stretch(
     assert found["non_affine"] < 1e-6
 
 
-def test_simple_shear() -> None:
+def test_simple_shear():
     """U of x' = x + gamma z is [[2, gamma], [gamma, 2 + gamma^2]] over sqrt(4 + gamma^2)."""
     gamma = 0.35
     found = statistics(
@@ -94,7 +88,7 @@ def test_simple_shear() -> None:
     assert found["volume_ratio"] == pytest.approx(1.0, abs=1e-12)
 
 
-def test_pure_bending_is_not_affine() -> None:
+def test_pure_bending_is_not_affine():
     """Curvature k moves markers by k z^2 / 2 across and by -k x z along; both are at a right angle to affine maps."""
     x, y, z = (
         grid.ravel()
@@ -115,7 +109,7 @@ def test_pure_bending_is_not_affine() -> None:
     assert found["strain.zz"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_markers_in_a_plane_give_strain_in_the_plane() -> None:
+def test_markers_in_a_plane_give_strain_in_the_plane():
     plane = np.array(
         [[0.44, y, z] for y in np.linspace(0.3, 0.4, 7) for z in (0.19, 0.21)]
     )
@@ -134,7 +128,7 @@ def test_markers_in_a_plane_give_strain_in_the_plane() -> None:
     }
 
 
-def test_placement_errors_do_not_make_a_plane_a_solid() -> None:
+def test_placement_errors_do_not_make_a_plane_a_solid():
     """Dots on a face are off it by less than a millimetre; that is no extent."""
     random = np.random.default_rng(1)
     plane = np.array(
@@ -147,7 +141,7 @@ def test_placement_errors_do_not_make_a_plane_a_solid() -> None:
     assert found["area_ratio"] == pytest.approx(1.1 * 0.9, abs=0.002)
 
 
-def test_markers_on_a_line_give_the_strain_along_it() -> None:
+def test_markers_on_a_line_give_the_strain_along_it():
     line = np.array([[0.4, y, 0.2] for y in (0.40, 0.45, 0.50)])
     now = mapped(line, 1.1 * ROTATION)
     now[1] += 0.003 * ROTATION[:, 2]
@@ -163,7 +157,7 @@ def test_markers_on_a_line_give_the_strain_along_it() -> None:
     assert found["non_affine"] == pytest.approx(np.sqrt(2.0), rel=1e-9)
 
 
-def test_placement_does_not_enter_strain() -> None:
+def test_placement_does_not_enter_strain():
     placed = FOAM_MARKERS_M + 0.0008 * np.random.default_rng(2).normal(
         size=FOAM_MARKERS_M.shape
     )
@@ -176,7 +170,7 @@ def test_placement_does_not_enter_strain() -> None:
 # Missing markers
 
 
-def test_missing_markers_are_left_out() -> None:
+def test_missing_markers_are_left_out():
     now = mapped(FOAM_MARKERS_M, np.diag([0.99, 0.98, 1.05]))
     whole = statistics(FOAM_MARKERS_M, now)
     rest, now = FOAM_MARKERS_M.copy(), now.copy()
@@ -192,7 +186,7 @@ def test_missing_markers_are_left_out() -> None:
     ]
 
 
-def test_too_few_markers_determine_nothing() -> None:
+def test_too_few_markers_determine_nothing():
     now = np.stack([FOAM_MARKERS_M] * 3)
     now[1, 1:], now[2] = np.nan, np.nan
     found = deformation_statistics(FOAM_MARKERS_M, now, UPRIGHT)
@@ -200,7 +194,7 @@ def test_too_few_markers_determine_nothing() -> None:
     assert np.isnan(found[1:]).all()
 
 
-def test_four_markers_have_no_residual_to_speak_of() -> None:
+def test_four_markers_have_no_residual_to_speak_of():
     found = statistics(FOAM_MARKERS_M[[0, 6, 7, 14]], FOAM_MARKERS_M[[0, 6, 7, 14]])
     assert found["volume_ratio"] == pytest.approx(1.0)
     assert np.isnan(found["non_affine"])
@@ -213,7 +207,7 @@ def test_four_markers_have_no_residual_to_speak_of() -> None:
         ((28, 3), (1, 27, 3), "markers_m has shape"),
     ],
 )
-def test_wrong_shapes_are_named(rest: tuple, now: tuple, message: str) -> None:
+def test_wrong_shapes_are_named(rest, now, message):
     with pytest.raises(ShapeError, match=message):
         affine_map(np.zeros(rest), np.zeros(now))
 
@@ -221,7 +215,7 @@ def test_wrong_shapes_are_named(rest: tuple, now: tuple, message: str) -> None:
 # Noise
 
 
-def test_uncertainty_is_the_scatter_of_noisy_markers() -> None:
+def test_uncertainty_is_the_scatter_of_noisy_markers():
     random = np.random.default_rng(3)
     sigma = np.tile([0.2e-3, 0.3e-3, 0.1e-3], (len(FOAM_MARKERS_M), 1))
     now = mapped(FOAM_MARKERS_M, ROTATION @ np.diag([0.98, 0.98, 1.05]))
@@ -240,7 +234,7 @@ def test_uncertainty_is_the_scatter_of_noisy_markers() -> None:
     )
 
 
-def test_noise_is_taken_off_the_residual() -> None:
+def test_noise_is_taken_off_the_residual():
     """In squares, on average over draws."""
     random = np.random.default_rng(4)
     sigma = 0.2e-3
@@ -259,7 +253,7 @@ def test_noise_is_taken_off_the_residual() -> None:
     assert np.mean(corrected**2) == pytest.approx(exact**2, rel=0.01)
 
 
-def test_unseen_displacement_widens_the_residual_and_not_its_value() -> None:
+def test_unseen_displacement_widens_the_residual_and_not_its_value():
     now = FOAM_MARKERS_M + 0.001 * np.sin(40 * FOAM_MARKERS_M)
     nothing = np.zeros((1, *now.shape))
     unseen = independent_noise(np.full(now.shape, 0.5e-3))
@@ -276,7 +270,7 @@ def test_unseen_displacement_widens_the_residual_and_not_its_value() -> None:
     )
 
 
-def test_white_noise_of_a_moving_trial_is_found() -> None:
+def test_white_noise_of_a_moving_trial_is_found():
     times = np.arange(60) / 30
     swing = 0.05 * np.sin(2 * np.pi * 1.7 * times)[:, None, None]
     noisy = (
@@ -291,7 +285,7 @@ def test_white_noise_of_a_moving_trial_is_found() -> None:
     assert white_noise_m(noisy[:6]) == 0.0
 
 
-def test_a_noisy_trial_at_rest_has_no_residual() -> None:
+def test_a_noisy_trial_at_rest_has_no_residual():
     trials = FOAM_MARKERS_M + 1e-4 * np.random.default_rng(7).normal(
         size=(20, 30, *FOAM_MARKERS_M.shape)
     )
@@ -312,7 +306,7 @@ def test_a_noisy_trial_at_rest_has_no_residual() -> None:
 # Which experiments
 
 
-def test_foams_and_the_beam_have_a_marked_solid() -> None:
+def test_foams_and_the_beam_have_a_marked_solid():
     found = {
         variant.family
         for variant in variants()
@@ -325,7 +319,7 @@ def test_foams_and_the_beam_have_a_marked_solid() -> None:
     assert found == {*foams, "CantileverBeam"}
 
 
-def test_axes_of_a_block_that_lies_down() -> None:
+def test_axes_of_a_block_that_lies_down():
     solid = marked_solid(load_experiment("FoamBending-soft").scene)
     assert solid is not None and solid.long_axis == 2
     assert np.abs(solid.axes[:, 2]).tolist() == pytest.approx(
@@ -335,7 +329,7 @@ def test_axes_of_a_block_that_lies_down() -> None:
     assert beam is not None and beam.long_axis is None
 
 
-def test_units() -> None:
+def test_units():
     assert {name for name in STATISTICS if statistic_unit(name) == "mm"} == {
         "non_affine"
     }

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -140,20 +138,21 @@ def test_angles_of_degenerate_triangles_are_left_out():
     ] == pytest.approx(2 * np.pi / 3)
 
 
-def test_curvature_refuses_a_marker_of_two_kinds_and_unknown_ones():
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"edge": [0]}, "share marker 0"),
+        ({"edge": [9]}, "edge names marker 9; there are 9"),
+        ({"faces": sheet(3, 3)[1][:, :2]}, "faces has shape"),
+        ({"markers_m": sheet(3, 3)[0]}, "markers_m has shape"),
+        ({"faces": sheet(3, 3)[1].astype(float)}, "integers"),
+    ],
+)
+def test_curvature_refuses_a_marker_of_two_kinds_and_unknown_ones(changes, message):
     markers, faces, corner, edge = sheet(3, 3)
-    with pytest.raises(ShapeError, match="share marker 0"):
-        angle_deficit_curvature(markers[None], faces, corner=corner, edge=[0])
-    with pytest.raises(ShapeError, match="edge names marker 9; there are 9"):
-        angle_deficit_curvature(markers[None], faces, corner=corner, edge=[9])
-    with pytest.raises(ShapeError, match="faces has shape"):
-        angle_deficit_curvature(markers[None], faces[:, :2], corner=corner, edge=edge)
-    with pytest.raises(ShapeError, match="markers_m has shape"):
-        angle_deficit_curvature(markers, faces, corner=corner, edge=edge)
-    with pytest.raises(ShapeError, match="integers"):
-        angle_deficit_curvature(
-            markers[None], faces.astype(float), corner=corner, edge=edge
-        )
+    given = {"markers_m": markers[None], "faces": faces, "corner": corner, "edge": edge}
+    with pytest.raises(ShapeError, match=message):
+        angle_deficit_curvature(**given | changes)
 
 
 # Turning angle along lines

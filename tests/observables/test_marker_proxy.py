@@ -1,9 +1,7 @@
 """The default marker proxy scores the material, the node of the paper scores the mesh."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,36 +16,21 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 
 
-def foam(name: str, **options: str) -> Result:
-    return run_episode(RunRequest(name, use_withheld=True, **options))
-
-
-@pytest.mark.parametrize(
-    ("name", "by_node", "by_material"),
-    [
-        pytest.param("FoamStretching-soft", 75.32, 7.021, marks=pytest.mark.slow),
-        pytest.param("FoamShearing-soft", 116.8, 10.05, marks=pytest.mark.slow),
-        pytest.param("FoamBending-soft", 63.14, 8.883, marks=pytest.mark.slow),
-        pytest.param("FoamTwisting-soft", 53.30, 4.739, marks=pytest.mark.slow),
-    ],
-)
-def test_the_node_scores_the_mesh(
-    name: str, by_node: float, by_material: float
-) -> None:
-    """Normalized RMSE against the withheld bands; the faces of the recordings have 208 mm^2 at rest."""
-    node, material = foam(name, marker_proxy="node"), foam(name)
-    assert node.score.rmse_normalized == pytest.approx(by_node, rel=1e-3)
-    assert material.score.rmse_normalized == pytest.approx(by_material, rel=1e-3)
-    assert material.trajectory is not None and node.trajectory is not None
-    areas = (
-        np.array(material.trajectory.samples)[0],
-        np.array(node.trajectory.samples)[0],
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["FoamShearing-soft", "FoamTwisting-soft"])
+def test_the_node_scores_the_mesh(name):
+    """The faces of the recordings have 208.33 mm^2 at rest; those of the nearest nodes are a third larger or more."""
+    node, material = (
+        run_episode(RunRequest(name, use_withheld=True, marker_proxy=proxy))
+        for proxy in ("node", "material")
     )
-    assert areas[0] == pytest.approx(208.33, abs=0.01)
-    assert (areas[1].min(), areas[1].max()) == pytest.approx((272.3, 408.5), abs=0.1)
+    assert node.score.rmse_normalized > 5.0 * material.score.rmse_normalized
+    areas = [np.array(one.trajectory.samples)[0] for one in (material, node)]
+    assert areas[0] == pytest.approx(625.0 / 3.0, abs=0.01)
+    assert areas[1].min() > 1.3 * 625.0 / 3.0
 
 
-def test_material_points_are_the_default_of_environments_runs_and_results() -> None:
+def test_material_points_are_the_default_of_environments_runs_and_results():
     assert EnvArguments("FoamStretching-soft").proxy is MarkerProxy.MATERIAL
     assert RunRequest("FoamStretching-soft") == RunRequest(
         "FoamStretching-soft", marker_proxy="material"
@@ -58,16 +41,16 @@ def test_material_points_are_the_default_of_environments_runs_and_results() -> N
     } == {"material"}
 
 
-def test_an_old_result_without_the_key_is_by_node(tmp_path: Path) -> None:
+def test_an_old_result_without_the_key_is_by_node(tmp_path):
     result = run_episode(RunRequest("BouncingBall-rubber"))
     file = tmp_path / result_file_name(result)
     write_result(result, file)
     assert file.name == "BouncingBall-rubber.mujoco.calibrated.json"
     assert load_result(file).marker_proxy == "material"
     content = json.loads(file.read_text(encoding="utf-8"))
-    del content["marker_proxy"]
+    del content["marker_proxy"], content["asset"], content["score"]["edited"]
     file.write_text(json.dumps(content), encoding="utf-8")
     old = load_result(file)
-    assert old.marker_proxy == "node"
+    assert old == replace(result, marker_proxy="node")
     assert result_file_name(old) == "BouncingBall-rubber.mujoco.calibrated.node.json"
     assert "markers by node" in result_label(old)

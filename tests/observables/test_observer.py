@@ -1,7 +1,5 @@
 """Marker proxies on a sheet of nodes with prescribed motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
@@ -14,15 +12,12 @@ from gauge_envs.observables.observer import (
     ObserverMarkers,
     observe_markers,
 )
-from gauge_envs.scene import Cloth
 
 
 class Sheet:
     """Stands for a simulation: nodes of a regular grid, moved by a function of time."""
 
-    def __init__(
-        self, cloth: Cloth, cell_m: float, motion=lambda points, t: points
-    ) -> None:
+    def __init__(self, cloth, cell_m, motion=lambda points, t: points):
         counts = [round(edge / cell_m) + 1 for edge in cloth.size_m]
         axes = [
             np.linspace(-0.5 * edge, 0.5 * edge, n)
@@ -35,24 +30,24 @@ class Sheet:
         self._motion = motion
         self.time_s = 0.0
 
-    def nodes(self, name: str) -> np.ndarray:
+    def nodes(self, name):
         return self._motion(self._rest, self.time_s)
 
-    def track(self, name: str, points_m: np.ndarray) -> None:
+    def track(self, name, points_m):
         return None
 
-    def advance(self, seconds: float) -> None:
+    def advance(self, seconds):
         self.time_s += seconds
 
 
-def flinging() -> tuple:
+def flinging():
     scene = load_experiment("TextileFlinging-satin").scene
     return scene, scene.deformables[0]
 
 
 @pytest.mark.parametrize("proxy", list(MarkerProxy))
 @pytest.mark.parametrize("cell_m", [0.025, 0.0125])
-def test_flat_sheet_has_no_curvature(proxy: MarkerProxy, cell_m: float) -> None:
+def test_flat_sheet_has_no_curvature(proxy, cell_m):
     scene, cloth = flinging()
     observer = ObserverMarkers(scene, Observable.CURVATURE, Sheet(cloth, cell_m), proxy)
     assert observer.width == 63
@@ -60,7 +55,7 @@ def test_flat_sheet_has_no_curvature(proxy: MarkerProxy, cell_m: float) -> None:
     assert observer.now(Sheet(cloth, cell_m)) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_material_points_are_exact_where_nodes_are_not() -> None:
+def test_material_points_are_exact_where_nodes_are_not():
     scene, cloth = flinging()
     # A stretch that is linear in space: interpolation is exact, a proxy 5 mm away is 5 mm times the strain off.
     sheet = Sheet(
@@ -85,7 +80,7 @@ def test_material_points_are_exact_where_nodes_are_not() -> None:
     assert 0.5 < errors[MarkerProxy.NODE] < 11.0
 
 
-def test_mesh_too_coarse_for_the_markers_is_refused() -> None:
+def test_mesh_too_coarse_for_the_markers_is_refused():
     scene, cloth = flinging()
     with pytest.raises(ShapeError, match="marker"):
         ObserverMarkers(
@@ -93,14 +88,14 @@ def test_mesh_too_coarse_for_the_markers_is_refused() -> None:
         )
 
 
-def test_marker_off_the_material_is_refused() -> None:
+def test_marker_off_the_material_is_refused():
     scene, cloth = flinging()
     shifted = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, 0.02, 0.0]))
     with pytest.raises(ShapeError, match=r"20\.0 mm"):
         ObserverMarkers(scene, Observable.CURVATURE, shifted, MarkerProxy.MATERIAL)
 
 
-def test_sampling_observes_after_each_interval() -> None:
+def test_sampling_observes_after_each_interval():
     scene, cloth = flinging()
     sheet = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, t, 0.0]))
     observer = ObserverMarkers(
@@ -113,7 +108,7 @@ def test_sampling_observes_after_each_interval() -> None:
     )
 
 
-def test_missing_markers_stay_missing() -> None:
+def test_missing_markers_stay_missing():
     scene, _ = flinging()
     positions = np.asarray(scene.markers.positions_m)[None].copy()
     positions[0, 10] = np.nan
@@ -131,7 +126,7 @@ def test_missing_markers_stay_missing() -> None:
         ("StickStack-soft", 12),
     ],
 )
-def test_width_of_each_observable(name: str, width: int) -> None:
+def test_width_of_each_observable(name, width):
     found = load_experiment(name)
     positions = np.asarray(found.scene.markers.positions_m)[None]
     assert observe_markers(

@@ -3,16 +3,33 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import StringIO
+from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
+from gauge_envs.evaluation.score import Explained, Score
+from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
+from gauge_envs.pages.results import (
+    convergence_text,
+    percent_text,
+    reality_lines,
+    verification_text,
+)
+from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest, simplified
 from gauge_envs.pages.table import Column, Facts, Place, Table
-from gauge_envs.pages.text import score_text
+from gauge_envs.pages.text import (
+    counted,
+    quantity_text,
+    score_text,
+    shortened,
+    value_text,
+)
 
 ROWS = (
     {
@@ -207,6 +224,215 @@ def test_facts_have_their_texts_beside_the_names_and_long_names_above():
         "and 5 more",
         "         0.02 1",
     ]
+
+
+PANELS = {
+    # A gap in the mean, frames that were not measured, a curve that is lost, and one that leaves the frame by far.
+    "reality": CurvePanel(
+        title="x [mm]",
+        curves=[
+            (("red", False), "sound", np.arange(6) / 10.0, 3.0 * np.arange(6.0)),
+            (
+                ("blue", True),
+                "lost",
+                np.arange(8) / 10.0,
+                np.array([0.0, 2.0, np.nan, 8.0, 1e4, 0.0, 0.0, 99.0]),
+            ),
+        ],
+        end_s=0.6,
+        times_s=np.arange(8) / 10.0,
+        mean=np.array([0.0, 3.0, np.nan, 9.0, 12.0, 15.0, 19.0, 50.0]),
+        sigma=np.array([0.1, 0.2, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8]),
+        measured=np.array([1, 1, 0, 1, 1, 0, 0, 0], dtype=bool),
+    ),
+    "curve alone": CurvePanel(
+        title="angle [deg]",
+        curves=[(("red", False), "one", np.linspace(0.0, 2.0, 9), np.full(9, -40.0))],
+        end_s=2.0,
+    ),
+    "nothing": CurvePanel(title="z [m]", curves=[], end_s=0.0),
+}
+FORESTS = {
+    "within": [
+        ForestRow(label="engine", color="red", value=0.42, interval=(0.05, 1.3)),
+        ForestRow(
+            label="a label of 21 letters", color="blue", value=7.9, interval=None
+        ),
+    ],
+    "below": [
+        ForestRow(label="twenty letters it is", color="red", value=0.03, interval=None),
+        ForestRow(label="far", color="blue", value=340.0, interval=(90.0, 900.0)),
+    ],
+}
+
+
+def test_figures_are_the_approved_ones(approved):
+    figures = {name: curve_panel(panel) for name, panel in PANELS.items()}
+    figures |= {
+        name: forest(name, rows, unity="real trials") for name, rows in FORESTS.items()
+    }
+    lines = [
+        f"{name}\n{figure}".replace("><", ">\n<") for name, figure in figures.items()
+    ]
+    approved("pages/figures", "\n\n".join(lines))
+
+
+def test_results_are_told_in_the_approved_words(approved):
+    solved = Verification(
+        grade="model",
+        quantity="x",
+        unit="mm",
+        distance=0.3,
+        distance_95=(0.1, 0.9),
+        uncertainty=0.2,
+        frozen=6.0,
+        frames=9,
+    )
+    trials = Score(
+        grade="trials",
+        unit="mm",
+        primary="rmse",
+        rmse=2.5,
+        percentile=40.0,
+        percentile_95=(12.0, 71.5),
+        trial_count=20,
+        explained=tuple(
+            Explained(
+                name=name,
+                kind="constant",
+                std=std,
+                unit=unit,
+                source="a test",
+                change=1.0,
+                left=left,
+            )
+            for name, unit, std, left in (
+                ("friction", "1", 0.0123, 1.1),
+                ("tilt", "deg", 0.3, 1.9),
+                ("start", "mm", 0.5, 2.25),
+                ("mass", "kg", 0.1, 2.4),
+            )
+        ),
+    )
+    law = replace(trials, grade="law", verification=solved)
+    row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
+    row |= {"points_rms_mm": 0.071, "refined": 900.4, "default": 120.6}
+    rows = {
+        "timestep_s": row,
+        "cell_m": row | {"share": None},
+        "training": row | {"share": 0.00001},
+    }
+    lines = [
+        verification_text(replace(solved, uncertainty=None)),
+        verification_text(replace(solved, distance_95=None, frozen=0.0)),
+        *reality_lines("law", law),
+        *reality_lines("markers", replace(law, verification=None)),
+        *reality_lines("trials", trials),
+        *reality_lines("far", replace(trials, percentile=100.0, explained=None)),
+        *reality_lines("near", replace(trials, percentile=97.5, trial_count=40)),
+        *reality_lines("no primary", replace(trials, primary=None)),
+        *(
+            convergence_text(known, has_cells=cells, with_unit=unit)
+            for known in (rows, {}, {"timestep_s": row | {"rms": None}})
+            for cells in (True, False)
+            for unit in (True, False)
+        ),
+    ]
+    approved("pages/results", "\n".join(lines))
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=2, max_size=30
+    ),
+    st.floats(0.01, 3.0),
+)
+def test_a_simplified_line_misses_no_point_by_more_than_the_tolerance(ends, tolerance):
+    points = np.array(ends)
+    kept = simplified(points, tolerance)
+    assert kept[[0, -1]].tolist() == points[[0, -1]].tolist()
+    rows = iter(points.tolist())
+    numbers = [0]
+    assert all(row in rows for row in kept.tolist())
+    for row in kept.tolist()[1:]:
+        numbers.append(points.tolist().index(row, numbers[-1]))
+    for (first, last), (start, end) in zip(
+        pairwise(numbers), pairwise(kept), strict=True
+    ):
+        along = end - start
+        for point in points[first:last] - start:
+            # Distance from the line, by the part of the vector across it.
+            share = point @ along / max(along @ along, 1e-300)
+            assert np.linalg.norm(point - share * along) <= tolerance + 1e-6
+
+
+def test_points_on_a_line_are_left_out():
+    points = np.array([[0.0, 0.0], [1.0, 2.0], [2.0, 4.0], [3.0, 0.0], [4.0, 0.0]])
+    assert simplified(points, 0.1).tolist() == points[[0, 2, 3, 4]].tolist()
+    assert simplified(np.zeros((5, 2)), 0.1).tolist() == np.zeros((2, 2)).tolist()
+    loop = np.array([[0.0, 0.0], [0.0, 0.05], [3.0, 4.0], [0.0, 0.0]])
+    assert simplified(loop, 0.1).tolist() == loop[[0, 2, 3]].tolist()
+    assert simplified(loop, 5.0).tolist() == loop[[0, 3]].tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        (
+            score_text,
+            {
+                None: "-",
+                0.0: "0",
+                0.0999: "0.1",
+                0.1: "0.10",
+                -0.1: "-0.10",
+                0.0123: "0.012",
+                -0.0123: "-0.012",
+                99.994: "99.99",
+                100.0: "100",
+                123.4: "123",
+                54321.0: "5.43e+04",
+            },
+        ),
+        (
+            quantity_text,
+            {
+                0.0: "0",
+                1e-3: "0.001",
+                0.000999: "1.0e-03",
+                -0.1234: "-0.123",
+                999.4: "999",
+                1000.0: "1000",
+                -1234.5: "-1234",
+                99999.4: "99999",
+                1e5: "1e+05",
+            },
+        ),
+        (
+            percent_text,
+            {
+                0.0000999: "less than 0.01",
+                0.0001: "0.01",
+                0.1234: "12",
+                0.9949: "99",
+                0.995: "100",
+                2.3: "230",
+            },
+        ),
+        (value_text, {1 / 3: "0.3333333333", 7: "7", (): "()"}),
+        (
+            lambda count: shortened([*map(str, range(count))]),
+            {1: "0", 6: "0, 1, 2, 3, 4, 5", 7: "0, 1, 2, ... 6 (7)"},
+        ),
+        (
+            lambda count: value_text([*range(count)]),
+            {0: "[]", 4: "[0, 1, 2, 3]", 5: "[0, 1, 2, 3, ... 5 in all]"},
+        ),
+        (lambda count: counted(count, "trial"), {0: "0 trials", 1: "1 trial"}),
+    ],
+)
+def test_a_number_has_its_text(text, values):
+    assert {value: text(value) for value in values} == values
 
 
 @pytest.mark.parametrize("text", ["[red]", "[/]", "a [b] c"])

@@ -1,7 +1,5 @@
 """Every table of the command line at 80 and 120 columns: nothing is cut, nothing is too long."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
@@ -62,12 +60,7 @@ def report():
 
 
 @pytest.fixture
-def gauge(
-    tmp_path,
-    monkeypatch,
-    results,
-    report,
-):
+def gauge(tmp_path, monkeypatch, results, report):
     """Prints the output of a command at a width; the folder holds the results."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report)
@@ -119,12 +112,7 @@ COMMANDS = (
 
 @pytest.mark.parametrize("width", [80, pytest.param(120, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_a_table_fits_the_terminal_and_breaks_no_word(
-    gauge,
-    unlimited,
-    command,
-    width,
-):
+def test_a_table_fits_the_terminal_and_breaks_no_word(gauge, unlimited, command, width):
     text = gauge(width, *command)
     assert max(map(len, text.splitlines())) <= width
     # An id or a number that is cut or broken is another word.

@@ -1,7 +1,5 @@
 """Bands of cubes that a turntable throws off: limits of the sliding law, its end, engines, and a planted fault."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -18,15 +16,13 @@ GRAVITY = 9.80665
 MATERIALS = build_laws.MATERIALS
 
 
-def band_of(material: str):
+def band_of(material):
     band = reference_band(load_experiment(f"Turntable-2-{material}"))
     assert band is not None and band.grade is BandGrade.LAW
     return band
 
 
-def error_mm(
-    material: str, engine: str, parameters: str | dict[str, float] = "calibrated"
-) -> np.ndarray:
+def error_mm(material, engine, parameters="calibrated"):
     """Distance of the simulated cube from the law at its frames [mm]."""
     request = RunRequest(
         f"Turntable-2-{material}", backend=engine, parameters=parameters
@@ -38,7 +34,7 @@ def error_mm(
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_the_cube_slips_where_carrying_takes_more_than_friction(material: str) -> None:
+def test_the_cube_slips_where_carrying_takes_more_than_friction(material):
     """hypot(omega^2 r, alpha r) = mu g with omega = alpha t, and then the cube lags behind the plate, outwards."""
     scene = load_experiment(f"Turntable-2-{material}").scene
     axle = np.array(scene.body("plate").pose.position_m)[:2]
@@ -66,7 +62,7 @@ def test_the_cube_slips_where_carrying_takes_more_than_friction(material: str) -
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_the_law_ends_before_a_corner_is_in_the_air(material: str) -> None:
+def test_the_law_ends_before_a_corner_is_in_the_air(material):
     band = band_of(material)
     known = np.isfinite(band.mean).all(axis=1)
     assert np.flatnonzero(known).tolist() == list(range(13))
@@ -84,7 +80,7 @@ def test_the_law_ends_before_a_corner_is_in_the_air(material: str) -> None:
     assert not band.normalized_by_baseline
 
 
-def test_a_point_slides_as_a_particle() -> None:
+def test_a_point_slides_as_a_particle():
     """With all pressure in the middle and no height the cube is a particle; a start of 1 um grows to 20 um."""
     scene = load_experiment("Turntable-2-wood").scene
     start, axle = (
@@ -92,7 +88,7 @@ def test_a_point_slides_as_a_particle() -> None:
     )
     (motion,) = scene.drivers[0].motions
 
-    def rate(time_s: float, state: np.ndarray) -> list[float]:
+    def rate(time_s, state):
         arm = state[:2] - axle
         sliding = state[2:] - motion.rate(time_s) * np.array([-arm[1], arm[0]])
         pull = -0.378789 * GRAVITY * sliding / math.hypot(*sliding, 1e-6)
@@ -119,14 +115,14 @@ def test_a_point_slides_as_a_particle() -> None:
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_an_engine_slides_with_the_law(material: str) -> None:
+def test_an_engine_slides_with_the_law(material):
     band = band_of(material)
     error = error_mm(material, "mujoco")
     assert (error < np.linalg.norm(band.sigma[:13], axis=1)).all()
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_a_planted_friction_is_worse_than_the_uncertainty(material: str) -> None:
+def test_a_planted_friction_is_worse_than_the_uncertainty(material):
     band = band_of(material)
     error = error_mm(material, "mujoco", {"cube.friction": 0.15})
     assert error[12] > 2.0 * np.linalg.norm(band.sigma[12])

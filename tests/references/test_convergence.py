@@ -1,15 +1,11 @@
 """Convergence tables: what was measured is read as written, damage is named, and reports show it."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from texts import changed_text
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -36,18 +32,19 @@ ROW = Convergence(
 DIVERGED = Convergence(
     variant="Funnel-satin", setting="cell_m", default=0.02, refined=0.01, unit="mm"
 )
+NOTES = {"engine": "mujoco 4.0.0", "date": "2026-01-31"}
+TEXT = ConvergenceTable(NOTES, {}).with_rows([ROW]).text()
+LINE = TEXT.splitlines()[3]
 
 
-def bundled(engine: str) -> ConvergenceTable:
+def bundled(engine):
     return ConvergenceTable.read(
         data_folder("scoring") / "convergence" / f"{engine}.csv"
     )
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
-def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(
-    engine: str,
-) -> None:
+def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine):
     table = bundled(engine)
     assert {"engine", "date"} <= table.notes.keys()
     assert table.notes["engine"].startswith(engine)
@@ -70,7 +67,7 @@ def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(
             assert row.share == pytest.approx(row.rms / baseline.mean, rel=2e-3)
 
 
-def test_mujoco_has_half_the_step_of_every_scored_experiment() -> None:
+def test_mujoco_has_half_the_step_of_every_scored_experiment():
     names = {
         name for name, setting in bundled("mujoco").rows if setting == "timestep_s"
     }
@@ -82,10 +79,8 @@ def test_mujoco_has_half_the_step_of_every_scored_experiment() -> None:
     } <= names
 
 
-def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
-    table = ConvergenceTable(
-        {"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {}
-    ).with_rows([ROW, DIVERGED])
+def test_a_table_is_read_as_it_was_written(tmp_path):
+    table = ConvergenceTable(NOTES, {}).with_rows([ROW, DIVERGED])
     file = tmp_path / "mujoco.csv"
     file.write_text(table.text(), encoding="utf-8")
     found = ConvergenceTable.read(file)
@@ -98,35 +93,21 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (
-            "variant,setting",
-            "id,setting",
-            r"mujoco.csv: line 3: columns are .*setting,.* and 1 unknown ones, expected variant,",
-        ),
-        ("timestep_s", "iterations", r"mujoco.csv: line 4: setting"),
-        (",0.062,", ",-0.062,", r"mujoco.csv: line 4: rms"),
-        (",0.062,0.18\n", ",0.062\n", r"mujoco.csv: line 4: 9 fields, expected 10"),
-        (
-            "SlopeSlider-2-wood,",
-            "{row}\nSlopeSlider-2-wood,",
-            r"mujoco.csv: line 5: .* has a row above",
-        ),
+        ("variant,setting", "id,setting", "line 3: columns are .*expected variant,"),
+        ("timestep_s", "iterations", "line 4: setting"),
+        (",0.062,", ",-0.062,", "line 4: rms"),
+        (",0.062,0.18\n", ",0.062\n", "line 4: 9 fields, expected 10"),
+        (f"{LINE}\n", f"{LINE}\n{LINE}\n", "line 5: .* has a row above"),
     ],
 )
-def test_damage_is_named(old: str, new: str, message: str, tmp_path: Path) -> None:
-    text = (
-        ConvergenceTable({"engine": "mujoco 4.0.0", "date": "2026-01-31"}, {})
-        .with_rows([ROW])
-        .text()
-    )
-    line = text.splitlines()[3]
+def test_damage_is_named(old, new, message, tmp_path):
     file = tmp_path / "mujoco.csv"
-    file.write_text(text.replace(old, new.replace("{row}", line), 1), encoding="utf-8")
-    with pytest.raises(ReferenceFileError, match=message):
-        ConvergenceTable.read(file)
+    file.write_text(TEXT, encoding="utf-8")
+    with pytest.raises(ReferenceFileError, match=f"mujoco.csv: {message}"):
+        ConvergenceTable.read(changed_text(file, (old, new)))
 
 
-def test_an_engine_without_a_table_was_not_measured() -> None:
+def test_an_engine_without_a_table_was_not_measured():
     assert convergence_of("another", "SlopeSlider-2-wood") == {}
     assert (
         convergence_text({}, has_cells=True)
@@ -141,62 +122,27 @@ def test_an_engine_without_a_table_was_not_measured() -> None:
     )
 
 
-def test_the_preset_for_training_stands_where_details_do() -> None:
-    row = ROW.model_copy(
-        update={"setting": "training", "default": 10.2, "refined": 99.6}
-    ).model_dump()
-    assert "training" not in convergence_text({"training": row}, has_cells=False)
-    assert convergence_text(
-        {"training": row}, has_cells=False, with_unit=True
-    ).endswith(
-        "preset training moves the trajectory by 0.34 % of the real scatter, g(t) by 0.062 mm rms and 0.18 mm at most, "
-        "points by 0.062 mm rms; 100 env-steps/s, by default 10"
-    )
-
-
-def test_commands_show_what_was_measured(tmp_path: Path) -> None:
+def test_commands_show_what_was_measured(gauge):
     share = bundled("mujoco").of("SlopeSlider-2-wood")["timestep_s"].share
-    assert share is not None
     expected = (
         f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
     )
-    shown = (
-        CliRunner()
-        .invoke(app, ["show", "SlopeSlider-2-wood", "--format", "wide"])
-        .output
-    )
-    assert expected in " ".join(shown.split())
-    ran = (
-        CliRunner()
-        .invoke(app, ["run", "SlopeSlider-2-wood", "--out", str(tmp_path)])
-        .output
-    )
-    assert expected in " ".join(ran.split())
-    values = json.loads(
-        CliRunner().invoke(app, ["show", "SlopeSlider-2-wood", "--json"]).output
-    )
+    for words in (
+        ("show", "SlopeSlider-2-wood", "--format", "wide"),
+        ("run", "SlopeSlider-2-wood"),
+    ):
+        assert expected in " ".join(gauge(*words).output.split())
+    values = json.loads(gauge("show", "SlopeSlider-2-wood", "--json").output)
     (row,) = (row for row in values["engines"] if row["engine"] == "mujoco")
     assert row["convergence"]["timestep_s"]["share"] == share
-
-
-def test_other_settings_have_no_convergence(tmp_path: Path) -> None:
-    options = [
-        "run",
-        "SlopeSlider-2-wood",
-        "--set",
-        "impratio=1.0",
-        "--out",
-        str(tmp_path),
-    ]
-    assert "half step" not in CliRunner().invoke(app, options).output
+    other = gauge("run", "SlopeSlider-2-wood", "--set", "impratio=1.0")
+    assert "half step" not in other.output
 
 
 # --- the script ------------------------------------------------------------------------------------------------------
 
 
-def test_a_row_is_measured_as_stored_and_not_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_row_is_measured_as_stored_and_not_again(tmp_path, capsys):
     request = Request(results=tmp_path, engines=("mujoco",), ids=("BouncingBall-*",))
     build_convergence.measure(request, tmp_path)
     file = tmp_path / "convergence" / "mujoco.csv"
@@ -216,7 +162,7 @@ def test_a_row_is_measured_as_stored_and_not_again(
     assert capsys.readouterr().out == ""
 
 
-def test_rms_is_the_distance_of_the_paper() -> None:
+def test_rms_is_the_distance_of_the_paper():
     frames = np.zeros((4, 3))
     moved = frames.copy()
     moved[3] = (3.0, 0.0, 4.0)

@@ -1,24 +1,20 @@
 """Recorded joints: chains on the world as single-shot trials, closed forms of friction, and faults that data show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import beyond_variants, load_experiment
+from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references import single_shot
-from gauge_envs.references.single_shot import ShotSidecar, SingleShots, single_shots
+from gauge_envs.references.single_shot import ShotSidecar, single_shots
 from gauge_envs.scene import JointDynamics
 from gauge_envs.scene.driver_path import motor_commands
-from gauge_envs.scene.motors import Servo
-from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 NAMES = (
     "JointPendulum-dry",
@@ -31,17 +27,11 @@ COUNTS = dict(zip(NAMES, (2, 4, 26, 4, 8), strict=True))
 INTERVAL_S = 1.0 / 180.0
 
 
-def shots_of(name: str) -> SingleShots:
-    found = single_shots(name)
-    assert found is not None
-    return found
-
-
-def started(name: str, trial: int) -> Scene:
+def started(name, trial):
     return with_trial(load_experiment(name), trial).scene
 
 
-def positions(scene: Scene, seconds: float) -> NDArray[np.float64]:
+def positions(scene, seconds):
     """Positions of all bodies at each sample [m], shape [samples, bodies, 3]."""
     simulation = BackendMuJoCo().build(scene)
     simulation.reset(0)
@@ -57,15 +47,13 @@ def positions(scene: Scene, seconds: float) -> NDArray[np.float64]:
     return np.array(found)
 
 
-def swing(scene: Scene, seconds: float) -> NDArray[np.float64]:
+def swing(scene, seconds):
     """Angle of a pendulum about y at each sample [rad]."""
     arm = positions(scene, seconds)[:, 0] - scene.hinges[0].anchor_m
     return np.arctan2(-arm[:, 0], -arm[:, 2])
 
 
-def turning_points(
-    angles: NDArray[np.float64], interval_s: float
-) -> NDArray[np.float64]:
+def turning_points(angles, interval_s):
     """Times and amplitudes of the turning points, from parabolas, shape [count, 2]."""
     size, found = np.abs(angles), []
     near = round(0.05 / interval_s)
@@ -77,13 +65,13 @@ def turning_points(
     return np.array(found)
 
 
-def with_dynamics(scene: Scene, dynamics: JointDynamics) -> Scene:
+def with_dynamics(scene, dynamics):
     return replace(
         scene, joints=tuple(replace(joint, dynamics=dynamics) for joint in scene.joints)
     )
 
 
-def weight_n_m(scene: Scene) -> float:
+def weight_n_m(scene):
     body, hinge = scene.bodies[0], scene.hinges[0]
     return (
         GRAVITY_M_PER_S2
@@ -96,17 +84,16 @@ def weight_n_m(scene: Scene) -> float:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_trials_have_halves_and_are_beyond_the_75(name: str) -> None:
-    shots = shots_of(name)
-    assert name in [variant.name for variant in beyond_variants()]
+def test_trials_have_halves(name):
+    shots = single_shots(name)
     assert len(shots) == COUNTS[name]
     assert not set(shots.trials("fit")) & set(shots.trials("judge"))
     assert len(shots.trials("fit")) == len(shots.trials("judge")) == COUNTS[name] // 2
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_scene_starts_as_recorded(name: str) -> None:
-    shots = shots_of(name)
+def test_a_scene_starts_as_recorded(name):
+    shots = single_shots(name)
     for trial in (0, 1):
         scene = started(name, trial)
         band = shots.band(trial, 20)
@@ -117,8 +104,8 @@ def test_a_scene_starts_as_recorded(name: str) -> None:
         assert np.abs(moved - band.mean[1]).max() < 3.0
 
 
-def test_hung_bodies_turn_by_the_recorded_angles() -> None:
-    shots = shots_of("DoublePendulum-bars")
+def test_hung_bodies_turn_by_the_recorded_angles():
+    shots = single_shots("DoublePendulum-bars")
     angles = 1e-4 * shots.arrays["angle"][: len(shots.shot(0).times_s)]
     upper, lower = (shots.shot(0, name).rotations for name in ("upper", "lower"))
     np.testing.assert_allclose(upper.as_rotvec()[:, 1], angles[:, 0], atol=1e-9)
@@ -133,11 +120,10 @@ def test_hung_bodies_turn_by_the_recorded_angles() -> None:
     )
 
 
-def test_motors_follow_the_recorded_commands() -> None:
-    shots, scene = shots_of("ServoArm-so101"), started("ServoArm-so101", 4)
+def test_motors_follow_the_recorded_commands():
+    shots, scene = single_shots("ServoArm-so101"), started("ServoArm-so101", 4)
     rows = slice(*shots.arrays["first"][4:6])
     sidecar = shots.sidecar
-    assert sidecar.command_unit is not None
     commanded = sidecar.command_unit * shots.arrays["command"][rows]
     angles = sidecar.angle_unit_rad * shots.arrays["angle"][rows]
     interval_s = shots.arrays["interval_s"][4]
@@ -146,7 +132,7 @@ def test_motors_follow_the_recorded_commands() -> None:
         assert middle == pytest.approx(commanded[700, j] - angles[0, j], abs=1e-12)
 
 
-def sidecar(**changed: object) -> dict[str, object]:
+def sidecar(**changed):
     hung = {
         "body": "a",
         "on": "world",
@@ -165,7 +151,7 @@ def sidecar(**changed: object) -> dict[str, object]:
     return {**stated, "source_sha256": "0" * 64, "position_noise_m": 1e-5, **changed}
 
 
-def test_a_chain_on_the_world_has_no_pose() -> None:
+def test_a_chain_on_the_world_has_no_pose():
     assert ShotSidecar.model_validate(sidecar()).bodies == ("a",)
     for wrong in (
         {"rate_hz": 100.0},
@@ -177,7 +163,7 @@ def test_a_chain_on_the_world_has_no_pose() -> None:
             ShotSidecar.model_validate(sidecar(**wrong))
 
 
-def test_a_file_without_intervals_is_refused(tmp_path, monkeypatch) -> None:
+def test_a_file_without_intervals_is_refused(tmp_path, monkeypatch):
     folder, name = single_shot.scoring_folder("single_shot"), "JointPendulum-dry"
     with np.load(folder / f"{name}.npz") as archive:
         np.savez(
@@ -193,7 +179,7 @@ def test_a_file_without_intervals_is_refused(tmp_path, monkeypatch) -> None:
 # --- closed forms ----------------------------------------------------------------------------------------------------
 
 
-def test_dry_friction_takes_the_same_from_each_cycle() -> None:
+def test_dry_friction_takes_the_same_from_each_cycle():
     scene = started("JointPendulum-dry", 0)
     dry = scene.hinges[0].dynamics.dry_friction_n_m
     turning = turning_points(swing(scene, 3.1), INTERVAL_S)[:, 1]
@@ -202,13 +188,12 @@ def test_dry_friction_takes_the_same_from_each_cycle() -> None:
     )
 
 
-def test_viscous_friction_takes_the_same_share_of_each_cycle() -> None:
+def test_viscous_friction_takes_the_same_share_of_each_cycle():
     scene = with_dynamics(
         started("JointPendulum-dry", 0),
         JointDynamics(viscous_friction_n_m_s_per_rad=3e-3),
     )
     body, hinge = scene.bodies[0], scene.hinges[0]
-    assert body.inertia_kg_m2 is not None
     arm_m = np.linalg.norm(np.subtract(body.pose.position_m, hinge.anchor_m))
     inertia = body.inertia_kg_m2 + body.mass_kg * arm_m**2
     decay = 0.5 * hinge.dynamics.viscous_friction_n_m_s_per_rad / inertia
@@ -219,11 +204,10 @@ def test_viscous_friction_takes_the_same_share_of_each_cycle() -> None:
     )
 
 
-def test_a_held_servo_sags_between_weight_and_friction() -> None:
+def test_a_held_servo_sags_between_weight_and_friction():
     """At rest the torque of a servo, from its recorded error, carries the weight of what follows, but for friction."""
-    shots, scene = shots_of("ServoArm-so101"), started("ServoArm-so101", 1)
+    shots, scene = single_shots("ServoArm-so101"), started("ServoArm-so101", 1)
     hung, unit = shots.sidecar.hung, shots.sidecar.command_unit
-    assert unit is not None
     shares = []
     for trial in shots.trials("judge"):
         rows = slice(*shots.arrays["first"][trial : trial + 2])
@@ -253,7 +237,6 @@ def test_a_held_servo_sags_between_weight_and_friction() -> None:
                     lever = poses[one.body].positions_m[frame] - anchor_m
                     torque += float(np.dot(axis, np.cross(lever, weight)))
                 motor = scene.body_hinges[j - 1].motor
-                assert isinstance(motor, Servo)
                 servo = motor.kp_n_m_per_rad * (commands[frame, j] - angles[frame, j])
                 assert torque > 0.0
                 shares.append(abs(servo + torque) / dynamics.dry_friction_n_m)
@@ -266,8 +249,8 @@ def test_a_held_servo_sags_between_weight_and_friction() -> None:
 # --- planted faults --------------------------------------------------------------------------------------------------
 
 
-def error_mm(name: str, trial: int, scene: Scene) -> float:
-    shots = shots_of(name)
+def error_mm(name, trial, scene):
+    shots = single_shots(name)
     found = 1e3 * positions(scene, shots.shot(trial).duration_s)[::6].reshape(
         -1, 3 * len(scene.bodies)
     )
@@ -277,7 +260,7 @@ def error_mm(name: str, trial: int, scene: Scene) -> float:
     )
 
 
-def test_data_tell_dry_from_viscous() -> None:
+def test_data_tell_dry_from_viscous():
     """Friction of the other law that takes as much from the first cycle misses the judged pieces by far."""
     dry, viscous = (started(name, 1) for name in NAMES[:2])
     torque = dry.hinges[0].dynamics.dry_friction_n_m
@@ -296,11 +279,11 @@ def test_data_tell_dry_from_viscous() -> None:
 @pytest.mark.parametrize(
     ("name", "limit_mm"), [(NAMES[0], 0.5), (NAMES[1], 8.0), (NAMES[2], 5.0)]
 )
-def test_judged_pieces_are_met(name: str, limit_mm: float) -> None:
+def test_judged_pieces_are_met(name, limit_mm):
     assert error_mm(name, 1, started(name, 1)) < limit_mm
 
 
-def test_a_pendulum_without_friction_misses_its_run() -> None:
+def test_a_pendulum_without_friction_misses_its_run():
     scene = started("TorquePendulum-ak80", 3)
     right_mm = error_mm("TorquePendulum-ak80", 3, scene)
     assert right_mm < 60.0
@@ -310,12 +293,11 @@ def test_a_pendulum_without_friction_misses_its_run() -> None:
     )
 
 
-def test_a_scale_of_the_torque_is_a_scale_of_all_constants() -> None:
+def test_a_scale_of_the_torque_is_a_scale_of_all_constants():
     """So a wrong constant of the motor cannot be seen in a swing."""
     scene = started("TorquePendulum-ak80", 0)
     hinge, body = scene.joints[0], scene.bodies[0]
     dynamics = hinge.dynamics
-    assert body.inertia_kg_m2 is not None
     louder = replace(
         hinge.motor.command,
         values=tuple(1.25 * value for value in hinge.motor.command.values),

@@ -1,7 +1,5 @@
 """The registry of metrics agrees with the score, with the published table and with the tables of files."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import pytest
@@ -17,7 +15,7 @@ from gauge_envs.references.metrics import (
 from gauge_envs.references.published import published_baselines, published_variants
 
 
-def test_every_metric_names_fields_of_the_score() -> None:
+def test_every_metric_names_fields_of_the_score():
     known = {field.name for field in fields(Score)}
     named = {metric.score_field for metric in METRICS.values()}
     normalized = {
@@ -35,7 +33,7 @@ def test_every_metric_names_fields_of_the_score() -> None:
     assert normalized == {name for name in known if name.endswith("_normalized")} - own
 
 
-def test_units_are_those_of_the_published_table() -> None:
+def test_units_are_those_of_the_published_table():
     rows = [
         row
         for variant in published_variants()
@@ -49,11 +47,11 @@ def test_units_are_those_of_the_published_table() -> None:
         )
 
 
-def test_events_need_no_band() -> None:
+def test_events_need_no_band():
     assert EVENT_METRICS == ("lsd", "mte", "pd", "el")
 
 
-def test_unknown_metrics_are_refused_with_the_known_ones() -> None:
+def test_unknown_metrics_are_refused_with_the_known_ones():
     assert TypeAdapter(MetricKey).validate_python("el") == "el"
     with pytest.raises(
         ValidationError, match="'rmes' is none of rmse, dtw, lsd, mte, pd, el"

@@ -1,30 +1,19 @@
 """Bands of published recordings: what was measured and no more; laws under their conditions; the coverage page."""
 
-from __future__ import annotations
-
 import json
 import math
-import shutil
 import tomllib
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 from places import ROOT
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, reference_band, score_trajectory, variants
-from gauge_envs.cli.app import app
-from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.evaluation.reference import band_grade
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import data_folder
-from gauge_envs.references import tables
-from gauge_envs.references.bands import Band, SigmaSource, bundled_band
+from gauge_envs.references.bands import SigmaSource, bundled_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline, law_for, published_baselines
-from gauge_envs.scene.drivers import Driver
 from scripts import build_coverage, build_engine_table, build_recordings
 from scripts.generated import stale_files
 
@@ -61,55 +50,23 @@ WITHHELD = tuple(
 )
 
 
-def facts_folder() -> Path:
+def facts_folder():
     return data_folder("scoring") / "facts" / "recordings"
 
 
-def recordings() -> dict[str, dict]:
+def recordings():
     return tomllib.loads(
         (facts_folder() / "recordings.toml").read_text(encoding="utf-8")
     )
 
 
-def table(name: str) -> dict[str, np.ndarray]:
+def table(name):
     return build_recordings.read_table(facts_folder() / f"{name}.csv")
 
 
-def band_of(variant: str) -> Band:
-    band = bundled_band(variant)
-    assert band is not None
-    return band
-
-
-@pytest.fixture
-def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A private copy of the data that the loaders read."""
-    copy = tmp_path / "scoring"
-    shutil.copytree(data_folder("scoring"), copy)
-    monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
-    return copy
-
-
-def test_check_notices_changed_measurements_and_a_missing_band(
-    scoring: Path, monkeypatch
-) -> None:
-    monkeypatch.setattr(build_recordings, "statistics_files", lambda scoring: {})
-    (scoring / "bands" / "Pendulum-metal.toml").unlink()
-    facts = scoring / "facts" / "recordings" / "slope_slider.csv"
-    facts.write_text(
-        facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8"
-    )
-    # What the copy shares with the repository is current, or the list would be longer.
-    stale = stale_files(build_recordings.contents(scoring))
-    assert [file.name for file in stale] == [
-        "SlopeSlider-3-metal.csv",
-        "Pendulum-metal.toml",
-    ]
-
-
 def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
     stale = tmp_path / "coverage.md"
     stale.write_text(
@@ -129,7 +86,7 @@ def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
     )
 
 
-def test_no_default_preset_fails_a_check_of_what_is_ranked() -> None:
+def test_no_default_preset_fails_a_check_of_what_is_ranked():
     data = json.loads(build_engine_table.DATA.read_text(encoding="utf-8"))
     defaults = {
         one["engine"]: one for one in data["configurations"] if not one["preset"]
@@ -147,7 +104,7 @@ def test_no_default_preset_fails_a_check_of_what_is_ranked() -> None:
         assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 
-def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) -> None:
+def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path):
     with pytest.raises(
         SystemExit,
         match=r"no ranks: rapier lacks BouncingBall-rubber calibrated, .*Turntable-3-metal",
@@ -158,7 +115,7 @@ def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) 
 # From pictures to frames
 
 
-def test_what_moves_evenly_is_met_at_every_frame_between_pictures() -> None:
+def test_what_moves_evenly_is_met_at_every_frame_between_pictures():
     times = np.arange(10) / 25
     frames = np.arange(12) / 30
     value, rate = build_recordings.at_frames(
@@ -170,7 +127,7 @@ def test_what_moves_evenly_is_met_at_every_frame_between_pictures() -> None:
     assert np.isnan(value[~inside]).all() and np.isnan(rate[~inside]).all()
 
 
-def test_nothing_is_invented_where_a_picture_is_missing() -> None:
+def test_nothing_is_invented_where_a_picture_is_missing():
     times = np.arange(10) / 25
     values = times.copy()
     values[4] = np.nan
@@ -184,7 +141,7 @@ def test_nothing_is_invented_where_a_picture_is_missing() -> None:
     ).all()
 
 
-def test_the_mean_of_a_jump_does_not_overshoot() -> None:
+def test_the_mean_of_a_jump_does_not_overshoot():
     value, _ = build_recordings.at_frames(
         np.arange(8) / 25,
         np.repeat([0.0, 1.0], 4),
@@ -194,19 +151,16 @@ def test_the_mean_of_a_jump_does_not_overshoot() -> None:
     assert (value.min(), value.max()) == (0.0, 1.0)
 
 
-def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end() -> (
-    None
-):
+def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end():
     values = np.array([0.0, 1.0, 2.0, 3.0, np.nan, 5.0, 6.0])
     seen = build_recordings.seen_well(values, 2)
     assert np.isnan(seen).tolist() == [False, False, True, True, True, False, False]
     assert np.isnan(build_recordings.seen_well(values, 0)).sum() == 1
 
 
-def test_an_uncertain_time_counts_with_the_speed() -> None:
+def test_an_uncertain_time_counts_with_the_speed():
     """A cube at 1.2 m/s whose pictures are good to 1 ms: 1.2 mm beside the 1.5 mm of the frame and the fit's."""
-    band, sigma_mm = band_of("SlopeSlider-3-metal"), table("slope_slider")
-    assert band.uncertainty is not None
+    band, sigma_mm = bundled_band("SlopeSlider-3-metal"), table("slope_slider")
     last = int(np.flatnonzero(band.measured)[-1])
     speed = 30 * np.linalg.norm(band.mean[last] - band.mean[last - 1])
     fitted = np.interp(0.96 + last / 30, sigma_mm["time_s"], sigma_mm["fit_sigma_mm"])
@@ -218,8 +172,8 @@ def test_an_uncertain_time_counts_with_the_speed() -> None:
 
 
 @pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
-def test_a_band_reads_as_it_was_built(variant: str) -> None:
-    band = band_of(variant)
+def test_a_band_reads_as_it_was_built(variant):
+    band = bundled_band(variant)
     experiment = load_experiment(variant)
     name, recording, layout = next(
         found
@@ -242,8 +196,8 @@ def test_a_band_reads_as_it_was_built(variant: str) -> None:
     ("variant", "known"),
     [("SlopeSlider-3-metal", 58), ("Turntable-3-metal", 95), ("SlopeContact-wood", 7)],
 )
-def test_frames_after_the_last_picture_are_not_known(variant: str, known: int) -> None:
-    band = band_of(variant)
+def test_frames_after_the_last_picture_are_not_known(variant, known):
+    band = bundled_band(variant)
     assert np.flatnonzero(np.isfinite(band.mean).all(axis=1)).tolist() == list(
         range(known)
     )
@@ -251,9 +205,9 @@ def test_frames_after_the_last_picture_are_not_known(variant: str, known: int) -
 
 
 @pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
-def test_sigma_is_the_published_scatter_where_there_is_one(variant: str) -> None:
+def test_sigma_is_the_published_scatter_where_there_is_one(variant):
     """The variances of all coordinates of g(t), also of those that the band lacks, add up to mean^2 + std^2."""
-    band, baseline = band_of(variant), published_baselines(variant).get("rmse")
+    band, baseline = bundled_band(variant), published_baselines(variant).get("rmse")
     if baseline is None:
         assert band.sigma_source is SigmaSource.MEASUREMENT
         np.testing.assert_array_equal(band.sigma, band.uncertainty)
@@ -266,7 +220,7 @@ def test_sigma_is_the_published_scatter_where_there_is_one(variant: str) -> None
     )
 
 
-def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
+def test_sigma_from_scores_is_exact_for_an_ensemble():
     """Trials of any shape: mean^2 + std^2 of their RMSE to the mean is the summed variance, averaged over frames."""
     trials = np.random.default_rng(3).normal(size=(20, 40, 24)).cumsum(axis=1)
     deviation = trials - trials.mean(axis=0)
@@ -281,9 +235,9 @@ def test_sigma_from_scores_is_exact_for_an_ensemble() -> None:
     "variant",
     [*SCORED, "SlopeContact-wood", "TableclothPulling-metal", "CantileverBeam-soft"],
 )
-def test_bands_start_where_the_experiment_does(variant: str) -> None:
+def test_bands_start_where_the_experiment_does(variant):
     """In millimetres, in the world frame, on the right coordinate: within the 5 mm by which a real start is off."""
-    band, experiment = band_of(variant), load_experiment(variant)
+    band, experiment = bundled_band(variant), load_experiment(variant)
     if experiment.recorded:
         start = (
             1e3
@@ -295,7 +249,6 @@ def test_bands_start_where_the_experiment_does(variant: str) -> None:
             ).ravel()
         )
     else:
-        assert experiment.scene.markers is not None
         start = 1e3 * np.asarray(experiment.scene.markers.positions_m).ravel()
     np.testing.assert_allclose(band.mean[0], band.projection @ start, rtol=0, atol=5.0)
 
@@ -303,9 +256,8 @@ def test_bands_start_where_the_experiment_does(variant: str) -> None:
 @pytest.mark.parametrize(
     "variant", [name for name in WITHHELD if name.startswith("Foam")]
 )
-def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> None:
-    band, experiment = band_of(variant), load_experiment(variant)
-    assert experiment.scene.markers is not None
+def test_areas_start_near_the_published_places_of_the_markers(variant):
+    band, experiment = bundled_band(variant), load_experiment(variant)
     corners = (
         1e3
         * np.asarray(experiment.scene.markers.positions_m)[
@@ -320,7 +272,7 @@ def test_areas_start_near_the_published_places_of_the_markers(variant: str) -> N
     assert band.mean[0].mean() == pytest.approx(areas.mean(), rel=0.04)
 
 
-def test_each_recording_says_what_it_is_and_what_was_assumed() -> None:
+def test_each_recording_says_what_it_is_and_what_was_assumed():
     described = recordings()
     described.pop("layouts")
     for name, recording in described.items():
@@ -339,7 +291,7 @@ def test_each_recording_says_what_it_is_and_what_was_assumed() -> None:
 # Which bands are scored on
 
 
-def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
+def test_a_band_is_withheld_unless_material_and_scatter_are_known():
     """One recorded trial is of one material; and without a published scatter no score can be normalized."""
     for _, recording, _ in build_recordings.supported(facts_folder()):
         ambiguous = len(recording["variants"]) > 1
@@ -352,7 +304,7 @@ def test_a_band_is_withheld_unless_material_and_scatter_are_known() -> None:
 
 
 @pytest.mark.parametrize("variant", WITHHELD)
-def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
+def test_a_withheld_band_is_used_only_when_asked_for(variant):
     experiment = load_experiment(variant)
     used = reference_band(experiment)
     assert not band_grade(variant).is_real
@@ -362,7 +314,7 @@ def test_a_withheld_band_is_used_only_when_asked_for(variant: str) -> None:
 
 
 @pytest.mark.parametrize("variant", BESIDE_A_LAW)
-def test_a_law_is_used_while_the_recording_is_withheld(variant: str) -> None:
+def test_a_law_is_used_while_the_recording_is_withheld(variant):
     experiment = load_experiment(variant)
     assert band_grade(variant) is BandGrade.LAW
     used, asked = (
@@ -374,26 +326,23 @@ def test_a_law_is_used_while_the_recording_is_withheld(variant: str) -> None:
     assert (asked.grade, bool(asked.withheld)) == (BandGrade.RECORDING, True)
 
 
-def test_the_pendulums_recording_is_withheld_as_circular() -> None:
+def test_the_pendulums_recording_is_withheld_as_circular():
     """The length of the simulated pendulum follows from the period of the recording that the band shows."""
-    assert (band_of("Pendulum-metal").withheld or "").startswith(
-        "circular: the length of the simulated pendulum was fitted"
+    assert bundled_band("Pendulum-metal").withheld.startswith(
+        "circular: the length of the"
     )
     period_s = recordings()["pendulum"]["facts"]["period_s"]["value"]
-    shown = CliRunner().invoke(app, ["show", "Pendulum-metal"]).stdout
-    assert "circular" in " ".join(shown.split())
     scene = load_experiment("Pendulum-metal").scene
     arm_m = np.linalg.norm(
         np.subtract(scene.body("ball").pose.position_m, scene.joints[0].anchor_m)
     )
     effective_m = arm_m + 0.4 * 0.03**2 / arm_m
     # Period of the first swings at 85 degrees, where the complete elliptic integral gives 1.1596 of the small one.
-    assert 2 * math.pi * math.sqrt(effective_m / GRAVITY) * 1.1596 == pytest.approx(
-        period_s, abs=0.015
-    )
+    expected_s = 2 * math.pi * math.sqrt(effective_m / GRAVITY) * 1.1596
+    assert expected_s == pytest.approx(period_s, abs=0.015)
 
 
-def test_the_recorded_pyramid_falls_with_gravity_before_the_contact() -> None:
+def test_the_recorded_pyramid_falls_with_gravity_before_the_contact():
     """The last three pictures before the contact, 1.2, 1.2 and 3 mm uncertain, give 8.2 +- 2.5 m/s^2."""
     seen = table("nonsmooth_contact")
     before, middle, last = seen["z_mm"][2:5]
@@ -406,13 +355,13 @@ def test_the_recorded_pyramid_falls_with_gravity_before_the_contact() -> None:
 
 
 @pytest.mark.parametrize("variant", SCORED)
-def test_a_certain_band_is_used(variant: str) -> None:
+def test_a_certain_band_is_used(variant):
     assert band_grade(variant) is BandGrade.RECORDING
     band = reference_band(load_experiment(variant))
     assert band is not None and band.withheld is None
 
 
-def test_a_score_on_a_withheld_band_says_so(rollout: Callable) -> None:
+def test_a_score_on_a_withheld_band_says_so(rollout):
     plain = rollout("SlopeContact-wood")[2]["score"]
     assert (plain.grade, plain.coordinates, plain.withheld) == (
         "law",
@@ -427,40 +376,24 @@ def test_a_score_on_a_withheld_band_says_so(rollout: Callable) -> None:
     assert json.loads(json.dumps(asked.to_dict()))["withheld"] == asked.withheld
 
 
-def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
-    # Where a line breaks depends on the terminal.
-    shown = " ".join(
-        CliRunner().invoke(app, ["show", "FoamTwisting-hard"]).stdout.split()
-    )
-    assert "recording withheld" in shown
-    assert "cannot be told" in " ".join(shown.split())
-    values = json.loads(
-        CliRunner().invoke(app, ["show", "SlopeSlider-3-metal", "--json"]).stdout
-    )["reference"]
-    assert (values["grade"], values["sigma_source"], values["known_frames"]) == (
-        "recording",
-        "baseline",
-        58,
-    )
+def test_a_score_uses_what_is_withheld_when_asked_to(tmp_path, gauge):
     file = tmp_path / "still.csv"
     file.write_text("\n".join(["504.278,408.961,180.622"] * 10), encoding="utf-8")
-    arguments = ["score", str(file), "--id", "SlopeContact-wood", "--json"]
-    plain = json.loads(CliRunner().invoke(app, arguments).stdout)["score"]
-    asked = json.loads(
-        CliRunner().invoke(app, [*arguments, "--use", "withheld"]).stdout
-    )["score"]
-    assert (plain["grade"], plain["withheld"]) == ("law", None)
-    still = (
-        band_of("SlopeContact-wood").mean[:7, 0]
-        - band_of("SlopeContact-wood").mean[0, 0]
+    words = ("score", file, "--id", "SlopeContact-wood", "--json")
+    plain, asked = (
+        json.loads(gauge(*words, *more).stdout)["score"]
+        for more in ((), ("--use", "withheld"))
     )
-    assert asked["rmse"] == pytest.approx(math.sqrt(np.square(still).mean()), rel=1e-3)
+    assert (plain["grade"], plain["withheld"]) == ("law", None)
+    slide = bundled_band("SlopeContact-wood").mean[:7, 0]
+    still_mm = math.sqrt(np.square(slide - slide[0]).mean())
+    assert asked["rmse"] == pytest.approx(still_mm, rel=1e-3)
 
 
-def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
+def test_what_lies_on_a_recording_scores_zero_however_it_goes_on():
     """Frames that the recording does not show take part in neither RMSE nor DTW."""
     experiment = load_experiment("SlopeSlider-3-metal")
-    band = band_of("SlopeSlider-3-metal")
+    band = bundled_band("SlopeSlider-3-metal")
     g = np.where(np.isfinite(band.mean), band.mean, 1e4)
     score = score_trajectory(experiment, band, times_s=np.arange(60) / 30, values=g)
     assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (
@@ -475,13 +408,11 @@ def test_what_lies_on_a_recording_scores_zero_however_it_goes_on() -> None:
 
 
 @pytest.fixture(scope="module")
-def turntable() -> Experiment:
+def turntable():
     return load_experiment("Turntable-3-metal")
 
 
-def test_mujoco_is_scored_on_the_turntable(
-    rollout: Callable, turntable: Experiment
-) -> None:
+def test_mujoco_is_scored_on_the_turntable(rollout, turntable):
     """And slips at the first stop as the recorded cube did, within three times the uncertainty of that."""
     _, trajectory, info = rollout("Turntable-3-metal")
     score = info["score"]
@@ -512,20 +443,10 @@ def test_mujoco_is_scored_on_the_turntable(
     assert slip == pytest.approx(recorded["value"], abs=3 * recorded["sigma"])
 
 
-def test_mujoco_is_scored_on_the_tilted_board(rollout: Callable) -> None:
-    _, _, info = rollout("SlopeSlider-3-metal")
-    score = info["score"]
-    assert (score.grade, score.coordinates) == ("recording", ("x", "y", "z"))
-    assert 0 < score.rmse_normalized < 2
-    assert score.rmse_aligned < score.rmse
-    # The recorded cube has less friction than the calibrated one and is ahead.
-    assert score.release_offset_s < 0 and score.signed_error[0] < 0
-
-
 # What the facts say
 
 
-def test_slips_of_the_recorded_cube_are_the_means_of_the_table() -> None:
+def test_slips_of_the_recorded_cube_are_the_means_of_the_table():
     facts, seen = recordings()["turntable"]["facts"], table("turntable")
     for event, start, end in (
         ("start", 1.0, 2.28),
@@ -545,7 +466,7 @@ def test_slips_of_the_recorded_cube_are_the_means_of_the_table() -> None:
             )
 
 
-def test_speeds_and_accelerations_follow_from_the_tables() -> None:
+def test_speeds_and_accelerations_follow_from_the_tables():
     described = recordings()
     pulled, slid = table("tablecloth_pulling"), table("slope_contact")
     moving = pulled["time_s"] > 2.1
@@ -567,7 +488,7 @@ def test_speeds_and_accelerations_follow_from_the_tables() -> None:
     assert acceleration == pytest.approx(stated["value"], abs=stated["sigma"])
 
 
-def test_the_recorded_period_is_that_of_the_angles() -> None:
+def test_the_recorded_period_is_that_of_the_angles():
     """Crossings of the vertical, half a period apart."""
     swing = table("pendulum")
     times, angle = swing["time_s"], swing["angle_deg"]
@@ -582,7 +503,7 @@ def test_the_recorded_period_is_that_of_the_angles() -> None:
     )
 
 
-def test_the_recorded_bounce_agrees_with_the_trials() -> None:
+def test_the_recorded_bounce_agrees_with_the_trials():
     text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
         encoding="utf-8"
     )
@@ -608,15 +529,14 @@ def test_the_recorded_bounce_agrees_with_the_trials() -> None:
     )
 
 
-def test_the_recorded_cradle_rests_as_long_as_the_published_one() -> None:
+def test_the_recorded_cradle_rests_as_long_as_the_published_one():
     resting = recordings()["newtons_cradle"]["facts"]["last_ball_at_rest_s"]
     published = published_baselines("NewtonsCradle-metal")["lsd"].mean
     assert max(resting["value"]) == pytest.approx(published, abs=resting["sigma"])
 
 
-def test_frame_zero_is_that_of_the_driver() -> None:
+def test_frame_zero_is_that_of_the_driver():
     driver = load_experiment("Turntable-3-metal").spec.subtasks["3"].drivers
-    assert driver is not None
     assert (
         f"its time {recordings()['turntable']['frame_zero_s']} s being frame 0"
         in driver[0].note
@@ -626,7 +546,7 @@ def test_frame_zero_is_that_of_the_driver() -> None:
 # Laws
 
 
-def friction(variant: str) -> float:
+def friction(variant):
     return next(
         c.friction
         for c in load_experiment(variant).scene.contacts
@@ -635,12 +555,12 @@ def friction(variant: str) -> float:
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_the_slope_holds_every_cube(material: str) -> None:
+def test_the_slope_holds_every_cube(material):
     assert math.tan(math.radians(10)) < friction(f"SlopeSlider-1-{material}")
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_the_slow_plate_carries_every_cube(material: str) -> None:
+def test_the_slow_plate_carries_every_cube(material):
     """The largest force that carrying takes, from the driver's own motion, is less than friction gives."""
     experiment = load_experiment(f"Turntable-1-{material}", drivers="bundled")
     scene, driver = experiment.scene, experiment.scene.drivers[0]
@@ -655,109 +575,10 @@ def test_the_slow_plate_carries_every_cube(material: str) -> None:
     assert law is not None and f"{np.linalg.norm(arm):.4f} m" in law.condition
 
 
-def _turning(driver: Driver, start, times: np.ndarray) -> np.ndarray:
+def _turning(driver, start, times):
     """hypot(omega^2, alpha) of a driver that turns about z [rad/s^2]."""
     omega = np.array([driver.state(start, time)[1][5] for time in times])
     return np.hypot(omega**2, np.gradient(omega, times))
 
 
 # Damage
-
-
-@pytest.mark.parametrize(
-    ("file", "old", "new", "message"),
-    [
-        ("SlopeContact-wood.csv", "mean.slide", "mean.slid", "line 1: columns are"),
-        (
-            "SlopeContact-wood.csv",
-            "measured,mean.slide",
-            "measured,average.slide",
-            "expected mean.slide among them",
-        ),
-        (
-            "SlopeContact-wood.csv",
-            ",1.58",
-            ",-1.58",
-            "line 2: uncertainty.slide: ",
-        ),
-        (
-            "SlopeContact-wood.csv",
-            ",1.58",
-            ",x",
-            "line 2: uncertainty.slide: ",
-        ),
-        (
-            "SlopeContact-wood.toml",
-            "frames = 10",
-            "frames = 4",
-            "frames is 4, but the table has 7",
-        ),
-        ("SlopeContact-wood.toml", "sigma = 6", "sigmas = 6", "sigmas: unknown key"),
-        (
-            "SlopeContact-wood.toml",
-            "sigma = ",
-            "# ",
-            "sigma is missing here, and the table has no column of it",
-        ),
-        (
-            "SlopeContact-wood.toml",
-            '"baseline"',
-            '"guess"',
-            "sigma_source: ",
-        ),
-        (
-            "SlopeContact-wood.toml",
-            "withheld = ",
-            "withheld = 3 #",
-            "withheld: ",
-        ),
-        (
-            "SlopeContact-wood.toml",
-            'coordinates = ["slide"]',
-            "",
-            "coordinates: missing key",
-        ),
-        ("FoamBending-soft.toml", "11]", "12]", "expected whole numbers from 0 to 11"),
-        ("FoamBending-soft.toml", "width = 12", "", "indices and width go together"),
-    ],
-)
-def test_damaged_bands_are_named(
-    scoring: Path, file: str, old: str, new: str, message: str
-) -> None:
-    damaged = scoring / "bands" / file
-    text = damaged.read_text(encoding="utf-8")
-    assert old in text
-    damaged.write_text(text.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(ReferenceFileError) as caught:
-        bundled_band(damaged.stem)
-    assert str(damaged) in str(caught.value)
-    assert message in str(caught.value)
-
-
-def test_a_measured_sigma_needs_an_uncertainty(scoring: Path) -> None:
-    folder = scoring / "bands"
-    text = (folder / "SlopeContact-wood.toml").read_text(encoding="utf-8")
-    (folder / "SlopeContact-wood.toml").write_text(
-        text.replace('"baseline"', '"measurement"'), encoding="utf-8"
-    )
-    (folder / "SlopeContact-wood.csv").write_text(
-        "frame,time_s,measured,mean.slide\n0,0.0,1,5\n", encoding="utf-8"
-    )
-    with pytest.raises(ReferenceFileError, match="the table has no uncertainty"):
-        bundled_band("SlopeContact-wood")
-
-
-def test_an_uncertainty_of_another_shape_is_refused() -> None:
-    with pytest.raises(ShapeError, match="uncertainty has shape"):
-        Band(
-            grade=BandGrade.RECORDING,
-            unit="mm",
-            coordinates=("a",),
-            projection=np.ones((1, 3)),
-            mean=np.zeros((4, 1)),
-            sigma=np.ones((4, 1)),
-            measured=np.ones(4, dtype=bool),
-            trial_count=None,
-            source="made up",
-            uncertainty=np.ones((3, 1)),
-        )

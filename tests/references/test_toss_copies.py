@@ -1,26 +1,18 @@
 """Copies among recorded tosses are no independent trials."""
 
-from __future__ import annotations
-
 import gymnasium
 import pytest
 from pydantic import ValidationError
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.resolve import with_trial
-from gauge_envs.references.single_shot import ShotSidecar, SingleShots, single_shots
+from gauge_envs.references.single_shot import ShotSidecar, single_shots
 
 CUBE = "CubeToss-acrylic"
 
 
-def shots_of(name: str) -> SingleShots:
-    found = single_shots(name)
-    assert found is not None
-    return found
-
-
-def test_trials_of_a_half_are_independent() -> None:
-    shots = shots_of(CUBE)
+def test_trials_of_a_half_are_independent():
+    shots = single_shots(CUBE)
     fit, judge = set(shots.trials("fit")), set(shots.trials("judge"))
     assert (len(shots), len(shots.trials()), len(fit), len(judge)) == (
         499,
@@ -36,8 +28,8 @@ def test_trials_of_a_half_are_independent() -> None:
     assert (shots.shot(49).source_number, shots.shot(123).source_number) == (56, 140)
 
 
-def test_seeds_select_independent_trials_and_a_copy_says_so() -> None:
-    shots = shots_of(CUBE)
+def test_seeds_select_independent_trials_and_a_copy_says_so():
+    shots = single_shots(CUBE)
     env = gymnasium.make(f"GAUGE/{CUBE}")
     assert [env.reset(seed=seed)[1]["trial"] for seed in (122, 123, 473, 474)] == [
         122,
@@ -61,8 +53,8 @@ def test_seeds_select_independent_trials_and_a_copy_says_so() -> None:
     [[(5, 7)], [(7, 7)], [(499, 3)], [(7, 3), (9, 7)], [(7, 3), (7, 4)]],
     ids=lambda pairs: str(pairs),
 )
-def test_wrong_copies_are_refused(wrong: list[tuple[int, int]]) -> None:
-    values = shots_of(CUBE).sidecar.model_dump()
+def test_wrong_copies_are_refused(wrong):
+    values = single_shots(CUBE).sidecar.model_dump()
     listed = [{"trial": trial, "of": of} for trial, of in wrong]
     with pytest.raises(
         ValidationError,

@@ -1,7 +1,5 @@
 """Scores of single tosses against closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +23,7 @@ TIMES_S = np.arange(181) / 180.0
 GRAVITY = 9.80665
 
 
-def shot_of(positions_m: np.ndarray, rotations: Rotation) -> SingleShot:
+def shot_of(positions_m, rotations):
     return SingleShot(
         body="cube",
         trial=0,
@@ -38,7 +36,7 @@ def shot_of(positions_m: np.ndarray, rotations: Rotation) -> SingleShot:
     )
 
 
-def test_errors_of_a_known_shift_and_turn() -> None:
+def test_errors_of_a_known_shift_and_turn():
     turned = Rotation.from_rotvec(np.outer(TIMES_S, [0.0, 0.0, 2.0]))
     places = np.column_stack([TIMES_S, TIMES_S**2, np.full(181, 0.1)])
     shot = shot_of(places, turned)
@@ -62,7 +60,7 @@ def test_errors_of_a_known_shift_and_turn() -> None:
     assert over.rest_deg == pytest.approx(90.0)
 
 
-def test_errors_need_samples_up_to_the_early_time() -> None:
+def test_errors_need_samples_up_to_the_early_time():
     shot = shot_of(np.zeros((181, 3)), Rotation.identity(181))
     with pytest.raises(ShapeError, match=r"end at 0\.017 s"):
         shot_error(shot, TIMES_S[:4], np.zeros((4, 3)), Rotation.identity(4))
@@ -74,11 +72,11 @@ def test_errors_need_samples_up_to_the_early_time() -> None:
     ("euler", "face"),
     [((0, 0, 40), "+z"), ((180, 0, 10), "-z"), ((90, 0, 0), "+y"), ((0, 90, 0), "-x")],
 )
-def test_upper_face(euler: tuple[float, float, float], face: str) -> None:
+def test_upper_face(euler, face):
     assert upper_face(Rotation.from_euler("xyz", euler, degrees=True)) == face
 
 
-def test_energy_of_free_flight_is_constant_and_has_its_closed_form() -> None:
+def test_energy_of_free_flight_is_constant_and_has_its_closed_form():
     cube = load_experiment(NAME).scene.body("cube")
     linear, angular = np.array([1.0, -0.5, 0.4]), np.array([3.0, -4.0, 5.0])
     places = np.outer(TIMES_S, linear)
@@ -102,7 +100,7 @@ def test_energy_of_free_flight_is_constant_and_has_its_closed_form() -> None:
 
 
 @pytest.mark.parametrize(("restitution", "kind"), [(0.5, "face"), (0.3, "corner")])
-def test_first_impact_of_a_drop(restitution: float, kind: str) -> None:
+def test_first_impact_of_a_drop(restitution, kind):
     cube = load_experiment(NAME).scene.body("cube")
     tilt = (
         Rotation.identity()
@@ -129,7 +127,7 @@ def test_first_impact_of_a_drop(restitution: float, kind: str) -> None:
     assert first.energy_lost == pytest.approx(1.0 - restitution**2, abs=0.06)
 
 
-def test_no_impact_without_contact() -> None:
+def test_no_impact_without_contact():
     cube = load_experiment(NAME).scene.body("cube")
     assert (
         impacts(cube, 0.0524, TIMES_S, np.full((181, 3), 0.3), Rotation.identity(181))
@@ -137,9 +135,8 @@ def test_no_impact_without_contact() -> None:
     )
 
 
-def test_perturbed_starts_scatter_as_the_measurement() -> None:
+def test_perturbed_starts_scatter_as_the_measurement():
     shots = single_shots(NAME)
-    assert shots is not None
     nuisances = shots.sidecar.nuisances
     cube = load_experiment(NAME).scene.body("cube")
     drawn = [perturbed_start(cube, nuisances, seed=seed) for seed in range(400)]
@@ -157,7 +154,7 @@ def test_perturbed_starts_scatter_as_the_measurement() -> None:
     )
 
 
-def test_bootstrap_interval_of_a_mean_has_the_width_of_theory() -> None:
+def test_bootstrap_interval_of_a_mean_has_the_width_of_theory():
     values = np.random.default_rng(3).normal(10.0, 2.0, 400)
     low, high = bootstrap_interval(values, np.mean)
     assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.15)

@@ -1,8 +1,8 @@
 """The camera: it sees all that moves, as large as it fits, and the motion from the side."""
 
-from __future__ import annotations
-
+from dataclasses import replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -16,10 +16,30 @@ from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.tables import CameraFile
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.references.tables import read_toml, scoring_folder
-from gauge_envs.rendering.camera import View, experiment_view, scene_view
+from gauge_envs.rendering.camera import (
+    FIELD_OF_VIEW_DEG,
+    View,
+    experiment_view,
+    scene_view,
+)
 from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.renderer import SceneRenderer
-from gauge_envs.scene import Plane
+from gauge_envs.scene import (
+    Attachment,
+    Box,
+    Cloth,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    Region,
+    RigidBody,
+    Rod,
+    Rope,
+    Scene,
+    Tether,
+)
+from gauge_envs.tools.bench.parts import driver as driver_of, ground, ramp
 from gauge_envs.tools.control.env import ControlEnv
 
 SIZE = (640, 480)
@@ -55,7 +75,7 @@ LONG = (
 MOST_FRAMES = 120
 
 
-def rollout_pixels(name: str) -> list[np.ndarray]:
+def rollout_pixels(name):
     """Return where corners and nodes of all that moves are in the pictures at start, middle and end of an episode."""
     env = GaugeEnv(name)
     env.reset(seed=0)
@@ -86,7 +106,7 @@ def rollout_pixels(name: str) -> list[np.ndarray]:
 @pytest.mark.parametrize(
     "name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)]
 )
-def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
+def test_what_moves_is_in_the_picture_and_fills_it(name):
     seen = rollout_pixels(name)
     for pixels in seen:
         assert ((pixels >= 0.0) & (pixels <= SIZE)).all()
@@ -103,7 +123,7 @@ def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
         "Pendulum-Limit-metal",
     ],
 )
-def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
+def test_a_body_that_actions_drive_stays_in_the_picture(task):
     env = gymnasium.make(f"GAUGE/{task}").unwrapped
     assert isinstance(env, ControlEnv)
     reach = env.reach()
@@ -130,7 +150,7 @@ def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
     assert ((np.concatenate(seen) >= 0.0) & (np.concatenate(seen) <= SIZE)).all()
 
 
-def test_every_id_has_a_camera_and_every_camera_an_id() -> None:
+def test_every_id_has_a_camera_and_every_camera_an_id():
     names = [variant.name for variant in variants()]
     others = [variant.name for variant in beyond_variants()]
     patterns = list(read_toml(scoring_folder("cameras.toml"), CameraFile).camera)
@@ -141,7 +161,7 @@ def test_every_id_has_a_camera_and_every_camera_an_id() -> None:
 
 
 @pytest.mark.parametrize("aspect", [0.5, 1.0, 4.0 / 3.0, 3.0])
-def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect: float) -> None:
+def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect):
     experiment = load_experiment("SlopeSlider-2-wood")
     body = experiment.scene.dynamic_bodies[0]
     corners = body.pose.to_world(body.shape.corners_m)
@@ -155,7 +175,7 @@ def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect: float) -> None:
 @pytest.mark.parametrize(
     "name", ["NonsmoothContact-1-wood", "TextileFlinging-satin", "Pendulum-metal"]
 )
-def test_a_scene_without_a_camera_is_seen_whole(name: str) -> None:
+def test_a_scene_without_a_camera_is_seen_whole(name):
     scene = load_experiment(name).scene
     view = scene_view(scene)
     corners = [
@@ -174,10 +194,149 @@ def test_a_scene_without_a_camera_is_seen_whole(name: str) -> None:
     assert np.ptp(pixels, axis=0).max() > 25.0
 
 
-def test_the_rule_frames_places_of_a_reference() -> None:
+UPRIGHT = Pose(position_m=(0.3, -0.2, 1.0))
+ENDS = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
+CUBE = RigidBody(
+    name="cube",
+    shape=Box(size_m=(0.2, 0.4, 0.6)),
+    motion=Motion.DYNAMIC,
+    pose=UPRIGHT,
+    mass_kg=1.0,
+)
+CUBE_ENDS = ENDS * [0.1, 0.2, 0.3]
+CARRIER = replace(CUBE, motion=Motion.KINEMATIC)
+PUSH = driver_of(
+    "cube",
+    "translate",
+    (0.0, 1.0, 0.0),
+    ramp(0.5, start_s=0.0, duration_s=0.8, ramp_s=0.2),
+)
+LINE = {"pose": UPRIGHT, "length_m": 0.8, "radius_m": 0.01, "mass_kg": 0.1}
+SHEET = Cloth(
+    name="soft",
+    pose=UPRIGHT,
+    size_m=(0.9, 0.5),
+    mass_kg=0.1,
+    areal_density_kg_per_m2=0.1,
+    thickness_m=1e-3,
+    stretch_stiffness_n_per_m=1e3,
+    shear_stiffness_n_per_m=1e3,
+    bend_stiffness_n_m_per_rad=1e-3,
+)
+BOLT = {"body": "cube", "anchor_m": (0.3, -0.2, 1.7)}
+GRIP = Attachment(deformable="soft", region=Region(axis="x", side="low"), to="cube")
+
+
+def floor(height_m: float) -> RigidBody:
+    """Return a fixed plane at a height [m]."""
+    return replace(ground(), pose=Pose(position_m=(0.0, 0.0, height_m)))
+
+
+STILL = replace(CUBE, motion=Motion.FIXED)
+
+
+@pytest.mark.parametrize(
+    ("parts", "ends", "azimuth_deg"),
+    [
+        # Nothing: the least sphere about the origin.
+        ({"bodies": ()}, [[-0.3, 0.2, -1.0]], 125.0),
+        ({"bodies": (STILL, floor(0.5))}, CUBE_ENDS, 125.0),
+        # A body that can fall, over a floor 0.59 m and 0.61 m below it, and on it.
+        ({"bodies": (CUBE, floor(0.11))}, [*CUBE_ENDS, [-0.1, -0.2, -0.89]], 125.0),
+        ({"bodies": (CUBE, floor(0.09))}, CUBE_ENDS, 125.0),
+        ({"bodies": (CUBE, floor(0.7))}, CUBE_ENDS, 125.0),
+        # What hangs does not fall; it reaches 0.7 m to both sides of its axis, and down.
+        (
+            {
+                "bodies": (CUBE, floor(0.2)),
+                "joints": (Hinge(axis=(1.0, 0.0, 0.0), **BOLT),),
+            },
+            [*CUBE_ENDS, [0.0, -0.7, 0.7], [0.0, 0.7, 0.7]],
+            20.0,
+        ),
+        (
+            {"bodies": (CUBE,), "joints": (Tether(length_m=0.7, **BOLT),)},
+            [*CUBE_ENDS, [-0.7, 0.0, 0.7], [0.7, 0.0, 0.7]],
+            110.0,
+        ),
+        # Driven bodies, and what they carry, at the end of their way.
+        (
+            {"bodies": (CARRIER,), "drivers": (PUSH,)},
+            [*CUBE_ENDS, [0.1, 0.7, 0.3]],
+            125.0,
+        ),
+        (
+            {
+                "bodies": (CARRIER,),
+                "drivers": (PUSH,),
+                "deformables": (SHEET,),
+                "attachments": (GRIP,),
+            },
+            [*CUBE_ENDS, [0.45, -0.25, 0.0], [-0.45, 0.75, 0.0]],
+            125.0,
+        ),
+        (
+            {"bodies": (CARRIER,), "drivers": (PUSH,), "deformables": (SHEET,)},
+            [*CUBE_ENDS, [-0.45, -0.25, 0.0], [0.45, 0.7, 0.0]],
+            125.0,
+        ),
+        (
+            {
+                "bodies": (),
+                "deformables": (Rope(name="soft", young_modulus_pa=1e6, **LINE),),
+            },
+            ENDS * [0.4, 0.0, 0.0],
+            125.0,
+        ),
+        (
+            {
+                "bodies": (),
+                "deformables": (
+                    Rod(name="soft", young_modulus_pa=1e6, poisson_ratio=0.3, **LINE),
+                ),
+            },
+            ENDS * [0.0, 0.0, 0.4],
+            125.0,
+        ),
+    ],
+)
+def test_the_rule_frames_the_box_around_start_and_reach(
+    parts: dict[str, Any], ends: list[list[float]], azimuth_deg: float
+) -> None:
+    """The sphere around the box fills 1 / 1.25 of the height; ends are relative to the place of the body."""
+    low, high = np.min(ends, axis=0), np.max(ends, axis=0)
+    radius_m = max(0.5 * np.linalg.norm(high - low), 0.04)
+    view = scene_view(Scene(duration_s=1.0, **parts))
+    assert view.target_m == pytest.approx(UPRIGHT.position_m + 0.5 * (low + high))
+    assert radius_m / view.distance_m == pytest.approx(
+        np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / 1.25
+    )
+    assert (view.azimuth_deg, view.elevation_deg) == pytest.approx((azimuth_deg, -18.0))
+
+
+def test_a_picture_has_its_pixels_by_similar_triangles() -> None:
+    """Looking along x from 2 m away, half of a height of 100 pixels is tan(15 deg) of the depth."""
+    view = View(
+        target_m=(0.5, 0.2, 0.1), distance_m=2.0, azimuth_deg=0.0, elevation_deg=0.0
+    )
+    points_m = np.array([[0.5, 0.2, 0.1], [1.5, 0.2, 0.4], [0.0, 0.3, 0.0]])
+    depth_m = points_m[:, 0] + 1.5
+    pixel_m = depth_m * np.tan(np.radians(15.0)) / 50.0
+    expected = np.column_stack(
+        [
+            60.0 - (points_m[:, 1] - 0.2) / pixel_m,
+            50.0 - (points_m[:, 2] - 0.1) / pixel_m,
+        ]
+    )
+    assert view.pixels(points_m, width=120, height=100) == pytest.approx(expected)
+    camera = view.mujoco_camera()
+    assert camera.lookat == pytest.approx(view.target_m)
+    assert (camera.distance, camera.azimuth, camera.elevation) == (2.0, 0.0, 0.0)
+
+
+def test_the_rule_frames_places_of_a_reference():
     experiment = load_experiment("CubeToss-acrylic")
     path = reference_path(experiment, reference_band(experiment))
-    assert path is not None
     pixels = scene_view(experiment.scene, reference=path).pixels(
         path.places_m[:, 0], width=300.0, height=300.0
     )
@@ -189,9 +348,7 @@ def test_the_rule_frames_places_of_a_reference() -> None:
     ("name", "way"),
     [("SlopeSlider-2-wood", (1.0, 0.0)), ("TextileFlinging-satin", (0.0, 1.0))],
 )
-def test_a_plane_motion_is_seen_from_the_side(
-    name: str, way: tuple[float, float]
-) -> None:
+def test_a_plane_motion_is_seen_from_the_side(name, way):
     forward = experiment_view(load_experiment(name)).axes[2]
     level = forward[:2] / np.hypot(*forward[:2])
     # Within 40 degrees of the normal of the motion, so that at least cos(40 deg) = 77 % of each way is seen.
@@ -199,7 +356,7 @@ def test_a_plane_motion_is_seen_from_the_side(
 
 
 @needs_opengl
-def test_pictures_show_points_where_the_view_says() -> None:
+def test_pictures_show_points_where_the_view_says():
     scene = load_experiment("SlopeSlider-2-wood").scene
     view = View(
         target_m=(0.1, -0.2, 0.4), distance_m=1.3, azimuth_deg=33.0, elevation_deg=-21.0
@@ -219,7 +376,7 @@ def test_pictures_show_points_where_the_view_says() -> None:
 
 
 @pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamCompressing-hard"])
-def test_markers_are_on_the_sides_that_the_camera_sees(name: str) -> None:
+def test_markers_are_on_the_sides_that_the_camera_sees(name):
     experiment = load_experiment(name)
     scene = experiment.scene
     foam, forward = scene.deformables[0], experiment_view(experiment).axes[2]

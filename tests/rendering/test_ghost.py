@@ -1,7 +1,5 @@
 """The ghost of a recorded mean: it has the mean in the measured coordinates, and the simulation in the others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 
 
-def band_along(direction: list[float], mean: list[float]) -> Band:
+def band_along(direction, mean):
     count = len(mean)
     return Band(
         grade=BandGrade.TRIALS,
@@ -32,7 +30,7 @@ def band_along(direction: list[float], mean: list[float]) -> Band:
     )
 
 
-def test_only_the_measured_direction_moves() -> None:
+def test_only_the_measured_direction_moves():
     ghost = ghost_trajectory(
         band_along([0.6, 0.0, -0.8], [10.0, 20.0]),
         np.array([[0.0, 5.0, 0.0], [1.0, 6.0, 2.0]]),
@@ -43,7 +41,7 @@ def test_only_the_measured_direction_moves() -> None:
     )
 
 
-def test_frames_without_a_mean_have_no_ghost() -> None:
+def test_frames_without_a_mean_have_no_ghost():
     ghost = ghost_trajectory(
         band_along([1.0, 0.0, 0.0], [3.0, np.nan]), np.zeros((3, 3))
     )
@@ -55,22 +53,21 @@ def test_frames_without_a_mean_have_no_ghost() -> None:
 @pytest.mark.parametrize(
     "name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-1-wood"]
 )
-def test_a_ghost_has_the_mean_of_its_band(name: str) -> None:
+def test_a_ghost_has_the_mean_of_its_band(name):
     band = reference_band(load_experiment(name))
-    assert band is not None
     g = np.random.default_rng(0).normal(size=(len(band.mean), band.projection.shape[1]))
     ghost = ghost_trajectory(band, g)
     known = np.isfinite(band.mean).all(axis=1)
     assert band.project(ghost[known]) == pytest.approx(band.mean[known])
 
 
-def test_a_mean_is_named_by_the_number_of_its_trials() -> None:
+def test_a_mean_is_named_by_the_number_of_its_trials():
     one, many, some = (reference_words(BandGrade.TRIALS, n) for n in (1, 20, None))
     assert "one" in one and "20 " in many
     assert some == many.replace("20 ", "the ") != one
 
 
-def test_the_text_says_when_a_reference_ends_before_the_pictures() -> None:
+def test_the_text_says_when_a_reference_ends_before_the_pictures():
     experiment = load_experiment("SlopeContact-wood")
     band = reference_band(experiment)
     path = reference_path(experiment, band)

@@ -1,7 +1,5 @@
 """Overlays of pictures: drawn where their points are, and only where they are asked for."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from itertools import pairwise
@@ -18,19 +16,24 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.rendering.camera import experiment_view
-from gauge_envs.rendering.overlay import RECORDED_COLOR, Overlay
+from gauge_envs.rendering.overlay import (
+    RECORDED_COLOR,
+    Overlay,
+    between,
+    tracked_overlay,
+)
 from gauge_envs.rendering.renderer import SceneRenderer
 
 SIZE = {"width": 240, "height": 180}
 
 
-def changed(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def changed(one, other):
     """Return which pixels differ clearly, shape [height, width]."""
     return np.abs(one.astype(int) - other).max(axis=2) > 40
 
 
 @needs_opengl
-def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are() -> None:
+def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are():
     experiment = load_experiment("BouncingBall-rubber")
     scene = experiment.scene
     renderer = SceneRenderer(scene, {}, 480, 360, view=experiment_view(experiment))
@@ -54,7 +57,7 @@ def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are() -> N
 
 
 @needs_opengl
-def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
+def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through():
     experiment = load_experiment("NonsmoothContact-1-wood")
     scene = experiment.scene
     renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
@@ -84,9 +87,7 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through() -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "NonsmoothContact-1-wood"])
-def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(
-    name: str,
-) -> None:
+def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(name):
     experiment = load_experiment(name)
     scene = experiment.scene
     renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
@@ -118,7 +119,7 @@ def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(
 
 
 @needs_opengl
-def test_markers_that_coincide_keep_the_colour_of_the_simulation() -> None:
+def test_markers_that_coincide_keep_the_colour_of_the_simulation():
     experiment = load_experiment("BouncingBall-rubber")
     scene = experiment.scene
     renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
@@ -132,8 +133,38 @@ def test_markers_that_coincide_keep_the_colour_of_the_simulation() -> None:
     renderer.close()
 
 
+@pytest.mark.parametrize("count", [1, 2, 239, 240, 241, 480, 481, 3001])
+def test_a_path_has_its_ends_and_at_most_240_places_between(count: int) -> None:
+    """Each k-th place with the smallest k that leaves as few."""
+    experiment = load_experiment("NonsmoothContact-1-wood")
+    bodies = len(experiment.recorded)
+    samples = np.arange(3.0 * bodies * count).reshape(count, -1)
+    overlay = tracked_overlay(
+        experiment,
+        None,
+        time_s=0.0,
+        samples=samples,
+        markers_m=np.zeros((0, 3)),
+        poses={},
+    )
+    kept = [*range(0, count - 1, max(np.ceil(count / 240).astype(int), 1)), count - 1]
+    expected_m = 1e-3 * samples.reshape(count, bodies, 3)
+    assert overlay.markers_m == pytest.approx(expected_m[-1])
+    assert len(overlay.paths) == bodies
+    for number, path in enumerate(overlay.paths):
+        assert path == pytest.approx(expected_m[kept, number])
+    assert overlay.geom_count == bodies * len(kept)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.25, 1.0, 1.75, 2.0, 2.5])
+def test_a_place_between_two_frames_is_on_the_line_between_them(at: float) -> None:
+    points = np.array([[[0.0, 1.0, 2.0]], [[4.0, 1.0, 0.0]], [[5.0, 9.0, -2.0]]])
+    expected = [np.interp(at, np.arange(3), column) for column in points[:, 0].T]
+    assert between(points, at)[0] == pytest.approx(expected)
+
+
 @needs_opengl
-def test_paths_of_any_length_fit_into_a_picture() -> None:
+def test_paths_of_any_length_fit_into_a_picture():
     scene = load_experiment("BouncingBall-rubber").scene
     renderer = SceneRenderer(scene, {}, 64, 48)
     points = np.array(scene.body("ball").pose.position_m) + np.linspace(0.0, 0.3, 3001)[
@@ -147,7 +178,7 @@ def test_paths_of_any_length_fit_into_a_picture() -> None:
 
 
 @needs_opengl
-def test_environments_draw_the_overlay_on_request_alone() -> None:
+def test_environments_draw_the_overlay_on_request_alone():
     pictures = {}
     for overlay in (False, True):
         env = gymnasium.make(
@@ -181,7 +212,7 @@ def test_environments_draw_the_overlay_on_request_alone() -> None:
     envs.close()
 
 
-def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
+def test_the_overlay_of_an_episode_holds_what_its_score_compares():
     env = GaugeEnv("SlopeSlider-2-wood")
     env.reset(seed=0)
     for _ in range(5):
@@ -202,7 +233,7 @@ def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
     env.close()
 
 
-def test_a_recorded_toss_turns_its_ghost() -> None:
+def test_a_recorded_toss_turns_its_ghost():
     env = GaugeEnv("CubeToss-acrylic")
     env.reset(seed=0, options={"trial": 0})
     for _ in range(12):
@@ -217,7 +248,7 @@ def test_a_recorded_toss_turns_its_ghost() -> None:
     assert abs(ghost[3:] @ simulated[3:]) < 0.999
 
 
-def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:
+def test_an_episode_of_a_soft_body_shows_its_markers_alone():
     env = GaugeEnv("FoamTwisting-soft")
     env.reset(seed=0)
     overlay = episode_overlay(env.episode)
@@ -228,14 +259,13 @@ def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:
     env.close()
 
 
-def test_a_reference_of_other_quantities_has_no_path() -> None:
+def test_a_reference_of_other_quantities_has_no_path():
     experiment = load_experiment("FoamTwisting-soft")
     band = reference_band(experiment, use_withheld=True)
-    assert band is not None
     assert band.unit == "mm^2"
     assert reference_path(experiment, band) is None
 
 
-def test_render_overlay_is_true_or_false() -> None:
+def test_render_overlay_is_true_or_false():
     with pytest.raises(ParameterError, match="render_overlay"):
         GaugeEnv("SlopeSlider-2-wood", render_overlay="yes")

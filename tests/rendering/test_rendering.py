@@ -1,10 +1,8 @@
 """Pictures, on machines with and without OpenGL."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from pathlib import Path
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -22,7 +20,7 @@ ONE_EACH = tuple({name.rpartition("-")[0]: name for name in RIGID}.values())
 
 @needs_opengl
 @pytest.mark.parametrize("name", ONE_EACH)
-def test_picture_shows_the_moving_body(name: str) -> None:
+def test_picture_shows_the_moving_body(name):
     env = gymnasium.make(
         f"GAUGE/{name}", render_mode="rgb_array", width=160, height=120
     )
@@ -43,7 +41,7 @@ def test_picture_shows_the_moving_body(name: str) -> None:
 
 
 @needs_opengl
-def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
+def test_pictures_change_with_the_motion_and_repeat_after_reset():
     env = gymnasium.make(
         "GAUGE/SlopeSlider-2-wood", render_mode="rgb_array", width=160, height=120
     )
@@ -58,9 +56,7 @@ def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
 
 
 @needs_opengl
-def test_triton_is_loaded_before_the_first_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_triton_is_loaded_before_the_first_picture(tmp_path, monkeypatch):
     """Its LLVM crashes after that of Mesa: with EGL, `render` and then PPO ended in a segmentation fault."""
     (tmp_path / "triton.py").write_text(
         "import sys\nassert 'mujoco.egl' not in sys.modules\n"
@@ -75,7 +71,7 @@ def test_triton_is_loaded_before_the_first_picture(
 
 
 @needs_opengl
-def test_rendering_does_not_change_the_physics() -> None:
+def test_rendering_does_not_change_the_physics():
     trajectories = []
     for mode in (None, "rgb_array"):
         env = gymnasium.make("GAUGE/NonsmoothContact-1-wood", render_mode=mode)
@@ -88,13 +84,13 @@ def test_rendering_does_not_change_the_physics() -> None:
 
 
 @needs_opengl
-def test_render_before_reset() -> None:
+def test_render_before_reset():
     env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_mode="rgb_array").unwrapped
     with pytest.raises(EpisodeError, match="reset"):
         env.render()
 
 
-def test_missing_opengl_names_the_packages() -> None:
+def test_missing_opengl_names_the_packages():
     script = (
         "import ctypes.util; ctypes.util.find_library = lambda name: None\n"
         "import gymnasium, gauge_envs\n"
@@ -115,7 +111,7 @@ def test_missing_opengl_names_the_packages() -> None:
 
 
 @needs_opengl
-def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
+def test_deformable_bodies_are_drawn_where_their_nodes_are():
     scene = load_experiment("TextileFlinging-satin").scene
     cloth = scene.deformables[0]
     edge = np.linspace(-0.5, 0.5, 11)
@@ -130,7 +126,7 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
         scene, {cloth.name: rest}, 160, 120, materials={cloth.name: "satin"}
     )
 
-    def terracotta(nodes: np.ndarray) -> np.ndarray:
+    def terracotta(nodes):
         picture = renderer.picture({}, {cloth.name: nodes}).astype(int)
         return picture[..., 0] - picture[..., 2] > 60
 
@@ -141,7 +137,7 @@ def test_deformable_bodies_are_drawn_where_their_nodes_are() -> None:
     assert rows[1] > rows[0] + 3
 
 
-def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
+def test_surface_of_a_solid_is_closed_and_turned_outward():
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     axes = [
         np.linspace(-0.5 * edge, 0.5 * edge, count)
@@ -161,7 +157,7 @@ def test_surface_of_a_solid_is_closed_and_turned_outward() -> None:
     assert volume == pytest.approx(foam.shape.volume_m3, rel=1e-6)
 
 
-def test_sides_of_a_block_are_flat_patches_with_sharp_edges() -> None:
+def test_sides_of_a_block_are_flat_patches_with_sharp_edges():
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     axes = [
         np.linspace(-0.5 * edge, 0.5 * edge, count)
@@ -175,7 +171,32 @@ def test_sides_of_a_block_are_flat_patches_with_sharp_edges() -> None:
     assert np.abs(local).max(axis=1) == pytest.approx(1.0)
 
 
-def test_an_irregular_cloud_has_a_closed_surface_too() -> None:
+@pytest.mark.parametrize(("thickness_m", "half_m"), [(4e-3, 2e-3), (1e-4, 8e-4)])
+def test_a_sheet_has_two_sides_half_its_thickness_apart_from_its_nodes(
+    thickness_m: float, half_m: float
+) -> None:
+    """On a rolled sheet a normal is the radius: the vertices are on two cylinders, as many as nodes on each."""
+    cloth = load_experiment("TextileFlinging-satin").scene.deformables[0]
+    cloth = replace(cloth, thickness_m=thickness_m)
+    edge = np.linspace(-0.5, 0.5, 21)
+    flat = np.stack(np.meshgrid(edge, edge, [0.0], indexing="ij"), -1).reshape(-1, 3)
+    skin = Skin(cloth, cloth.pose.to_world(flat * [*cloth.size_m, 1.0]))
+    angles, radius_m = 2.0 * flat[:, 0], 0.1
+    rolled = np.column_stack(
+        [radius_m * np.sin(angles), flat[:, 1], radius_m * np.cos(angles)]
+    )
+    vertices, normals = skin._surface(rolled)
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+    inner = np.abs(vertices[:, 1]) < 0.4
+    inner &= np.abs(np.arctan2(vertices[:, 0], vertices[:, 2])) < 0.9
+    distances_m = np.hypot(vertices[inner, 0], vertices[inner, 2]) - radius_m
+    assert np.sort(np.abs(distances_m)) == pytest.approx(half_m, rel=1e-3)
+    assert np.sum(distances_m > 0.0) == np.sum(distances_m < 0.0) > 100
+    outward = (normals[inner] * vertices[inner] * [1.0, 0.0, 1.0]).sum(axis=1)
+    assert (np.sign(outward) == np.sign(distances_m)).all()
+
+
+def test_an_irregular_cloud_has_a_closed_surface_too():
     foam = load_experiment("FoamTwisting-soft").scene.deformables[0]
     cloud = (
         np.random.default_rng(0).uniform(-0.5, 0.5, size=(400, 3)) * foam.shape.size_m

@@ -1,27 +1,27 @@
 """The look of pictures: even light ground with a grid of a stated pitch, materials, no gaps and no flicker."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View, experiment_view
+from gauge_envs.rendering.flat import FlatView, flat_model
 from gauge_envs.rendering.materials import LOOKS, USUAL, look_of
 from gauge_envs.rendering.renderer import SceneRenderer
-from gauge_envs.rendering.studio import GROUND, grid_pitch_m
-from gauge_envs.scene import Motion, Plane, Scene
+from gauge_envs.rendering.skin import Skin
+from gauge_envs.rendering.studio import GROUND, grid_pitch_m, studio_model
+from gauge_envs.scene import Box, Motion, Plane, SoftBody
 from gauge_envs.scene.geometry import vector
 
 SIZE = (320, 240)
 
 
-def start_picture(
-    name: str, **arguments: object
-) -> tuple[np.ndarray, SceneRenderer, Scene]:
+def start_picture(name, **arguments):
     """Return a picture of a start, its closed renderer, which states the camera, and the scene."""
     env = GaugeEnv(name)
     env.reset(seed=0)
@@ -37,9 +37,7 @@ def start_picture(
     return picture, renderer, scene
 
 
-def at(
-    picture: np.ndarray, renderer: SceneRenderer, points_m: np.ndarray
-) -> np.ndarray:
+def at(picture, renderer, points_m):
     """Return the colours of a picture at points [m], shape [point_count, 3]."""
     columns, rows = renderer.camera.pixels(
         points_m, width=SIZE[0], height=SIZE[1]
@@ -48,7 +46,7 @@ def at(
 
 
 @needs_opengl
-def test_ground_is_light_and_meets_the_background_without_a_horizon() -> None:
+def test_ground_is_light_and_meets_the_background_without_a_horizon():
     picture, _, _ = start_picture("BouncingBall-rubber")
     background = 255.0 * np.array(GROUND)
     # Columns beside the ball and its shadow, from sky to ground.
@@ -61,7 +59,7 @@ def test_ground_is_light_and_meets_the_background_without_a_horizon() -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("height_m", [0.4, 1.0])
-def test_the_grid_has_the_stated_pitch(height_m: float) -> None:
+def test_the_grid_has_the_stated_pitch(height_m):
     scene = load_experiment("BouncingBall-rubber").scene
     # The ground alone, from straight above.
     scene = replace(
@@ -92,7 +90,7 @@ def test_the_grid_has_the_stated_pitch(height_m: float) -> None:
 
 @needs_opengl
 @pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamShearing-hard"])
-def test_foam_reaches_its_grips(name: str) -> None:
+def test_foam_reaches_its_grips(name):
     picture, renderer, scene = start_picture(name)
     foam = scene.deformables[0]
     size = np.array(foam.shape.size_m)
@@ -110,7 +108,7 @@ def test_foam_reaches_its_grips(name: str) -> None:
 
 
 @needs_opengl
-def test_a_cloth_in_the_surface_of_a_table_does_not_flicker() -> None:
+def test_a_cloth_in_the_surface_of_a_table_does_not_flicker():
     experiment = load_experiment("TableclothPulling-wood")
     scene, table = experiment.scene, experiment.scene.body("table")
     cloth = scene.deformables[0]
@@ -143,7 +141,7 @@ def test_a_cloth_in_the_surface_of_a_table_does_not_flicker() -> None:
 
 
 @needs_opengl
-def test_cubes_have_the_colour_of_their_material() -> None:
+def test_cubes_have_the_colour_of_their_material():
     colours = {}
     for material in ("wood", "plastic", "metal"):
         picture, renderer, scene = start_picture(f"SlopeSlider-1-{material}")
@@ -158,7 +156,7 @@ def test_cubes_have_the_colour_of_their_material() -> None:
 
 
 @needs_opengl
-def test_a_far_string_is_visible_over_its_whole_length() -> None:
+def test_a_far_string_is_visible_over_its_whole_length():
     picture, renderer, scene = start_picture("NewtonsCradle-metal")
     joint = scene.joints[2]
     ball = np.array(scene.body(joint.body).pose.position_m)
@@ -169,14 +167,94 @@ def test_a_far_string_is_visible_over_its_whole_length() -> None:
 
 
 @needs_opengl
-def test_bodies_cast_a_light_shadow() -> None:
+def test_bodies_cast_a_light_shadow():
     picture, _, _ = start_picture("NonsmoothContact-1-wood")
     grey = (np.ptp(picture.astype(int), axis=2) < 14) & (picture.max(axis=2) < 210)
     assert grey.sum() > 100
     assert picture[grey].min() > 110
 
 
-def test_materials_are_those_of_the_task_file_or_of_the_variant() -> None:
+def rounded(values: object) -> list[float]:
+    """Return four decimals of numbers or truth values."""
+    return np.round(np.ravel(values).astype(float), 4).tolist()
+
+
+def look_words(model: mujoco.MjModel) -> str:
+    """Return light, materials and shapes of a model, and mean and scatter of the texels of its textures."""
+    lines = [
+        f"{name}: {rounded(getattr(owner, name))}"
+        for owner, names in (
+            (model.vis.headlight, ("ambient", "diffuse", "specular")),
+            (model.vis.global_, ("offwidth", "offheight", "fovy")),
+            (model.vis.quality, ("shadowsize", "offsamples")),
+            (model.vis.map, ("znear", "zfar", "shadowclip", "haze")),
+            (model.vis.rgba, ("haze",)),
+            (model.stat, ("center", "extent")),
+        )
+        for name in names
+    ]
+    for kind, count, names in (
+        ("light", model.nlight, "pos dir diffuse specular castshadow"),
+        ("mat", model.nmat, "rgba emission specular shininess texrepeat texuniform"),
+        ("geom", model.ngeom, "type size rgba matid"),
+    ):
+        for index in range(count):
+            values = {
+                name: rounded(getattr(model, f"{kind}_{name}")[index])
+                for name in names.split()
+            }
+            lines.append(f"{kind} {index}: {values}")
+    for index in range(model.ntex):
+        first, width = model.tex_adr[index], model.tex_width[index]
+        texels = model.tex_data[first : first + width * model.tex_height[index] * 3]
+        rows = texels.reshape(-1, width, 3).astype(float)
+        # Scatter of rows and of columns: a grain is drawn out along one of them.
+        along, across = rows.std(axis=1).mean(), rows.std(axis=0).mean()
+        words = f"{rows.shape} {rows.mean():.0f} {along:.1f} {across:.1f}"
+        lines.append(f"texture {index}: {words} {texels[:6].tolist()}")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "name", ["SlopeSlider-2-wood", "FoamTwisting-soft", "TableclothPulling-metal"]
+)
+def test_the_look_of_a_scene_is_the_approved_one(
+    name: str, approved: Callable[[str, str], None]
+) -> None:
+    experiment = load_experiment(name)
+    scene = experiment.scene
+    # Foam without what its grips hold, and the corners of a cloth.
+    nodes_m = {
+        body.name: body.pose.to_world(
+            body.shape.corners_m * [1.0, 1.0, 0.8]
+            if isinstance(body, SoftBody)
+            else Box(size_m=(*body.size_m, 0.0)).corners_m[::2]
+        )
+        for body in scene.deformables
+    }
+    skins = [Skin(body, nodes_m[body.name]) for body in scene.deformables]
+    view = experiment_view(experiment)
+    studio = studio_model(
+        scene, skins, nodes_m, experiment.materials, view, width=320, height=240
+    )
+    flat = flat_model(
+        scene,
+        skins,
+        320,
+        240,
+        FlatView(
+            centre_m=np.array([0.1, 0.2, 0.3]),
+            right=np.array([0.0, 1.0, 0.0]),
+            down=np.array([0.0, 0.0, -1.0]),
+            scale_m_per_px=1e-3,
+            colors={scene.bodies[-1].name: (0.1, 0.2, 0.3, 1.0)},
+            grain=frozenset([scene.bodies[0].name]),
+        ),
+    )
+    approved(f"rendering/{name}", f"{look_words(studio)}\n---\n{look_words(flat)}")
+
+
+def test_materials_are_those_of_the_task_file_or_of_the_variant():
     assert load_experiment("SlopeSlider-2-metal").materials["cube"] == "metal"
     assert load_experiment("SlopeSlider-2-metal").materials["board"] == "wood"
     wall = load_experiment("WallBreaking-wood").materials
@@ -194,7 +272,7 @@ def test_materials_are_those_of_the_task_file_or_of_the_variant() -> None:
         "StickStack-soft",
     ],
 )
-def test_every_material_has_a_look_of_its_own(name: str) -> None:
+def test_every_material_has_a_look_of_its_own(name):
     experiment = load_experiment(name)
     for body in (*experiment.scene.bodies, *experiment.scene.deformables):
         look = look_of(body, experiment.materials[body.name])

@@ -1,7 +1,5 @@
 """`gauge run`, killed at random moments and resumed: no result is lost, doubled or half-written."""
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os
@@ -23,7 +21,7 @@ COMMAND = [
     "run",
     "SlopeSlider-*",
     "BouncingBall-rubber",
-    "repeats=2",
+    "--repeats=2",
     "--resume",
     "--json",
     "--out",

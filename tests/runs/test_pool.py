@@ -147,7 +147,7 @@ def test_a_worker_that_is_closed_while_it_runs_calls_nothing_a_failure():
         worker.close()
         raise GaugeError("died")
 
-    worker._process.call = closes  # type: ignore[method-assign,assignment]
+    worker._process.call = closes
     with pytest.raises(WorkerClosedError, match="closed"):
         worker.run(RunRequest(WOOD, repeats=4))
 
@@ -210,9 +210,7 @@ def test_a_lost_actor_costs_nothing(ray, losses):
     assert result.outcome is Outcome.FINISHED
 
 
-def test_a_request_that_always_loses_its_actor_fails(
-    ray,
-):
+def test_a_request_that_always_loses_its_actor_fails(ray):
     ray(3)
     (result,) = RayWorker(Limits()).run(RunRequest(WOOD))
     assert result.outcome is Outcome.FAILED

@@ -1,13 +1,10 @@
 """Replays of results: poses of the same run, bit for bit, or a reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from gauge_envs.errors import MissingExtraError
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import (
@@ -15,10 +12,8 @@ from gauge_envs.runs.replay import (
     load_or_replay,
     replay,
     replay_path,
-    replayed_experiment,
 )
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import RecordedTrajectory
 from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.scene.jitter import Jitter
 
@@ -42,7 +37,6 @@ def slide(slide_file):
 
 def test_poses_are_those_of_the_trajectory(slide):
     made = replay(slide)
-    assert slide.trajectory is not None
     _, values = slide.trajectory.arrays()
     # 180 samples a second in the result, 60 views a second in the replay, single precision.
     assert made.rate_hz == 60.0
@@ -78,77 +72,50 @@ def test_a_jittered_repeat_starts_where_it_started(tmp_path):
     assert np.linalg.norm(starts[0] - starts[1]) > 1e-4
 
 
-def test_one_bit_of_the_trajectory_is_found(slide):
+COARSE = {"timestep_s": 1 / 900}
+MODEL = {
+    "file": "slide.xml",
+    "kind": "model",
+    "sha256": "0" * 64,
+    "edited": True,
+    "changes": [],
+}
+
+
+def one_bit(slide):
+    samples = [list(row) for row in slide.trajectory.samples]
+    samples[40][0] = float(np.nextafter(samples[40][0], np.inf))
+    return {"trajectory": replace(slide.trajectory, samples=samples)}
+
+
+def shorter(slide):
     trajectory = slide.trajectory
-    assert trajectory is not None
-    samples = [list(row) for row in trajectory.samples]
-    value = samples[40][0]
-    assert value is not None
-    samples[40][0] = float(np.nextafter(value, np.inf))
-    changed = replace(slide, trajectory=replace(trajectory, samples=samples))
-    with pytest.raises(
-        ReplayError,
-        match=r"differs from the result by up to .* mm; the versions of the engine are",
-    ):
-        replay(changed)
-
-
-def test_another_setting_is_found(slide):
-    with pytest.raises(ReplayError, match="differs from the result"):
-        replay(replace(slide, settings_given={"timestep_s": 1 / 900}))
-
-
-def test_another_version_is_named(slide):
-    changed = replace(
-        slide,
-        versions=slide.versions | {"mujoco": "0.1"},
-        settings_given={"timestep_s": 1 / 900},
+    cut = replace(
+        trajectory, times_s=trajectory.times_s[:-6], samples=trajectory.samples[:-6]
     )
-    with pytest.raises(
-        ReplayError, match=r"versions: mujoco 0\.1 in the result, .* installed"
-    ):
-        replay(changed)
+    return {"trajectory": cut}
 
 
-def test_a_result_of_another_length_is_found(slide):
-    trajectory = slide.trajectory
-    assert trajectory is not None
-    shorter = RecordedTrajectory(
-        unit=trajectory.unit,
-        coordinates=trajectory.coordinates,
-        times_s=trajectory.times_s[:-6],
-        samples=trajectory.samples[:-6],
-    )
-    with pytest.raises(
-        ReplayError, match=r"109 samples of 3 coordinates, the result has 103 of 3"
-    ):
-        replay(replace(slide, trajectory=shorter))
+def older(slide):
+    versions = slide.versions | {"mujoco": "0.1"}
+    return {"versions": versions, "settings_given": COARSE}
 
 
-def test_an_engine_that_is_not_installed_is_named(slide, monkeypatch):
-    def missing(name):
-        raise MissingExtraError(f"backend {name!r}", "newton", ImportError("newton"))
-
-    monkeypatch.setattr(replay_module, "versions_of", missing)
-    with pytest.raises(ReplayError, match="newton"):
-        replay(slide)
-
-
-def test_a_trajectory_file_has_no_replay(slide):
-    with pytest.raises(ReplayError, match="trajectory file"):
-        replay(replace(slide, backend=None))
-
-
-def test_a_model_file_is_no_part_of_the_result(slide):
-    asset = {
-        "file": "slide.xml",
-        "kind": "model",
-        "sha256": "0" * 64,
-        "edited": True,
-        "changes": [],
-    }
-    with pytest.raises(ReplayError, match=r"slide\.xml"):
-        replayed_experiment(replace(slide, asset=asset))
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (one_bit, "differs from the result by up to .* mm; the versions .* are"),
+        (lambda _: {"settings_given": COARSE}, "differs from the result"),
+        (older, r"versions: mujoco 0\.1 in the result, .* installed"),
+        (shorter, "109 samples of 3 coordinates, the result has 103 of 3"),
+        (lambda _: {"backend": None}, "trajectory file"),
+        (lambda _: {"backend": "nowhere"}, "nowhere"),
+        (lambda _: {"asset": MODEL}, r"slide\.xml"),
+    ],
+)
+def test_a_result_of_another_run_has_no_replay(changes, message, slide):
+    with pytest.raises(ReplayError, match=message):
+        replay(replace(slide, **changes(slide)))
 
 
 # --- the file beside the result ---

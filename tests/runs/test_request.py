@@ -1,7 +1,5 @@
 """The request of a run: checks of its values, equality, and its episode, which is that of an environment."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Result files of strangers: a damaged one is named and skipped, and its texts change nothing but themselves."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import hashlib

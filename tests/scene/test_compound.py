@@ -1,11 +1,7 @@
 """Compounds of solids: mass properties in closed form, and laws on every engine that builds them."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
-from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -25,7 +21,6 @@ from gauge_envs.scene import (
     Ellipsoid,
     Part,
     Pose,
-    Scene,
     Sphere,
     mass_properties,
 )
@@ -48,23 +43,19 @@ SOLIDS = {
 """A solid of each kind, and the height of its origin when it stands on the ground [m]."""
 
 ENGINES = [
-    pytest.param("mujoco"),
     pytest.param(
-        "newton",
-        marks=pytest.mark.skipif(
-            find_spec("newton") is None, reason="Newton is not installed"
-        ),
-    ),
-    pytest.param(
-        "physx",
-        marks=pytest.mark.skipif(
-            find_spec("sapien") is None, reason="SAPIEN is not installed"
-        ),
-    ),
+        name,
+        marks=pytest.mark.skipif(find_spec(module) is None, reason=f"no {module}"),
+    )
+    for name, module in (
+        ("mujoco", "mujoco"),
+        ("newton", "newton"),
+        ("physx", "sapien"),
+    )
 ]
 
 
-def foot_of(kind: str) -> FootGeometry:
+def foot_of(kind):
     solid, height = SOLIDS[kind]
     part = Part(shape=solid, pose=Pose(position_m=(0.0, 0.0, height)))
     return FootGeometry(
@@ -77,12 +68,12 @@ def foot_of(kind: str) -> FootGeometry:
     )
 
 
-def compiled(scene: Scene) -> mujoco.MjModel:
+def compiled(scene):
     return build_model(scene, settings_for(scene))[1]
 
 
 @pytest.mark.parametrize("kind", SOLIDS)
-def test_mass_properties_are_those_of_the_model(kind: str) -> None:
+def test_mass_properties_are_those_of_the_model(kind):
     turn = Rotation.from_euler("xyz", [20.0, -40.0, 70.0], degrees=True)
     parts = (
         Part(shape=SOLIDS[kind][0], pose=Pose.from_rotation((0.1, 0.0, 0.02), turn)),
@@ -106,7 +97,7 @@ def test_mass_properties_are_those_of_the_model(kind: str) -> None:
     )
 
 
-def test_two_balls_on_a_rod_without_mass() -> None:
+def test_two_balls_on_a_rod_without_mass():
     ball = Sphere(radius_m=0.02)
     shape = Compound(
         parts=tuple(
@@ -122,7 +113,7 @@ def test_two_balls_on_a_rod_without_mass() -> None:
 
 
 @pytest.mark.parametrize("kind", SOLIDS)
-def test_feet_carry_the_same_load_whatever_their_form(kind: str) -> None:
+def test_feet_carry_the_same_load_whatever_their_form(kind):
     foot = foot_of(kind)
     centre, _ = mass_properties(foot.shape, foot.mass_kg)
     np.testing.assert_allclose(centre[:2], 0.0, atol=1e-12)
@@ -141,9 +132,7 @@ def test_feet_carry_the_same_load_whatever_their_form(kind: str) -> None:
         for kind in SOLIDS
     ],
 )
-def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(
-    engine: str, kind: str
-) -> None:
+def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(engine, kind):
     scene = foot_scene(foot_of(kind), friction=0.3, slope_deg=30.0, seconds=0.3)
     support = backend(engine).supports(scene)
     if not support:
@@ -166,22 +155,7 @@ def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(
     assert np.abs(along[:, 1:]).max() < 1e-3
 
 
-@pytest.mark.parametrize("engine", ["drake", "pybullet", "rapier"])
-def test_engines_without_compounds_decline_them(engine: str) -> None:
-    if (
-        find_spec(
-            {"drake": "pydrake", "pybullet": "pybullet", "rapier": "rapier3d"}[engine]
-        )
-        is None
-    ):
-        pytest.skip(f"{engine} is not installed")
-    missing = (
-        backend(engine).supports(foot_scene(foot_of("sphere"), friction=0.3)).missing
-    )
-    assert any("compound of solids" in reason for reason in missing)
-
-
-def test_the_inverse_weight_of_dynamic_bodies_is_scaled() -> None:
+def test_the_inverse_weight_of_dynamic_bodies_is_scaled():
     scene = foot_scene(foot_of("sphere"), friction=0.3)
     plain, softer = (
         build_model(scene, settings_for(scene, {"inverse_weight_scale": s}))[1]
@@ -194,7 +168,7 @@ def test_the_inverse_weight_of_dynamic_bodies_is_scaled() -> None:
     assert plain.body_invweight0[foot, 0] == pytest.approx(1.0 / 4.0)
 
 
-def test_files_have_no_compounds(tmp_path: Path) -> None:
+def test_files_have_no_compounds(tmp_path):
     scene = foot_scene(foot_of("sphere"), friction=0.3)
     with pytest.raises(ParameterError, match="'foot' is a compound of solids"):
         to_usd(scene, tmp_path / "scene.usda")

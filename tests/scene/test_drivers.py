@@ -1,7 +1,5 @@
 """Prescribed motions against their closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -12,7 +10,7 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 
 
-def profiles() -> list:
+def profiles():
     return [
         TrapezoidProfile(
             start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
@@ -26,7 +24,7 @@ def profiles() -> list:
 
 
 @pytest.mark.parametrize("profile", profiles(), ids=lambda p: type(p).__name__)
-def test_rate_is_the_derivative_and_stays_below_its_bound(profile) -> None:
+def test_rate_is_the_derivative_and_stays_below_its_bound(profile):
     times = np.linspace(-0.1, 1.7, 4001)
     rates = np.array([profile.rate(t) for t in times])
     values = np.array([profile.value(t) for t in times])
@@ -38,7 +36,7 @@ def test_rate_is_the_derivative_and_stays_below_its_bound(profile) -> None:
     assert np.abs(rates).max() <= profile.largest_rate * (1 + 1e-9)
 
 
-def test_trapezoid_ends_are_exact() -> None:
+def test_trapezoid_ends_are_exact():
     profile = TrapezoidProfile(
         start_s=0.2, duration_s=1.0, accelerate_s=0.3, brake_s=0.2, amount=-0.6
     )
@@ -49,7 +47,7 @@ def test_trapezoid_ends_are_exact() -> None:
     assert profile.value(0.5) == pytest.approx(0.5 * profile.cruise_rate * 0.3)
 
 
-def test_cosine_peaks_in_the_middle() -> None:
+def test_cosine_peaks_in_the_middle():
     profile = CosineProfile(start_s=0.0, duration_s=1.35, amount=0.6)
     assert profile.rate(0.675) == pytest.approx(0.5 * np.pi * 0.6 / 1.35)
 
@@ -59,9 +57,7 @@ def test_cosine_peaks_in_the_middle() -> None:
     shift=st.floats(-0.5, 0.5),
     time_s=st.floats(0.0, 2.0),
 )
-def test_state_is_consistent_between_pose_and_velocity(
-    amount: float, shift: float, time_s: float
-) -> None:
+def test_state_is_consistent_between_pose_and_velocity(amount, shift, time_s):
     driver = Driver(
         body="b",
         motions=(
@@ -92,7 +88,7 @@ def test_state_is_consistent_between_pose_and_velocity(
     assert velocity == pytest.approx(expected, abs=1e-3)
 
 
-def test_rotation_about_a_point_keeps_the_distance() -> None:
+def test_rotation_about_a_point_keeps_the_distance():
     motion = DriverMotion(
         kind="rotate",
         axis=(0.0, 1.0, 0.0),
@@ -110,7 +106,7 @@ def test_rotation_about_a_point_keeps_the_distance() -> None:
     assert end.to_world(np.array([0.25, 0.0, 0.0]))[2] < 0.0
 
 
-def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z() -> None:
+def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z():
     pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (90.0, 0.0, 90.0))
     assert pose.to_world(np.array([0.0, 1.0, 0.0])) == pytest.approx([0.0, 0.0, 1.0])
     assert pose.to_world(np.array([0.0, 0.0, 1.0])) == pytest.approx([1.0, 0.0, 0.0])
@@ -119,14 +115,14 @@ def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z() -> None:
     )
 
 
-def test_samples_may_be_subnormal_numbers() -> None:
+def test_samples_may_be_subnormal_numbers():
     profile = SampledProfile(
         times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313)
     )
     assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)
 
 
-def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion() -> None:
+def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion():
     """Actions move one motion of the first world, both of the second, and none of the third."""
     plate = RigidBody(
         name="plate",

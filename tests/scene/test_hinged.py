@@ -1,7 +1,5 @@
 """Hinges between two bodies: what a scene refuses, their frames, trees, and changes of a scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +32,7 @@ from gauge_envs.scene.jitter import Jitter, jittered, tilted
 SHAPE = Box(size_m=(0.1, 0.05, 0.05))
 
 
-def block(name: str, x: float, **values: object) -> RigidBody:
+def block(name, x, **values):
     given = {
         "name": name,
         "shape": SHAPE,
@@ -45,15 +43,15 @@ def block(name: str, x: float, **values: object) -> RigidBody:
 
 
 def hinge(
-    first: str,
-    second: str,
-    x: float,
-    axis: tuple[float, float, float] = (0.0, 1.0, 0.0),
-) -> BodyHinge:
+    first,
+    second,
+    x,
+    axis=(0.0, 1.0, 0.0),
+):
     return BodyHinge(first=first, second=second, anchor_m=(x, 0.0, 0.5), axis=axis)
 
 
-def wall(body: str) -> Hinge:
+def wall(body):
     dynamics = JointDynamics(dry_friction_n_m=0.01)
     return Hinge(
         body=body, anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0), dynamics=dynamics
@@ -121,14 +119,12 @@ PAIR = Scene(
         ),
     ],
 )
-def test_a_scene_refuses_what_contradicts_a_hinge(
-    changes: dict[str, object], message: str
-) -> None:
+def test_a_scene_refuses_what_contradicts_a_hinge(changes, message):
     with pytest.raises(ParameterError, match=message):
         replace(PAIR, **changes)
 
 
-def test_velocities_that_turn_the_hinge_are_accepted() -> None:
+def test_velocities_that_turn_the_hinge_are_accepted():
     turning = block(
         "b",
         0.12,
@@ -139,7 +135,7 @@ def test_velocities_that_turn_the_hinge_are_accepted() -> None:
     assert scene.body("b") == turning
 
 
-def test_angles_follow_a_known_rotation() -> None:
+def test_angles_follow_a_known_rotation():
     first = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, 30.0, 40.0))
     second = Pose.from_euler_deg((0.2, 0.2, 0.3), (50.0, -10.0, 5.0))
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
@@ -160,13 +156,13 @@ def test_angles_follow_a_known_rotation() -> None:
     )
 
 
-def test_trees_start_at_the_first_body_of_the_first_hinge() -> None:
+def test_trees_start_at_the_first_body_of_the_first_hinge():
     hinges = (hinge("b", "c", 0.2), hinge("d", "e", 0.5), hinge("a", "b", 0.1))
     assert hinge_trees(hinges) == [(hinges[0], hinges[2]), (hinges[1],)]
     assert parent_hinges(hinges) == {"c": hinges[0], "a": hinges[2], "e": hinges[1]}
 
 
-def test_changes_name_both_bodies() -> None:
+def test_changes_name_both_bodies():
     moved = replace(
         PAIR, body_hinges=(replace(PAIR.body_hinges[0], anchor_m=(0.07, 0.0, 0.5)),)
     )
@@ -178,7 +174,7 @@ def test_changes_name_both_bodies() -> None:
     ]
 
 
-def gap_m(scene: Scene) -> float:
+def gap_m(scene):
     """Return how far the ends of the hinge are apart, from its frames in the untouched scene."""
     frames = hinge_frames(PAIR.body_hinges[0], *(body.pose for body in PAIR.bodies))
     ends = [
@@ -197,11 +193,11 @@ def gap_m(scene: Scene) -> float:
     )
 
 
-def test_a_leaning_scene_keeps_the_hinge_closed() -> None:
+def test_a_leaning_scene_keeps_the_hinge_closed():
     assert gap_m(tilted(PAIR, (0.1, 0.2, 0.3), (0.5, 0.5, 0.0))) < 1e-12
 
 
-def test_random_starts_keep_the_hinge_closed() -> None:
+def test_random_starts_keep_the_hinge_closed():
     jitter = Jitter(velocity_m_per_s=0.1, angular_velocity_rad_per_s=0.5)
     for seed in range(5):
         scene = jittered(PAIR, jitter, seed=seed)
@@ -210,7 +206,7 @@ def test_random_starts_keep_the_hinge_closed() -> None:
         assert not scene.body("b").starts_at_rest
 
 
-def test_random_starts_of_a_chain_swing_it_about_its_hinge_to_the_world() -> None:
+def test_random_starts_of_a_chain_swing_it_about_its_hinge_to_the_world():
     chain = replace(PAIR, joints=(wall("b"),))
     for seed in range(5):
         scene = jittered(chain, Jitter(angular_velocity_rad_per_s=0.5), seed=seed)

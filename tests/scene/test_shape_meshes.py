@@ -42,7 +42,7 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_a_mesh_has_volume_and_bounds_of_its_shape(name: str) -> None:
+def test_a_mesh_has_volume_and_bounds_of_its_shape(name):
     shape = SHAPES[name]
     mesh = shape.mesh()
     assert mesh.is_watertight
@@ -53,13 +53,13 @@ def test_a_mesh_has_volume_and_bounds_of_its_shape(name: str) -> None:
     assert np.abs(mesh.bounds[1] - corners.max(axis=0)).max() < 0.02 * size.max()
 
 
-def test_a_plane_is_drawn_below_itself() -> None:
+def test_a_plane_is_drawn_below_itself():
     low, high = Plane().mesh().bounds
     assert high[2] == pytest.approx(0.0)
     assert low[2] < 0.0
 
 
-def test_faces_of_a_hull_are_whole_polygons_that_turn_outward() -> None:
+def test_faces_of_a_hull_are_whole_polygons_that_turn_outward():
     """A frustum of seven unequal sides: two faces of seven corners, and a trapezium between each pair of sides."""
     angles = np.array([0.3, 0.9, 2.0, 2.4, 3.9, 4.6, 5.9])
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(7)])
@@ -80,7 +80,7 @@ def test_faces_of_a_hull_are_whole_polygons_that_turn_outward() -> None:
     assert area == pytest.approx(ConvexHull(points).area)
 
 
-def test_a_prism_fills_its_cylinder_along_both_axes() -> None:
+def test_a_prism_fills_its_cylinder_along_both_axes():
     cylinder = Cylinder(radius_m=0.05, length_m=0.3)
     points = np.array(prism(cylinder).pieces_m[0])
     assert np.ptp(points, axis=0) == pytest.approx([0.1, 0.1, 0.3], rel=1e-12)

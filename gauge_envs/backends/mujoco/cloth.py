@@ -57,6 +57,12 @@ class ClothPartMuJoCo(FlexPart):
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
 
+    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the attached vertices of a body, which have no mass in the model; see `FlexPart.carried`."""
+        rows = self.points.attached_to(body)
+        masses_kg = self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
+        return masses_kg[rows], self.rest_m[rows]
+
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = self.flex.id

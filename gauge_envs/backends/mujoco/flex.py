@@ -53,6 +53,10 @@ class Points:
         for index in self._attached:
             spec.delete(spec.body(self._names[index]))
 
+    def attached_to(self, body: str) -> list[int]:
+        """Return the indices of the points that are attached to a body."""
+        return [index for index, one in self._attached.items() if one.body == body]
+
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints of the points in a compiled model."""
         # A free point has slide joints along x, y and z, one after another.
@@ -137,6 +141,17 @@ class FlexPart:
     def nodes(self) -> NDArray[np.float64]:
         """Return the current world positions of the nodes [m], shape [node_count, 3]."""
         return self.points.positions()
+
+    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the material that a body carries without simulating it: masses [kg] and places at the start [m].
+
+        Args:
+            body: Name of a rigid body that the part is attached to.
+
+        Returns:
+            Masses, shape [count], and places in the world, shape [count, 3].
+        """
+        return np.zeros(0), np.zeros((0, 3))
 
 
 def make_firm(

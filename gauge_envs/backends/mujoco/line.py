@@ -1,9 +1,13 @@
-"""Ropes and rods in MuJoCo: chains of point bodies at constant distances; a rod also resists bending.
+"""Ropes and rods in MuJoCo: chains of point bodies; a rod resists stretch and bending.
 
-Both are one-dimensional flexes, inextensible and without twist. If a flex has a Young's modulus, MuJoCo gives it the
-bending stiffness E I of a circular section. A rod has the Young's modulus of the scene; a rope has none.
+Both are one-dimensional flexes without twist. If a flex has a Young's modulus, MuJoCo gives it the bending stiffness
+E I of a circular section. A rod has the Young's modulus of the scene; a rope has none, and is inextensible.
+
+A soft constraint on the distance of neighbours gives a rod its stretch stiffness E A. It is implicit, so that no wave
+along the rod limits the time step; only the static stretch is that of the rod.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
@@ -25,7 +29,7 @@ ROD_SEGMENTS = 15
 
 EDGE_SOLREF = (5e-4, 1.0)
 EDGE_SOLIMP = (0.9999, 0.9999, 1e-4, 0.5, 2.0)
-"""Constants of the distance constraints; MuJoCo raises the time constant to two time steps if it is shorter."""
+"""Constants of the distance constraints of a rope. MuJoCo raises a time constant below two time steps to these."""
 
 CONTACT_SOLREF = (2e-3, 1.0)
 CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -152,6 +156,13 @@ def add_rod(
     rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * count / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
+    stretch_s = _stretch_time_constant_s(rod, segment, count=count, clamps=len(ends))
+    if spec.option.integrator == getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", None):
+        # It takes positions at the end of the step, which lengthens the time constant by one step.
+        stretch_s -= spec.option.timestep
+    # A stiffer rod stretches too much at this step: MuJoCo has no shorter time constant.
+    stretch_s = max(stretch_s, 2.0 * spec.option.timestep)
+    _distances(spec, rod).solref = [stretch_s, 1.0]
     attached: dict[int, RigidAttachment] = {}
     for side, attachment in ends.items():
         attached |= dict.fromkeys(
@@ -179,6 +190,40 @@ def add_rod(
     return LinePartMuJoCo(flex, rest_m, points, geoms)
 
 
+def _stretch_time_constant_s(
+    rod: Rod, segment_m: float, *, count: int, clamps: int
+) -> float:
+    """Return the time constant with which the distances of a rod yield as E A says [s].
+
+    A static force f stretches a soft constraint by x = f R / k, with R = (1 - d) A / d and k = 1 / (d T^2) for the time
+    constant T and a constant impedance d (MuJoCo, "Computation", solver parameters). MuJoCo estimates A as the mean
+    inverse mass of the two nodes: 1 / m along the rod, and 1.5 / m at a free end, whose node has half the mass. So
+    E A_section / l = k / R gives T, with the mean of A over the rod. Half a segment at a clamp cannot stretch, and the
+    others stretch so much more.
+
+    Args:
+        rod: The rod.
+        segment_m: Distance l of neighbouring nodes [m].
+        count: Number of segments, with those of which a clamp holds both nodes.
+        clamps: Number of clamped ends.
+    """
+    node_kg = rod.mass_kg * segment_m / rod.length_m
+    yielding = count - clamps
+    free_ends = 2 - clamps
+    inverse_mass = (1.0 + 0.5 * free_ends / yielding) / node_kg
+    impedance = EDGE_SOLIMP[0]
+    regularization = (1.0 - impedance) / impedance * inverse_mass
+    section_m2 = math.pi * rod.radius_m**2
+    stiffness_n_per_m = rod.young_modulus_pa * section_m2 / segment_m
+    stiffness_n_per_m *= yielding / (count - 0.5 * clamps)
+    return 1.0 / math.sqrt(impedance * stiffness_n_per_m * regularization)
+
+
+def _distances(spec: mujoco.MjSpec, line: Rope | Rod) -> mujoco.MjsEquality:
+    """Return the constraint on the distances of a line's neighbouring nodes."""
+    return next(one for one in spec.equalities if one.name1 == line.name)
+
+
 def _add_flex(
     spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float
 ) -> mujoco.MjsFlex:
@@ -202,9 +247,7 @@ def _add_flex(
         body.ipos = [0.0, 0.0, 0.0]
         body.mass = mass_kg / count * (0.5 if index in (0, count) else 1.0)
     make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
-    edges = next(
-        equality for equality in spec.equalities if equality.name1 == line.name
-    )
+    edges = _distances(spec, line)
     edges.solref, edges.solimp = list(EDGE_SOLREF), list(EDGE_SOLIMP)
     return flex
 

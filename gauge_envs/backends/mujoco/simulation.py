@@ -19,6 +19,7 @@ from gauge_envs.backends.mujoco.cloth import (
     check_air_step,
 )
 from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
+from gauge_envs.backends.mujoco.grips import GripReader
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
@@ -99,6 +100,7 @@ class SimulationMuJoCo(Simulation):
             model, mujoco.mjtState.mjSTATE_INTEGRATION
         )
         self._readers: dict[tuple[str, ...], _StateReader] = {}
+        self._grip_reader: GripReader | None = None
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
         actuators = {
@@ -238,6 +240,17 @@ class SimulationMuJoCo(Simulation):
             if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo)
             else None
         )
+
+    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+        """Return the wrenches on cloth and soft bodies, or None for ropes and rods; see `World.grip_wrenches`."""
+        if self._grip_reader is None:
+            self._grip_reader = GripReader(
+                self._scene, self.spec, self.model, self.data, self._parts, self.grips
+            )
+        if not {*names} <= {*self._grip_reader.names}:
+            return None
+        found = self._grip_reader.wrenches()
+        return np.array([found[name] for name in names])
 
     def state(self) -> Snapshot:
         """Return MuJoCo's integration state, shape [state_size], with its origin."""

@@ -7,7 +7,7 @@ in torsion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import ceil
 
 import mujoco
@@ -123,6 +123,7 @@ class SoftPartMuJoCo(FlexPart):
         points: Points,
         layers: Sequence[int],
         grips: Sequence[Grip],
+        carried: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
     ) -> None:
         # The nodes are a regular grid of points, surface included.
         super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
@@ -130,8 +131,13 @@ class SoftPartMuJoCo(FlexPart):
         self._lattice = lattice
         self._soft_row = soft_row
         self._layers = tuple(layers)
+        self._carried = dict(carried)
         self._grid = lattice.weights(self.rest_m)
         self.node_indices = soft_row.nodes_of(self.rest_m)
+
+    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the material in a grip and the end nodes, which move with the grip; see `FlexPart.carried`."""
+        return self._carried.get(body, super().carried(body))
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the stiffness of each cell's material."""
@@ -297,17 +303,15 @@ def add_soft(
     make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
 
     densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
-    for node, mass in zip(
-        flex.nodebody,
-        lattice.node_masses(densities * np.prod(lattice.cell_m)),
-        strict=True,
-    ):
+    masses_kg = lattice.node_masses(densities * np.prod(lattice.cell_m))
+    for node, mass in zip(flex.nodebody, masses_kg, strict=True):
         spec.body(node).mass = mass
     sections = np.moveaxis(
         np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0
     )
     attached: dict[int, RigidAttachment] = {}
     grips = []
+    carried = {}
     for side, attachment in soft_row.ends.items():
         section = sections[0 if side == "low" else -1].ravel().tolist()
         if attachment.motion is Motion.FIXED:
@@ -318,11 +322,17 @@ def add_soft(
             )
             for name in grips[-1].names:
                 spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
-        _add_gripped_material(spec, flex, soft_row, side)
+        centre_m, size_m = _gripped_box_m(soft_row, side)
+        _add_gripped_material(spec, flex, attachment, centre_m, size_m)
+        gripped_kg = densities[0 if side == "low" else -1] * np.prod(size_m)
+        carried[attachment.body] = (
+            np.append(masses_kg[section], gripped_kg),
+            np.vstack([lattice.rest_m[section], centre_m]),
+        )
     points = Points(list(flex.nodebody), lattice.rest_m, attached)
     flex.nodebody, flex.node = points.carriers()
     points.delete_attached(spec)
-    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips)
+    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips, carried)
 
 
 def _cells_of_a_block(
@@ -363,29 +373,35 @@ def _layers_of_blocks(
     )
 
 
-def _add_gripped_material(
-    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, soft_row: SoftRow, side: str
-) -> None:
-    """Add a massless box without contacts that shows the material in a grip."""
-    attachment, axis, low_m, high_m = (
-        soft_row.ends[side],
-        soft_row.axis,
-        soft_row.low_m,
-        soft_row.high_m,
-    )
-    if attachment.region.depth_m == 0.0:
-        return
+def _gripped_box_m(
+    soft_row: SoftRow, side: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centre and size of the material in a grip at the start [m], shape [3] each."""
+    axis, low_m, high_m = soft_row.axis, soft_row.low_m, soft_row.high_m
     centre, size = 0.5 * (low_m + high_m), high_m - low_m
-    size[axis] = attachment.region.depth_m
+    size[axis] = soft_row.ends[side].region.depth_m
     centre[axis] = (
         low_m[axis] - 0.5 * size[axis]
         if side == "low"
         else high_m[axis] + 0.5 * size[axis]
     )
+    return centre, size
+
+
+def _add_gripped_material(
+    spec: mujoco.MjSpec,
+    flex: mujoco.MjsFlex,
+    attachment: RigidAttachment,
+    centre_m: NDArray[np.float64],
+    size_m: NDArray[np.float64],
+) -> None:
+    """Add a massless box without contacts that shows the material in a grip."""
+    if not np.all(size_m):
+        return
     spec.body(attachment.body).add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=(0.5 * size).tolist(),
-        pos=attachment.pose.to_body(centre).tolist(),
+        size=(0.5 * size_m).tolist(),
+        pos=attachment.pose.to_body(centre_m).tolist(),
         quat=attachment.pose.rotation.inv().as_quat(scalar_first=True).tolist(),
         rgba=flex.rgba,
         mass=0.0,

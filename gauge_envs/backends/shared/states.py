@@ -90,6 +90,10 @@ class ReplayedSimulation(Simulation):
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._inner.nodes(name)
 
+    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+        """Return the wrenches of attachments; see `World.grip_wrenches`."""
+        return self._inner.grip_wrenches(names)
+
     def track(
         self, name: str, points_m: NDArray[np.float64]
     ) -> Callable[[], NDArray[np.float64]] | None:

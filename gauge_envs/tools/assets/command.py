@@ -17,11 +17,16 @@ if TYPE_CHECKING:
 
 def data_scenes(
     out: Annotated[
-        Path | None, typer.Option(help="Folder; the checked-in assets/ by default.")
+        Path | None,
+        arguments.target("Folder.", show_default="the checked-in assets"),
     ] = None,
     check: Annotated[
         bool,
-        typer.Option("--check", help="Write nothing; exit code 1 if a file is stale."),
+        typer.Option(
+            "--check",
+            rich_help_panel=arguments.OUTPUT,
+            help="Write nothing; exit code 1 if a file is stale.",
+        ),
     ] = False,
 ) -> bool:
     """Write every scene as USD and MJCF, and every solid as OBJ."""
@@ -63,7 +68,7 @@ def data_isaac_sim(
     pattern: Annotated[
         str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")
     ],
-    out: Annotated[Path, typer.Option(help="Folder for the layers.")] = Path(
+    out: Annotated[Path, arguments.target("Folder for the layers.")] = Path(
         "isaac_sim"
     ),
 ) -> None:

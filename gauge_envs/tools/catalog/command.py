@@ -3,31 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, message, note, print_document
+from gauge_envs.cli.output import Format, echo, message, note, print_document
 from gauge_envs.errors import TaskFileError
 from gauge_envs.registry import id_modules, instruments_by
 
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+
 KINDS = instruments_by("listings")
 """Instrument of each kind that `gauge list` knows beside experiments."""
+
+OTHER_WORDS = {kind.removesuffix("s"): kind for kind in ("experiments", *KINDS)} | {
+    "engines": "backends",
+    "engine": "backends",
+    "envs": "experiments",
+    "environments": "experiments",
+    "ids": "experiments",
+}
+"""Kinds by the words that others have for them."""
 
 
 def list_(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KIND] [PATTERN]...",
-            help=f"experiments by default, {', '.join(KINDS)}; ids, patterns.",
+            metavar="KIND or PATTERN",
+            show_default="experiments",
+            help=f"What to list, {', '.join(KINDS)}; then ids or patterns.",
         ),
     ] = None,
     scored: Annotated[
         bool,
         typer.Option(
-            "--scored", help="Only ids with a reference, and so with a reward."
+            "--scored",
+            rich_help_panel=arguments.SELECTION,
+            help="Only ids that have scores.",
         ),
     ] = False,
     form: arguments.Form = Format.TEXT,
@@ -39,11 +54,10 @@ def list_(
     """
     from gauge_envs.pages.document import Document
 
-    kind, *patterns = (
-        words
-        if words and words[0] in ("experiments", *KINDS)
-        else ["experiments", *(words or ())]
-    )
+    kind, *patterns = words or ["experiments"]
+    kind = OTHER_WORDS.get(kind, kind)
+    if kind not in ("experiments", *KINDS):
+        kind, patterns = "experiments", words or []
     if kind == "experiments":
         return _list_experiments(patterns, scored, form)
     print_document(Document(parts=KINDS[kind].function(f"list {kind}")(patterns)), form)
@@ -52,7 +66,12 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.variants import beyond_variants, matching_variants
+    from gauge_envs.experiments.variants import (
+        beyond_variants,
+        matching_variants,
+        own_variants,
+        unreadable_task_files,
+    )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
     from gauge_envs.references.grades import BandGrade
@@ -64,7 +83,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
         for variant in matching_variants(pattern)
     )
     faults: Mapping[str, TaskFileError] = {}
-    found = stored_rows(variants)
+    found = None if unreadable_task_files() else stored_rows(variants)
     if found is None:
         from gauge_envs.experiments.task_files import task_file_faults
         from gauge_envs.tools.catalog.listing import list_rows
@@ -82,32 +101,66 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     ]
     if patterns in ([], ["*"]) and not scored:
         beyond = ", ".join(
-            dict.fromkeys(f"{variant.family}-*" for variant in beyond_variants())
+            dict.fromkeys(
+                f"{variant.family}-*"
+                for variant in beyond_variants()
+                if variant not in own_variants()
+            )
         )
+        own = [variant.name for variant in own_variants()]
         lines = [
             *(ids.summary() for ids in id_modules()),
             f"Beyond the benchmark: {beyond}",
+            *([f"Of GAUGE_TASKS: {', '.join(own)}"] if own else []),
             *lines,
         ]
     print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
     return bool(faults)
 
 
+def list_schemas(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the JSON Schemas and their versions."""
+    from gauge_envs.cli.schemas import schema_names
+    from gauge_envs.pages.table import Column, Table
+
+    rows = [{"name": name, "version": one} for name, one in schema_names().items()]
+    columns = (Column("name", "schema"), Column("version", "version"))
+    return arguments.matching(
+        [Table(columns=columns, rows=rows)], patterns, kind="schema"
+    )
+
+
 def show(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="ID", help="Id, with or without GAUGE/; or an experiment file."
+            metavar="ID",
+            help="Id, with or without GAUGE/; or an experiment file or a task file.",
         ),
     ],
+    schema: Annotated[
+        bool,
+        typer.Option(
+            "--schema",
+            rich_help_panel=arguments.OUTPUT,
+            help="JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
+        ),
+    ] = False,
     asset: arguments.Asset = None,
-    use: arguments.Use = "",
+    use: arguments.Use = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Show one experiment or control task: reference, reward, spaces, engines, constants.
 
     `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
     """
+    if schema:
+        import json
+
+        from gauge_envs.cli.schemas import output_schema
+
+        echo(json.dumps(output_schema(name), indent=1))
+        return
     from gauge_envs.experiments.resolve import resolve_experiment
     from gauge_envs.tools.catalog.description import description
     from gauge_envs.tools.catalog.words import experiment_document

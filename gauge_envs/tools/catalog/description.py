@@ -11,16 +11,20 @@ from typing import Any
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from gauge_envs.envs.episode import reward_text
+from gauge_envs.envs.episode import is_reward_bounded, reward_text
 from gauge_envs.evaluation.power import reference_power
-from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
+from gauge_envs.evaluation.reference import (
+    grade_of,
+    load_band,
+    reference_band,
+)
+from gauge_envs.evaluation.scatter import scatter_text
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
 from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
-from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
@@ -252,7 +256,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     shown = band if used is None else used
     unsolved = unsolved_scenes().get(experiment.name) if reference is None else None
     return {
-        "grade": (BandGrade.NONE if used is None else used.grade).value,
+        "grade": grade_of(experiment).value,
         "trial_count": shown and shown.trial_count,
         "single_shot": experiment.trial is not None,
         "source": shown and shown.source,
@@ -267,8 +271,9 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "unsolved": unsolved.model_dump()
         if used is None and unsolved is not None
         else None,
-        "reward": reward_text(reward_band(experiment, used)),
+        "reward": reward_text(used, is_bounded=is_reward_bounded(experiment)),
         "power": _power(experiment, used),
+        "scatter": scatter_text(experiment),
     }
 
 

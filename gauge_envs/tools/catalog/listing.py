@@ -7,7 +7,7 @@ from gauge_envs.backends import backend, backend_names, is_bundled, support_of
 from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
-from gauge_envs.evaluation.reference import band_grade
+from gauge_envs.evaluation.reference import grade_of
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
@@ -50,7 +50,7 @@ def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
         "group": experiment.spec.group.value,
         "observable": experiment.score.observable.value,
         "frames": experiment.frame_count,
-        "grade": band_grade(experiment.name).value,
+        "grade": grade_of(experiment).value,
     }
 
 

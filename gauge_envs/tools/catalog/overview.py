@@ -38,8 +38,10 @@ def stored_rows(variants: Iterable[Variant]) -> list[dict[str, Any]] | None:
     Whether an engine is installed is looked up, and not whether it works.
     """
     stored = json.loads(STORED.read_bytes())
+    variants = tuple(variants)
     if (
         stored["inputs"] != inputs()
+        or any(variant.id not in stored["facts"] for variant in variants)
         or {point.name: point.value for point in engine_points()} != stored["engines"]
     ):
         return None

@@ -34,6 +34,9 @@ SIGMA_NOTES = {
 }
 
 SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
+OTHER_QUESTION = (
+    "Engines over real trials (GAUGE, Table 5): another question than grade {grade}."
+)
 COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
 
 
@@ -52,11 +55,7 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
         Heading("Action and observation"),
         Facts(_entries([*values["action"], *values["observation"]])),
         *_engines(values),
-        (
-            published_table(values["baselines"], title="Published", note=SHORT_NOTE)
-            if values["baselines"]
-            else Paragraph("Published: none")
-        ),
+        _published(values),
         *(
             [Bullets([limit_text(one) for one in values["limits"]], "Known limits")]
             if values["limits"]
@@ -92,11 +91,25 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         **_power_facts(reference["power"]),
         "reward": reference["reward"],
     }
+    if reference["scatter"] != "-":
+        facts["scatter"] = reference["scatter"]
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         if asset["kind"] != AssetKind.EXPERIMENT:
             facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
     return facts | _band_facts(values)
+
+
+def _published(values: Mapping[str, Any]) -> Part:
+    """Return the published scores, which are of reality whatever the grade of the reference."""
+    if not values["baselines"]:
+        return Paragraph("Published: none")
+    title, note = "Published", SHORT_NOTE
+    grade = BandGrade(values["reference"]["grade"])
+    if grade.is_solution:
+        title = "Published, distances from real trials"
+        note = OTHER_QUESTION.format(grade=grade.value)
+    return published_table(values["baselines"], title=title, note=note)
 
 
 def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
@@ -237,9 +250,13 @@ def _episode_cost(row: Mapping[str, Any], *, duration_s: float) -> str:
 def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what half the step and half the cell change, by engine, of those that were measured."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
+    is_verified = BandGrade(values["reference"]["grade"]).is_solution
     return {
         row["engine"]: convergence_text(
-            row["convergence"], has_cells=has_cells, with_unit=True
+            row["convergence"],
+            has_cells=has_cells,
+            with_unit=True,
+            over_trials=not is_verified,
         )
         for row in values["engines"]
         if row["convergence"]
@@ -307,18 +324,21 @@ def _scale_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return where sigma is from, which frames are known, and why scores are not normalized."""
     reference = values["reference"]
     facts = {}
-    if reference["sigma_source"] is not None:
+    is_solution = BandGrade(reference["grade"]).is_solution
+    if reference["sigma_source"] is not None and not is_solution:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
-        if reference["known_frames"] < values["frames"]:
-            facts["sigma"] += (
-                f"; the mean is known at {reference['known_frames']} of {values['frames']} frames"
-            )
+    if (reference["known_frames"] or values["frames"]) < values["frames"]:
+        facts["known"] = (
+            f"the mean at {reference['known_frames']} of {values['frames']} frames"
+        )
     if reference["single_shot"]:
         facts["normalized"] = (
             "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
         )
     elif reference["impossible"]:
         facts["normalized"] = "no: published scores cannot be right"
+    elif is_solution:
+        facts["normalized"] = "no: the distance from a solution is a numerical error"
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = (
             "no: the published baseline is of another span of the motion"

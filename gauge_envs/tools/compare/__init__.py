@@ -18,14 +18,22 @@ if TYPE_CHECKING:
         GradeScore as GradeScore,
         PairComparison as PairComparison,
     )
+    from gauge_envs.tools.compare.lines import CompareLine as CompareLine
     from gauge_envs.tools.compare.words import (
+        PAIRED_NOTES as PAIRED_NOTES,
         comparison_document as comparison_document,
         cost_text as cost_text,
         deciding_text as deciding_text,
+        grades_of as grades_of,
         mean_rank_text as mean_rank_text,
         p_text as p_text,
         short_tables as short_tables,
         verdict_text as verdict_text,
+    )
+    from gauge_envs.tools.compare.yardstick import (
+        choose_yardstick as choose_yardstick,
+        coordinate_words as coordinate_words,
+        is_aligned as is_aligned,
     )
 else:
     __getattr__, __all__ = door(__name__)

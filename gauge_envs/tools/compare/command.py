@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,62 +14,114 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.registry import instruments_by
 
 KINDS = instruments_by("pictures")
 """Instrument of each kind of picture."""
 
+Metrics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--metric",
+        rich_help_panel=arguments.SELECTION,
+        show_default="all",
+        help="Metrics, as rmse or dtw.",
+    ),
+]
+
 
 def compare(
-    sources: arguments.Sources = None, form: arguments.Form = Format.TEXT
+    sources: arguments.Sources = None,
+    metric: Metrics = None,
+    corrected: arguments.Corrected = True,
+    only: arguments.Only = None,
+    backend: Annotated[
+        list[str] | None,
+        arguments.backend(
+            "Engines whose results count.", arguments.SELECTION, show_default="all"
+        ),
+    ] = None,
+    out: Annotated[
+        list[Path] | None, arguments.target("Tables (.md) or rows (.json).")
+    ] = None,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Compare engines, parameters and settings: scores with intervals, ranks and pairs.
 
     Ranks are within each grade of reference. Without a reference, distances between engines are shown. Results that
-    differ in their seed alone are repeats, shown as mean and scatter. metric=rmse,dtw after the results shows these
-    metrics alone; corrected=false leaves out engines whose physics this package corrects. Exit code 1 when a damaged
-    file was skipped.
+    differ in their seed alone are repeats, shown as mean and scatter. Exit code 2 when no result is left, 1 when a
+    damaged file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
     from gauge_envs.tools.compare.words import check_metrics, comparison_document
 
-    files, names, corrected = _split_details(sources)
-    results, skipped = loaded_results(files, corrected=corrected)
-    print_document(
-        comparison_document(
-            compare_results(list(results.values())), check_metrics(names)
-        ),
-        form,
-    )
+    names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
+    results, skipped = loaded_results(sources, corrected=corrected)
+    kept = [
+        one
+        for one in results.values()
+        if _is_chosen(one.id, only) and (not backend or one.backend in backend)
+    ]
+    if not kept:
+        raise ResultFileError("no result is left to compare; gauge run writes them")
+    print_document(comparison_document(compare_results(kept), names), form, files=files)
     return bool(skipped)
+
+
+def _is_chosen(name: str, only: Sequence[str] | None) -> bool:
+    """Return whether an id is one of `--only`, or matches one of its patterns."""
+    short = name.removeprefix("GAUGE/")
+    return not only or any(
+        fnmatchcase(short, pattern.removeprefix("GAUGE/")) for pattern in only
+    )
 
 
 def plot(
     sources: arguments.Sources = None,
-    kind: Annotated[
-        str, typer.Option(help=f"{', '.join(KINDS)}, which is the error over cost.")
-    ] = "experiments",
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
     name: Annotated[
         str | None,
-        typer.Option("--id", metavar="ID", help="With diagnose: of trajectory files."),
+        arguments.experiment("Experiment of trajectory files, for diagnose."),
     ] = None,
-    use: arguments.Use = "",
+    use: arguments.Use = None,
+    metric: Metrics = None,
+    corrected: arguments.Corrected = True,
+    order: arguments.Order = None,
+    measured_only: arguments.MeasuredOnly = False,
+    kind: Annotated[
+        str,
+        typer.Option(
+            rich_help_panel=arguments.OUTPUT,
+            help=f"What to draw: {', '.join(KINDS)}.",
+        ),
+    ] = "experiments",
+    out: Annotated[Path, arguments.target("Folder for the pictures.")] = Path("plots"),
 ) -> bool:
     """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
 
-    Details after the results: metric=rmse and corrected=false for compare; order=release,offset,rate and
-    measured_only=true for diagnose. Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
+    --metric and --corrected go with compare; --id, --use, --order and --measured-only with diagnose. Cost needs results
+    with several steps. Exit code 1 when a damaged file was skipped.
     """
     if kind not in KINDS:
         raise UnknownNameError("kind of picture", kind, KINDS)
-    options: dict[str, Any] = {
-        key: value for key, value in {"name": name, "use": use}.items() if value
-    }
-    if options and kind != "diagnose":
-        raise ParameterError("--id and --use go with --kind diagnose: leave them out")
-    files, skipped = KINDS[kind].function(f"draw {kind}")(sources, out, **options)
+    draw = KINDS[kind].function(f"draw {kind}")
+    options: dict[str, Any] = {}
+    for key, value, default in (
+        ("name", name, None),
+        ("use", use, None),
+        ("metric", metric, None),
+        ("corrected", corrected, True),
+        ("order", order, None),
+        ("measured_only", measured_only, False),
+    ):
+        if value != default:
+            options[key] = value
+    for key in options.keys() - inspect.signature(draw).parameters.keys():
+        option = "id" if key == "name" else key.replace("_", "-")
+        raise ParameterError(
+            f"--kind {kind} does not use --{option}: leave it out, or name another kind"
+        )
+    files, skipped = draw(sources, out, **options)
     for file in files:
         echo(file)
     return bool(skipped)
@@ -79,20 +133,26 @@ def draw_experiments(
     """Draw a picture of each experiment, over its real band."""
     from gauge_envs.tools.compare.experiment_figure import save_figures
 
-    results, skipped = loaded_results(
-        arguments.split_details(sources)[0], with_scene=True
-    )
+    results, skipped = loaded_results(sources, with_scene=True)
     return save_figures(list(results.values()), out), skipped
 
 
 def draw_compare(
-    sources: Sequence[str] | None, out: Path
+    sources: Sequence[str] | None,
+    out: Path,
+    metric: Sequence[str] | None = None,
+    corrected: bool = True,
 ) -> tuple[Iterable[Path], int]:
     """Draw a picture of each experiment, and one of all."""
     from gauge_envs.tools.compare.overview_figure import save_comparison
+    from gauge_envs.tools.compare.words import check_metrics
 
-    files, names, corrected = _split_details(sources)
-    results, skipped = loaded_results(files, with_scene=True, corrected=corrected)
+    names = check_metrics(metric) if metric else ()
+    results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
+    if len(names) > 1:
+        raise ParameterError(
+            f"--metric {','.join(names)}: a picture shows one metric: name one"
+        )
     return save_comparison(
         list(results.values()), out, metric=next(iter(names), None)
     ), skipped
@@ -104,9 +164,7 @@ def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path],
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.compare.cost import cost_curves, cost_document, draw_costs
 
-    results, skipped = loaded_results(
-        arguments.split_details(sources)[0], with_scene=True
-    )
+    results, skipped = loaded_results(sources, with_scene=True)
     notes: list[str] = []
     curves = cost_curves(results.values(), notes)
     for text in dict.fromkeys(notes):
@@ -118,15 +176,3 @@ def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path],
         save_file(out / "pareto.json", json.dumps(as_rows(document), indent=1) + "\n"),
     )
     return files, skipped
-
-
-def _split_details(words: Sequence[str] | None) -> tuple[list[str], list[str], bool]:
-    """Return files, the metrics that the detail `metric` names, and whether corrected engines count."""
-    from gauge_envs.tools.compare.words import check_metrics
-
-    files, details = arguments.split_details(
-        words, metric=arguments.split_list, corrected=bool
-    )
-    names = details.get("metric", [])
-    check_metrics(names)
-    return files, names, details.get("corrected", True)

@@ -9,11 +9,13 @@ import numpy as np
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.results import (
     PERCENTILES,
     SCORE_METRICS,
+    VERIFIED,
     configuration_labels,
     configuration_parts,
     normalized_score,
@@ -63,6 +65,12 @@ class Cell:
     def ran(self) -> bool:
         """Whether any repeat ran, also if it diverged."""
         return any(result.error is None for result in self.results)
+
+    @property
+    def scatter(self) -> Scatter | None:
+        """Scatter of the repeats beside that of real trials; None without, and for repeats of several runs."""
+        found = {result.scatter for result in self.results}
+        return found.pop() if len(found) == 1 else None
 
     def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
@@ -155,11 +163,22 @@ class ExperimentComparison:
     @property
     def is_verified(self) -> bool:
         """Whether results are compared with the solution of their scene, and not with reality."""
-        return self.grade in (BandGrade.LAW, BandGrade.MODEL)
+        return BandGrade(self.grade).is_solution
+
+    @property
+    def scale_unit(self) -> str:
+        """Unit of the primary score over its scale: `1` over real trials, else as `Verification.scale_unit`."""
+        found = (
+            result.score.verification
+            for cell in self.cells
+            if cell is not None
+            for result in cell.results
+        )
+        return next((one.scale_unit for one in found if one is not None), "1")
 
     @property
     def primary(self) -> str:
-        """Metric that reports show first: `rmse_aligned` if the experiment starts with a release, else `rmse`."""
+        """Metric that reports show first, as `Score.primary`; `rmse` without a score."""
         results = [
             result for cell in self.cells if cell is not None for result in cell.results
         ]
@@ -213,6 +232,7 @@ class ExperimentComparison:
                 for cell in self.cells
             ),
             trial_count=next(filter(None, counts), None),
+            scale_unit=self.scale_unit,
         )
 
 
@@ -222,7 +242,7 @@ class Summary:
 
     Attributes:
         ran: Number of experiments that ran.
-        scored: Number of those in which every repeat has a normalized RMSE.
+        scored: Number of those in which every repeat has a normalized RMSE, or a distance from the solution.
         diverged: Number of experiments in which a repeat diverged.
         not_run: Number of experiments that were declined or failed.
         wall_s_per_sim_s: Wall seconds per simulated second over all experiments that ran.
@@ -323,7 +343,8 @@ class Comparison:
         return Summary(
             ran=sum(cell.ran for cell in cells),
             scored=sum(
-                None not in cell.values("rmse", normalized=True) for cell in cells
+                None not in cell.values(_scale_metric(cell.results), normalized=True)
+                for cell in cells
             ),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
@@ -432,7 +453,9 @@ def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None
 
 def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | None:
     """Return the draws of repeats; None without them, with a note if they should have some."""
-    if any(result.score.rmse_normalized is None for result in results):
+    metric = _scale_metric(results)
+    scores = [normalized_score(result.score, metric) for result in results]
+    if None in scores:
         return None
     refused = f"{short_id(results[0].id)}: not compared in pairs, because its"
     try:
@@ -444,13 +467,18 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None
-    scores = [result.score.rmse_normalized for result in results]
     if draws is None or np.allclose(
         draws.raw, np.array(scores, dtype=np.float64), rtol=1e-6, atol=1e-9
     ):
         return draws
     notes.append(f"{refused} score was made against another reference; run it again")
     return None
+
+
+def _scale_metric(results: Sequence[Result]) -> str:
+    """Return the metric whose scale the scores of repeats have: `rmse`, or the distance from the solution."""
+    is_verified = any(BandGrade(one.score.grade).is_solution for one in results)
+    return VERIFIED.key if is_verified else "rmse"
 
 
 def _mismatches(results: Sequence[Result]) -> list[str]:

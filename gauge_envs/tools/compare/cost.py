@@ -111,9 +111,11 @@ class ErrorMeasure:
                 unit=line.unit,
                 scatter=line.std or None,
             )
-        has_scatter = "rmse" in baselines and (
-            band is None or band.normalized_by_baseline
+        # The distance from a law or a solved model is a numerical error, which real trials do not measure.
+        is_over_trials = band is None or (
+            band.grade.is_real and band.normalized_by_baseline
         )
+        has_scatter = "rmse" in baselines and is_over_trials
         return cls(
             experiment=experiment,
             band=band,
@@ -142,11 +144,17 @@ class ErrorMeasure:
             second = self.band.project(second)
         return trajectory_rmse(first[compared], second[compared])
 
-    def to_reality(self, result: Result) -> float | None:
+    @property
+    def is_verified(self) -> bool:
+        """Whether `to_reference` is the distance from the solution of the scene, and not from reality."""
+        return self.band is not None and self.band.grade.is_solution
+
+    def to_reference(self, result: Result) -> float | None:
         """Return the first score of a result; None without one.
 
-        With a real scatter it is the normalized score in units of it: an aligned error counts in those of trials that
-        are aligned too.
+        For a law or a solved model it is the distance of g(t) from the solution, in the unit of g(t). With a real
+        scatter it is the normalized score in units of it: an aligned error counts in those of trials that are aligned
+        too.
         """
         score = result.score
         if self.metric != "rmse":
@@ -158,6 +166,8 @@ class ErrorMeasure:
             )
         if score.primary is None:
             return None
+        if self.is_verified:
+            return raw_score(score, "rmse")
         normalized = score.primary_normalized
         if self.scatter is None or normalized is None:
             return raw_score(score, score.primary)
@@ -174,7 +184,7 @@ class SettingCost:
         results: Its repeats.
         frames: g(t) at the frames, shape [T, D]; None if it did not run to its end.
         numerical: Numerical error.
-        real: Error against reality.
+        to_reference: Error against reality, or against the solution of the scene; see `ErrorMeasure.to_reference`.
         is_converged: Whether it is the converged motion.
         is_main: Whether only the step differs from the curve's usual effort.
     """
@@ -184,7 +194,7 @@ class SettingCost:
     results: list[Result] = field(default_factory=list)
     frames: FloatArray | None = None
     numerical: float | None = None
-    real: float | None = None
+    to_reference: float | None = None
     is_converged: bool = False
     is_main: bool = True
 
@@ -294,7 +304,9 @@ class CostCurve:
         """Return the cheapest setting whose error against reality is at most the real scatter; None without one."""
         limit = self.measure.scatter or 0.0
         within = [
-            one for one in self.settings if one.real is not None and one.real <= limit
+            one
+            for one in self.settings
+            if one.to_reference is not None and one.to_reference <= limit
         ]
         return min(within, key=lambda one: one.cost, default=None)
 
@@ -384,7 +396,7 @@ def _find_errors(curve: CostCurve, notes: list[str]) -> None:
         setting.frames = measure.frames(setting.results[0])
         if setting.frames is None:
             continue
-        setting.real = measure.to_reality(setting.results[0])
+        setting.to_reference = measure.to_reference(setting.results[0])
         repeats = [measure.frames(one) for one in setting.results[1:]]
         if any(
             again is None or not np.array_equal(setting.frames, again)
@@ -503,7 +515,10 @@ def _row(
         "diverged": setting.frames is None,
         "unit": curve.unit,
         "numerical": curve.over_scatter(setting.numerical),
-        "to_reality": curve.over_scatter(setting.real),
+        "to_reality": None
+        if curve.measure.is_verified
+        else curve.over_scatter(setting.to_reference),
+        "to_solution": setting.to_reference if curve.measure.is_verified else None,
         "resolution": curve.over_scatter(curve.resolution),
         "is_converged": setting.is_converged,
     }
@@ -530,7 +545,7 @@ ROW_IN = 2.3
 
 
 def draw_costs(curves: Sequence[CostCurve]) -> Figure:
-    """Return the picture: each row is an experiment, with its numerical error and its error against reality."""
+    """Return the picture: each row is an experiment, with its numerical error and that against its reference."""
     groups: dict[tuple[str, str], list[CostCurve]] = {}
     for curve in curves:
         groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(
@@ -543,8 +558,11 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     ):
         _draw_errors(left, members, "numerical")
         left.set_ylabel(f"numerical error\n[{members[0].unit}]", fontsize=8.5)
-        _draw_errors(right, members, "real")
-        right.set_ylabel(f"error against reality\n[{members[0].unit}]", fontsize=8.5)
+        _draw_errors(right, members, "to_reference")
+        reference = "the solution" if members[0].measure.is_verified else "reality"
+        right.set_ylabel(
+            f"error against {reference}\n[{members[0].unit}]", fontsize=8.5
+        )
         changed = "" if parameters == "calibrated" else f", {parameters}"
         left.set_title(f"{name}{changed}", loc="left", fontsize=11, fontweight="bold")
     for axis in grid[-1]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
-from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.draws import ScoreSpread
 
@@ -157,16 +157,21 @@ def _common_frames(one: Result, other: Result) -> CommonFrames | None:
         return None
     if one.trajectory.coordinates != other.trajectory.coordinates:
         return None
-    (frames_a, a), (frames_b, b) = _frames(one.trajectory), _frames(other.trajectory)
+    frames_a, a = recorded_frames(*one.trajectory.arrays())
+    frames_b, b = recorded_frames(*other.trajectory.arrays())
     common, index_a, index_b = np.intersect1d(frames_a, frames_b, return_indices=True)
     return (common, a[index_a], b[index_b]) if len(common) else None
 
 
-def _frames(
-    trajectory: RecordedTrajectory,
+def recorded_frames(
+    times_s: NDArray[np.float64], samples: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the numbers of the 30 Hz frames with finite samples, and g(t) there."""
-    times_s, samples = trajectory.arrays()
+    """Return the numbers of the 30 Hz frames with finite samples, and the samples there.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        samples: Values at those times, shape [sample_count, coordinate_count].
+    """
     frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
     hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(
         samples

@@ -2,24 +2,36 @@
 
 A draw has a mean and a baseline that the real trials could have had as well. All configurations of an experiment share
 these draws, so the errors of the reference cancel in a difference. Draws of two experiments are independent.
+
+The solution of a scene has an error e of which its uncertainty u alone is known, as the root mean square. Of two
+deviations a and b from it, |a + e|^2 - |b + e|^2 = |a|^2 - |b|^2 + 2 e (a - b): the component of e along a - b decides
+which one is closer, and its standard deviation is at most u. So a pair is drawn with the whole u along a - b. That is
+the case in which the two are told apart least.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 from scipy.stats import t as student
 
 from gauge_envs.evaluation.deviation import band_deviations
-from gauge_envs.evaluation.uncertainty import LEVEL, SEED, widening
+from gauge_envs.evaluation.uncertainty import DRAW_COUNT, LEVEL, SEED, widening
+from gauge_envs.evaluation.verification import (
+    compared_points,
+    frame_deviation,
+    solution_uncertainty,
+    verification_band,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,14 +89,18 @@ def repeats_interval(
 
 @dataclass(frozen=True, eq=False)
 class ScoreDraws:
-    """Normalized RMSE of the repeats of a configuration in one experiment, with its draws.
+    """Scores of the repeats of a configuration in one experiment over their scale, with draws.
 
     Attributes:
         seeds: Seed of each repeat.
-        raw: E_RMSE of the paper, normalized, shape [repeat_count].
+        raw: E_RMSE of the paper over that of real trials, or the distance from the solution over its scale (see
+            `Verification.scale`), shape [repeat_count].
         primary: The score that reports show first, aligned if the experiment starts with a release, same shape.
         draws: Draws of it, shape [repeat_count, draw_count].
         influences: Effect of each real trial on it, shape [repeat_count, trial_count]; no columns without trials.
+        deviations: Deviation of each repeat from the solution over the scale, as a vector whose norm is `primary`,
+            shape [repeat_count, entry_count]; None for scores over real trials.
+        errors: Length of the error of the solution in each draw, over the scale, shape [draw_count]; None as above.
     """
 
     seeds: tuple[int | None, ...]
@@ -92,6 +108,8 @@ class ScoreDraws:
     primary: FloatArray
     draws: FloatArray
     influences: FloatArray
+    deviations: FloatArray | None = None
+    errors: FloatArray | None = None
 
     def mean(self) -> tuple[float, FloatArray]:
         """Return the mean of the primary score over the repeats, and its draws of shape [draw_count]."""
@@ -109,6 +127,8 @@ def score_draws(
     """
     if any(result.outcome is not Outcome.FINISHED for result in results):
         return None
+    if band.grade.is_solution:
+        return _solution_draws(results, experiment, band)
     raw: list[float] = []
     drawn: list[tuple[float, FloatArray, FloatArray]] = []
     for result in results:
@@ -126,9 +146,7 @@ def score_draws(
         raw.append(deviations.raw.normalized or 0.0)
         drawn.append((first.rmse / baseline, draws / baseline, influences / baseline))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
-    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(
-        len(drawn[0][1])
-    )
+    order = _random(experiment).permutation(len(drawn[0][1]))
     return ScoreDraws(
         seeds=tuple(result.seed for result in results),
         raw=np.array(raw),
@@ -136,6 +154,67 @@ def score_draws(
         draws=np.array([draws[order] for _, draws, _ in drawn]),
         influences=np.array([influences for _, _, influences in drawn]),
     )
+
+
+def _random(experiment: Experiment) -> np.random.Generator:
+    return np.random.default_rng([SEED, *experiment.name.encode()])
+
+
+def _solution_draws(
+    results: Sequence[Result], experiment: Experiment, band: Band
+) -> ScoreDraws | None:
+    """Return the draws of distances from a solution; None if a repeat has no trajectory, or no marker to compare."""
+    compared, uncertainty = verification_band(band), solution_uncertainty(band)
+    assert compared is not None
+    scale = uncertainty or 1.0
+    frame_count = int(np.isfinite(compared.mean).any(axis=1).sum())
+    rows = []
+    for result in results:
+        recorded = result.trajectory
+        if recorded is None:
+            return None
+        frames = recorded.arrays()[1][::SAMPLES_PER_FRAME]
+        deviation = frame_deviation(band, frames=frames, markers_m=recorded.markers_m())
+        if deviation is None:
+            return None
+        rows.append(np.nan_to_num(deviation).ravel())
+    # A norm is then the root mean square over frames and markers, over the scale.
+    size = scale * math.sqrt(frame_count * compared_points(compared))
+    deviations = np.array(rows) / size
+    distances = np.linalg.norm(deviations, axis=1)
+    # Over u, the error of a solution has the standard deviation 1. An exact solution has none.
+    standard = 1.0 if uncertainty else 0.0
+    errors = standard * _random(experiment).standard_normal(DRAW_COUNT)
+    return ScoreDraws(
+        seeds=tuple(result.seed for result in results),
+        raw=distances,
+        primary=distances,
+        draws=np.maximum(distances[:, None] + errors, 0.0),
+        influences=np.zeros((len(results), 0)),
+        deviations=deviations,
+        errors=errors,
+    )
+
+
+def _along_difference(
+    first: ScoreDraws,
+    chosen: Sequence[int],
+    second: ScoreDraws,
+    others: Sequence[int],
+) -> tuple[ScoreDraws, ScoreDraws]:
+    """Return distances from a solution whose error lies along the difference of the two; others as they are."""
+    if first.deviations is None or second.deviations is None:
+        return first, second
+    apart = first.deviations[list(chosen)].mean(axis=0)
+    apart = apart - second.deviations[list(others)].mean(axis=0)
+    direction = apart / max(float(np.linalg.norm(apart)), 1e-300)
+    moved = []
+    for one, deviations in ((first, first.deviations), (second, second.deviations)):
+        assert one.errors is not None
+        along = 2.0 * np.outer(deviations @ direction, one.errors)
+        squares = np.square(one.primary)[:, None] + along + np.square(one.errors)
+        moved.append(replace(one, draws=np.sqrt(np.maximum(squares, 0.0))))
+    return moved[0], moved[1]
 
 
 def paired_scores(
@@ -148,6 +227,7 @@ def paired_scores(
     as that takes: no difference is refused.
     """
     chosen, others = _common_repeats(first, second)
+    first, second = _along_difference(first, chosen, second, others)
     wider = widening(_influence(first, chosen) - _influence(second, others))
     return _mean(first, chosen, wider=wider), _mean(second, others, wider=wider)
 

@@ -1,7 +1,7 @@
 """Configurations compared in each experiment, and over the experiments of one grade of reference: pairs and ranks.
 
-Nothing is compared across grades, because they answer different questions: `trials` compares with the mean of real
-trials, `recording` with one of them, and `law` with a closed form. Withheld bands are a group of their own, and so are
+Nothing is compared across grades, because they answer different questions: `trials` and `recording` compare with real
+motion, and `law` and `model` with the solution of the scene. Withheld bands are a group of their own, and so are
 configurations with the same constants: a rank among engines of which some have better constants ranks the constants.
 
 Draws are paired between configurations (`draws`). A pair has a p-value in each experiment (`significance`), corrected
@@ -26,6 +26,7 @@ import numpy as np
 from scipy.stats import norm
 
 from gauge_envs.evaluation.uncertainty import LEVEL
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
@@ -68,7 +69,8 @@ class GradeScore:
         rank: 1 + number of configurations that are distinguishably closer; None without common experiments. Equal
             configurations share a rank.
         mean_rank: Mean over the experiments of the rank in each; None without common experiments.
-        mean: Mean of the primary score. The experiment with the largest scores decides it, so it is no order.
+        mean: Mean of the primary score. The experiment with the largest scores decides it, so it is no order. None
+            where scores have different units, as of exact solutions beside others.
     """
 
     configuration: int
@@ -102,7 +104,8 @@ class ExperimentDifference:
 
     Attributes:
         id: Gymnasium id.
-        difference: Primary normalized score of the first minus that of the second; negative if the first is closer.
+        difference: Primary score over its scale, that of the first minus that of the second; negative if the first is
+            closer.
         difference_95: Its 95 % interval, of this pair alone.
         probability_of_improvement: Probability that the first is closer; a tie counts half.
         p: Two-sided p-value of this pair alone.
@@ -129,8 +132,8 @@ class PairComparison:
     Attributes:
         first: Index of the first configuration.
         second: Index of the second configuration.
-        probability_of_improvement: Probability that the first is closer to reality, mean over experiments and draws; a
-            tie counts half.
+        probability_of_improvement: Probability that the first is closer to the reference, mean over experiments and
+            draws; a tie counts half.
         p: Two-sided p-value of one being closer in more than half of the experiments, of this pair alone.
         p_holm: The same, corrected for all pairs of the grade.
         experiments: Difference in each experiment.
@@ -208,6 +211,11 @@ class GradeComparison:
         )
 
     @property
+    def is_verified(self) -> bool:
+        """Whether its references are solutions of the scenes, and not reality."""
+        return BandGrade(self.grade).is_solution
+
+    @property
     def name(self) -> str:
         """Grade, whether its bands are withheld, and constants that are not the published ones."""
         name = grade_name(self.grade, withheld=self.withheld)
@@ -229,12 +237,14 @@ class GradedExperiment:
         intervals: 95 % interval of the primary score of each configuration, or None; empty where none is known.
         trial_count: Number of real trials that the reference is the mean of; None takes the number that the benchmark
             states.
+        scale_unit: Unit of the scores over their scale.
     """
 
     id: str
     draws: tuple[ScoreDraws | None, ...]
     intervals: tuple[Interval | None, ...] = ()
     trial_count: int | None = None
+    scale_unit: str = "1"
 
     def among(self, configurations: Sequence[int]) -> GradedExperiment:
         """Return the experiment with the scores of these configurations alone."""
@@ -320,7 +330,9 @@ def _compared(
                 configuration=index,
                 rank=1 + further.count(index),
                 mean_rank=_mean_rank([one[index] for one in ranks]),
-                mean=_mean_score(common, index),
+                mean=_mean_score(common, index)
+                if len({one.scale_unit for one in common}) == 1
+                else None,
             )
         scores.append(score)
     scored = [

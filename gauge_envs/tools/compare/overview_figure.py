@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gauge_envs.evaluation.verification import COVERAGE_FACTOR
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
-from gauge_envs.pages.results import SCORE_METRICS
+from gauge_envs.pages.results import SCORE_METRICS, VERIFIED
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import (
@@ -51,8 +52,7 @@ def save_comparison(
     Args:
         results: Results of any experiments and configurations.
         folder: Where to, created if need be.
-        metric: Metric of the overview, one of `scores.COMPARED_METRICS`; None for two panels, the primary scores and
-            the raw RMSE.
+        metric: Metric of the overview, as in `draw_overview`.
 
     Yields:
         Path of each picture, as soon as it is written.
@@ -66,35 +66,49 @@ def save_comparison(
 def draw_overview(
     comparison: Comparison, *, metric: str | None = None
 ) -> Figure | None:
-    """Return dots of the normalized score of every experiment, with their 95 % intervals.
+    """Return dots of the score of every experiment over its scale, with their 95 % intervals.
 
     Configurations are in colour. Published engines are in grey beside the raw scores of grade `trials`, because these
-    alone are against the same reference.
+    alone are against the same reference. Distances from laws and solved models have panels of their own, one for each
+    scale.
 
     Args:
         comparison: What `gauge_envs.tools.compare.comparison.compare` returns.
-        metric: One of `scores.COMPARED_METRICS`. None draws two panels: the score that reports show first, and the raw
-            RMSE.
+        metric: A key of `pages.results.SCORE_METRICS`. None draws two panels over real trials, the score that reports
+            show first and the raw RMSE, and the distances from solutions.
 
     Returns:
         The picture; None if no experiment has such a score.
     """
-    metrics = [None, "rmse"] if metric is None else [metric]
+    scales = {one.scale_unit for one in comparison.experiments if one.is_verified}
+    solved = [(VERIFIED.key, scale) for scale in sorted(scales - {"1"})]
+    chosen: list[tuple[str | None, str]] = [(None, "1"), ("rmse", "1"), *solved]
+    if metric is not None:
+        chosen = [*solved] if metric == VERIFIED.key else [(metric, "1")]
     shown = []
-    panels: list[list[_Row]] = [[] for _ in metrics]
+    panels: list[list[_Row]] = [[] for _ in chosen]
     for one in comparison.experiments:
-        rows = [_Row.of(one, name) for name in metrics]
+        rows = [_Row.of(one, name, scale) for name, scale in chosen]
         if _diverged(one) or any(row.has_score for row in rows):
             shown.append(one)
             for panel, row in zip(panels, rows, strict=True):
                 panel.append(row)
+    kept = [
+        index
+        for index, panel in enumerate(panels)
+        if any(row.has_score for row in panel)
+    ]
+    panels, chosen = (
+        [panels[index] for index in kept],
+        [chosen[index] for index in kept],
+    )
     drawn = [row for panel in panels for row in panel]
     if not any(row.has_score for row in drawn):
         return None
-    figure = new_figure(10.0, 0.3 * len(shown) + 2.2)
-    axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
-    for axis, panel, name in zip(axes, panels, metrics, strict=True):
-        _draw_panel(axis, panel, name)
+    figure = new_figure(max(10.0, 4.0 * len(chosen)), 0.3 * len(shown) + 2.2)
+    axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
+    for axis, panel, (name, scale) in zip(axes, panels, chosen, strict=True):
+        _draw_panel(axis, panel, name, scale)
     axes[0].set_yticks(
         range(len(shown)),
         [f"{one.name}  ({one.grade_name})" for one in shown],
@@ -118,9 +132,16 @@ class _Row:
     published: Mapping[str, float | None]
 
     @classmethod
-    def of(cls, one: ExperimentComparison, metric: str | None) -> _Row:
-        """Return the scores of a metric; None is the primary one, of which nothing comparable is published."""
+    def of(cls, one: ExperimentComparison, metric: str | None, scale: str) -> _Row:
+        """Return the scores of a metric; None is the primary one, of which nothing comparable is published.
+
+        An experiment with another scale than that of the panel has none.
+        """
         name = metric or one.primary
+        is_verified = name == VERIFIED.key
+        if is_verified and (metric is None or one.scale_unit != scale):
+            nothing = [None] * len(one.cells)
+            return cls(one, nothing, nothing, {})
         is_comparable = metric is not None and SCORE_METRICS[metric].is_normalized
         return cls(
             one,
@@ -137,12 +158,19 @@ class _Row:
         return any(self.spreads) or bool(self.published)
 
 
-def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
+def _draw_panel(
+    axis: Axes, rows: Sequence[_Row], metric: str | None, scale: str
+) -> None:
     # An end of an interval at 0 has no place on a logarithmic axis: the bar reaches the edge.
     axis.set_xscale("log", nonpositive="clip")
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.axvline(1.0, color=REAL, lw=1.2, ls="--", zorder=1)
-    places = [1.0]
+    is_verified = metric == VERIFIED.key
+    line = COVERAGE_FACTOR if is_verified else 1.0
+    # An exact solution has nothing that a distance from it is compared with.
+    is_exact = is_verified and scale != "u"
+    if not is_exact:
+        axis.axvline(line, color=REAL, lw=1.2, ls="--", zorder=1)
+    places = [] if is_exact else [line]
     for place, row in enumerate(rows):
         for engine, marker in zip(PUBLISHED_ENGINES, ENGINE_MARKERS, strict=True):
             value = row.published.get(engine)
@@ -163,7 +191,7 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
             if end > 0.0
         ]
         _draw_dots(axis, row, place)
-    low, high = 0.7 * min(places), 1.4 * max(places)
+    low, high = 0.7 * min(places, default=1.0), 1.4 * max(places, default=1.0)
     axis.set_xlim(low, high)
     # Within two decades, whole decades alone are too few labels.
     digits = ("2", "5") if high < 100.0 * low else ()
@@ -172,8 +200,15 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
     )
     closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "lower is closer"
     aligned = " (aligned after a release)" if metric is None else ""
-    axis.set_xlabel(f"normalized{aligned}, log scale; {closer}; bars: 95 %", fontsize=9)
+    label = f"over real trials{aligned}, log scale; {closer}; bars: 95 %"
+    if is_exact:
+        label = f"error, from exact solutions [{scale}], log scale"
+    elif is_verified:
+        label = f"over u of the solution, log scale; up to {line} no difference is seen"
+    axis.set_xlabel(label, fontsize=9)
     title = "Primary score" if metric is None else SCORE_METRICS[metric].title
+    if is_verified:
+        title = "Verification"
     axis.set_title(title, loc="left", fontsize=12, fontweight="bold")
     tidy_axis(axis)
     axis.tick_params(axis="y", length=0)
@@ -225,7 +260,11 @@ def _overview_legend(
         ):
             axis.plot([], [], marker, label=f"{title}, paper", **HOLLOW)
     axis.fill_between(
-        [], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run"
+        [],
+        [],
+        fc=UNSCORED,
+        ec="#c4c4c4",
+        label="no score: no reference of this kind, or not run",
     )
     if any(map(_diverged, rows)):
         axis.plot([], [], "x", color=REAL, label="diverged, at the right edge", **CROSS)

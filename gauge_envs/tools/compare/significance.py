@@ -11,9 +11,9 @@ from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.scene.geometry import FloatArray
 
 NEGLIGIBLE = 0.01
-"""Difference of normalized scores up to which two configurations count as equal: the last digit of a score that tables
-show, a hundredth of the distance of a typical trial. Configurations share the errors of the reference, so without this
-limit it would tell apart steps and solvers that differ by micrometres."""
+"""Difference of scores over their scale up to which two configurations count as equal: the last digit that tables show,
+a hundredth of the distance of a typical trial, of u of a solution, or of the unit of an exact one. Configurations share
+the errors of the reference, so without this limit it would tell apart steps and solvers that differ by micrometres."""
 
 
 def p_value(

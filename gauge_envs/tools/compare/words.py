@@ -6,15 +6,18 @@ from functools import partial
 from typing import Any
 
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.evaluation.scatter import scatter_ranks
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.results import (
     ALIGNED,
     PLAIN,
+    SCATTER_NOTE,
     SCORE_METRICS,
     VERIFICATION_NOTE,
     configuration_parts,
+    scatter_cells,
     versions_text,
 )
 from gauge_envs.pages.table import Column, Place, Table
@@ -22,6 +25,7 @@ from gauge_envs.pages.text import (
     COST_TITLE,
     GRADE_NOTES,
     NORMALIZED_NOTE,
+    QUESTIONS,
     counted,
     interval_text,
     plus_minus_text,
@@ -76,6 +80,18 @@ CELL_NOTES = {
 }
 
 
+RANK_NOTE = (
+    "Rank: 1 where no difference is seen, before those that are unlike real trials; none where all have the same "
+    "answer, or where it hangs on the starts."
+)
+
+
+def grades_of(comparison: Comparison, question: str) -> list[GradeComparison]:
+    """Return the grades whose references answer one of `QUESTIONS`."""
+    is_verified = question == "verification"
+    return [grade for grade in comparison.grades if grade.is_verified is is_verified]
+
+
 def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
     """Return names of metrics without repetition, or all metrics if none is given."""
     chosen = tuple(dict.fromkeys(names))
@@ -104,16 +120,13 @@ def comparison_document(
     tables: list[Table] = []
     if validated := _validation_rows(comparison, rows):
         tables.append(_score_table(comparison, validated))
+    tables += _scatter_tables(comparison)
     if any(one.is_verified for one in comparison.experiments):
         tables.append(_verification_table(comparison))
-    if any(
-        len(one.ranks) > 1 for grade in comparison.grades for one in grade.experiments
-    ):
-        tables.append(_experiment_rank_table(comparison))
-    if any(grade.ids and len(grade.scores) > 1 for grade in comparison.grades):
-        tables.append(_ranking_table(comparison))
-    if any(grade.pairs for grade in comparison.grades):
-        tables += _pair_tables(comparison)
+    for question in QUESTIONS:
+        tables += _rank_tables(comparison, question)
+    for question in QUESTIONS:
+        tables += _pair_tables(comparison, question)
     if rows and with_costs:
         tables.append(_cost_table(comparison))
     if any(
@@ -137,7 +150,11 @@ def short_tables(comparison: Comparison) -> list[Table]:
     first: dict[str, dict[str, Any]] = {}
     for row in _validation_rows(comparison, comparison_rows(comparison)):
         first.setdefault(row["id"], row)
-    tables = [_ranking_table(comparison)]
+    tables = [
+        table
+        for question in QUESTIONS
+        for table in _rank_tables(comparison, question, with_experiments=False)
+    ]
     if first:
         tables.append(_score_table(comparison, [*first.values()]))
     if any(one.is_verified for one in comparison.experiments):
@@ -222,6 +239,11 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
             else asdict(result.score.verification)
             for result in cell.results
         ],
+        "also_verified": [
+            [asdict(one) for one in result.score.also_verified]
+            for result in cell.results
+        ],
+        "scatter": None if cell.scatter is None else asdict(cell.scatter),
         "wall_s_per_sim_s": cell.wall_s_per_sim_s,
         "settings": ran[0].settings if ran else None,
         "versions": ran[0].versions if ran else None,
@@ -331,7 +353,7 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
             shown.append(row | {"metric": PERCENTILE, "published": None})
         shown.append(row)
     return Table(
-        title="Scores over the mean score of the real trials, with 95 % intervals",
+        title="Validation: scores over the mean score of the real trials, with 95 % intervals",
         columns=(
             EXPERIMENT,
             GRADE,
@@ -350,19 +372,63 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
     )
 
 
+def _scatter_tables(comparison: Comparison) -> Iterator[Table]:
+    """Yield the table of whether repeats scatter as real trials do, if any were enough for a test."""
+    rows = []
+    for one in comparison.experiments:
+        found = [None if cell is None else cell.scatter for cell in one.cells]
+        tested = [
+            (label, scatter, rank)
+            for label, scatter, rank in zip(
+                comparison.labels, found, scatter_ranks(found), strict=True
+            )
+            if scatter is not None
+        ]
+        for label, scatter, rank in tested:
+            cells = scatter_cells(scatter)
+            rows.append({"id": one.id, "label": label, "rank": rank, **cells})
+    if rows:
+        yield Table(
+            title="Validation: scatter of repeats and of real trials",
+            columns=(
+                EXPERIMENT,
+                Column("label", "", place=Place.HEADING),
+                Column("rank", "rank", is_number=True),
+                Column("real_rmse", "real E_RMSE", is_number=True),
+                Column("rmse", "runs", is_number=True),
+                Column("real_dtw", "real E_DTW", is_number=True),
+                Column("dtw", "runs", is_number=True),
+                Column("p", "p", is_number=True),
+                Column("verdict", "verdict", place=Place.BELOW),
+            ),
+            rows=rows,
+            notes=(SCATTER_NOTE, RANK_NOTE),
+        )
+
+
 def _verification_table(comparison: Comparison) -> Table:
     """Return how well each configuration solves the scenes of laws and solved models."""
     rows = []
     for one in comparison.experiments:
-        found = [
-            [
-                result.score.verification
-                for result in (() if cell is None else cell.results)
-                if result.score.verification is not None
-            ]
+        each = [
+            verified
             for cell in one.cells
+            for result in (() if cell is None else cell.results)
+            for verified in result.score.verifications
         ]
-        if first := next((group[0] for group in found if group), None):
+        firsts: dict[str, Verification] = {}
+        for verified in each:
+            firsts.setdefault(verified.quantity, verified)
+        for quantity, first in firsts.items():
+            found = [
+                [
+                    verified
+                    for result in (() if cell is None else cell.results)
+                    for verified in result.score.verifications
+                    if verified.quantity == quantity
+                ]
+                for cell in one.cells
+            ]
             rows.append(
                 {
                     "id": one.id,
@@ -398,13 +464,9 @@ def verification_cell(repeats: Sequence[Verification]) -> str:
     if not repeats:
         return "-"
     first = repeats[0]
-    mean = sum(one.distance for one in repeats) / len(repeats)
-    if first.uncertainty is None:
-        return with_unit(score_text(mean), first.unit)
-    ends = None
-    if len(repeats) == 1 and first.distance_95 is not None:
-        ends = [end / first.uncertainty for end in first.distance_95]
-    return f"{interval_text(mean / first.uncertainty, ends)} u"
+    mean = sum(one.scaled for one in repeats) / len(repeats)
+    ends = first.scaled_95 if len(repeats) == 1 else None
+    return with_unit(interval_text(mean, ends), first.scale_unit)
 
 
 def _score_cell(index: int, row: Mapping[str, Any]) -> str:
@@ -456,7 +518,8 @@ def _score_notes(
             f"{ALIGNED.title}: RMSE after the constant time shift that fits best. It comes first where the experiment "
             "starts with a release."
         )
-    grades = sorted({one.grade for one in comparison.experiments})
+    shown = {row["id"] for row in rows}
+    grades = sorted({one.grade for one in comparison.experiments if one.id in shown})
     yield f"Grades: {'; '.join(f'{grade}: {GRADE_NOTES[BandGrade(grade)]}' for grade in grades)}."
     yield from _configuration_notes(comparison.configurations)
     yield from (f"Note: {note}." for note in comparison.notes)
@@ -500,7 +563,19 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
 # --- grades ----------------------------------------------------------------------------------------------------------
 
 
-def _experiment_rank_table(comparison: Comparison) -> Table:
+def _rank_tables(
+    comparison: Comparison, question: str, *, with_experiments: bool = True
+) -> Iterator[Table]:
+    """Yield the ranks in each experiment, and those over each grade, of one question."""
+    grades = grades_of(comparison, question)
+    has_ranks = any(len(one.ranks) > 1 for grade in grades for one in grade.experiments)
+    if with_experiments and has_ranks:
+        yield _experiment_rank_table(comparison, question)
+    if any(grade.ids and len(grade.scores) > 1 for grade in grades):
+        yield _ranking_table(comparison, question)
+
+
+def _experiment_rank_table(comparison: Comparison, question: str) -> Table:
     """Return the rank of each configuration in each experiment, and how many pairs it tells apart."""
     rows = [
         {
@@ -512,12 +587,12 @@ def _experiment_rank_table(comparison: Comparison) -> Table:
             ],
             "apart": f"{one.distinguishable_count} of {one.pair_count}",
         }
-        for grade in comparison.grades
+        for grade in grades_of(comparison, question)
         for one in grade.experiments
         if len(one.ranks) > 1
     ]
     return Table(
-        title="Ranks in each experiment",
+        title=f"Ranks in each experiment, {question}",
         columns=(
             EXPERIMENT,
             Column("grade", "grade", place=Place.HEADING),
@@ -531,7 +606,7 @@ def _experiment_rank_table(comparison: Comparison) -> Table:
         notes=(
             "Best to worst rank: behind those that are distinguishably closer, before those that are distinguishably "
             "further. Pairs apart: distinguishable pairs; at 5 %, corrected by Holm for all pairs of the experiment. A "
-            f"difference of at most {NEGLIGIBLE} counts as none. "
+            f"difference of at most {NEGLIGIBLE} of the score's scale counts as none. "
             "Only configurations with the same constants are ranked against each other.",
         ),
     )
@@ -545,7 +620,7 @@ def rank_text(rank: Mean | None) -> str:
     return f"{low}" if low == high else f"{low}-{high}"
 
 
-def _ranking_table(comparison: Comparison) -> Table:
+def _ranking_table(comparison: Comparison, question: str) -> Table:
     rows = [
         {
             "grade": f"{grade.name}, {counted(len(grade.ids), 'experiment')}",
@@ -554,12 +629,12 @@ def _ranking_table(comparison: Comparison) -> Table:
             "mean_rank": one.mean_rank,
             "decides": deciding_text(grade, one.configuration),
         }
-        for grade in comparison.grades
+        for grade in grades_of(comparison, question)
         for one in grade.ranked
         if len(grade.scores) > 1 and one.mean_rank is not None
     ]
     return Table(
-        title="Ranking within each grade",
+        title=f"Ranking within each grade, {question}",
         columns=(
             Column("grade", "grade", place=Place.HEADING),
             Column("label", "configuration"),
@@ -596,11 +671,11 @@ def deciding_text(grade: GradeComparison, configuration: int) -> str:
     )
 
 
-def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
-    """Return the table of pairs over each grade, and the one over each experiment."""
+def _pair_tables(comparison: Comparison, question: str) -> list[Table]:
+    """Return the table of pairs over each grade of a question, and the one over each experiment; empty without any."""
     over_grades: list[dict[str, Any]] = []
     over_experiments: list[dict[str, Any]] = []
-    for grade in comparison.grades:
+    for grade in grades_of(comparison, question):
         for pair in grade.pairs:
             between = {"between": " : ".join(comparison.names(pair).values())}
             heading = {"grade": f"{grade.name}, {counted(len(pair.ids), 'experiment')}"}
@@ -614,9 +689,12 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
         return "{} : {}".format(*of.counts)
 
     def text(of: ExperimentDifference) -> str:
-        return interval_text(of.difference, of.difference_95)
+        return with_unit(interval_text(of.difference, of.difference_95), units[of.id])
 
+    if not over_grades:
+        return []
     order = {one.id: place for place, one in enumerate(comparison.experiments)}
+    units = {one.id: one.scale_unit for one in comparison.experiments}
     names, verdict = (
         Column("between", "first : second"),
         Column("of.distinguishable", "at 5 %", verdict_text),
@@ -629,9 +707,10 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
     )
     p_value = Column("of.p_holm", "p", p_text, is_number=True)
     grade_heading = Column("grade", "grade", place=Place.HEADING)
-    return (
+    same = PAIRED_NOTES[question]
+    return [
         Table(
-            title="Pairs within each grade",
+            title=f"Pairs within each grade, {question}",
             columns=(
                 grade_heading,
                 names,
@@ -648,7 +727,7 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
             ),
         ),
         Table(
-            title="Pairs in each experiment",
+            title=f"Pairs in each experiment, {question}",
             columns=(
                 EXPERIMENT,
                 grade_heading,
@@ -659,13 +738,22 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
             ),
             rows=sorted(over_experiments, key=lambda row: order[row["id"]]),
             notes=(
-                "Difference of the score that is first above, first minus second: below 0, the first is closer. Paired "
-                "bootstrap: both have the same resampled real mean. Its interval is of this pair alone; p is corrected "
-                "by Holm for all pairs of the experiment.",
+                "Difference of the score that is first above, first minus second: below 0, the first is closer. "
+                f"{same} Its interval is of this pair alone; p is corrected by Holm for all pairs of the experiment.",
             ),
             wide_only=len(comparison.configurations) > 2,
         ),
-    )
+    ]
+
+
+PAIRED_NOTES = {
+    "validation": "Paired bootstrap: both have the same resampled real mean.",
+    "verification": (
+        "Both are compared with the same solution, whose error has the size u and the direction that tells the two "
+        "apart least."
+    ),
+}
+"""What the two of a pair have in common, by question."""
 
 
 def p_text(p: float) -> str:

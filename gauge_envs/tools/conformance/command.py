@@ -52,7 +52,8 @@ def backend_check(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="NAME...",
+            metavar="NAME",
+            show_default=False,
             help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that "
             "an engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has "
             "columns that are not measured again.",
@@ -60,17 +61,24 @@ def backend_check(
     ] = None,
     only: arguments.Only = None,
     changes: arguments.Settings = None,
-    limits: arguments.Limits = "",
+    timeout: Annotated[
+        float | None,
+        arguments.timeout(
+            "Time of a check, in a process of its own.", "600 in such a one"
+        ),
+    ] = None,
+    memory: arguments.Memory = None,
+    isolate: arguments.Isolate = False,
     out: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="Page with all commands (.html), or columns (.json); repeatable."
-        ),
+        arguments.target("Page with all commands (.html), or columns (.json)."),
     ] = None,
     baseline: Annotated[
         Path | None,
         typer.Option(
-            help="A .json file of --out by an earlier version of the engine: list what got worse or moved."
+            metavar="FILE",
+            rich_help_panel=arguments.SELECTION,
+            help="A .json file of --out by an earlier version of the engine: list what got worse or moved.",
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,
@@ -80,7 +88,7 @@ def backend_check(
     gauge list checks shows the checks; for configurations, one per phenomenon runs without --only: NAME:default is the
     quick check of an engine. Exit code 1 when a check failed or raised an error; with --baseline, when one became worse
     or its value moved by more than its tolerance. A declined check is no failure. Engines of other packages run in
-    another process, all engines do with --limits, --out, --baseline or a configuration: one that crashes, exits or
+    another process, all engines do with --isolate, --out, --baseline or a configuration: one that crashes, exits or
     hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
@@ -95,17 +103,16 @@ def backend_check(
     engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
     if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
         raise ParameterError(
-            f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}"
+            f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
         )
-    patterns = [part for text in only or () for part in text.split(",")]
     settings = arguments.parsed_settings(changes)
-    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
-    bounds = (CHECK_LIMIT_S if time_s is None else time_s, memory_gb)
+    bounds = (CHECK_LIMIT_S if timeout is None else timeout, memory)
+    isolate = isolate or timeout is not None or memory is not None
     has_configurations = any(":" in name for name in engines)
     if not (has_configurations or files or out or baseline):
-        return _check(engines, patterns, settings, isolate, bounds, form)
+        return _check(engines, only or (), settings, isolate, bounds, form)
     places = _checked_places(arguments.by_suffix(out, ".html", ".json"))
-    only_ids = patterns or (CANONICAL if has_configurations else [])
+    only_ids = only or (CANONICAL if has_configurations else [])
     before = None if baseline is None else read_columns(baseline)
     return _matrix(engines, files, settings, only_ids, bounds, places, form, before)
 

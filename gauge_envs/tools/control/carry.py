@@ -14,6 +14,7 @@ from gauge_envs.tools.control.stage import (
     acceleration_to_rest,
     stage_driver,
 )
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 
 class CarryLimit(LeastTimeLimit):
@@ -32,7 +33,7 @@ class CarryLimit(LeastTimeLimit):
         "where cubes slip on the plate"
     )
 
-    DURATION_S = 3.0
+    STEPS = EPISODE_STEPS["Carry"]
     """Time of an episode: four times the least time."""
 
     ACCELERATION_M_PER_S2 = 4.5
@@ -46,7 +47,7 @@ class CarryLimit(LeastTimeLimit):
         driver = stage_driver(
             self.DRIVEN,
             (X_AXIS, Y_AXIS),
-            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S,
+            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.duration_s,
         )
         return replace(stated, drivers=(driver,))
 

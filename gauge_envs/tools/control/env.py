@@ -16,10 +16,17 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.envs.arguments import checked_action
+from gauge_envs.envs.arguments import (
+    SEEDS,
+    Scatter,
+    Starts,
+    TrialStart,
+    checked_action,
+    jittered_experiment,
+)
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.divergence import DeformableBounds, speed_fault
-from gauge_envs.envs.pictures import Pictures
+from gauge_envs.envs.pictures import Pictures, Rendered
 from gauge_envs.envs.stepper import run_frame
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
@@ -30,6 +37,7 @@ from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 
@@ -52,16 +60,21 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
         settings: Numerical settings of the engine that replace those of the preset; without any, `OWN_SETTINGS` do.
-        render_mode: None or `rgb_array`.
+        render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
+            `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+            `elevation_deg`.
+        jitter: Scatter of the start of every episode, as of `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+            the environment draw it, then the goal, if any.
         is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
 
     Attributes:
         SCENE: Variant that states the scene, without its material, as `Turntable-1`.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
-        DURATION_S: Length of an episode [s].
+        STEPS: Steps of an episode, one for each frame after the first.
         OWN_SETTINGS: Settings on an engine if none are given, in place of the preset's.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
@@ -76,7 +89,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     SCENE: ClassVar[str]
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
-    DURATION_S: ClassVar[float]
+    STEPS: ClassVar[int]
     OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
@@ -91,14 +104,16 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        camera: Mapping[str, Any] | None = None,
+        jitter: Scatter = None,
         is_world: bool = False,
     ) -> None:
-        pictures = Pictures(render_mode, width=width, height=height)
+        pictures = Pictures(render_mode, width=width, height=height, camera=camera)
         self._variant = find_variant(f"{self.SCENE}-{material}")
         stated = load_experiment(
             self._variant, self._start_parameters(self._variant, parameters)
         )
-        scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
+        scene = replace(self._scene(stated.scene), duration_s=self.duration_s)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
         super().__init__(
             experiment,
@@ -106,6 +121,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             backend=backend,
             settings=settings or self.OWN_SETTINGS.get(backend),
         )
+        self._starts = Starts(experiment, jitter)
+        self._is_moved = False
         if not is_world:
             self._build(experiment)
             check_drive_interval(self.simulation.settings)
@@ -116,9 +133,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self._observations: list[FloatArray] = []
         self._prepare(scene)
         self.limit = self._limit()
-        self.observation_space = spaces.Box(
-            -np.inf, np.inf, (len(self.OBSERVED),), np.float64
-        )
+        largest = np.array(self._largest_observation(), dtype=np.float64)
+        self.observation_space = spaces.Box(-largest, largest, dtype=np.float64)
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
@@ -135,6 +151,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     _at_time_limit: ClassVar[Ending]
     """Ending of an episode that reaches its last frame."""
 
+    MEASURES_FROM_START: ClassVar[bool] = True
+    """Whether quantities and limit count from where an episode starts, and not from the start of the scene."""
+
     def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
         """Return the parameters, with the start of the task if it differs from that of the experiment."""
         return parameters
@@ -145,6 +164,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
         Drivers have no motion of their own; their residual rates state how fast actions may move them.
         """
+
+    def _cleared(self, scene: Scene) -> Scene:
+        """Return a scene whose start scatters, in which what the task adds stands in no body's way."""
+        return scene
 
     def _prepare(self, scene: Scene) -> None:
         """Compute what stays the same in all episodes, from the scene of the task."""
@@ -200,6 +223,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Return the observation, in the order of `OBSERVED`."""
 
     @abstractmethod
+    def _largest_observation(self) -> list[float]:
+        """Return a bound on the absolute value of each entry of `OBSERVED`, which no episode in bounds reaches."""
+
+    @abstractmethod
     def _reached(self) -> float:
         """Return what the policy has reached so far, in the unit of the limit."""
 
@@ -230,7 +257,12 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     @property
     def frame_count(self) -> int:
         """Number of frames of an episode, the first included."""
-        return round(self.DURATION_S * FRAME_RATE_HZ) + 1
+        return self.STEPS + 1
+
+    @property
+    def duration_s(self) -> float:
+        """Length of an episode [s]."""
+        return self.STEPS / FRAME_RATE_HZ
 
     @property
     def time_s(self) -> float:
@@ -240,18 +272,57 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[FloatArray, dict[str, Any]]:
-        """Start a new episode. There are no options; bodies always start alike, and the seed sets a goal, if any."""
-        self._check_open("reset")
-        if options:
-            raise ParameterError(
-                f"reset of {type(self).__name__} has no options, got {', '.join(options)}"
-            )
-        self.simulation.reset(0 if seed is None else seed)
-        return self.begin(seed)
+        """Start a new episode.
 
-    def begin(self, seed: int | None) -> tuple[FloatArray, dict[str, Any]]:
-        """Start a new episode of a world that is at its start; `reset` brings it there."""
+        Args:
+            seed: Seed of the random numbers, which draw the scatter of the start and the goal, if there are any.
+                Without it they go on.
+            options: `{"jitter": True}` scatters the start, as for `GaugeEnv`; it holds for autoreset too.
+        """
+        self._check_open("reset")
+        moved = self.place(seed, options)
+        if moved is not None:
+            self._free()
+            self._build(moved)
+        self.simulation.reset(0 if seed is None else seed)
+        started = self.begin()
+        self._show()
+        return started
+
+    def place(
+        self, seed: int | None, options: Mapping[str, Any] | None
+    ) -> Experiment | None:
+        """Seed the random numbers and draw the start; return the experiment if its world must be built anew.
+
+        Args:
+            seed: Seed of a reset, or None.
+            options: Its options; None keeps those of the last one, unless there is a seed.
+        """
         super().reset(seed=seed)
+        jitter = self._starts.of_reset(options, seeded=seed is not None)
+        if isinstance(jitter, TrialStart):
+            raise ParameterError(
+                f"reset of {self._label} has no option 'trial': its episodes are no recorded trials"
+            )
+        if jitter is None and not self._is_moved:
+            return None
+        moved = self.experiment
+        if isinstance(jitter, Jitter):
+            moved = jittered_experiment(
+                moved,
+                jitter,
+                seed=int(self.np_random.integers(SEEDS)),
+                backend=self.backend_name,
+            )
+            moved = replace(moved, scene=self._cleared(moved.scene))
+        self._is_moved = jitter is not None
+        if self.MEASURES_FROM_START:
+            self._prepare(moved.scene)
+            self.limit = self._limit()
+        return moved
+
+    def begin(self) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode of a world that is at its start; `reset` brings it there."""
         self._frame, self._ending = 0, None
         self.rest_nodes_m = self.nodes_m()
         self._begin()
@@ -261,7 +332,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s."""
-        return run_frame(self.frame(action), self.simulation)
+        ended = run_frame(self.frame(action), self.simulation)
+        self._show()
+        return ended
 
     def frame(self, action: Any) -> Generator[None, None, Step]:
         """Drive one frame of a world that someone else advances; return what `step` returns.
@@ -330,15 +403,15 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     # --- pictures ---
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
+    def render(self) -> Rendered | None:
+        """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
         return self.picture(self._pictures)
 
-    def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
-        """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
+    def picture(self, pictures: Pictures) -> Rendered | None:
+        """Return a picture of the world as it is now, in the form of the renderer's mode."""
         return pictures.draw(
             self.experiment,
             self.rest_nodes_m,

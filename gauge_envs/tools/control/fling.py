@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.envs.divergence import DeformableBounds
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
@@ -15,6 +16,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 ROD = "rod"
 
@@ -62,7 +64,7 @@ class FlingLimit(ControlEnv):
         "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
     )
 
-    DURATION_S = 4.0
+    STEPS = EPISODE_STEPS["Fling"]
     """Time of an episode; the law's policy takes 2.7 s."""
 
     COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_y",)
@@ -169,6 +171,23 @@ class FlingLimit(ControlEnv):
                 self.time_s,
             ]
         )
+
+    def _largest_observation(self) -> list[float]:
+        # The cloth spans less than the extent at which it counts as diverged, and hangs on the rod.
+        scene = self.experiment.scene
+        (cloth,) = scene.deformables
+        assert isinstance(cloth, Cloth)
+        span_m = DeformableBounds.STRETCH * math.hypot(*cloth.size_m)
+        count = 2 * (1 + len(LINES))
+        return [
+            *(count * [2.0 * span_m]),
+            *(count * [scene.speed_limit_m_per_s]),
+            self._stroke_m,
+            *self._stage.largest_speed_m_per_s,
+            self._speed_m_per_s,
+            2.0 * span_m / self.limit.value,
+            scene.duration_s,
+        ]
 
     # --- reward ---
 

@@ -21,6 +21,9 @@ HOLD_S = 1.0
 HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
 """`HOLD_S` in frames."""
 
+USED_OVER_FRICTION = 10.0
+"""Bound on the friction used over the friction, or over 1 if that is larger, in the observation."""
+
 SLIP_SPEED_M_PER_S = 0.02
 """Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
 
@@ -103,7 +106,7 @@ class FrictionLimit(ControlEnv):
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
         driver = stated.drivers[0]
-        fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
+        fastest = self.ACCELERATION_RAD_PER_S2 * self.duration_s
         motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
         return replace(
             stated, drivers=(replace(driver, motions=(motion,), provenance="action"),)
@@ -232,6 +235,20 @@ class FrictionLimit(ControlEnv):
     def _observation(self) -> FloatArray:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
         return np.array([self._angle, self._rate, self._used_now, slip, self.time_s])
+
+    def _largest_observation(self) -> list[float]:
+        # A cube that slips ends the episode, so no more than some times the friction is used.
+        scene, duration_s = self.experiment.scene, self.duration_s
+        rate = self.ACCELERATION_RAD_PER_S2 * duration_s
+        driven = scene.drivers[0].speed_limit_m_per_s(scene.body(self._carrier))
+        slip_m_per_s = scene.speed_limit_m_per_s + driven
+        return [
+            0.5 * rate * duration_s,
+            rate,
+            USED_OVER_FRICTION * max(self.limit.value, 1.0),
+            slip_m_per_s / SLIP_SPEED_M_PER_S,
+            duration_s,
+        ]
 
     # --- reward ---
 

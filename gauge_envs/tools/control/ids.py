@@ -20,6 +20,7 @@ def register() -> None:
                 id=task.id,
                 entry_point="gauge_envs.tools.control.wrapper:control_env",
                 vector_entry_point="gauge_envs.tools.control.vector:ControlVectorEnv",
+                max_episode_steps=task.episode_steps,
                 kwargs={"task": task.name},
             )
 

@@ -207,6 +207,23 @@ class LeastTimeLimit(ControlEnv):
             ]
         )
 
+    def _largest_observation(self) -> list[float]:
+        # No body is faster than the scene's limit, and the yaw is that of a rotation vector.
+        fastest, scene = (
+            self.experiment.scene.speed_limit_m_per_s,
+            self.experiment.scene,
+        )
+        moved_m = fastest * scene.duration_s
+        apart_m = self._driven_start_m - self._cube_start_m[:2]
+        return [
+            *(2 * [self.DISTANCE_M + moved_m]),
+            *(2 * [fastest]),
+            math.pi,
+            *(np.abs(apart_m) + self._stage.reach_m(scene.duration_s) + moved_m),
+            *(self._stage.largest_speed_m_per_s + fastest),
+            scene.duration_s,
+        ]
+
     # --- reward ---
 
     def _reward(self, ending: Ending | None) -> float:

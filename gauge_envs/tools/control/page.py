@@ -28,7 +28,7 @@ def control_description(task: ControlTask) -> dict[str, Any]:
         {
             "id": task.id,
             "scene": env.experiment.id,
-            "duration_s": env.DURATION_S,
+            "duration_s": env.duration_s,
             "observed": env.OBSERVED,
             "limit": dataclasses.asdict(env.limit),
             "task": "\n\n".join(

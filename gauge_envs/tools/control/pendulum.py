@@ -16,6 +16,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL = "ball"
 
@@ -66,7 +67,7 @@ class PendulumLimit(ControlEnv):
         "which gives the height at an angle; mass to 0.1 g"
     )
 
-    DURATION_S = 6.0
+    STEPS = EPISODE_STEPS["Pendulum"]
     """Time of five full swings; at full torque three are enough."""
     OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "mujoco": {"timestep_s": 1 / 180}
@@ -82,6 +83,8 @@ class PendulumLimit(ControlEnv):
         "time_s",
     )
     _at_time_limit = Ending.MISSED
+    # Angles and heights are those from hanging straight down.
+    MEASURES_FROM_START = False
 
     def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
         """Return the parameters, with the ball hanging straight down."""
@@ -175,6 +178,16 @@ class PendulumLimit(ControlEnv):
                 self.time_s,
             ]
         )
+
+    def _largest_observation(self) -> list[float]:
+        # Below the target, on which the episode ends, the ball has at most the energy of the fall from there with the
+        # torque's help. Twice the speed leaves room for an engine's error.
+        duration_s = self.experiment.scene.duration_s
+        least_j = self._weight_n * self._target_m
+        energy_j = least_j + self._largest_torque_n_m * TARGET_RAD
+        rate = 2.0 * math.sqrt(2.0 * energy_j / self._inertia_kg_m2)
+        work_j = self._largest_torque_n_m * rate * duration_s
+        return [math.pi, rate, 1.0, work_j / least_j, duration_s]
 
     # --- reward ---
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.scene import Box, Motion, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.control.least_time import CUBE, LeastTimeLimit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
@@ -15,6 +15,7 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
     with_stage,
 )
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
@@ -58,7 +59,7 @@ class PushLimit(LeastTimeLimit):
         "from the calibrated coefficient"
     )
 
-    DURATION_S = 2.0
+    STEPS = EPISODE_STEPS["Push"]
     """Time of an episode: five times the least time."""
 
     ACCELERATION_M_PER_S2 = 20.0
@@ -83,7 +84,7 @@ class PushLimit(LeastTimeLimit):
         driver = stage_driver(
             PUSHER,
             (X_AXIS, Y_AXIS),
-            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S,
+            largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.duration_s,
         )
         still = replace(stated, bodies=bodies)
         return with_stage(
@@ -94,6 +95,22 @@ class PushLimit(LeastTimeLimit):
             driver,
             pushes=CUBE,
             like=on_board,
+        )
+
+    def _cleared(self, scene: Scene) -> Scene:
+        """Return the scene with the pusher as far behind the cube as at its calibrated start."""
+        start = self.experiment.scene
+        moved_m = np.subtract(
+            scene.body(CUBE).pose.position_m, start.body(CUBE).pose.position_m
+        )
+        pose = start.body(PUSHER).pose
+        behind = replace(pose, position_m=vector(pose.position_m + moved_m))
+        return replace(
+            scene,
+            bodies=tuple(
+                replace(body, pose=behind) if body.name == PUSHER else body
+                for body in scene.bodies
+            ),
         )
 
     @staticmethod

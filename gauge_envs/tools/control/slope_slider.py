@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from gauge_envs.tools.control.friction import FrictionLimit
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 
 class SlopeSliderLimit(FrictionLimit):
@@ -22,7 +23,7 @@ class SlopeSliderLimit(FrictionLimit):
         "from the calibrated coefficient"
     )
 
-    DURATION_S = 5.0
+    STEPS = EPISODE_STEPS["SlopeSlider"]
     """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
 
     ACCELERATION_RAD_PER_S2 = 1.0

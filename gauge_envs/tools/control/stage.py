@@ -111,6 +111,10 @@ class Stage:
             np.zeros(6),
         )
 
+    def reach_m(self, duration_s: float) -> FloatArray:
+        """Return the largest displacement along each axis in some time [m], shape [axis_count]."""
+        return np.minimum(self._stroke_m, self.largest_speed_m_per_s * duration_s)
+
     def drive(self, world: World, acceleration_m_per_s2: FloatArray) -> None:
         """Drive the body for the next 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
         step = SAMPLE_INTERVAL_S

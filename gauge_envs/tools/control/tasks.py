@@ -13,17 +13,30 @@ class ControlTask:
         name: Name, as `Turntable-Limit-wood`.
         entry_point: Module and class of the environment, with a colon between.
         material: Material of the cube, the ball or the cloth.
+        episode_steps: Steps of an episode, one for each frame after the first.
     """
 
     name: str
     entry_point: str
     material: str
+    episode_steps: int
 
     @property
     def id(self) -> str:
         """Gymnasium id."""
         return f"GAUGE/{self.name}"
 
+
+EPISODE_STEPS = {
+    "Turntable": 150,
+    "SlopeSlider": 150,
+    "Pendulum": 180,
+    "Carry": 90,
+    "Push": 60,
+    "Throw": 90,
+    "Fling": 120,
+}
+"""Steps of an episode of each family, 30 a second. Registration reads them without the modules of the tasks."""
 
 _TASKS = {
     "Turntable": (
@@ -52,6 +65,7 @@ def control_tasks() -> tuple[ControlTask, ...]:
             name=f"{family}-Limit-{material}",
             entry_point=entry_point,
             material=material,
+            episode_steps=EPISODE_STEPS[family],
         )
         for family, (entry_point, materials) in _TASKS.items()
         for material in materials

@@ -23,6 +23,7 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
     with_stage,
 )
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL, PLATE = "ball", "plate"
 
@@ -112,7 +113,7 @@ class ThrowLimit(ControlEnv):
         "scatter"
     )
 
-    DURATION_S = 3.0
+    STEPS = EPISODE_STEPS["Throw"]
     """Time of an episode; three impacts and the way up take 1.8 s."""
 
     ACCELERATION_M_PER_S2 = 30.0
@@ -257,6 +258,22 @@ class ThrowLimit(ControlEnv):
                 self.time_s,
             ]
         )
+
+    def _largest_observation(self) -> list[float]:
+        # A fall below the plate ends the episode, and the energy of the largest speed lifts the ball.
+        scene, stage = self.experiment.scene, self._stage
+        fastest = scene.speed_limit_m_per_s
+        aside_m = stage.reach_m(scene.duration_s)[0] + fastest * scene.duration_s
+        highest_m = self._drop_m + 0.5 * fastest**2 / scene.gravity_m_per_s2
+        return [
+            ASIDE_M + float(aside_m),
+            highest_m,
+            *(2 * [fastest]),
+            STROKE_M,
+            *(2 * [SPEED_M_PER_S]),
+            IMPACTS,
+            scene.duration_s,
+        ]
 
     # --- reward ---
 

@@ -4,6 +4,7 @@ import math
 
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.friction import FrictionLimit
+from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 
 class TurntableLimit(FrictionLimit):
@@ -25,7 +26,7 @@ class TurntableLimit(FrictionLimit):
         "slope, where calibrated coefficients and 19 or 20 trials are known, measured by the same method"
     )
 
-    DURATION_S = 5.0
+    STEPS = EPISODE_STEPS["Turntable"]
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
 
     ACCELERATION_RAD_PER_S2 = 6.0

@@ -12,14 +12,15 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import worlds_of
+from gauge_envs.backends.base import Simulation, Worlds, separate_worlds, worlds_of
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.arguments import Scatter, check_episode_steps
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length
-from gauge_envs.envs.pictures import Pictures
+from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, Rendered
 from gauge_envs.envs.stepper import Stepper
-from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv, Step
@@ -41,9 +42,12 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         settings: Numerical settings of the engine that replace those of the preset.
         world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
             come on top of `parameters`.
-        render_mode: None or `rgb_array`.
+        render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `ControlEnv`.
         width: Picture width [pixels].
         height: Picture height [pixels].
+        camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+            `elevation_deg`.
+        jitter: Scatter of the starts, as of `ControlEnv`; each world has starts of its own, also after autoreset.
 
     Attributes:
         worlds: The worlds.
@@ -73,11 +77,26 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
+        camera: Mapping[str, Any] | None = None,
+        jitter: Scatter = None,
+        max_episode_steps: int | None = None,
     ) -> None:
+        check_episode_steps(max_episode_steps, find_control_task(task).episode_steps)
         constants = world_constants(num_envs, world_parameters)
-        pictures = Pictures(render_mode, width=width, height=height)
+        pictures = Pictures(
+            render_mode,
+            width=width,
+            height=height,
+            camera=camera,
+            modes=WORLDS_RENDER_MODES,
+        )
         self.worlds = ControlWorlds(
-            task, constants, parameters=parameters, backend=backend, settings=settings
+            task,
+            constants,
+            parameters=parameters,
+            backend=backend,
+            settings=settings,
+            jitter=jitter,
         )
         first = self.worlds.envs[0]
         super().__init__(first.experiment, pictures, backend=backend, settings=settings)
@@ -96,24 +115,23 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         Args:
             seed: Seed of the first world; each next world has one more. Or the seed of each world. None continues the
                 random numbers of each world.
-            options: There are none.
+            options: See `ControlEnv.reset`; they hold for autoreset.
         """
         self._check_open("reset")
-        if options:
-            raise ParameterError(
-                f"reset of {type(self).__name__} has no options, got {', '.join(options)}"
-            )
         seeds = [None] * self.num_envs if seed is None else self._seeds(seed)
         super().reset(seed=seeds[0])
         self._is_reset = True
         self._over[:] = False
-        infos = self._begin(dict(enumerate(seeds)), {})
+        infos = self._begin(dict(enumerate(seeds)), {}, options)
         return self._observations.copy(), infos
 
     def _begin(
-        self, seeds: Mapping[int, int | None], infos: dict[str, Any]
+        self,
+        seeds: Mapping[int, int | None],
+        infos: dict[str, Any],
+        options: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        for number, (observation, info) in self.worlds.begin(seeds).items():
+        for number, (observation, info) in self.worlds.begin(seeds, options).items():
             self._observations[number] = observation
             infos = self._add_info(infos, info, number)
         return infos
@@ -151,7 +169,7 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._over = terminations | truncations
         return self._observations.copy(), rewards, terminations, truncations, infos
 
-    def _picture(self, number: int) -> NDArray[np.uint8]:
+    def _picture(self, number: int) -> Rendered | None:
         return self.worlds.envs[number].picture(self._pictures)
 
     def _free(self) -> None:
@@ -171,6 +189,7 @@ class ControlWorlds:
         parameters: `calibrated`, another parameter set of the task file, or overrides.
         backend: Name of the engine.
         settings: Numerical settings of the engine that replace those of the preset.
+        jitter: Scatter of the starts. Worlds that start anew elsewhere are simulations of their own.
 
     Attributes:
         envs: The environment of each world; their `reset` and `step` are not for use.
@@ -184,6 +203,7 @@ class ControlWorlds:
         parameters: Parameters = "calibrated",
         backend: str = "mujoco",
         settings: Mapping[str, Any] | None = None,
+        jitter: Scatter = None,
     ) -> None:
         found = find_control_task(task)
         make = load_env_creator(found.entry_point)
@@ -194,6 +214,7 @@ class ControlWorlds:
                 parameters=chosen,
                 backend=backend,
                 settings=settings,
+                jitter=jitter,
                 is_world=True,
             )
             assert isinstance(env, ControlEnv)
@@ -205,24 +226,52 @@ class ControlWorlds:
         self.envs = [
             world(common | dict(one)) if one else world(parameters) for one in constants
         ]
+        self._settings = settings
+        self._engine = backend_for(backend, first.experiment.model_file)
         scenes = [env.experiment.scene for env in self.envs]
-        engine = backend_for(backend, first.experiment.model_file)
-        worlds = worlds_of(engine, scenes, settings, restart_alone=True)
-        self._stepper = Stepper(worlds, moving=first.moving)
+        self._use(worlds_of(self._engine, scenes, settings, restart_alone=True))
+
+    def _use(self, worlds: Worlds) -> None:
+        self._stepper = Stepper(worlds, moving=self.envs[0].moving)
         for env, view in zip(self.envs, self._stepper.views, strict=True):
             check_drive_interval(view.settings)
             env.world = view
 
     def begin(
-        self, seeds: Mapping[int, int | None]
+        self, seeds: Mapping[int, int | None], options: Mapping[str, Any] | None = None
     ) -> dict[int, tuple[FloatArray, dict[str, Any]]]:
         """Start a new episode in some worlds, as `ControlEnv.reset` does.
 
         Args:
             seeds: Seed for the number of each world; None continues its random numbers.
+            options: Options of the reset.
         """
+        placed = {
+            number: self.envs[number].place(seed, options)
+            for number, seed in seeds.items()
+        }
+        moved = {number: one for number, one in placed.items() if one is not None}
+        if moved:
+            self._build_anew(moved)
         self._stepper.restart([*seeds])
-        return {number: self.envs[number].begin(seed) for number, seed in seeds.items()}
+        return {number: self.envs[number].begin() for number in seeds}
+
+    def _build_anew(self, moved: Mapping[int, Experiment]) -> None:
+        """Build some worlds with other starts; those of one model all become simulations of their own."""
+        now = self._stepper.worlds.worlds
+        worlds = dict(
+            enumerate(world for world in now if isinstance(world, Simulation))
+        )
+        if not worlds:
+            # Only a reset of all worlds asks for the first scatter.
+            self._stepper.worlds.close()
+        for number, env in enumerate(self.envs):
+            if number in moved or number not in worlds:
+                if number in worlds:
+                    worlds[number].close()
+                experiment = moved.get(number, env.experiment)
+                worlds[number] = self._engine.build(experiment.scene, self._settings)
+        self._use(separate_worlds([worlds[number] for number in range(len(self.envs))]))
 
     def step(self, actions: Mapping[int, Any]) -> dict[int, Step]:
         """Simulate one frame in some worlds, with `limit` in `info` where an episode ends.

@@ -25,25 +25,31 @@ if TYPE_CHECKING:
 
 
 def data_download(
-    words: Annotated[
+    patterns: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[PATTERN]...",
-            help="Files, as 'data/rigid/slope slider/*'; all trials by default.",
+            metavar="PATTERN",
+            show_default="all trials",
+            help="Files, as 'data/rigid/slope slider/*'.",
+        ),
+    ] = None,
+    revision: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            rich_help_panel=arguments.SELECTION,
+            show_default="that of the bundled data",
+            help="Commit, branch or tag.",
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder; by default below the user's data.")
+        Path | None, arguments.target("Folder.", show_default="below the user's data")
     ] = None,
 ) -> None:
-    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes.
-
-    Details: revision=, a commit, branch or tag; without it that of the bundled data.
-    """
+    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""
     from gauge_envs.tools.dataset import download
 
-    patterns, details = arguments.split_details(words, revision=str)
-    wanted = details.get("revision", download.PINNED_REVISION)
+    wanted = revision or download.PINNED_REVISION
     commit = download.resolved_revision(wanted)
     message(f"{download.DATASET}, revision {wanted} is {commit}")
     path, _ = download.download_dataset(
@@ -60,11 +66,27 @@ def data_import(
             metavar="DIR", help="Folder of the dataset, which holds 'data'."
         ),
     ],
-    only: Annotated[
+    patterns: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[PATTERN]... [NAME=VALUE]...",
-            help="Experiments, all by default; unit=mm and rate=30 of files that state none.",
+            metavar="ID", show_default="all", help="Ids or patterns of experiments."
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            rich_help_panel=arguments.SCENE,
+            help="Unit of lengths in files that state none, as mm.",
+        ),
+    ] = None,
+    rate_hz: Annotated[
+        float | None,
+        arguments.measured(
+            "--rate",
+            "Hz",
+            "Frames a second of files that state no rate.",
+            arguments.SCENE,
+            is_positive=True,
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,
@@ -78,13 +100,12 @@ def data_import(
     from gauge_envs.tools.dataset.layout import find_trials
     from gauge_envs.tools.dataset.words import import_document
 
-    patterns, stated = arguments.split_details(only, unit=str, rate=float)
     layout = find_trials(folder, only=patterns or ["*"])
     imports, findings = [], list(layout.findings)
     with Progress("trials", layout.count) as progress:
         for one in import_trials(
             layout,
-            stated=Stated(unit=stated.get("unit"), rate_hz=stated.get("rate")),
+            stated=Stated(unit=unit, rate_hz=rate_hz),
             advance=lambda path: progress.advance(layout.relative(path)),
         ):
             imports.append(one)

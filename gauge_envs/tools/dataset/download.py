@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import DatasetError, MissingExtraError
+from gauge_envs.errors import DatasetError, needs_extra
 from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.layout import write_revision
 
@@ -99,8 +99,6 @@ def _cause(error: Exception) -> str:
 
 
 def _hub() -> Any:
-    try:
+    with needs_extra("gauge data download", "data"):
         import huggingface_hub
-    except ImportError as error:
-        raise MissingExtraError("gauge data download", "data", error) from error
     return huggingface_hub

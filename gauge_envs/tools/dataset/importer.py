@@ -333,7 +333,7 @@ class _VariantImporter:
             return
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
         score = score_trajectory(
-            self._experiment, None, times_s=times_s, values=trajectory
+            self._experiment, None, times_s=times_s, values=trajectory, is_checked=True
         )
         for metric, values in self._events.items():
             value = getattr(score, METRICS[metric].score_field)

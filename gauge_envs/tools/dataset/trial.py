@@ -89,13 +89,13 @@ def parse_trial(
         or not isinstance(rate, int | float)
         or rate != FRAME_RATE_HZ
     ):
-        says = "; rate=30 says that of files without one" if rate is None else ""
+        says = "; --rate 30 says that of files without one" if rate is None else ""
         raise TrialError(
             RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}"
         )
     scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
     if scale is None:
-        says = "; unit=mm says that of files without one" if unit is None else ""
+        says = "; --unit mm says that of files without one" if unit is None else ""
         raise TrialError(
             UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}"
         )

@@ -28,6 +28,7 @@ from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -237,7 +238,7 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
     scatter = float(np.sqrt(np.nanmean(np.square(band.sigma))))
     if real <= STILL_SHARE * scatter:
         missing[BudgetStage.RATE] = (
-            "the real mean does not move by more than a tenth of its scatter, so it has no rate"
+            "the mean of the reference does not move by more than a tenth of its sigma, so it has no rate"
         )
     elif simulated_size <= 1e-3 * real:
         missing[BudgetStage.RATE] = "the simulation does not move, so it has no rate"
@@ -311,7 +312,13 @@ def _diagnosis(
             rmse=left.rmse,
             by_coordinate=tuple(left.mean_squares.tolist()),
         ),
-        published=_published(baselines),
+        published=_published(
+            {
+                metric: line
+                for metric, line in baselines.items()
+                if band.grade.is_real or METRICS[metric].is_event
+            }
+        ),
         notes=tuple(_notes(budget, band, order, measured_only=measured_only)),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,41 +12,112 @@ from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
-RECORDING = {"recording": Path, "recording_start_s": float, "recording_rate_hz": float}
-"""Details of the real recording beside a film."""
 
-TIMES = dict.fromkeys(("speed", "fps", "from_s", "to_s", "hold_s"), float)
-
-COUNTS = dict.fromkeys(("width", "height", "columns", "strip"), int)
+def _pixels(option: str, text: str) -> Any:
+    return typer.Option(
+        option, min=1, metavar="px", rich_help_panel=arguments.OUTPUT, help=text
+    )
 
 
 def video_film(
-    sources: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[DIR or FILE]... [NAME=VALUE]...",
-            help="Results; results/ by default.",
-        ),
-    ] = None,
-    out: Annotated[
+    sources: arguments.Sources = None,
+    use: arguments.Use = None,
+    recording: Annotated[
         Path | None,
         typer.Option(
-            help="Film, .mp4, .webp or .gif; strip, .png or .webp; or .rrd for the Rerun viewer, of one result."
+            metavar="FILE",
+            rich_help_panel=arguments.SCENE,
+            help="Video of the real experiment, as the first panel.",
+        ),
+    ] = None,
+    recording_start_s: Annotated[
+        float | None,
+        arguments.measured(
+            "--recording-start",
+            "s",
+            "Time of the recording at which the experiment starts.",
+            arguments.SCENE,
+            show_default="0",
+        ),
+    ] = None,
+    recording_rate_hz: Annotated[
+        float | None,
+        arguments.measured(
+            "--recording-rate",
+            "Hz",
+            "Pictures that the camera took in a second, if the recording is in slow motion.",
+            arguments.SCENE,
+            is_positive=True,
+            show_default="that of the file",
         ),
     ] = None,
     only: Annotated[
         str | None,
-        typer.Option(metavar="ID", help="Experiment, if the results are of several."),
+        arguments.experiment(
+            "Experiment, if the results are of several.", arguments.SELECTION
+        ),
     ] = None,
-    use: arguments.Use = "",
+    from_s: Annotated[
+        float,
+        arguments.measured(
+            "--from", "s", "Time of the first picture.", arguments.SELECTION
+        ),
+    ] = 0.0,
+    to_s: Annotated[
+        float | None,
+        arguments.measured(
+            "--until",
+            "s",
+            "Time of the last picture.",
+            arguments.SELECTION,
+            show_default="the end",
+        ),
+    ] = None,
+    speed: Annotated[
+        float,
+        typer.Option(
+            rich_help_panel=arguments.OUTPUT,
+            help="Seconds of the experiment in one of the film.",
+        ),
+    ] = 1.0,
+    fps: Annotated[
+        float,
+        arguments.measured("--fps", "Hz", "Pictures in a second.", arguments.OUTPUT),
+    ] = 30.0,
+    hold_s: Annotated[
+        float,
+        arguments.measured(
+            "--hold", "s", "Time that the last picture stays.", arguments.OUTPUT
+        ),
+    ] = 1.0,
+    width: Annotated[int, _pixels("--width", "Width of a panel.")] = 480,
+    height: Annotated[int, _pixels("--height", "Height of a panel.")] = 360,
+    columns: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            rich_help_panel=arguments.OUTPUT,
+            show_default="at most 4",
+            help="Panels in a row.",
+        ),
+    ] = None,
+    strip: Annotated[
+        int | None,
+        typer.Option(
+            metavar="COUNT",
+            rich_help_panel=arguments.OUTPUT,
+            help="So many times in a row, in place of a film.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        arguments.target(
+            "Film, .mp4, .webp or .gif; strip, .png or .webp; or .rrd for the Rerun viewer, of one result.",
+            show_default="film.mp4, or strip.png",
+        ),
+    ] = None,
 ) -> bool:
     """Film results of one experiment side by side, or write one for the Rerun viewer.
-
-    Details: speed=1, seconds of the experiment in one of the film; fps=30; from_s=0 and to_s=, times of the first and
-    the last picture; hold_s=1 for the last frame; width=480 and height=360 of a panel in pixels; columns=, panels in a
-    row, at most four by default; strip=COUNT, so many times in a row instead of a film; recording=FILE, a video of the
-    real experiment as the first panel; recording_start_s=0, its time at which the experiment starts; and
-    recording_rate_hz=, pictures that its camera took in a second, if it is in slow motion.
 
     Each panel has its reference, its tracked points and its score. The episodes are run again. A result without the
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is
@@ -61,33 +132,35 @@ def video_film(
     )
     from gauge_envs.tools.film.rerun_file import write_rerun
 
-    files, details = arguments.split_details(sources, **TIMES, **COUNTS, **RECORDING)
-    file = out or Path("strip.png" if "strip" in details else "film.mp4")
+    file = out or Path("film.mp4" if strip is None else "strip.png")
     used = arguments.parsed_use(use, "use_withheld")
-    loaded, skipped = loaded_results(files, with_scene=True)
+    loaded, skipped = loaded_results(sources, with_scene=True)
+    if recording is None and (recording_start_s, recording_rate_hz) != (None, None):
+        raise ParameterError("--recording-start and --recording-rate need --recording")
+    options = FilmOptions(
+        speed=speed,
+        fps=fps,
+        from_s=from_s,
+        to_s=to_s,
+        hold_s=hold_s,
+        width=width,
+        height=height,
+        columns=columns,
+        recording=None
+        if recording is None
+        else Recording(
+            file=recording, start_s=recording_start_s or 0.0, rate_hz=recording_rate_hz
+        ),
+        **used,
+    )
     if file.suffix == ".rrd":
         results = results_of_one_experiment(loaded, only)
-        if details or len(results) != 1:
+        if options != FilmOptions(**used) or strip is not None or len(results) != 1:
             raise ParameterError(
-                f"{file}: a recording for Rerun shows one result, and has no details"
+                f"{file}: a recording for Rerun shows one result, and has no options of a film"
             )
         echo(write_rerun(next(iter(results.values())), file, **used))
         return bool(skipped)
-    strip = details.pop("strip", None)
-    real = {name: details.pop(name) for name in RECORDING if name in details}
-    if real and "recording" not in real:
-        raise ParameterError(
-            "recording_start_s and recording_rate_hz need recording=FILE"
-        )
-    if real:
-        start_s, rate_hz = (
-            real.get("recording_start_s", 0.0),
-            real.get("recording_rate_hz"),
-        )
-        details["recording"] = Recording(
-            file=real["recording"], start_s=start_s, rate_hz=rate_hz
-        )
-    options = FilmOptions(**details, **used)
     results = results_of_one_experiment(loaded, only)
     with Progress("episodes", None) as progress:
 

@@ -18,6 +18,7 @@ from gauge_envs.pages.results import (
     SCORE_METRICS,
     normalized_score,
     raw_score,
+    scale_unit,
     score_interval,
 )
 from gauge_envs.pages.text import interval_text, score_text, with_unit
@@ -159,7 +160,7 @@ class SimulatedPanel:
         at = min(time_s, self.last_s) * replay.rate_hz
         poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))
         nodes_m = {name: between(points, at) for name, points in replay.nodes_m.items()}
-        return self._canvas.draw(
+        picture = self._canvas.draw(
             self._take.experiment,
             self._rest_nodes_m,
             band=self._take.band,
@@ -167,6 +168,8 @@ class SimulatedPanel:
             nodes_m=nodes_m,
             overlay=self.overlay(time_s, poses),
         )
+        assert isinstance(picture, np.ndarray)
+        return picture.astype(np.uint8, copy=False)
 
     def overlay(self, time_s: float, poses: dict[str, FloatArray]) -> Overlay:
         """Return what is drawn on top of the scene at a time.
@@ -213,9 +216,8 @@ def score_line(result: Result, band: Band | None) -> str:
             normalized_score(score, key),
         )
         if normalized is not None:
-            texts.append(
-                f"{metric.title} {interval_text(normalized, score_interval(score, key))}"
-            )
+            text = interval_text(normalized, score_interval(score, key))
+            texts.append(f"{metric.title} {with_unit(text, scale_unit(score, key))}")
         elif raw is not None:
             texts.append(
                 f"{metric.title} {with_unit(score_text(raw), metric.unit_of(score.unit))}"

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.errors import MissingExtraError, ResultFileError
+from gauge_envs.errors import ResultFileError, needs_extra
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ghost_trajectory
 from gauge_envs.experiments.experiment import Experiment
@@ -56,10 +55,9 @@ def write_rerun(result: Result, file: Path, *, use_withheld: bool = False) -> Pa
         file: The recording, `*.rrd`; its folder is created.
         use_withheld: Show also a reference that is withheld by default.
     """
-    try:
+    with needs_extra("the recording for Rerun", "rerun"):
         import rerun
-    except ImportError as error:
-        raise MissingExtraError("the recording for Rerun", "rerun", error) from error
+        import trimesh  # noqa: F401
     experiment = replayed_experiment(result)
     again = replay(result)
     band = reference_band(experiment, use_withheld=use_withheld)
@@ -282,6 +280,8 @@ class _Recording:
             return self._rerun.LineStrips3D(
                 [points_m], radii=body.radius_m, colors=[color]
             )
+        import trimesh
+
         normals = trimesh.Trimesh(points_m, faces, process=False).vertex_normals
         return self._rerun.Mesh3D(
             vertex_positions=points_m,

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs.errors import (
-    MissingExtraError,
     ParameterError,
     ResultFileError,
     VideoError,
+    needs_extra,
 )
 from gauge_envs.files import MEGABYTE, replaced_whole
 
@@ -96,12 +96,8 @@ def check_film_format(file: Path) -> None:
     check_suffix(file, FILM_SUFFIXES)
     if file.suffix.lower() != ".mp4":
         return
-    try:
+    with needs_extra("an MP4 film (a WebP or GIF needs no FFmpeg)", "video"):
         import imageio_ffmpeg
-    except ImportError as error:
-        raise MissingExtraError(
-            "an MP4 film (a WebP or GIF needs no extra)", "video", error
-        ) from error
     try:
         imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:

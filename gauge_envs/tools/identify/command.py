@@ -12,6 +12,8 @@ from gauge_envs.cli.output import Format, Progress, echo, note, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
+    from mujoco import MjSpec
+
     from gauge_envs.scene import Scene
 
 PASSIVE = ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2")
@@ -26,64 +28,107 @@ SERVO = (
 
 
 def recipe_joint(
-    words: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG... [NAME=VALUE]...", help="CSV or NPZ files."),
+    logs: Annotated[
+        list[Path], typer.Argument(metavar="LOG", help="CSV or NPZ files.")
     ],
-    engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
+    mass_kg: Annotated[
+        float | None,
+        arguments.measured("--mass", "kg", "Mass of the load.", arguments.SCENE),
+    ] = None,
+    length_m: Annotated[
+        float | None,
+        arguments.measured(
+            "--length",
+            "m",
+            "From the axis to the centre of the load; angle 0 is hanging.",
+            arguments.SCENE,
+        ),
+    ] = None,
+    inertia_kg_m2: Annotated[
+        float | None,
+        arguments.measured(
+            "--inertia",
+            "kg m2",
+            "Inertia of the load about its centre.",
+            arguments.SCENE,
+            show_default="0",
+        ),
+    ] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ID",
+            rich_help_panel=arguments.SCENE,
+            help="Id, experiment file, MJCF or USD layer whose hinges are the joints, in place of a load.",
+        ),
+    ] = None,
+    engine: arguments.Backend = "mujoco",
+    changes: arguments.Settings = None,
+    part_s: Annotated[
+        float | None,
+        arguments.measured(
+            "--part",
+            "s",
+            "Longest part of a log that is simulated at once.",
+            arguments.NUMERICS,
+            is_positive=True,
+            show_default="20 for servos, else the whole log",
+        ),
+    ] = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            rich_help_panel=arguments.SELECTION,
+            show_default=f"{','.join(PASSIVE)}; of a servo {','.join(SERVO)}",
+            help="What is identified.",
+        ),
+    ] = None,
+    test: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="LOG",
+            rich_help_panel=arguments.SELECTION,
+            help="Logs to predict, which the fit does not see.",
+        ),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give friction, armature and gains of joints from logs, with 95 % intervals.
 
     Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
 
-    Details: mass_kg= and length_m= of the load, from the axis to its centre, angle 0 hanging; inertia_kg_m2= about the
-    centre; or scene=, an id, experiment file or USD layer whose hinges are the joints. fit=NAME,NAME: what is
-    identified. test=LOG,LOG: logs to predict. part_s=: longest part that is simulated at once. timestep_s= of the
-    engine.
-
     Exit code 1 when the logs leave a setting open, or the engine does not follow a fitted one.
     """
     from gauge_envs.backends import backend
     from gauge_envs.tools.identify import identify, read_log
-    from gauge_envs.tools.identify.words import identified_document, snippet
+    from gauge_envs.tools.identify.words import identified_document
 
-    numbers = dict.fromkeys(
-        ("mass_kg", "length_m", "inertia_kg_m2", "part_s", "timestep_s"), float
-    )
-    names, details = arguments.split_details(
-        words, **numbers, scene=str, fit=str, test=str
-    )
-    if not names:
-        raise ParameterError("no log: name one or more CSV or NPZ files")
-    logs, tests = (
-        [read_log(Path(name)) for name in some if name]
-        for some in (names, details.pop("test", "").split(","))
-    )
-    for log in (*logs, *tests):
+    read, tests = (list(map(read_log, some)) for some in (logs, test or ()))
+    for log in (*read, *tests):
         if (reach_rad := float(abs(log.position_rad).max())) > 6.2832:
             note(
                 f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?"
             )
-    wanted = details.pop(
-        "fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)
-    ).split(",")
-    part_s = details.pop("part_s", None)
-    settings = {name: details.pop(name) for name in ("timestep_s",) if name in details}
+    wanted = fit or (SERVO if read[0].command_rad is not None else PASSIVE)
+    load = {"mass_kg": mass_kg, "length_m": length_m, "inertia_kg_m2": inertia_kg_m2}
     with Progress("simulations", None) as bar:
         found = identify(
             backend(engine),
-            _scene(**details),
-            logs,
+            _scene(
+                scene,
+                **{name: value for name, value in load.items() if value is not None},
+            ),
+            read,
             wanted,
             held_out=tests,
             part_s=part_s,
-            settings=settings,
+            settings=arguments.parsed_settings(changes) or {},
             progress=bar.show,
         )
     print_document(identified_document(found), form)
     if form is not Format.JSON:
-        echo(f"\npaste\n{snippet(found)}", nl=False)
+        echo(f"\npaste\n{found.lines}", nl=False)
     for name in found.lost:
         note(
             f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?"
@@ -91,8 +136,8 @@ def recipe_joint(
     return any(one.unknown for one in found.settings) or bool(found.lost)
 
 
-def _scene(scene: str | None = None, **load: float) -> Scene:
-    """Return the scene of an id or a file, or one joint with a load."""
+def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
+    """Return the scene of an id or a file, the model of an MJCF file, or one joint with a load."""
     from gauge_envs.experiments.scene_builder import SceneBuilder
     from gauge_envs.experiments.task_files import task_spec
     from gauge_envs.experiments.variants import (
@@ -101,23 +146,25 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
         task_path,
     )
     from gauge_envs.registry import scene_suffixes
-    from gauge_envs.tools.identify import one_joint
+    from gauge_envs.tools.identify import one_joint, read_mjcf
     from gauge_envs.tools.usd import load_experiment_file, read_usd
 
     if scene is not None:
         if load:
             raise ParameterError(
-                f"scene= states the load: leave {' and '.join(load)} out"
+                "--scene states the load: leave --mass, --length and --inertia out"
             )
         path = Path(scene)
         if is_experiment_file(path):
             return load_experiment_file(path).scene
         if path.suffix in scene_suffixes():
             return read_usd(path, duration_s=1.0).scene
+        if path.suffix.lower() in (".xml", ".mjcf"):
+            return read_mjcf(path)
         if path.suffix:
             raise ParameterError(
-                f"scene={scene}: a model file alone states no scene. Name an id, an experiment file (.toml), or a USD "
-                "layer, to which importers of other tools convert URDF and MJCF"
+                f"--scene {scene}: name an id, an experiment file (.toml), an MJCF (.xml), to which MuJoCo's compile "
+                "converts URDF, or a USD layer"
             )
         variant = find_variant(scene)
         # An experiment of recorded motions starts at the angles of one.
@@ -127,6 +174,6 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
     for name in ("mass_kg", "length_m"):
         if name not in load:
             raise ParameterError(
-                f"{name}= of the load is missing: without it a log tells only ratios of torques"
+                f"--{name.partition('_')[0]} of the load is missing: without it a log tells only ratios of torques"
             )
     return one_joint(**load)

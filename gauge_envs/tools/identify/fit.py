@@ -1,19 +1,21 @@
 """Settings of joints from logs: least squares over an engine's own simulation, with 95 % intervals.
 
 Stage 1 fits short parts of the logs, each from its own start, so that a wrong period cannot slip by a whole swing.
-Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too.
+Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too. What stage 2 leaves
+open of servos is then set to what the scene states, one number of a joint at a time, and the rest is fitted again.
 
 The residuals are not white: what a model leaves out lasts. Their noise is a white part and one that decays by the same
 share in each sample. Residual maximum likelihood (Patterson and Thompson, Biometrika 58, 1971) finds both: it counts
 out what the unknowns take up of the noise. In Student's quantile N samples count as N / (1 + 2 sum of the correlation).
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from mujoco import MjSpec
 from numpy.typing import NDArray
 from scipy.linalg import matmul_toeplitz
 from scipy.optimize import least_squares, minimize
@@ -26,20 +28,33 @@ from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.tools.identify.baselines import baselines
 from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.mujoco_joints import (
+    ModelJoints,
+    joint_names,
+    joints_of_model,
+    joints_of_scene,
+)
 from gauge_envs.tools.identify.rig import (
     DYNAMICS,
     SERVO,
+    Machine,
+    SceneJoints,
     Terms,
     check_joints,
-    numbers,
-    simulated,
     with_terms,
 )
+from gauge_envs.tools.identify.snippets import snippet_lines
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
+FIRST_STAGE_S = 15.0
+"""About how much of servos' logs stage 1 uses, evenly spread [s]: it seeks the neighbourhood alone."""
+ZERO = "0 is in the interval"
+SCALE = "only ratios of torques are told: a weight or a known armature would tell their scale"
+NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
+"""Relative change at which a stage ends: the first, the second, that of servos; most steps of the first."""
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
 LASTING = (0.0, 2.0, 4.0)
@@ -48,6 +63,12 @@ FEWEST = 10.0
 """Samples that at least count in the quantile: noise that lasts longer is known from its shocks."""
 STEP, DELAY_STEP = 1e-3, 0.1
 """Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
+SENSELESS, UNBOUNDED = 1e-9, 1e3
+"""Change of all angles [rad] per scaled unknown below which logs do not depend on it; its uncertainty then."""
+PLAUSIBLE = 2.0
+"""Distance, over half of the interval, up to which a fit with what the scene states is tried."""
+AS_WELL, REFIT_STEPS = 1.01, 8
+"""Error over that of the best fit up to which a fit with fewer numbers follows logs as well, and its most steps."""
 ALIKE = 0.98
 """Correlation from which the data does not tell two parameters apart."""
 
@@ -60,18 +81,22 @@ class Setting:
 
     Attributes:
         joint: Number of the joint in the log.
+        joint_name: Its name.
         name: Field of `JointDynamics` or `Servo`.
         value: Its value, in the unit of its name.
         low, high: 95 % interval; not below 0.
         unknown: Why the data does not determine it, or "".
+        pasted: Its value in the lines to paste, where undetermined numbers are as the scene states; None is left out.
     """
 
     joint: int
+    joint_name: str
     name: str
     value: float
     low: float
     high: float
     unknown: str = ""
+    pasted: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +107,13 @@ class Identified:
         engine: Name of the engine.
         settings: The identified numbers, by joint.
         joints: All numbers of each joint by name, also those that the scene states; 0 is none.
+        names: Names of the joints.
+        lines: Lines to paste.
         error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
         held_out_rad: The same of logs that were not.
         motion_rad: Standard deviation of the measured angles of each log [rad].
+        plain_rad: Errors of servos by plain laws without a model [rad], by log, shape [2, J]: angle is command; a lag.
+        is_replayed: Whether the errors are those of the pasted lines in plain MuJoCo, each log from its recorded start.
         simulations: Number of simulated parts of logs.
     """
 
@@ -92,8 +121,12 @@ class Identified:
     settings: tuple[Setting, ...]
     joints: Sequence[Mapping[str, float]]
     error_rad: Mapping[str, FloatArray]
+    names: tuple[str, ...] = ()
+    lines: str = ""
     held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     motion_rad: Mapping[str, FloatArray] = field(default_factory=dict)
+    plain_rad: Mapping[str, FloatArray] = field(default_factory=dict)
+    is_replayed: bool = False
     simulations: int = 0
 
     @property
@@ -113,22 +146,23 @@ class _Problem:
 
     Attributes:
         starts: Start of each part. Free starts are unknowns, which come behind the numbers of the joints.
+        fixed: Values of numbers that are no unknowns, NaN for the others, shape [name_count, J].
     """
 
-    engine: Backend
-    scene: Scene
-    settings: Mapping[str, Any] | None
+    machine: Machine
     parts: list[Log]
     starts: list[Start]
     names: tuple[str, ...]
     sizes: FloatArray
     zero: bool
     free_starts: bool
+    fixed: FloatArray
     simulations: int = 0
+    _last: tuple[FloatArray, FloatArray] = (np.zeros(0), np.zeros(0))
 
     @property
     def joints(self) -> int:
-        return len(self.scene.hinges)
+        return len(self.machine.stated)
 
     @property
     def kinds(self) -> int:
@@ -141,6 +175,7 @@ class _Problem:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
         of_joints = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
         values = of_joints[: len(self.names)] * self.sizes
+        values = np.where(np.isnan(self.fixed), values, self.fixed)
         terms: list[Terms] = [
             dict(zip(self.names, column.tolist(), strict=True)) for column in values.T
         ]
@@ -166,9 +201,7 @@ class _Problem:
         for part, start, shift in zip(self.parts, self.starts, moved, strict=True):
             begin = (start[0] - zero + shift[0], start[1] + shift[1])
             try:
-                angles = zero + simulated(
-                    self.engine, self.scene, part, terms, begin, self.settings
-                )
+                angles = zero + self.machine.angles(part, terms, begin)
                 errors.append(angles - part.position_rad)
             except DivergedError:
                 if not may_diverge:
@@ -178,20 +211,28 @@ class _Problem:
 
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
-        return np.concatenate(
-            [errors.T.ravel() for errors in self.errors(scaled, may_diverge=True)]
-        )
+        errors = self.errors(scaled, may_diverge=True)
+        residuals = np.concatenate([one.T.ravel() for one in errors])
+        self._last = scaled.copy(), residuals
+        return residuals
 
     def jacobian(self, scaled: FloatArray) -> FloatArray:
         """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
-        before = self.residuals(scaled)
+        before = self._last[1]
+        if not np.array_equal(self._last[0], scaled):
+            before = self.residuals(scaled)
         jacobian = np.zeros((before.size, scaled.size))
         rows, first_start = self._rows(), self.kinds * self.joints
         for kind in range(self.kinds):
             columns = kind * self.joints + np.arange(self.joints)
+            is_free = kind >= len(self.names) or np.isnan(self.fixed[kind])
+            if not np.any(is_free):
+                continue
             step = DELAY_STEP if self.names[kind : kind + 1] == ("delay_s",) else STEP
             change = self._changed(scaled, columns, before, step)
             for joint, column in enumerate(columns):
+                if not np.broadcast_to(is_free, self.joints)[joint]:
+                    continue
                 inside = rows[:, 1] == joint
                 jacobian[inside, column] = change[inside]
         for kind in range(2 if self.free_starts else 0):
@@ -248,9 +289,9 @@ class _Problem:
         return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
 
     def solved(
-        self, first: FloatArray, tolerance: float
+        self, first: FloatArray, tolerance: float, most: int | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns of the least squares, and their covariance."""
+        """Return the unknowns of the least squares after at most so many steps, and their covariance."""
         low = np.full(first.size, -np.inf)
         low[: len(self.names) * self.joints] = 0.0
         found = least_squares(
@@ -260,6 +301,7 @@ class _Problem:
             bounds=(low, np.inf),
             xtol=tolerance,
             ftol=tolerance,
+            max_nfev=most,
         )
         self._check_margin(found.x)
         return found.x, self._covariance(found.jac, found.fun)
@@ -273,24 +315,22 @@ class _Problem:
             < LOST_RAD
         ):
             return
-        step_s = float(
-            self.engine.build(self.scene, self.settings).settings["timestep_s"]
-        )
+        step_s = self.machine.timestep_s
         advice = (
             f"also with a step of {step_s / 64:.6g} s: choose another engine or preset"
         )
         for shorter_s in step_s / 2.0 ** np.arange(1, 7):
-            other = replace(
-                self, settings={**(self.settings or {}), "timestep_s": shorter_s}
-            )
+            other = replace(self, machine=self.machine.with_step(float(shorter_s)))
             if (
                 max(np.abs(one).max() for one in other.errors(larger, may_diverge=True))
                 < LOST_RAD
             ):
-                advice = f"give timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
+                advice = (
+                    f"give --set timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
+                )
                 break
         raise DivergedError(
-            f"{self.engine.name} diverges close to the best settings: {advice}"
+            f"{self.machine.name} diverges close to the best settings: {advice}"
         )
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -319,7 +359,11 @@ class _Problem:
                 middle += (
                     sensitivity.T @ matmul_toeplitz(covariance, sensitivity) * wider**2
                 )
-        return np.asarray(inverse @ middle @ inverse)
+        covariance = np.asarray(inverse @ middle @ inverse)
+        # The pseudoinverse gives 0 to an unknown that changes nothing.
+        nothing = np.flatnonzero(np.abs(jacobian).max(axis=0) < SENSELESS)
+        covariance[nothing, nothing] = UNBOUNDED**2
+        return covariance
 
     def _noise_of(
         self,
@@ -378,7 +422,7 @@ def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
 
 def identify(
     engine: Backend,
-    scene: Scene,
+    scene: Scene | MjSpec,
     logs: Sequence[Log],
     names: Sequence[str],
     *,
@@ -391,7 +435,8 @@ def identify(
 
     Args:
         engine: The engine.
-        scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order.
+        scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order. Or an
+            MJCF model, whose joints have the names of the logs'; joints that no log names keep their pose.
         logs: Logs to fit.
         names: Numbers to identify, fields of `JointDynamics` and `Servo`.
         held_out: Logs that are only predicted, with the identified numbers.
@@ -405,8 +450,98 @@ def identify(
         DivergedError: The engine diverges with the best settings, or close to them.
     """
     servo = logs[0].command_rad is not None
-    for log in (*logs, *held_out):
-        check_joints(scene, log)
+    _check_request(scene, [*logs, *held_out], names)
+    machine = _machine(engine, scene, logs[0], names, settings or {})
+    terms = guessed(machine, names)
+    sizes = np.array([[one[name] for one in terms] for name in names])
+    count = len(terms)
+    problem = partial(
+        _Problem,
+        machine,
+        names=tuple(names),
+        sizes=sizes,
+        zero=count == 1 and not servo,
+        fixed=np.full(sizes.shape, np.nan),
+    )
+    first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
+    long_s = part_s or long_s
+    short, long = _stages(problem, logs, first_s, long_s)
+    unknowns = short.best_start()
+    progress(f"{len(short.parts)} short parts of {len(logs)} logs")
+    unknowns, _ = short.solved(unknowns, NEAR, SHORT_STEPS if servo else None)
+    progress(f"{len(long.parts)} long parts")
+    if long.free_starts:
+        unknowns = np.concatenate(
+            [unknowns, np.zeros(2 * len(long.parts) * len(terms))]
+        )
+    unknowns, covariance = long.solved(unknowns, SERVO_CLOSE if servo else CLOSE)
+    found = _settings(long, unknowns, covariance)
+    joint_words = joint_names(logs[0], count)
+    if isinstance(machine, ModelJoints):
+        joint_words = machine.joints
+    left_out: list[dict[str, str]] = [{} for _ in terms]
+    if servo:
+        left_out, unknowns = _without_open(long, found, unknowns, progress)
+    values = [
+        {name: value + 0.0 for name, value in {**stated, **given}.items()}
+        for stated, given in zip(
+            machine.stated, long.unknowns(unknowns)[0], strict=True
+        )
+    ]
+    marked = [
+        {one.name: one.unknown for one in found if one.joint == joint and one.unknown}
+        for joint in range(count)
+    ]
+    lines = snippet_lines(
+        engine.name, joint_words, values, left_out, marked, machine.timestep_s
+    )
+    if isinstance(machine, ModelJoints) and servo:
+        error_rad = machine.replayed(lines, logs)
+        held_out_rad = machine.replayed(lines, held_out)
+    else:
+        error_rad = _errors(long, unknowns)
+        held_out_rad = (
+            _held_out(problem, held_out, long_s, long, unknowns) if held_out else {}
+        )
+    return Identified(
+        engine=engine.name,
+        settings=tuple(
+            replace(
+                one,
+                joint_name=joint_words[one.joint],
+                pasted=None
+                if one.name in left_out[one.joint]
+                else values[one.joint][one.name],
+            )
+            for one in found
+        ),
+        joints=values,
+        names=joint_words,
+        lines=lines,
+        error_rad=error_rad,
+        held_out_rad=held_out_rad,
+        motion_rad={
+            log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)
+        },
+        plain_rad=baselines(logs, held_out) if servo else {},
+        is_replayed=isinstance(machine, ModelJoints) and servo,
+        simulations=short.simulations + long.simulations,
+    )
+
+
+def _check_request(
+    scene: Scene | MjSpec, logs: Sequence[Log], names: Sequence[str]
+) -> None:
+    """Raise `ParameterError` unless all logs are of the joints of the scene, and all names of their numbers."""
+    servo = logs[0].command_rad is not None
+    for log in logs:
+        if isinstance(scene, Scene):
+            check_joints(scene, log)
+        if log.joints != logs[0].joints:
+            raise ParameterError(
+                f"{log.name} has the joints {', '.join(log.joints) or 'without names'}, and {logs[0].name} "
+                f"{', '.join(logs[0].joints) or 'without names'}: all logs need the same, in the same order"
+            )
         if (log.command_rad is not None) != servo:
             raise ParameterError(
                 f"{log.name}: all logs must state commands of servos, or none"
@@ -415,92 +550,157 @@ def identify(
         if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
             known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
             raise ParameterError(f"{name}: no number of such a joint; known: {known}")
-    terms = guessed(scene, names)
-    built = with_terms(scene, terms, logs[0], np.zeros(len(scene.hinges)))
-    support = scene_support(engine, built)
-    if not support:
-        raise UnsupportedSceneError(
-            f"backend {engine.name!r}: {'; '.join(support.missing)}"
-        )
-    sizes = np.array([[one[name] for one in terms] for name in names])
-    problem = partial(
-        _Problem,
-        engine,
-        scene,
-        settings,
-        names=tuple(names),
-        sizes=sizes,
-        zero=len(scene.hinges) == 1 and not servo,
-    )
+
+
+def _stages(
+    problem: Callable[..., _Problem],
+    logs: Sequence[Log],
+    first_s: float,
+    long_s: float,
+) -> list[_Problem]:
+    """Return the problems of both stages: short parts of logs, and long ones."""
     stages = []
-    first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
-    part_s = part_s or long_s
+    servo = logs[0].command_rad is not None
     for log in logs:
         apart_s = float(np.median(np.diff(log.times_s)))
         if 10.0 * apart_s > first_s:
             reason = f"samples are {apart_s:.3g} s apart, and at least 10 in {first_s:g} s are needed"
             raise ParameterError(f"{log.name}: {reason}; time_s is in seconds")
-    for longest_s, free in ((first_s, False), (part_s, not servo)):
+    for longest_s, free in ((first_s, False), (long_s, not servo)):
         parts = [
             part
             for log in logs
             for part in log.pieces(longest_s)
             if len(part.times_s) >= 10
         ]
+        if servo and longest_s == first_s:
+            every = len(parts) * first_s / FIRST_STAGE_S
+            parts = parts[:: max(1, round(every))]
         stages.append(
             problem(parts, [part.start() for part in parts], free_starts=free)
         )
-    short, long = stages
-    unknowns = short.best_start()
-    progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-    unknowns, _ = short.solved(unknowns, 1e-2)
-    progress(f"{len(long.parts)} long parts")
-    if long.free_starts:
-        unknowns = np.concatenate(
-            [unknowns, np.zeros(2 * len(long.parts) * len(scene.hinges))]
-        )
-    unknowns, covariance = long.solved(unknowns, 1e-4)
-    found = _settings(long, unknowns, covariance)
-    return Identified(
-        engine=engine.name,
-        settings=found,
-        joints=numbers(
-            with_terms(
-                scene, long.unknowns(unknowns)[0], logs[0], np.zeros(long.joints)
+    return stages
+
+
+def _without_open(
+    problem: _Problem,
+    found: Sequence[Setting],
+    unknowns: FloatArray,
+    progress: Callable[[str], None],
+) -> tuple[list[dict[str, str]], FloatArray]:
+    """Set what is not determined to what the scene states, and fit the rest, where that follows the logs as well.
+
+    Two numbers that go with each other may both be needed: those stay, and are marked.
+
+    Returns:
+        Names of the numbers of each joint that are as stated, with the reason, and the unknowns.
+    """
+    left_out: list[dict[str, str]] = [{} for _ in range(problem.joints)]
+    tried: set[tuple[int, str]] = set()
+    remaining, best = found, _squares(problem, unknowns)
+    while candidates := _to_leave_out(problem, remaining, tried):
+        before = problem.fixed.copy()
+        for one in candidates:
+            tried.add((one.joint, one.name))
+            place = problem.names.index(one.name), one.joint
+            problem.fixed[place] = problem.machine.stated[one.joint][one.name]
+        progress(f"without {', '.join(sorted({one.name for one in candidates}))}")
+        other, covariance = problem.solved(unknowns, SERVO_CLOSE, REFIT_STEPS)
+        squares = _squares(problem, other)
+        worse = [
+            one
+            for one in candidates
+            if squares[one.joint] > AS_WELL**2 * best[one.joint]
+        ]
+        if worse:
+            # The others of this round are tried again in the next, with what worse follows the logs as it was.
+            problem.fixed[:] = before
+            tried -= {(one.joint, one.name) for one in candidates if one not in worse}
+            continue
+        for one in candidates:
+            left_out[one.joint][one.name] = one.unknown
+        unknowns, remaining = other, _settings(problem, other, covariance)
+    for one in remaining:
+        if one.unknown == ZERO and one.name == SERVO[0]:
+            left_out[one.joint][one.name] = one.unknown
+    return left_out, unknowns
+
+
+def _machine(
+    engine: Backend,
+    scene: Scene | MjSpec,
+    log: Log,
+    names: Sequence[str],
+    settings: Mapping[str, Any],
+) -> Machine:
+    """Return the joints of a scene or a model on an engine."""
+    if not isinstance(scene, Scene):
+        if engine.name != "mujoco":
+            raise ParameterError(
+                f"an MJCF model is simulated by mujoco: leave --backend {engine.name} out, or name a USD layer"
             )
-        ),
-        error_rad=_errors(long, unknowns),
-        held_out_rad=_held_out(problem, held_out, part_s, long, unknowns)
-        if held_out
-        else {},
-        motion_rad={
-            log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)
-        },
-        simulations=short.simulations + long.simulations,
-    )
+        return joints_of_model(scene, log, settings)
+    check_joints(scene, log)
+    hinges = len(scene.hinges)
+    known = SceneJoints(engine, scene, settings)
+    built = with_terms(scene, guessed(known, names), log, np.zeros(hinges))
+    support = scene_support(engine, built)
+    if not support:
+        raise UnsupportedSceneError(
+            f"backend {engine.name!r}: {'; '.join(support.missing)}"
+        )
+    if engine.name != "mujoco" or log.command_rad is None:
+        return known
+    simulation = engine.build(built, settings or None)
+    try:
+        spec = simulation.spec  # type: ignore[attr-defined]
+        return joints_of_scene(scene, spec, log, known.stated, keep=bool(settings))
+    finally:
+        simulation.close()
 
 
-def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
-    """Return first guesses and sizes of numbers: what the scene states, or from all moving bodies at its first hinge.
+def _squares(problem: _Problem, unknowns: FloatArray) -> FloatArray:
+    """Return the sum of the squared errors of each joint [rad^2], shape [J]."""
+    return np.asarray(sum((one**2).sum(axis=0) for one in problem.errors(unknowns)))
+
+
+def _to_leave_out(
+    problem: _Problem, settings: Sequence[Setting], tried: Collection[tuple[int, str]]
+) -> list[Setting]:
+    """Return of each joint the number that is determined least, if any is not determined.
+
+    Where only ratios are told, the armature goes first: the inertia of the load then gives the scale. A servo is none
+    without kp, which `_without_open` judges last.
+    """
+
+    def openness(one: Setting) -> tuple[bool, float]:
+        is_armature = one.unknown == SCALE and one.name == DYNAMICS[2]
+        return is_armature, (one.high - one.low) / max(one.value, 1e-300)
+
+    found = []
+    for joint in sorted({one.joint for one in settings}):
+        candidates = [
+            one
+            for one in settings
+            if one.joint == joint
+            and one.unknown
+            and one.name != SERVO[0]
+            and (joint, one.name) not in tried
+            and abs(one.value - problem.machine.stated[joint][one.name])
+            < PLAUSIBLE * (one.high - one.value)
+        ]
+        if candidates:
+            found.append(max(candidates, key=openness))
+    return found
+
+
+def guessed(machine: Machine, names: Sequence[str]) -> list[dict[str, float]]:
+    """Return first guesses and sizes of numbers: what the scene states, or by the size of its loads.
 
     One size does for all joints of an arm: the search starts from seven stiffnesses, and its steps are relative.
     """
-    bodies, anchor_m = scene.dynamic_bodies, scene.hinges[0].anchor_m
-    load = [
-        (body, np.linalg.norm(np.subtract(body.pose.position_m, anchor_m)))
-        for body in bodies
-    ]
-    about_centres = sum(
-        float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies
-    )
-    inertia = about_centres + sum(
-        body.mass_kg * float(arm_m) ** 2 for body, arm_m in load
-    )
-    weight = max(
-        scene.gravity_m_per_s2
-        * sum(body.mass_kg * float(arm_m) for body, arm_m in load),
-        40.0 * inertia,
-    )
+    inertia, load = machine.size()
+    weight = max(load, 40.0 * inertia)
     rate = float(np.sqrt(weight / inertia))
     guesses = {
         "dry_friction_n_m": 0.01 * weight,
@@ -512,7 +712,7 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
     }
     return [
         {name: known[name] or guesses[name] for name in names}
-        for known in numbers(scene)
+        for known in machine.stated
     ]
 
 
@@ -543,14 +743,17 @@ def _settings(
                 else ""
             )
             if is_scale and unknown and kind in torques:
-                unknown = "only ratios of torques are told: a weight or a known armature would tell their scale"
-            if not unknown and half >= value:
-                unknown = "0 is in the interval"
+                unknown = SCALE
+            if not np.isnan(problem.fixed[kind, joint]):
+                unknown = ""
+            elif not unknown and half >= value:
+                unknown = ZERO
             size = problem.sizes[kind, joint]
             low, high = max(value - half, 0.0) * size, (value + half) * size
             found.append(
                 Setting(
                     joint=joint,
+                    joint_name="",
                     name=name,
                     value=value * size,
                     low=low,

@@ -16,6 +16,8 @@ from gauge_envs.files import csv_text
 from gauge_envs.scene.geometry import FloatArray
 
 POSITION, COMMAND, TORQUE = "position_rad", "command_rad", "torque_n_m"
+NAMES = "joints"
+"""Array of an NPZ file with the names of its joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,7 @@ class Log:
         position_rad: Measured angles [rad], shape [N, J].
         command_rad: Commanded angles of position servos [rad], shape [N, J]; None without servos.
         torque_n_m: Torques of the motors [N m], shape [N, J]; None without torque motors.
+        joints: Names of the joints; none where the log names none.
     """
 
     name: str
@@ -35,6 +38,7 @@ class Log:
     position_rad: FloatArray
     command_rad: FloatArray | None = None
     torque_n_m: FloatArray | None = None
+    joints: tuple[str, ...] = ()
 
     @property
     def duration_s(self) -> float:
@@ -60,6 +64,7 @@ class Log:
                 self.position_rad[first:last],
                 command,
                 torque,
+                self.joints,
             )
 
     def start(self) -> tuple[FloatArray, FloatArray]:
@@ -75,7 +80,8 @@ def read_log(path: Path) -> Log:
 
     A CSV file has a header with `time_s`, `position_rad` and one of `command_rad` and `torque_n_m`, or none of both for
     a joint that swings freely. Several joints have columns with a name behind a dot each, as `position_rad.elbow`. An
-    NPZ file has arrays of these names, shape [N] or [N, J]. Other columns do not matter to a joint with a motor.
+    NPZ file has arrays of these names, shape [N] or [N, J], and may have names in `joints`, shape [J]. Other columns do
+    not matter to a joint with a motor.
 
     Raises:
         AssetError: The file cannot be read, a column is missing, numbers are not finite, times do not ascend, or
@@ -123,12 +129,17 @@ def read_log(path: Path) -> Log:
         for kind in (POSITION, *motors)
     }
     _check(path, named["time_s"][:, 0], columns)
+    names = _npz_names(path) or tuple(one.lstrip(".") for one in joints)
+    if names != ("",) and len(names) != columns[POSITION].shape[1]:
+        count = columns[POSITION].shape[1]
+        raise AssetError(path, NAMES, f"{len(names)} names for {count} joints")
     return Log(
         str(path),
         named["time_s"][:, 0],
         columns[POSITION],
         columns.get(COMMAND),
         columns.get(TORQUE),
+        names if all(names) else (),
     )
 
 
@@ -156,7 +167,16 @@ def _npz(path: Path) -> dict[str, FloatArray]:
         return {
             name: np.asarray(data[name], dtype=np.float64).reshape(len(data[name]), -1)
             for name in data
+            if name != NAMES
         }
+
+
+def _npz_names(path: Path) -> tuple[str, ...]:
+    """Return the names that an NPZ file has for its joints."""
+    if path.suffix != ".npz":
+        return ()
+    with np.load(path, allow_pickle=False) as data:
+        return tuple(map(str, data[NAMES])) if NAMES in data else ()
 
 
 def _csv(path: Path) -> dict[str, FloatArray]:

@@ -1,9 +1,9 @@
 """Scenes of logged joints: one joint with its load, or the chain of an experiment, at the angles of a log."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -31,6 +31,7 @@ from gauge_envs.scene.hinged import (
     other_end,
     parent_hinges,
 )
+from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify.logs import Log
@@ -45,6 +46,88 @@ AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
 Terms = Mapping[str, float]
 """Numbers of one joint, by name of the field of `JointDynamics` or `Servo`."""
+
+
+class Machine(Protocol):
+    """Joints whose numbers change, in a simulator."""
+
+    @property
+    def name(self) -> str:
+        """Name of the engine."""
+
+    @property
+    def stated(self) -> Sequence[Terms]:
+        """Numbers that the scene or the model states, by joint, in the order of the logs."""
+
+    @property
+    def timestep_s(self) -> float:
+        """Step of the simulation [s]."""
+
+    def with_step(self, step_s: float) -> Self:
+        """Return the same joints with another step [s]."""
+
+    def size(self) -> tuple[float, float]:
+        """Return the size of an inertia about a joint [kg m^2], and of the torque of a weight [N m]."""
+
+    def angles(
+        self, log: Log, terms: Sequence[Terms], start: tuple[FloatArray, FloatArray]
+    ) -> FloatArray:
+        """Return the angles of the joints at the times of a log [rad], shape [N, J].
+
+        Args:
+            log: The log.
+            terms: Numbers of each joint; those that are not given are as stated.
+            start: Angles [rad] and rates [rad/s] at the first sample, shape [J] each.
+
+        Raises:
+            DivergedError: The simulation diverges.
+        """
+
+
+@dataclass(frozen=True)
+class SceneJoints:
+    """Hinges of a scene on an engine of this package; see `Machine`."""
+
+    engine: Backend
+    scene: Scene
+    settings: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the engine."""
+        return self.engine.name
+
+    @property
+    def stated(self) -> Sequence[Terms]:
+        """Numbers that the scene states, by joint."""
+        return numbers(self.scene)
+
+    @property
+    def timestep_s(self) -> float:
+        """Step of the simulation [s]."""
+        built = self.engine.build(self.scene, self.settings)
+        return float(built.settings["timestep_s"])
+
+    def with_step(self, step_s: float) -> Self:
+        """Return the same joints with another step [s]."""
+        return replace(self, settings={**self.settings, "timestep_s": step_s})
+
+    def size(self) -> tuple[float, float]:
+        """Return inertia [kg m^2] and weight [N m] of all moving bodies about the first hinge."""
+        scene, anchor_m = self.scene, self.scene.hinges[0].anchor_m
+        inertia = weight = 0.0
+        for body in scene.dynamic_bodies:
+            arm_m = float(np.linalg.norm(np.subtract(body.pose.position_m, anchor_m)))
+            inertia += float(np.trace(body_mass_properties(body)[1])) / 3.0
+            inertia += body.mass_kg * arm_m**2
+            weight += scene.gravity_m_per_s2 * body.mass_kg * arm_m
+        return inertia, weight
+
+    def angles(
+        self, log: Log, terms: Sequence[Terms], start: tuple[FloatArray, FloatArray]
+    ) -> FloatArray:
+        """Return the angles of the joints at the times of a log [rad], shape [N, J]; see `Machine`."""
+        return simulated(self.engine, self.scene, log, terms, start, self.settings)
 
 
 WORLD = RigidBody(
@@ -163,7 +246,7 @@ def with_terms(
         motor, profile = hinge.motor, partial(_profile, log, place)
         gains: dict[str, Any] = {name: given[name] for name in SERVO if name in given}
         if log.command_rad is not None:
-            command = profile(log.command_rad, float(start_rad[place]))
+            command = profile(log.command_rad, float(start_rad[place]), stays=True)
             if isinstance(motor, Servo):
                 motor = replace(motor, command=command, **gains)
             else:
@@ -185,11 +268,17 @@ def with_terms(
     )
 
 
-def _profile(log: Log, joint: int, values: FloatArray, zero: float) -> SampledProfile:
-    times_s = log.times_s - log.times_s[0]
+def _profile(
+    log: Log, joint: int, values: FloatArray, zero: float, *, stays: bool = False
+) -> SampledProfile:
+    """Return a line through samples; or, as a servo gets its commands, each sample until the next."""
+    times_s, values = log.times_s - log.times_s[0], values[:, joint] - zero
+    if stays:
+        ends_s = times_s[1:] - 1e-3 * np.diff(times_s)
+        times_s = np.append(np.stack([times_s[:-1], ends_s], axis=1), times_s[-1])
+        values = np.append(np.repeat(values[:-1], 2), values[-1])
     return SampledProfile(
-        times_s=tuple(times_s.tolist()),
-        values=tuple((values[:, joint] - zero).tolist()),
+        times_s=tuple(times_s.tolist()), values=tuple(values.tolist())
     )
 
 

@@ -10,36 +10,45 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, Progress, message, print_document
-from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
 
+Folder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="The leaderboard, or one submission.")
+]
+FOLDER = Path("leaderboard")
+
 
 def leaderboard_check(
-    words: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission."),
-    ] = None,
+    folder: Folder = FOLDER,
     rerun: Annotated[
         int,
-        typer.Option(min=0, help="Run this many episodes of each submission again."),
+        typer.Option(
+            min=0,
+            rich_help_panel=arguments.NUMERICS,
+            help="Run this many episodes of each submission again.",
+        ),
     ] = 0,
+    salt: Annotated[
+        str,
+        typer.Option(
+            metavar="TEXT",
+            show_default="none",
+            rich_help_panel=arguments.NUMERICS,
+            help="Text unknown to the submitter, for the choice of the episodes of --rerun.",
+        ),
+    ] = "",
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check submissions: layout, versions, task hashes, trajectories and scores.
-
-    Details: salt=, a text unknown to the submitter, for the choice of the episodes that --rerun states.
 
     Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.leaderboard.words import check_document
 
-    names, details = arguments.split_details(words, salt=str)
-    if len(names) > 1:
-        raise ParameterError(f"{' and '.join(names)}: expected one folder")
-    check = _checked(Path(*names or ["leaderboard"]), rerun, **details)
+    check = _checked(folder, rerun, salt)
     print_document(check_document(check), form)
     message(
         f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}"
@@ -48,12 +57,10 @@ def leaderboard_check(
 
 
 def leaderboard_table(
-    folder: Annotated[
-        Path, typer.Argument(metavar="[DIR]", help="The leaderboard.")
-    ] = Path("leaderboard"),
+    folder: Folder = FOLDER,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for leaderboard.json and leaderboard.md."),
+        arguments.target("Folder for leaderboard.json and leaderboard.md."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:

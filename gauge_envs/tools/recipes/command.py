@@ -16,18 +16,13 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
-HELD = ("torsion_m", "rolling_m", "creep_m_s")
+TIMESTEP = "--set timestep_s=0.002"
 
-BEHAVIOUR = (
-    *HELD,
-    "friction",
-    "restitution",
-    "penetration_m",
-    "stiffness_n_per_m",
-    "damping_n_s_per_m",
-)
 
-NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
+def _asked(option: str, unit: str, text: str) -> Any:
+    return arguments.measured(
+        option, unit, text, arguments.SCENE, show_default="not asked for"
+    )
 
 
 FABRICS_FAMILY = "TextileFlinging"
@@ -35,58 +30,122 @@ FABRICS_FAMILY = "TextileFlinging"
 
 
 def recipe(
-    words: Annotated[
-        list[str] | None,
+    material: Annotated[
+        str | None,
         typer.Argument(
-            metavar="[MATERIAL] [NAME=VALUE]...",
+            metavar="MATERIAL",
+            show_default=False,
             help="Pair or fabric, as satin; see gauge list materials.",
+        ),
+    ] = None,
+    friction: Annotated[
+        float | None, _asked("--friction", "", "Coulomb coefficient, as 0.4.")
+    ] = None,
+    restitution: Annotated[
+        float | None,
+        _asked("--restitution", "", "Rebound over impact speed, as 0.6."),
+    ] = None,
+    penetration_m: Annotated[
+        float | None, _asked("--penetration", "m", "Largest depth at rest.")
+    ] = None,
+    stiffness_n_per_m: Annotated[
+        float | None, _asked("--stiffness", "N/m", "Weight over depth at rest.")
+    ] = None,
+    damping_n_s_per_m: Annotated[
+        float | None, _asked("--damping", "N s/m", "Damping beside the stiffness.")
+    ] = None,
+    torsion_m: Annotated[
+        float | None,
+        _asked(
+            "--torsion", "m", "Torque of friction about the normal over normal force."
+        ),
+    ] = None,
+    rolling_m: Annotated[
+        float | None,
+        _asked("--rolling", "m", "Torque against rolling over normal force."),
+    ] = None,
+    creep_m_s: Annotated[
+        float | None,
+        _asked("--creep", "m/s", "Largest speed on a slope of half the friction."),
+    ] = None,
+    mass_kg: Annotated[
+        float | None,
+        arguments.measured(
+            "--mass",
+            "kg",
+            "Mass of the body.",
+            arguments.SCENE,
+            show_default="that of the pair",
         ),
     ] = None,
     engine: Annotated[
         str | None,
+        arguments.backend("Engine; also mujoco_warp, and isaac for a fabric."),
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
         typer.Option(
-            "--backend", help="Engine; also mujoco_warp, and isaac for a fabric."
+            "--set",
+            metavar=arguments.ASSIGNED,
+            rich_help_panel=arguments.NUMERICS,
+            help="Time step of the engine in s, as timestep_s=0.002.",
         ),
     ] = None,
     explain: Annotated[
         str | None,
         typer.Option(
-            metavar="TEXT", help="Settings, as 'solref=0.02 1': report what they give."
+            metavar="TEXT",
+            rich_help_panel=arguments.SELECTION,
+            help="Settings, as 'solref=0.02 1': report what they give.",
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give contact settings of an engine for a measured behaviour, and what they reach.
 
-    Details: friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest;
-    stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; torsion_m= and rolling_m=,
-    torque over normal force; creep_m_s=, largest creep; mass_kg=0.5, of the body; timestep_s=0.002, of the engine.
-
     With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
     that the engine cannot reach is no failure: the nearest one is given, with the reason.
     """
-    names, numbers = arguments.split_details(words, **dict.fromkeys(NUMBERS, float))
-    if len(names) > 1:
-        raise ParameterError(
-            f"{' and '.join(names)}: expected one pair of materials or one fabric"
-        )
     backend = _given(engine, "--backend", "--backend mujoco")
-    material = names[0] if names else None
-    behaviour = [name for name in BEHAVIOUR if name in numbers]
+    wanted = {
+        "friction": friction,
+        "restitution": restitution,
+        "penetration_m": penetration_m,
+        "stiffness_n_per_m": stiffness_n_per_m,
+        "damping_n_s_per_m": damping_n_s_per_m,
+        "torsion_m": torsion_m,
+        "rolling_m": rolling_m,
+        "creep_m_s": creep_m_s,
+    }
+    behaviour = {name: value for name, value in wanted.items() if value is not None}
+    numbers = behaviour | _timestep(changes)
+    if mass_kg is not None:
+        numbers["mass_kg"] = mass_kg
     if explain is not None:
-        if names or behaviour:
+        if material or behaviour:
             raise ParameterError(
-                "--explain states the contact itself and goes with mass_kg and timestep_s: leave the others out"
+                f"--explain states the contact itself and goes with --mass and {TIMESTEP}: leave the others out"
             )
         return _explain(backend, explain, numbers, form)
     if material in _fabrics():
         if behaviour or "mass_kg" in numbers:
             raise ParameterError(
-                "a fabric goes with timestep_s alone: leave the others out"
+                f"a fabric goes with {TIMESTEP} alone: leave the others out"
             )
         return _print_fabric(str(material), backend, numbers.get("timestep_s"), form)
     return _print_recipe(backend, material, numbers, form)
+
+
+def _timestep(changes: Sequence[str] | None) -> dict[str, float]:
+    """Return the time step [s] of `--set`, the only setting that a recipe does not find itself."""
+    settings = arguments.parsed_settings(changes) or {}
+    for name, value in settings.items():
+        if name != "timestep_s" or isinstance(value, bool | str):
+            raise ParameterError(
+                f"--set {name}={value}: a recipe takes the time step alone, as {TIMESTEP}"
+            )
+    return settings
 
 
 def _given(value: Any, name: str, example: str) -> Any:
@@ -128,12 +187,12 @@ def _print_recipe(
         numbers = {
             name: value for name, value in measured.items() if value is not None
         } | numbers
-    if not any(name in numbers for name in BEHAVIOUR[:-1]):
+    if not numbers.keys() - {"damping_n_s_per_m", "mass_kg", "timestep_s"}:
         raise ParameterError(
-            "nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m"
+            "nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness"
         )
-    _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=0.5")
-    _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
+    _given(numbers.get("mass_kg"), "--mass", "--mass 0.5")
+    _given(numbers.get("timestep_s"), "the time step", TIMESTEP)
     aim = Aim(
         **({"friction": FREE_FRICTION} | numbers),
         is_friction_asked="friction" in numbers,
@@ -150,10 +209,10 @@ def _explain(
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.words import meaning_document
 
-    step_s = _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
+    step_s = _given(numbers.get("timestep_s"), "the time step", TIMESTEP)
     if not step_s > 0.0:
         raise ParameterError(f"timestep_s {step_s:g}: expected a positive number")
-    mass_kg = _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=2")
+    mass_kg = _given(numbers.get("mass_kg"), "--mass", "--mass 2")
     meaning = explain(parsed_contact(engine_settings(engine), text, step_s), mass_kg)
     _print(meaning_document(meaning), meaning.settings.snippet(meaning.mass_kg), form)
     return meaning.found is None

@@ -1,1 +1,10 @@
 """Run experiments and score them; score trajectories from files."""
+
+from typing import TYPE_CHECKING
+
+from gauge_envs.registry import door
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.run.lines import RunLine as RunLine
+else:
+    __getattr__, __all__ = door(__name__)

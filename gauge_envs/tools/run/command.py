@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
@@ -34,50 +33,62 @@ FEW_EPISODES = 20
 
 
 def run(
-    words: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="[ID]... [NAME=VALUE]...",
-            help="Ids, patterns as 'SlopeSlider-*', or experiment files.",
-        ),
-    ] = None,
-    backends: arguments.Backends = None,
+    ids: arguments.Ids = None,
     parameters: arguments.Parameters = None,
     asset: arguments.Asset = None,
-    use: arguments.Use = "",
+    use: arguments.Use = None,
+    jitter: arguments.JitterTexts = None,
+    marker_proxy: Annotated[
+        Literal["material", "node"],
+        typer.Option(
+            rich_help_panel=arguments.SCENE,
+            help="A marker on a deformable body: material, or node for its nearest node (paper).",
+        ),
+    ] = "material",
+    backend: arguments.Backends = arguments.MUJOCO,
     changes: arguments.Settings = None,
+    seed: arguments.Seed = 0,
+    repeats: arguments.Repeats = 1,
     uncertainty: Annotated[
         bool,
         typer.Option(
             "--uncertainty",
+            rich_help_panel=arguments.NUMERICS,
             help="Measure sensitivities of this run, by about 20 further runs.",
         ),
     ] = False,
-    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path(
-        "results"
-    ),
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep results that exist already.")
-    ] = False,
-    limits: arguments.Limits = "",
+    timeout: arguments.Timeout = None,
+    memory: arguments.Memory = None,
+    isolate: arguments.Isolate = False,
     jobs: Annotated[
         int | None,
         typer.Option(
+            "--jobs",
+            "-j",
             min=1,
-            help="Experiments at once, each in a process; all processors by default for long runs.",
+            rich_help_panel=arguments.NUMERICS,
+            show_default="all processors for long runs, else 1",
+            help="Experiments at once, each in a process.",
         ),
     ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            rich_help_panel=arguments.SELECTION,
+            help="Keep results that exist already.",
+        ),
+    ] = False,
+    out: Annotated[Path, arguments.target("Folder for the result files.")] = Path(
+        "results"
+    ),
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score them against reality, and write a result file for each.
 
-    The pattern '*' is all. Details: seed=0; repeats=1, from starts that scatter as real ones do; jitter=1mm,0.5deg, the
-    scatter of positions and angles; marker_proxy=material for a marker on a deformable body, or node for its nearest
-    node (paper).
-
-    With --limits, each experiment has a process of its own; engines of other packages always run in another process.
-    Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of
-    a pattern may be declined.
+    The pattern '*' is all. Engines of other packages always run in another process. Exit code 1 when an
+    episode failed or diverged, or when an experiment given by its id was declined. Experiments of a pattern may be
+    declined.
     """
     from gauge_envs.experiments.variants import is_glob, matching_subjects
     from gauge_envs.pages.document import Terminal
@@ -85,23 +96,16 @@ def run(
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.scene.jitter import Jitter
     from gauge_envs.tools.run.words import summary_document
 
-    patterns, details = arguments.split_details(
-        words,
-        seed=NonNegativeInt,
-        repeats=PositiveInt,
-        jitter=arguments.parsed_jitter,
-        marker_proxy=str,
-    )
-    if not patterns:
+    if not ids:
         raise ParameterError(
             "nothing to run: give ids, or patterns as '*'; gauge list shows them"
         )
-    if "jitter" in details:
-        details["jitter"] = Jitter(**details["jitter"])
-    subjects = {pattern: matching_subjects(pattern) for pattern in patterns}
+    scatter = arguments.parsed_jitter(jitter)
+    if repeats == 1 and scatter is not None and not any(scatter.to_dict().values()):
+        scatter = None
+    subjects = {pattern: matching_subjects(pattern) for pattern in ids}
     requests = [
         RunRequest(
             subject,
@@ -111,15 +115,18 @@ def run(
             asset=asset,
             uncertainty=uncertainty,
             **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),
-            **details,
+            jitter=scatter,
+            marker_proxy=marker_proxy,
+            seed=seed,
+            repeats=repeats,
         )
-        for engine in dict.fromkeys(backends or ["mujoco"])
+        for engine in dict.fromkeys(backend)
         for subject in dict.fromkeys(
             subject for found in subjects.values() for subject in found
         )
     ]
-    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
-    check_requests(requests, isolate=isolate or None)
+    is_apart = isolate or timeout is not None or memory is not None
+    check_requests(requests, isolate=is_apart or None)
     named = {
         subject
         for pattern, found in subjects.items()
@@ -136,9 +143,9 @@ def run(
         requests,
         out=out,
         resume=resume,
-        isolate=isolate or None,
-        time_limit_s=TIME_LIMIT_S if time_s is None else time_s,
-        memory_limit_gb=memory_gb,
+        isolate=is_apart or None,
+        time_limit_s=TIME_LIMIT_S if timeout is None else timeout,
+        memory_limit_gb=memory,
         notify=note,
         jobs=min(jobs or _default_jobs(requests), max(1, len(requests))),
     )
@@ -186,12 +193,10 @@ def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[
         str | None,
-        typer.Option(
-            "--id", metavar="ID", help="Experiment, if the file does not state it."
-        ),
+        arguments.experiment("Experiment, if the file does not state it."),
     ] = None,
     parameters: arguments.Parameters = None,
-    use: arguments.Use = "",
+    use: arguments.Use = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Score a trajectory from your own simulator; no engine is needed.

@@ -50,7 +50,9 @@ class FailOn(StrEnum):
 FailOnOption = Annotated[
     FailOn | None,
     typer.Option(
-        help="Exit code 1 when a row is at least as bad; visible, with --against never."
+        rich_help_panel=arguments.SELECTION,
+        show_default="visible",
+        help="Exit code 1 when a row is at least as bad; with --against, when a change is: wrong is large.",
     ),
 ]
 
@@ -58,22 +60,33 @@ ReportForm = Annotated[
     ReportFormat,
     typer.Option(
         "--format",
-        help="wide has all columns; --json is short for json; junit, sarif, github for CI.",
+        metavar="FORMAT",
+        rich_help_panel=arguments.OUTPUT,
+        help="Format on stdout: text, wide with all columns, markdown, json; junit, sarif and github are for CI.",
     ),
 ]
 
 BaselineOption = Annotated[
     Path | None,
     typer.Option(
-        metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only."
+        metavar="FILE",
+        rich_help_panel=arguments.SELECTION,
+        help="JSON of an earlier run; exit code 1 on regressions only.",
+    ),
+]
+
+FixOption = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="OUT.xml",
+        rich_help_panel=arguments.OUTPUT,
+        help="Write the model with the change that mends most, checked again.",
     ),
 ]
 
 OutOption = Annotated[
     list[Path] | None,
-    typer.Option(
-        "--out", help="Page (.html), table (.md) or rows (.json); repeatable."
-    ),
+    arguments.target("Pages (.html), tables (.md) or rows (.json)."),
 ]
 
 
@@ -81,35 +94,41 @@ def sanity(
     target: Annotated[
         str | None,
         typer.Argument(
+            metavar="TARGET",
             help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
             "(robot.xml), the params/env.yaml of Isaac Lab, a file that gauge sanity probe's program writes in any "
-            "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
+            "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box).",
         ),
     ] = None,
     pair: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
-            metavar="GEOM1,GEOM2",
-            help="Geoms whose contact counts; all on the ground by default.",
+            metavar="GEOM",
+            rich_help_panel=arguments.SCENE,
+            show_default="all on the ground",
+            help="The two geoms whose contact counts, as floor,foot.",
         ),
     ] = None,
     against: Annotated[
         str | None,
         typer.Option(
             metavar="TARGET",
+            rich_help_panel=arguments.SCENE,
             help="Where the policy runs: report what changes to this target.",
+        ),
+    ] = None,
+    timeout: Annotated[
+        float | None,
+        arguments.timeout(
+            "Start no simulation after this time; decline other rows.",
+            "no limit",
+            is_positive=False,
         ),
     ] = None,
     only: arguments.Only = None,
     fail_on: FailOnOption = None,
     baseline: BaselineOption = None,
-    limits: Annotated[
-        str,
-        typer.Option(
-            metavar="TIME",
-            help="Start no simulation after this time, as 60s; decline other rows.",
-        ),
-    ] = "",
+    fix: FixOption = None,
     out: OutOption = None,
     form: ReportForm = ReportFormat.TEXT,
 ) -> int:
@@ -121,48 +140,50 @@ def sanity(
     for a row as bad as --fail-on states or farther from reality than in --baseline, 3 when rows were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
+    from gauge_envs.tools.sanity.mended import check_can_mend, write_mended
     from gauge_envs.tools.sanity.phenomena import selection
 
     if target is None:
         raise ParameterError(
             "no target is given: name one, as in gauge sanity HalfCheetah-v5"
         )
-    _, time_limit_s, memory_gb = arguments.parsed_limits(limits)
-    if limits and (time_limit_s is None or memory_gb is not None):
-        raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")
     common: dict[str, Any] = {
         "only": only or [],
         "include_deformables": _with_deformables(only or []),
     }
     if against is not None:
-        if baseline is not None or pair is not None:
+        if baseline is not None or pair is not None or fix is not None:
             raise ParameterError(
-                "--against goes with neither --baseline nor --pair: leave them out"
+                "--against goes with none of --baseline, --pair and --fix: leave them out"
             )
         files = arguments.by_suffix(out, ".md", ".json")
         return _compare(
             target,
             against,
-            common | {"time_limit_s": time_limit_s},
+            common | {"time_limit_s": timeout},
             fail_on,
             files,
             form,
         )
     exit_code, files = _judged_by(fail_on, baseline), _checked_files(out)
-    geoms = None if pair is None else tuple(map(str.strip, pair.split(",")))
-    if geoms is not None and (len(geoms) != 2 or not all(geoms)):
+    if fix is not None:
+        check_can_mend(fix)
+    geoms = None if pair is None else tuple(pair)
+    if geoms is not None and len(geoms) != 2:
         raise ParameterError(
-            f"--pair {pair!r}: expected the names of two geoms, as floor,foot"
+            f"--pair {','.join(geoms)}: expected the names of two geoms, as floor,foot"
         )
     checked = configuration(target, pair=geoms)
     with Progress("phenomena", len(selection(**common))) as progress:
         report = check(
             checked,
             notify=lambda row: progress.advance(row.phenomenon),
-            time_limit_s=time_limit_s,
+            time_limit_s=timeout,
             **common,
         )
     _print_report(report, form, files)
+    if fix is not None:
+        message(write_mended(report, fix), "fix")
     return exit_code(report)
 
 
@@ -170,10 +191,9 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
     """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
     from gauge_envs.tools.sanity.phenomena import selection
 
-    each = (pattern.strip() for text in patterns for pattern in text.split(","))
     return any(
         pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection())
-        for pattern in each
+        for pattern in patterns
     )
 
 
@@ -227,31 +247,22 @@ def _judged_by(
     """Return what decides the exit code of a check, and prints regressions from a baseline."""
     from gauge_envs.tools.sanity import Verdict
     from gauge_envs.tools.sanity.run import read_baseline, regressions
+    from gauge_envs.tools.sanity.words import regression_text
 
     before = None if baseline is None else read_baseline(baseline)
+    least = Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE
     bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.NEVER: ()}.get(
         fail_on or FailOn.VISIBLE, (Verdict.WRONG, Verdict.VISIBLE)
     )
 
     def exit_code(report: Report) -> int:
-        worse = [row for row in report.rows if row.is_flag and row.verdict in bad]
+        is_bad = any(row.is_flag and row.verdict in bad for row in report.rows)
         if before is not None:
-            worse = regressions(
-                report,
-                before,
-                least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE,
-            )
-            for row in worse:
-                was = before.get(row.phenomenon)
-                text = (
-                    "not in the baseline"
-                    if was is None
-                    else f"{was:.3g} half-widths from reality at most"
-                )
-                message(
-                    f"regression: {row.phenomenon}: {row.verdict.value}, {row.deviation:.3g} half-widths; was {text}"
-                )
-        return EXIT_FAILED if worse else EXIT_INCOMPLETE if report.unmeasured else 0
+            worse = regressions(report, before, least=least)
+            for one in worse:
+                message(regression_text(one), "regression")
+            is_bad = bool(worse)
+        return EXIT_FAILED if is_bad else EXIT_INCOMPLETE if report.unmeasured else 0
 
     return exit_code
 
@@ -265,25 +276,33 @@ def _compare(
     form: ReportFormat,
 ) -> int:
     """Print what changes between two targets, and return the exit code."""
+    from gauge_envs.pages.document import Document
     from gauge_envs.tools.sanity.comparison import Change, compare
+    from gauge_envs.tools.sanity.formats import github_comparison
     from gauge_envs.tools.sanity.words import comparison_document
 
-    comparison = compare(trained, deployed, **options)
-    if form.value not in {one.value for one in Format}:
+    known = (*Format, ReportFormat.GITHUB)
+    if form.value not in {one.value for one in known}:
         raise ParameterError(
-            f"--format {form.value} is of a check; --against has {', '.join(Format)}"
+            f"--format {form.value} is of a check; --against has {', '.join(known)}"
         )
-    print_document(comparison_document(comparison), Format(form.value), files=files)
+    comparison = compare(trained, deployed, **options)
+    shown = comparison_document(comparison)
+    if form is ReportFormat.GITHUB:
+        echo(github_comparison(comparison))
+        shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)
+    printed = Format.TEXT if form is ReportFormat.GITHUB else Format(form.value)
+    print_document(shown, printed, files=files)
     bad = {
         FailOn.WRONG: (Change.LARGE,),
         FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE),
-    }.get(fail_on or FailOn.NEVER, ())
-    changes = {row.change for row in comparison.rows}
+    }.get(fail_on or FailOn.VISIBLE, ())
+    changes = {row.change for row in comparison.rows} - {Change.NEITHER}
     return (
         EXIT_FAILED
         if changes & set(bad)
         else EXIT_INCOMPLETE
-        if changes == {Change.UNKNOWN}
+        if changes <= {Change.UNKNOWN}
         else 0
     )
 
@@ -300,7 +319,9 @@ def list_phenomena(patterns: Sequence[str]) -> list[Table]:
 def sanity_probe(
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File to write, as gauge_probe.py."),
+        arguments.target(
+            "File to write, as gauge_probe.py; - is stdout.", show_default="stdout"
+        ),
     ] = None,
 ) -> None:
     """Print a Python file that saves the settings of a training environment.
@@ -311,7 +332,7 @@ def sanity_probe(
     from gauge_envs.pages.document import save_file
 
     program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
-    if out is None:
+    if out is None or str(out) == "-":
         echo(program, nl=False)
     else:
         message(save_file(out, program))

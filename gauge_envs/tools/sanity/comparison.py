@@ -27,21 +27,41 @@ from gauge_envs.tools.sanity.measure import (
 )
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.phenomena import (
-    CAPACITY_ID,
+    CONTROL_ID,
     GRAVITY_ID,
     ROBOT_IDS,
+    STATED_IDS,
+    matches,
+    patterns_of,
     phenomenon,
     selection,
 )
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.robot.quantities import QUANTITIES, quantities
 from gauge_envs.tools.sanity.stacks import configuration
-from gauge_envs.tools.sanity.target_checks import GRAVITY_ROW
+from gauge_envs.tools.sanity.target_checks import (
+    CONTROL_ROW,
+    GRAVITY_ROW,
+    control_s,
+    robot_row,
+)
 
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""
 
+STEP_ID = "step"
+"""Row on the step of the engine."""
+
 STEP_RATIO = 0.01
 """Relative difference of two steps that counts as none."""
+
+ROBOT_RATIO = 0.05
+"""Relative difference of two values of a row on the robot that counts as none."""
+
+ROBOT_LEAST = 0.01
+"""The same in widths of the row's interval, for rows whose interval begins at 0."""
+
+NO_MODEL = "the target's own model is not read"
 
 FRICTION_SLIDES = {"slide-wood": "straight", "slide-turned": "turned by 45 degrees"}
 """Slides that show the friction that a foot meets, and their direction."""
@@ -61,6 +81,23 @@ class Change(StrEnum):
     """More, or one of the two fails."""
     UNKNOWN = "unknown"
     """One of the two was not measured."""
+    NEITHER = "not compared"
+    """Neither of the two has, or states, what the row compares."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartChange:
+    """A link, joint or motor that differs.
+
+    Attributes:
+        name: Its name.
+        trained: Value where the policy was trained; None without such a part, or without a limit.
+        deployed: Value where it runs.
+    """
+
+    name: str
+    trained: float | None
+    deployed: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +105,7 @@ class ChangeRow:
     """One quantity in both configurations.
 
     Attributes:
-        id: Id of the phenomenon, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-restitution`.
+        id: Id of the phenomenon or quantity, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-restitution`.
         title: Title.
         unit: Unit of both values; `1` for a pure number.
         trained: Value where the policy was trained; None when unknown.
@@ -76,6 +113,7 @@ class ChangeRow:
         tolerance: Difference up to which both count as the same.
         change: Size of the difference.
         remark: Why a value is unknown or failed; empty otherwise.
+        parts: Links, joints or motors that differ, the largest difference first; the values are those of the first.
     """
 
     id: str
@@ -86,6 +124,7 @@ class ChangeRow:
     tolerance: float
     change: Change
     remark: str = ""
+    parts: tuple[PartChange, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +147,7 @@ class Comparison:
 
     @property
     def changed(self) -> tuple[ChangeRow, ...]:
-        """The rows that change: a large change first, then by half-widths of the interval, to two digits."""
+        """The rows that change: large changes first, of these what is stated, then by half-widths, to two digits."""
         changed = (
             row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE)
         )
@@ -117,6 +156,7 @@ class Comparison:
                 changed,
                 key=lambda row: (
                     row.change is not Change.LARGE,
+                    row.id not in (STEP_ID, GRAVITY_ID, CONTROL_ID, *QUANTITIES),
                     -float(f"{_size(row):.2g}"),
                 ),
             )
@@ -129,7 +169,10 @@ class Comparison:
             name: replace(getattr(self, name), robot=None)
             for name in ("trained", "deployed")
         }
-        return json_ready(asdict(replace(self, **bare)))
+        values: dict[str, Any] = json_ready(asdict(replace(self, **bare)))
+        for name in bare:
+            del values[name]["robot"]
+        return values
 
 
 def compare(
@@ -145,12 +188,21 @@ def compare(
     Args:
         trained: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
         deployed: The other one.
-        only: Ids of phenomena or patterns such as `creep-*`; all when empty.
+        only: Ids of phenomena, of rows on the robot and of what its model states (`mass`, `kp`), or patterns such as
+            `creep-*`; all when empty.
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; None for no limit.
     """
     started = time.perf_counter()
-    chosen = selection(only, include_deformables=include_deformables)
+    stated = [name for name in QUANTITIES if not only or matches(name, only)]
+    others = [
+        pattern
+        for pattern in patterns_of(only)
+        if not any(matches(name, [pattern]) for name in stated)
+    ]
+    chosen: tuple[str, ...] = ()
+    if others or not only:
+        chosen = selection(others, include_deformables=include_deformables)
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
         known = {
@@ -163,11 +215,11 @@ def compare(
         rows = [_step_row(sides)]
         if GRAVITY_ID in chosen:
             rows.append(_gravity_row(sides))
-        simulated = [
-            phenomenon(name)
-            for name in chosen
-            if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)
-        ]
+        if CONTROL_ID in chosen:
+            rows.append(_control_row(targets))
+        rows += _quantity_rows(targets, stated)
+        rows += [_robot_row(name, targets) for name in chosen if name in ROBOT_IDS]
+        simulated = [phenomenon(name) for name in chosen if name not in STATED_IDS]
         measured = {one.id: _measured_row(one, sides) for one in simulated}
     found: dict[str, str] = {}
     for one in known.values():
@@ -291,7 +343,7 @@ def _step_row(sides: Sequence[_Side]) -> ChangeRow:
     """Return the row on the step. A difference is visible at most, since it may do no harm."""
     steps = [side.step_s() for side in sides]
     row = _row(
-        "step",
+        STEP_ID,
         "step of the engine",
         "s",
         steps,
@@ -314,6 +366,121 @@ def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
         GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance
     )
     return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
+
+
+def _control_row(targets: Sequence[TrainingConfiguration]) -> ChangeRow:
+    """Return the row on the time of one action, of which policies learn how far the robot moves."""
+    actions_s = [control_s(target) for target in targets]
+    values_ms = [None if one is None else 1e3 * one for one in actions_s]
+    remarks = [
+        "the target does not state how many steps an action takes"
+        if one is None
+        else ""
+        for one in values_ms
+    ]
+    tolerance_ms = STEP_RATIO * max(one or 0.0 for one in values_ms)
+    row = _row(CONTROL_ID, CONTROL_ROW.title, "ms", values_ms, tolerance_ms, remarks)
+    return row if any(values_ms) else _not_compared(row, remarks)
+
+
+def _robot_row(name: str, targets: Sequence[TrainingConfiguration]) -> ChangeRow:
+    """Return the row on the robot, whose values are the same within a ratio, or a small share of the interval."""
+    both = [robot_row(name, target.robot) for target in targets]
+    reality = both[0].reality
+    low, high = reality.value - reality.tolerance, reality.value + reality.tolerance
+    values = [one.configured for one in both]
+    tolerance = ROBOT_RATIO * max(abs(value or 0.0) for value in values)
+    if low <= 1e-9 * high:
+        tolerance = max(tolerance, ROBOT_LEAST * high)
+    remarks = [one.remark for one in both]
+    row = _row(name, both[0].title, both[0].unit, values, tolerance, remarks)
+    if not any(one.applies for one in both):
+        return _not_compared(row, remarks)
+    if row.change is Change.UNKNOWN and any(one.verdict.is_off for one in both):
+        # One of the two fails, as by a motion that diverges.
+        return replace(row, change=Change.LARGE)
+    return replace(row, remark="") if row.change is Change.NONE else row
+
+
+def _quantity_rows(
+    targets: Sequence[TrainingConfiguration], names: Sequence[str]
+) -> list[ChangeRow]:
+    """Return the rows on what both models state of each link, joint and motor."""
+    known = [
+        None if target.robot is None else quantities(target.robot) for target in targets
+    ]
+    rows = []
+    for name in names:
+        quantity = QUANTITIES[name]
+        row = _row(
+            name,
+            quantity.title,
+            quantity.unit,
+            (None, None),
+            quantity.least,
+            [NO_MODEL if one is None else "" for one in known],
+        )
+        if None not in known:
+            trained, deployed = (one[name] for one in known if one is not None)
+            row = _parts_row(row, trained, deployed, quantity.ratio)
+        elif known == [None, None]:
+            row = _not_compared(row, [NO_MODEL])
+        rows.append(row)
+    return rows
+
+
+def _parts_row(
+    row: ChangeRow,
+    trained: Mapping[str, float],
+    deployed: Mapping[str, float],
+    ratio: float,
+) -> ChangeRow:
+    """Return a row with the part that differs most, and with all that differ or that one of the two does not have."""
+    sizes: dict[str, float] = {}
+    tolerances: dict[str, float] = {}
+    for part in dict.fromkeys((*trained, *deployed)):
+        both = (trained.get(part, math.nan), deployed.get(part, math.nan))
+        largest = max((abs(one) for one in both if math.isfinite(one)), default=0.0)
+        tolerances[part] = max(row.tolerance, ratio * largest)
+        is_same = both[0] == both[1]
+        difference = 0.0 if is_same else abs(both[0] - both[1])
+        size = difference / tolerances[part] if tolerances[part] else math.inf
+        # A part that one of the two does not have, and a limit that one of the two does not have, is a large change.
+        sizes[part] = 0.0 if is_same else size if math.isfinite(size) else math.inf
+    if not sizes:
+        return _not_compared(row, ["no part of either robot has it"])
+    order = sorted(sizes, key=lambda part: -sizes[part])
+    worst = order[0]
+    changed = [part for part in order if sizes[part] > 1.0]
+    return replace(
+        row,
+        trained=_finite(trained.get(worst)),
+        deployed=_finite(deployed.get(worst)),
+        tolerance=tolerances[worst],
+        change=Change.NONE
+        if not changed
+        else Change.VISIBLE
+        if sizes[worst] <= VISIBLE_WITHIN
+        else Change.LARGE,
+        parts=tuple(
+            PartChange(
+                name=part,
+                trained=_finite(trained.get(part)),
+                deployed=_finite(deployed.get(part)),
+            )
+            for part in changed
+        ),
+    )
+
+
+def _not_compared(row: ChangeRow, reasons: Sequence[str]) -> ChangeRow:
+    """Return a row that neither of the two has, with the reasons."""
+    text = "; ".join(dict.fromkeys(reasons))
+    return replace(row, change=Change.NEITHER, remark=text)
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value
 
 
 def _friction_rows(
@@ -396,9 +563,8 @@ def _change(trained: float | None, deployed: float | None, tolerance: float) -> 
 
 
 def _size(row: ChangeRow) -> float:
-    assert row.trained is not None and row.deployed is not None, (
-        "only known rows change"
-    )
+    if row.trained is None or row.deployed is None or not row.tolerance:
+        return math.inf
     return abs(row.trained - row.deployed) / row.tolerance
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
@@ -26,6 +26,10 @@ from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, RIGID, phenome
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
 
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.remedies import Remedies
+    from gauge_envs.tools.sanity.robot.robot import Robot
+
 WARP_S = 1.1
 """Longest scene that is run on mujoco_warp on a CPU [s], which takes a second for each."""
 
@@ -39,8 +43,10 @@ def find_cure(
     measurements: Measurements,
     proposed: Sequence[Settings],
     rows: Sequence[PhenomenonResult],
-) -> Cure | None:
-    """Return the change that mends most flags, as measured after it was applied; None when none mends one.
+) -> tuple[Cure | None, tuple[str, ...]]:
+    """Return the change that mends most flags and harms nothing, as measured, and how far other changes came.
+
+    It is None when none mends a flag, or each that does makes another row or the robot worse.
 
     Args:
         configuration: The checked configuration.
@@ -64,56 +70,124 @@ def find_cure(
     fixed = {
         key: value for _, several in fixes.values() for key, value in several.items()
     }
-    candidates = [{**one, **fixed} for one in proposed]
+    tried: list[str] = []
+    harm_of = None
+    if configuration.robot is not None and configuration.backend == "mujoco":
+        remedied, harm_of = _remedied(configuration, fixed, counted)
+        fixed |= remedied.changes
+        texts |= dict.fromkeys(remedied.texts)
+        tried += [one.line for one in remedied.attempts if one.refusal]
+    several = [*proposed, *_of_causes(rows, dialect)]
+    candidates = [{**one, **fixed} for one in several]
     if fixed:
         candidates.append(fixed)
+    candidates = list({_key(one): one for one in candidates}.values())
     if not candidates:
-        return None
-    verdict_of, engine = _training_verdicts(
+        return None, tuple(tried)
+    outcome_of, engine = _training_outcomes(
         configuration, dialect, measurements, counted
     )
-    flags = [
-        name
-        for name, is_flag in counted.items()
-        if is_flag and verdict_of(configuration, name) is not Verdict.INSIDE
-    ]
+    before = {
+        name: outcome_of(configuration, name) for name in counted if counted[name]
+    }
+    flags = [name for name, one in before.items() if one[0] is not Verdict.INSIDE]
     cures: list[Cure] = []
     for changes in candidates:
         try:
             cured, geoms_by_setting = applied(configuration, changes)
-        except GaugeError:
+        except GaugeError as error:
+            tried.append(f"{dialect.paste_text(changes)}: {error}")
             continue
-        mended = [name for name in flags if verdict_of(cured, name) is Verdict.INSIDE]
+        pasted = _pasted(configuration, dialect, changes, geoms_by_setting, [*texts])
+        after = {name: outcome_of(cured, name) for name in flags}
+        mended = [name for name in flags if after[name][0] is Verdict.INSIDE]
+        if not mended:
+            came = (_came(name, before[name][1], after[name][1]) for name in flags)
+            tried.append(f"{pasted}: {', '.join(came)}")
+            continue
         new_flags = [
             name
             for name, is_flag in counted.items()
-            if mended and not is_flag and verdict_of(cured, name).is_off
+            if not is_flag and outcome_of(cured, name)[0].is_off
         ]
-        if len(mended) <= len(new_flags):
+        harm = ", ".join(f"{name} is flagged" for name in new_flags)
+        if not harm and harm_of is not None:
+            harm = harm_of(cured, changes)
+        if harm:
+            tried.append(f"{pasted}: {_effect(flags, mended, engine)}, but {harm}")
             continue
-        pasted = _pasted(configuration, dialect, changes, geoms_by_setting, [*texts])
         cure = Cure(
             changes=changes,
-            line=f"{pasted}: {_effect(flags, mended, new_flags, engine)}",
+            line=f"{pasted}: {_effect(flags, mended, engine)}",
             flag_count=len(flags),
             mended_count=len(mended),
-            new_flags=tuple(new_flags),
         )
         cures.append(cure)
-        if len(mended) == len(flags) and not new_flags:
+        if len(mended) == len(flags):
             break
     # Of equal cures, the first is the preferred one.
-    return max(
-        cures,
-        key=lambda one: (one.mended_count - len(one.new_flags), -len(one.changes)),
-        default=None,
+    best = max(
+        cures, key=lambda one: (one.mended_count, -len(one.changes)), default=None
     )
+    return best, tuple(tried)
+
+
+def _remedied(
+    configuration: TrainingConfiguration,
+    fixed: Settings,
+    counted: Mapping[str, bool],
+) -> tuple[Remedies, Callable[[TrainingConfiguration, Settings], str]]:
+    """Return remedies of the target's own robot, and a function that says what a further change does to it."""
+    from gauge_envs.tools.sanity.robot.remedies import (
+        Behaviour,
+        Remedy,
+        find_remedies,
+        harm,
+    )
+
+    robot = configuration.robot
+    assert robot is not None
+    upright = {name: value for name, value in fixed.items() if name not in LIMITS}
+    if upright:
+        robot = replace(robot, model=robot.changed(upright)[0])
+    found = find_remedies(robot, [name for name in counted if counted[name]])
+    before = Behaviour(found.robot)
+    known = set(fixed) | set(found.changes)
+
+    def harm_of(cured: TrainingConfiguration, changes: Settings) -> str:
+        if set(changes) <= known or cured.robot is None:
+            return ""
+        return harm(before, Behaviour(cured.robot), Remedy(text="", changes=changes))
+
+    return found, harm_of
+
+
+def _of_causes(
+    rows: Sequence[PhenomenonResult], dialect: Dialect
+) -> Iterator[dict[str, Any]]:
+    """Yield changes that mended a row while its cause was sought, and that the target can state."""
+    for row in rows:
+        if not row.is_flag or row.cause is None:
+            continue
+        for trial in row.cause.tried:
+            is_named = set(trial.changes) == set(row.cause.settings)
+            if trial.on_default or not is_named or trial.value is None:
+                continue
+            is_inside = abs(trial.value - row.reality.value) <= row.reality.tolerance
+            if is_inside and all(map(dialect.writes, trial.changes)):
+                yield dict(trial.changes)
+
+
+def _came(name: str, before: float | None, after: float | None) -> str:
+    """Return how far a row came."""
+    was, now = ("none" if one is None else f"{one:.3g}" for one in (before, after))
+    return f"{name} {was} to {now}"
 
 
 def applied(
     configuration: TrainingConfiguration, changes: Settings
 ) -> tuple[TrainingConfiguration, dict[str, list[str]]]:
-    """Return the configuration that is read back with changes, and geoms that state a changed attribute themselves.
+    """Return the configuration that is read back with changes, and what the default of all does not reach, in words.
 
     Args:
         configuration: The configuration.
@@ -135,12 +209,10 @@ def applied(
             gravity_m_per_s2=gravity,
         )
     else:
-        from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
         from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
         model, geoms = robot.changed(others)
-        for name, several in geoms.items():
-            geoms_by_setting[name] = [geom_name(robot.model, geom) for geom in several]
+        geoms_by_setting = _stated_elsewhere(robot, others, geoms)
         read = mujoco_configuration(
             model,
             name=configuration.name,
@@ -160,13 +232,38 @@ def applied(
     return read, geoms_by_setting
 
 
-def _training_verdicts(
+Outcome = tuple[Verdict, float | None]
+"""Verdict and value of a row."""
+
+
+def _stated_elsewhere(
+    robot: Robot, changes: Settings, geoms: Mapping[str, Sequence[int]]
+) -> dict[str, list[str]]:
+    """Return for each setting what classes, geoms and explicit pairs that state it themselves are to state."""
+    from gauge_envs.tools.sanity.robot.mended_model import element_words
+    from gauge_envs.tools.sanity.robot.robot import GEOM_FIELDS, PAIRED
+
+    found: dict[str, list[str]] = {}
+    for name, value in changes.items():
+        if name not in GEOM_FIELDS:
+            continue
+        field, several = GEOM_FIELDS[name], geoms.get(name, [])
+        texts = element_words(robot, "geom", field, value, several)
+        if name in PAIRED:
+            pairs = robot.explicit_ground_pairs
+            texts += element_words(robot, "pair", field, value, pairs)
+        if texts:
+            found[name] = texts
+    return found
+
+
+def _training_outcomes(
     configuration: TrainingConfiguration,
     dialect: Dialect,
     measurements: Measurements,
     rows: Mapping[str, bool],
-) -> tuple[Callable[[TrainingConfiguration, str], Verdict], str]:
-    """Return a function from a configuration and a row to its verdict, and the engine of training in words.
+) -> tuple[Callable[[TrainingConfiguration, str], Outcome], str]:
+    """Return a function from a configuration and a row to its outcome, and the engine of training in words.
 
     Rows that are flagged are measured on the engine of training, others on that of the rows.
     """
@@ -186,24 +283,25 @@ def _training_verdicts(
         except GaugeError:
             engine = " on MuJoCo's C engine; mujoco_warp, on which it trains, is not installed"
 
-    def verdict_of(cured: TrainingConfiguration, name: str) -> Verdict:
+    def outcome_of(cured: TrainingConfiguration, name: str) -> Outcome:
         checked = target_rows(cured, dialect, [name])
         if checked:
-            return checked[0].verdict
+            return checked[0].verdict, checked[0].configured
         one = phenomenon(name)
         is_training = rows[name] and one.scenario.seconds <= WARP_S
         subject = subject_of(training if is_training else measurements, cured, one)
-        return subject.worst().verdict if subject.sets else Verdict.DECLINED
+        if not subject.sets:
+            return Verdict.DECLINED, None
+        worst = subject.worst()
+        return worst.verdict, worst.value
 
-    return verdict_of, engine
+    return outcome_of, engine
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
 
 
-def _effect(
-    flags: Sequence[str], mended: Sequence[str], new_flags: Sequence[str], engine: str
-) -> str:
+def _effect(flags: Sequence[str], mended: Sequence[str], engine: str) -> str:
     """Return what a change does to the flags, in words."""
     count = "the one flag goes"
     if len(flags) > 1:
@@ -212,8 +310,6 @@ def _effect(
     left = [name for name in flags if name not in mended]
     if left:
         parts.append(f"left: {', '.join(left)}")
-    if new_flags:
-        parts.append(f"new flags: {', '.join(new_flags)}")
     return "; ".join(parts)
 
 
@@ -224,11 +320,11 @@ def _pasted(
     geoms_by_setting: Mapping[str, Sequence[str]],
     texts: Sequence[str],
 ) -> str:
-    """Return changes as text to paste, before further texts; geoms that state an attribute themselves are named."""
+    """Return changes as text to paste: the default of all, what it does not reach, and further texts."""
     robot, default = configuration.robot, {}
     for name, value in changes.items():
-        if "[" in name or name == "gravity":
-            # A row of an array, or gravity: the texts say it.
+        if "[" in name or name.startswith("compiler_") or name == "gravity":
+            # A row of an array, the compiler or gravity: the texts say it.
             continue
         if name in geoms_by_setting:
             is_default = robot is None or robot.needs_default(name, value)
@@ -237,12 +333,7 @@ def _pasted(
         if is_default:
             default[name] = value
     parts = [dialect.paste_text(default)] if default else []
-    for name, geoms in geoms_by_setting.items():
-        more = f" and {len(geoms) - 3} more" if len(geoms) > 3 else ""
-        assignment = dialect.assignment(name, changes[name])
-        parts.append(
-            f"{assignment} in {', '.join(geoms[:3])}{more}, which the default does not reach"
-        )
+    parts += [text for several in geoms_by_setting.values() for text in several]
     return " and ".join([*parts, *texts])
 
 
@@ -362,12 +453,16 @@ def _greedy(
             rank = (mended, one.name != STEP, one.name in named, closeness)
             scored.append((rank, one))
         scored.sort(key=lambda pair: pair[0], reverse=True)
-        first = scored[:MOST_COMPARED]
-        net = [
-            rank[0] - _new_flags(others, {**changes, one.name: one.value})
-            for rank, one in first
-        ]
-        rank, best = first[net.index(max(net))]
+        rank, best, most = scored[0][0], scored[0][1], -math.inf
+        if not rank[0]:
+            return
+        for one_rank, one in scored[:MOST_COMPARED]:
+            if one_rank[0] <= most:
+                # It mends no more than what is left of the best one after its harm.
+                break
+            net = one_rank[0] - _new_flags(others, {**changes, one.name: one.value})
+            if net > most:
+                rank, best, most = one_rank, one, net
         if not rank[0]:
             return
         changes[best.name] = best.value
@@ -378,7 +473,7 @@ def _greedy(
 
 def _new_flags(others: Sequence[Subject], changes: Settings) -> int:
     """Return the number of rows that are visible or wrong only with the changes."""
-    return sum(subject.worst(changes).verdict.is_off for subject in others)
+    return sum(subject.is_off(changes) for subject in others)
 
 
 def _alternatives(flagged: Sequence[Subject], dialect: Dialect) -> list[Alternative]:

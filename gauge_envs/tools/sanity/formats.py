@@ -7,8 +7,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 from gauge_envs.files import versions
+from gauge_envs.tools.sanity.comparison import Change, Comparison
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
 from gauge_envs.tools.sanity.words import (
+    change_text,
+    comparison_line,
     measured_text,
     reality_text,
     responsible_text,
@@ -26,6 +29,12 @@ def _message(row: PhenomenonResult) -> str:
     """Return what a row found, in one line."""
     found = f"{measured_text(row.configured)} instead of {reality_text(row.reality, row.unit)} ({verdict_text(row)})"
     return f"{row.title}: {found}. {responsible_text(row)}".strip()
+
+
+def _unmeasured_text(row: PhenomenonResult) -> str:
+    """Return that a row was not measured, and why."""
+    how = "was not measured" if row.applies else "does not apply"
+    return f"{row.phenomenon} {how}: {row.remark}"
 
 
 def junit_text(report: Report) -> str:
@@ -84,11 +93,21 @@ def sarif_text(report: Report) -> str:
         for row in report.rows
         if row.is_flag
     ]
+    unmeasured = set(report.unmeasured)
     notes = [
-        {"level": "error", "message": {"text": f"{name} was not measured"}}
-        for name in report.unmeasured
+        {
+            "level": "error" if row.phenomenon in unmeasured else "note",
+            "associatedRule": {"id": row.phenomenon},
+            "message": {"text": _unmeasured_text(row)},
+        }
+        for row in report.rows
+        if row.verdict is Verdict.DECLINED
     ]
-    invocation = {"executionSuccessful": not notes, "toolExecutionNotifications": notes}
+    invocation = {
+        "executionSuccessful": not unmeasured,
+        "toolExecutionNotifications": notes,
+        "properties": report.counts,
+    }
     driver = {
         "name": "gauge sanity",
         "version": versions()["gauge-envs"],
@@ -100,30 +119,42 @@ def sarif_text(report: Report) -> str:
     )
 
 
+def _command(kind: str, title: str, text: str) -> str:
+    """Return a workflow command of GitHub, which makes an annotation."""
+    escaped = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return f"::{kind} title={title.replace('%', '%25').replace(':', '%3A').replace(',', '%2C')}::{escaped}"
+
+
 def github_text(report: Report) -> str:
     """Return a report as workflow commands: an annotation for each flag, and one with the first line of the report."""
-
-    def command(kind: str, title: str, text: str) -> str:
-        escaped = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-        return f"::{kind} title={title.replace('%', '%25').replace(':', '%3A').replace(',', '%2C')}::{escaped}"
-
     lines = [
-        command(LEVELS[r.verdict], f"gauge sanity {r.phenomenon}", _message(r))
+        _command(LEVELS[r.verdict], f"gauge sanity {r.phenomenon}", _message(r))
         for r in report.rows
         if r.is_flag
     ]
     lines += [
-        command("error", f"gauge sanity {name}", "was not measured")
-        for name in report.unmeasured
+        _command("error", f"gauge sanity {row.phenomenon}", _unmeasured_text(row))
+        for row in report.rows
+        if row.phenomenon in report.unmeasured
     ]
+    name = report.configuration.name
     return "\n".join(
-        [
-            *lines,
-            command(
-                "notice", f"gauge sanity {report.configuration.name}", top_line(report)
-            ),
-        ]
+        [*lines, _command("notice", f"gauge sanity {name}", top_line(report))]
     )
+
+
+def github_comparison(comparison: Comparison) -> str:
+    """Return a comparison as workflow commands: an annotation for each change, and one with its first line."""
+    lines = [
+        _command(
+            "error" if row.change is Change.LARGE else "warning",
+            f"gauge sanity {row.id}",
+            change_text(row),
+        )
+        for row in comparison.changed
+    ]
+    title = f"gauge sanity {comparison.trained.name} against {comparison.deployed.name}"
+    return "\n".join([*lines, _command("notice", title, comparison_line(comparison))])
 
 
 WRITERS: Mapping[str, Callable[[Report], str]] = {

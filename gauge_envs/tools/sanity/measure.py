@@ -376,6 +376,15 @@ class Subject:
             for geoms, settings in self.sets.items()
         }
 
+    def is_off(self, changes: Settings) -> bool:
+        """Return whether the outcome with a set is visible or wrong; others are not measured then."""
+        return any(
+            self.measurements.measure(
+                self.phenomenon, {**settings, **changes}
+            ).verdict.is_off
+            for settings in self.sets.values()
+        )
+
     def worst(self, changes: Settings | None = None) -> Measured:
         """Return the worst outcome of all sets, with some settings changed."""
         return worst_of(self.measured(changes))[1]

@@ -6,15 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from scipy.special import stdtrit
 
 from gauge_envs.files import json_ready
 from gauge_envs.scene import Vector
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.robot.foot import FootGeometry
+from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
 Settings: TypeAlias = Mapping[str, Any]
 """Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
@@ -45,7 +43,7 @@ class Verdict(StrEnum):
     WRONG = "wrong"
     """Farther away, or a failure of another kind, such as divergence."""
     DECLINED = "declined"
-    """Not measured: it does not apply to the target, or the backend cannot build the scene with these settings."""
+    """Not measured: it does not apply to the target, or could not run; `PhenomenonResult.applies` tells which."""
 
     @property
     def is_off(self) -> bool:
@@ -416,30 +414,45 @@ class Cure:
         line: The change in the target's own language, and what it mends.
         flag_count: Number of visible or wrong rows before the change.
         mended_count: Number of these rows that are inside after the change.
-        new_flags: Rows that are visible or wrong only after the change.
     """
 
     changes: Settings
     line: str
     flag_count: int
     mended_count: int
-    new_flags: tuple[str, ...] = ()
+
+
+def deviation_of(
+    verdict: Verdict, value: float | None, real: float, tolerance: float
+) -> float:
+    """Return the distance of a value from reality in half-widths of its interval.
+
+    It is infinite for a failure of another kind, such as gravity of the right size in a wrong direction, and 0 if
+    nothing was measured.
+    """
+    if value is None:
+        return 0.0 if verdict is Verdict.DECLINED else math.inf
+    deviation = abs(value - real) / tolerance
+    is_failure = verdict is Verdict.WRONG and deviation <= VISIBLE_WITHIN
+    return math.inf if is_failure else deviation
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroupOutcome:
-    """Outcome of a phenomenon with one set of contact constants.
+class PartOutcome:
+    """Outcome of a row for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
 
     Attributes:
-        geoms: Geoms that touch with these constants.
+        name: The part; for contact constants, the geoms that touch with them.
         value: Measured value; None when not measured.
         verdict: The verdict.
+        deviation: Distance from reality, in half-widths of its interval or as the ratio to a limit.
         remark: Why it was not measured, or how it failed; empty otherwise.
     """
 
-    geoms: str
+    name: str
     value: float | None
     verdict: Verdict
+    deviation: float
     remark: str = ""
 
 
@@ -463,7 +476,7 @@ class PhenomenonResult:
         advisory: Why the verdict does not count for the whole configuration; empty when it counts.
         applies: Whether the phenomenon applies to the target.
         geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
-        groups: Outcome for each set of contact constants; empty when all contacts have the same.
+        parts: Outcome for each part that the row judges; empty when it judges one alone.
         consequence: What a flag means for a policy, in one sentence; empty when the title says it.
     """
 
@@ -482,7 +495,7 @@ class PhenomenonResult:
     advisory: str = ""
     applies: bool = True
     geoms: str = ""
-    groups: tuple[GroupOutcome, ...] = ()
+    parts: tuple[PartOutcome, ...] = ()
     consequence: str = ""
 
     @property
@@ -493,9 +506,10 @@ class PhenomenonResult:
     @property
     def deviation(self) -> float:
         """Distance from reality in half-widths of its interval; infinite for a failure, 0 if nothing was measured."""
-        if self.configured is None:
-            return 0.0 if self.verdict is Verdict.DECLINED else math.inf
-        return abs(self.configured - self.reality.value) / self.reality.tolerance
+        reality = self.reality
+        return deviation_of(
+            self.verdict, self.configured, reality.value, reality.tolerance
+        )
 
     @property
     def effect(self) -> float | None:
@@ -517,6 +531,7 @@ class Report:
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
         cure: The change that mends most rows; None when no row is flagged or no change mends one.
+        tried: Changes that are no cure, and how far each came.
         notes: What limits the check, such as an expired time limit.
         asked: Ids of rows that were asked for one by one.
     """
@@ -526,6 +541,7 @@ class Report:
     versions: Mapping[str, str]
     wall_s: float
     cure: Cure | None = None
+    tried: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
 
@@ -541,6 +557,17 @@ class Report:
         )
 
     @property
+    def counts(self) -> dict[str, int]:
+        """Numbers of rows that were measured, that apply and were declined, and that do not apply."""
+        missing = [row for row in self.rows if row.verdict is Verdict.DECLINED]
+        inapplicable = sum(not row.applies for row in missing)
+        return {
+            "measured": len(self.rows) - len(missing),
+            "declined": len(missing) - inapplicable,
+            "not_applicable": inapplicable,
+        }
+
+    @property
     def worst(self) -> Verdict:
         """The worst verdict of all rows that count; `declined` only when nothing was measured."""
         order = (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE)
@@ -554,4 +581,8 @@ class Report:
         bare = replace(self, configuration=replace(self.configuration, robot=None))
         values: dict[str, Any] = json_ready(asdict(bare))
         del values["configuration"]["robot"]
-        return values | {"worst": self.worst.value, "unmeasured": list(self.unmeasured)}
+        return values | {
+            "worst": self.worst.value,
+            "unmeasured": list(self.unmeasured),
+            "counts": self.counts,
+        }

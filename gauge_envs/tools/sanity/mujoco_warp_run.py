@@ -18,7 +18,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.errors import BackendError, needs_extra
 from gauge_envs.scene import Scene
 from gauge_envs.tools.sanity.model import Settings
 
@@ -126,10 +126,8 @@ def _capture_step(
 
 def _started() -> tuple[Any, Any]:
     """Return mujoco_warp and its device, without its messages."""
-    try:
+    with needs_extra("running on mujoco_warp", "newton"):
         import mujoco_warp
         import warp
-    except ImportError as error:
-        raise MissingExtraError("running on mujoco_warp", "newton", error) from None
     warp.config.log_level = warp.LOG_WARNING
     return mujoco_warp, warp.ScopedDevice("cpu")

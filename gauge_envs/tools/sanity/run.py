@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,25 +28,24 @@ from gauge_envs.tools.sanity.measure import (
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
     Cure,
-    GroupOutcome,
+    PartOutcome,
     PhenomenonResult,
     Report,
     Settings,
     TrainingConfiguration,
     Verdict,
+    deviation_of,
 )
 from gauge_envs.tools.sanity.phenomena import (
-    CAPACITY_ID,
     GRASP,
-    GRAVITY_ID,
-    ROBOT_IDS,
+    STATED_IDS,
     phenomenon,
     selection,
 )
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
-POINT_NOTE = "{}: a round fingertip has one contact, which with condim 3 holds no torque: see gauge recipe torsion_m="
+POINT_NOTE = "{}: a round fingertip has one contact, which with condim 3 holds no torque: see gauge recipe --torsion"
 """Note on a hand between whose fingertips a body turns freely."""
 
 
@@ -112,7 +111,7 @@ def check(
             raise ParameterError(
                 f"{configuration.name}: {measurements.engine} refuses these settings: {simulated[0].remark}"
             )
-        cure = run.cure(rows) if explain else None
+        cure, tried = run.cure(rows) if explain else (None, ())
     notes = []
     if run.is_cut_short:
         notes.append(
@@ -130,6 +129,7 @@ def check(
         versions={**measurements.versions, **versions()},
         wall_s=time.perf_counter() - started,
         cure=cure,
+        tried=tried,
         notes=tuple(notes),
         asked=tuple(name for name in chosen if name in only),
     )
@@ -155,7 +155,7 @@ class _Run:
     def rows(self, chosen: Sequence[str]) -> Iterator[PhenomenonResult]:
         """Yield a row for each phenomenon, those on what the target states at the end."""
         for name in chosen:
-            if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS):
+            if name not in STATED_IDS:
                 one = phenomenon(name)
                 self._subjects.append(
                     subject_of(self._measurements, self._configuration, one)
@@ -169,12 +169,15 @@ class _Run:
         yield from map(self._row, self._subjects, outcomes, defaults)
         yield from target_rows(self._configuration, self._dialect, chosen)
 
-    def cure(self, rows: Sequence[PhenomenonResult]) -> Cure | None:
-        """Return the change that mends most flags; None when there is no flag or no cure."""
+    def cure(
+        self, rows: Sequence[PhenomenonResult]
+    ) -> tuple[Cure | None, tuple[str, ...]]:
+        """Return the change that mends most flags, None when there is no flag or no cure, and what else was tried."""
         search = (self._configuration, self._subjects, self._dialect, rows)
         proposed = self._in_time(partial(candidates_of, *search)) or []
         apply = (self._configuration, self._dialect, self._measurements)
-        return self._in_time(partial(find_cure, *apply, proposed, rows))
+        found = self._in_time(partial(find_cure, *apply, proposed, rows))
+        return (None, ()) if found is None else found
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
         """Return the result of work; None when the time limit is reached."""
@@ -219,11 +222,17 @@ class _Run:
         )
         if len(outcomes) == 1:
             return row
-        groups = tuple(
-            GroupOutcome(geoms=g, value=m.value, verdict=m.verdict, remark=m.remark)
-            for g, m in outcomes.items()
+        parts = tuple(
+            PartOutcome(
+                name=name,
+                value=one.value,
+                verdict=one.verdict,
+                deviation=one.deviation,
+                remark=one.remark,
+            )
+            for name, one in outcomes.items()
         )
-        return replace(row, geoms=geoms, groups=groups)
+        return replace(row, geoms=geoms, parts=parts)
 
 
 # --- comparison with an earlier run ----------------------------------------------------------------------------------
@@ -235,8 +244,12 @@ GROWTH = 1.0
 """Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
 
 
-def read_baseline(path: Path) -> dict[str, float]:
-    """Return the deviation of each row of an earlier run, in half-widths of the interval of reality, by its id.
+Baseline = Mapping[str, Mapping[str, float]]
+"""Deviation of each part of each row of an earlier run, by the row's id and the part's name; `""` is the row itself."""
+
+
+def read_baseline(path: Path) -> dict[str, dict[str, float]]:
+    """Return the deviations of an earlier run, as `regressions` takes them.
 
     Args:
         path: File with the output of `gauge sanity TARGET --json`.
@@ -246,13 +259,17 @@ def read_baseline(path: Path) -> dict[str, float]:
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
         found = {
-            line["phenomenon"]: _deviation(line)
+            line["phenomenon"]: {
+                "": _deviation(line, line["configured"], line["reality"])
+            }
+            | {part["name"]: _part_deviation(part) for part in line["parts"]}
             for line in lines
             if "phenomenon" in line
         }
     except (TypeError, ValueError, KeyError, ArithmeticError) as error:
+        what = "no list of parts" if error.args == ("parts",) else str(error)
         raise TargetError(
-            f"{path}: is not the output of gauge sanity --json: {error}"
+            f"{path}: is not the output of this version's gauge sanity --json ({what}): write it again"
         ) from None
     if not found:
         raise TargetError(
@@ -261,37 +278,70 @@ def read_baseline(path: Path) -> dict[str, float]:
     return found
 
 
-def _deviation(line: Settings) -> float:
-    verdict, value, reality = (
-        Verdict(line["verdict"]),
-        line["configured"],
-        line["reality"],
-    )
-    if verdict in (Verdict.INSIDE, Verdict.DECLINED):
+def _deviation(line: Settings, value: float | None, reality: Settings) -> float:
+    verdict = Verdict(line["verdict"])
+    if not verdict.is_off:
         return INSIDE_WITHIN
-    return (
-        math.inf
-        if value is None
-        else abs(value - reality["value"]) / reality["tolerance"]
-    )
+    return deviation_of(verdict, value, reality["value"], reality["tolerance"])
+
+
+def _part_deviation(part: Settings) -> float:
+    """Return the deviation of a part; JSON has none for an infinite one."""
+    if not Verdict(part["verdict"]).is_off:
+        return INSIDE_WITHIN
+    return math.inf if part["deviation"] is None else float(part["deviation"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regression:
+    """A flagged row, or a part of it, that is farther from reality than in the baseline.
+
+    Attributes:
+        row: The row.
+        part: Name of the part; empty for the row itself.
+        value: Measured value of the part; None when not measured.
+        verdict: Verdict of the part.
+        deviation: Distance from reality, as the parts of a row state it.
+        before: The same in the baseline; None when the baseline has no such row or part.
+    """
+
+    row: PhenomenonResult
+    part: str
+    value: float | None
+    verdict: Verdict
+    deviation: float
+    before: float | None
 
 
 def regressions(
-    report: Report, baseline: Mapping[str, float], *, least: Verdict
-) -> list[PhenomenonResult]:
-    """Return flagged rows, at least as bad as `least`, that are farther from reality than in the baseline.
+    report: Report, baseline: Baseline, *, least: Verdict
+) -> list[Regression]:
+    """Return flagged rows and parts, at least as bad as `least`, that are farther from reality than in the baseline.
 
-    Farther is by more than a half-width of the interval, or out of the interval. A row that the baseline does not have,
-    or that it declined, is compared with `inside`.
+    Farther is by more than a half-width of the interval, or out of the interval. A row with parts is compared part by
+    part. What the baseline does not have, or declined, is compared with `inside`.
     """
     counted = (
         (Verdict.WRONG,) if least is Verdict.WRONG else (Verdict.WRONG, Verdict.VISIBLE)
     )
     worse = []
     for row in report.rows:
-        before = baseline.get(row.phenomenon, INSIDE_WITHIN)
-        after = row.deviation
-        grown = after > before + GROWTH or before <= INSIDE_WITHIN
-        if row.is_flag and row.verdict in counted and grown:
-            worse.append(row)
+        known = baseline.get(row.phenomenon, {})
+        several = [(p.name, p.value, p.verdict, p.deviation) for p in row.parts]
+        if not several:
+            several = [("", row.configured, row.verdict, row.deviation)]
+        for part, value, verdict, deviation in several:
+            before = known.get(part, INSIDE_WITHIN)
+            grown = deviation > before + GROWTH or before <= INSIDE_WITHIN
+            if row.is_flag and verdict in counted and grown:
+                worse.append(
+                    Regression(
+                        row=row,
+                        part=part,
+                        value=value,
+                        verdict=verdict,
+                        deviation=deviation,
+                        before=known.get(part),
+                    )
+                )
     return worse

@@ -18,10 +18,16 @@ from gauge_envs.tools.sanity.model import (
     Need,
     PhenomenonResult,
     Reality,
+    RealityKind,
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS
+from gauge_envs.tools.sanity.phenomena import (
+    CAPACITY_ID,
+    CONTROL_ID,
+    GRAVITY_ID,
+    ROBOT_IDS,
+)
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 
 if TYPE_CHECKING:
@@ -57,18 +63,32 @@ CAPACITY_ROW = PhenomenonResult(
 )
 """Rows of a world and contacts of a world that do not fit."""
 
-TARGET_ROWS = (GRAVITY_ROW, CAPACITY_ROW)
+LONGEST_CONTROL_MS = 350.0
+"""Longest time of one action of policies that run on real robots: RT-1 acts at 3 Hz (arXiv:2212.06817) [ms]."""
+
+FALLING_SHARE = 0.5
+"""Longest time of one action of a robot that stands, in the time in which its fall grows by e, sqrt(height / g)."""
+
+CONTROL_ROW = PhenomenonResult(
+    phenomenon=CONTROL_ID,
+    title="time of one action: the step of the engine times the steps of an action",
+    unit="ms",
+    reality=Reality(
+        kind=RealityKind.LAW,
+        value=0.0,
+        tolerance=LONGEST_CONTROL_MS,
+        source="the slowest policies of real arms act at 3 Hz; a robot that stands falls by e in sqrt(height / g)",
+        rationale="an action must end before the state has changed by more than the next one can mend",
+        limits=f"at most {LONGEST_CONTROL_MS:g}",
+    ),
+    verdict=Verdict.INSIDE,
+)
+"""Time of one action of the policy."""
+
+TARGET_ROWS = (GRAVITY_ROW, CAPACITY_ROW, CONTROL_ROW)
 
 LEAST_TILT_DEG = 0.1
 """Smallest tilt that is reported [degrees]."""
-
-EFFECTS = {
-    "robot-torque": ("robot-damping", "robot-frictionloss"),
-    "robot-damping": ("robot-dry",),
-    "robot-density": ("robot-armature", "robot-inertia"),
-    "robot-bound": ("robot-inertia",),
-}
-"""Rows that show the fault of another row, which is mended alone."""
 
 SPARE = 1.25
 """Ratio of recommended limits and the counted need, since other motions may need more."""
@@ -77,30 +97,21 @@ SPARE = 1.25
 def target_rows(
     configuration: TrainingConfiguration, dialect: Dialect, chosen: Sequence[str]
 ) -> list[PhenomenonResult]:
-    """Return the chosen rows on what a target states, and on its robot.
-
-    A row on the memory for contacts or on the robot is left out where the target states nothing of it, unless it is the
-    only one.
-    """
+    """Return the chosen rows on what a target states, and on its robot; those that do not apply have a reason."""
     rows = [gravity_row(configuration, dialect)] if GRAVITY_ID in chosen else []
-    if CAPACITY_ID in chosen and (
-        configuration.capacity is not None or len(chosen) == 1
-    ):
+    if CAPACITY_ID in chosen:
         rows.append(capacity_row(configuration, dialect))
+    if CONTROL_ID in chosen:
+        rows.append(control_row(configuration))
     named = [name for name in ROBOT_IDS if name in chosen]
-    for name in named:
-        row = robot_row(name, configuration.robot)
-        if row.verdict is not Verdict.DECLINED or len(chosen) == 1:
-            rows.append(row)
-    return rows
+    return rows + [robot_row(name, configuration.robot) for name in named]
 
 
 def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
     """Return a row on the target's own model; one that is not measured without a model."""
-    from gauge_envs.tools.sanity.robot import rollout
-    from gauge_envs.tools.sanity.robot.model_rows import ROWS, Finding, judged_row
+    from gauge_envs.tools.sanity.robot.model_rows import Finding, judged_row
+    from gauge_envs.tools.sanity.robot.rows import ROWS
 
-    assert rollout, "its rows are added as it is imported"
     return judged_row(
         name,
         Finding(declined="the target's own model is not read")
@@ -112,7 +123,7 @@ def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
 def target_fixes(
     configuration: TrainingConfiguration, dialect: Dialect, flags: Collection[str]
 ) -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return the change that mends each flagged row, as text to paste and as settings."""
+    """Return the change that mends each flagged row on gravity or memory, as text to paste and as settings."""
     upright = _upright_gravity(configuration)
     limits = (
         {}
@@ -123,18 +134,6 @@ def target_fixes(
         GRAVITY_ID: (dialect.gravity_text(upright), {GRAVITY_ID: upright}),
         CAPACITY_ID: (dialect.paste_text(limits), limits),
     }
-    if configuration.robot is not None:
-        from gauge_envs.tools.sanity.robot.model_rows import ROWS
-
-        effects = {
-            name
-            for cause, several in EFFECTS.items()
-            if cause in flags
-            for name in several
-        }
-        for name in sorted(set(flags) & set(ROWS) - effects):
-            if (found := ROWS[name](configuration.robot)).changes:
-                fixes[name] = (found.advice, dict(found.changes))
     return {name: fix for name, fix in fixes.items() if name in flags}
 
 
@@ -183,6 +182,51 @@ def gravity_row(
             settings=(GRAVITY_ID,),
             line=f"{dialect.gravity_text(upright)} instead of {was}",
         ),
+    )
+
+
+# --- time of one action ---------------------------------------------------------------------------------------------
+
+
+def control_s(configuration: TrainingConfiguration) -> float | None:
+    """Return the time of one action [s]; None where the target does not state its step or the steps of an action."""
+    step_s = configuration.settings.get("timestep_s")
+    if step_s is None or configuration.frame_skip is None:
+        return None
+    return float(step_s) * configuration.frame_skip
+
+
+def control_row(configuration: TrainingConfiguration) -> PhenomenonResult:
+    """Return the row on the time of one action; it does not apply where the target does not state it."""
+    action_s = control_s(configuration)
+    if action_s is None:
+        return _declined(
+            CONTROL_ROW, "the target does not state how many steps an action takes"
+        )
+    longest_ms, remark = LONGEST_CONTROL_MS, ""
+    standing = None if configuration.robot is None else configuration.robot.standing
+    if standing is not None:
+        falling_ms = 1e3 * math.sqrt(standing.height_m / GRAVITY_M_PER_S2)
+        longest_ms = FALLING_SHARE * falling_ms
+        remark = f"a fall of the robot grows by e in {falling_ms:.3g} ms"
+    deviation = 1e3 * action_s / longest_ms
+    verdict = Verdict.of(deviation)
+    steps = configuration.frame_skip or 1
+    fair = max(1, math.floor(steps / deviation))
+    advice = f"at most {fair} steps for an action instead of {steps} (decimation, frame_skip)"
+    return replace(
+        CONTROL_ROW,
+        reality=replace(
+            CONTROL_ROW.reality,
+            tolerance=longest_ms,
+            limits=f"at most {longest_ms:.3g}",
+        ),
+        configured=1e3 * action_s,
+        verdict=verdict,
+        remark="; ".join(filter(None, (remark, advice if verdict.is_off else ""))),
+        consequence="The policy sees the robot too seldom to balance or to stop it."
+        if verdict.is_off
+        else "",
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.errors import MissingExtraError
+from gauge_envs.errors import needs_extra
 from gauge_envs.pages.document import (
     Document,
     Heading,
@@ -36,13 +36,14 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomena, selection
+from gauge_envs.tools.sanity.run import Regression
 from gauge_envs.tools.sanity.target_checks import TARGET_ROWS, robot_row
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
     Verdict.VISIBLE: "outside, at most 2.5 half-widths from reality: a careful observer sees the difference",
     Verdict.WRONG: "farther away, or of another kind: a body slides that should hold, or the run diverges",
-    Verdict.DECLINED: "not measured: it does not apply, or the backend cannot build the scene with these settings",
+    Verdict.DECLINED: "applies and was not measured, for the reason that stands below the row",
 }
 
 ADVISORY_NOTE = (
@@ -55,6 +56,15 @@ STYLES = {
     Verdict.WRONG: "bold red",
     Verdict.DECLINED: "dim",
 }
+
+MOST_PARTS = 4
+"""Largest number of links, joints or motors that a row of a comparison names; JSON has all."""
+
+MOST_TRIED = 4
+"""Largest number of changes without success that the first line names."""
+
+HALF_TEXT = 80
+"""Characters of the begin and of the end of a change without success in the first line; JSON has all of it."""
 
 MOST_NAMED = 2
 """Largest number of changes, or of rows that were not measured, that the first line names."""
@@ -89,6 +99,7 @@ def sanity_document(report: Report) -> Document:
             *([_contact_table(checked)] if len(checked.contact_groups) > 1 else []),
             *(Paragraph(f"note: {note}", Tone.WARNING) for note in checked.notes),
             table,
+            *inapplicable(report),
             Paragraph(""),
             Paragraph(tally, Tone.ANSWER),
             Paragraph(LEGEND, Tone.NOTE),
@@ -106,9 +117,17 @@ def sanity_document(report: Report) -> Document:
         markdown=(
             answer,
             replace(table, title=""),
+            *inapplicable(report),
             Paragraph(f"{checked.name}: {tally}"),
         ),
     )
+
+
+def _cut(text: str) -> str:
+    """Return a text without its middle where it is long: first what was tried, last how far it came."""
+    if len(text) <= 2 * HALF_TEXT:
+        return text
+    return f"{text[:HALF_TEXT].rstrip(' ,')} ... {text[-HALF_TEXT:].lstrip(' ,')}"
 
 
 def top_line(report: Report) -> str:
@@ -118,15 +137,22 @@ def top_line(report: Report) -> str:
         return f"Mends most: {report.cure.line}"
     if flags:
         text = f"{flags} {'flags' if flags > 1 else 'flag'}"
-        if any(row.cause is not None for row in report.rows):
-            return f"{text}; no change that was tried mends one"
+        if report.tried:
+            more = len(report.tried) - MOST_TRIED
+            several = [
+                *(_cut(one) for one in report.tried[:MOST_TRIED]),
+                *([f"and {more} more"] if more > 0 else []),
+            ]
+            return (
+                f"{text}. Tried, and none mends one without harm: {'; '.join(several)}"
+            )
         return (
             f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
         )
-    measured = sum(row.verdict is not Verdict.DECLINED for row in report.rows)
-    missing = report.unmeasured
+    measured, missing = report.counts["measured"], report.unmeasured
     if not measured:
-        return "Nothing was measured"
+        reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
+        return "; ".join(("Nothing was measured", *[*reasons][:MOST_NAMED]))
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (
             f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
@@ -134,10 +160,17 @@ def top_line(report: Report) -> str:
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
     return "; ".join(
         (
-            f"No flags: {counted(measured, 'row')} measured, nothing to change",
+            f"No flags: {counts_text(report)}, nothing to change",
             *report.notes,
         )
     )
+
+
+def counts_text(report: Report) -> str:
+    """Return how many rows were measured, declined and not applicable."""
+    first, *others = report.counts.items()
+    texts = [f"{count} {name.replace('_', ' ')}" for name, count in others if count]
+    return ", ".join([f"{counted(first[1], 'row')} {first[0]}", *texts])
 
 
 def is_clean(report: Report) -> bool:
@@ -288,8 +321,32 @@ def _phenomenon_table(report: Report) -> Table:
                 "", "responsible", responsible_text, place=Place.BELOW, wide_only=True
             ),
         ),
-        rows=report.rows,
+        rows=applicable(report),
     )
+
+
+def applicable(report: Report) -> tuple[PhenomenonResult, ...]:
+    """Return the rows that apply to the target."""
+    return tuple(row for row in report.rows if row.applies)
+
+
+def inapplicable(report: Report) -> list[Part]:
+    """Return a line for each reason why rows do not apply, with these rows."""
+    return _by_reason(
+        "not applicable",
+        [(row.remark, row.phenomenon) for row in report.rows if not row.applies],
+    )
+
+
+def _by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
+    """Return a line for each reason, with the ids of its rows."""
+    several: dict[str, list[str]] = {}
+    for reason, name in found:
+        several.setdefault(reason, []).append(name)
+    return [
+        Paragraph(f"{word}, {reason}: {', '.join(names)}", Tone.NOTE)
+        for reason, names in several.items()
+    ]
 
 
 CAUSE_VERB = re.compile(r" brings? ")
@@ -352,23 +409,34 @@ def responsible_text(row: PhenomenonResult) -> str:
 
 
 def tally_text(report: Report) -> str:
-    """Return the number of rows with each verdict."""
-    counting = [
-        row for row in report.rows if not row.advisory or not row.verdict.is_off
-    ]
+    """Return how many rows were measured, declined and not applicable, and the verdicts of those that were measured."""
+    rows = [row for row in report.rows if row.verdict is not Verdict.DECLINED]
+    counting = [row for row in rows if not row.advisory or not row.verdict.is_off]
     found = Counter(row.verdict for row in counting)
     counts = {verdict.value: found[verdict] for verdict in _present(report)}
-    counts["advisory"] = len(report.rows) - len(counting)
+    counts["advisory"] = len(rows) - len(counting)
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
-    return "; ".join(
-        (text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s")
+    shown = ": ".join(filter(None, (counts_text(report), text)))
+    return "; ".join((shown, *report.notes, f"{report.wall_s:.0f} s"))
+
+
+def regression_text(one: Regression) -> str:
+    """Return what is farther from reality than in the baseline, and by how much."""
+    row = one.row
+    value = with_unit(measured_text(one.value), row.unit)
+    head = ", ".join(filter(None, (row.phenomenon, one.part)))
+    was = (
+        "not in the baseline" if one.before is None else f"{one.before:.3g} half-widths"
     )
+    return f"{head}: {one.verdict.value}, {value}, {one.deviation:.3g} half-widths from reality; was {was}"
 
 
 def _present(report: Report) -> list[Verdict]:
     """Return the verdicts that occur in rows that count, the worst first."""
     found = {
-        row.verdict for row in report.rows if not (row.advisory and row.verdict.is_off)
+        row.verdict
+        for row in applicable(report)
+        if not (row.advisory and row.verdict.is_off)
     }
     return [
         v
@@ -384,11 +452,14 @@ CHANGE_STYLES = {
     Change.VISIBLE: "yellow",
     Change.LARGE: "bold red",
     Change.UNKNOWN: "dim",
+    Change.NEITHER: "dim",
 }
 
 COMPARISON_LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
-    "times as much; large: more; unknown: one of the two was not measured."
+    "times as much; large: more; unknown: one of the two was not measured. What models state of links, joints and "
+    "motors is the same within 5 %; places and angles within 1 mm, 2 mm for centres of mass, and 0.01 rad. A dash: no "
+    "limit, or no such part."
 )
 
 
@@ -412,11 +483,24 @@ def comparison_document(comparison: Comparison) -> Document:
                 }
             ),
             table,
+            *_neither(comparison),
             Paragraph(""),
             Paragraph(COMPARISON_LEGEND, Tone.NOTE),
         ),
         rows=[whole, *rows],
-        markdown=(answer, table),
+        markdown=(answer, table, *_neither(comparison)),
+    )
+
+
+def _neither(comparison: Comparison) -> list[Part]:
+    """Return a line for each reason why rows are not compared, with these rows."""
+    return _by_reason(
+        "not compared",
+        [
+            (row.remark, row.id)
+            for row in comparison.rows
+            if row.change is Change.NEITHER
+        ],
     )
 
 
@@ -424,17 +508,52 @@ def comparison_line(comparison: Comparison) -> str:
     """Return the largest changes in one line."""
     changed = comparison.changed
     if not changed:
-        unknown = sum(row.change is Change.UNKNOWN for row in comparison.rows)
-        return "Nothing changes" + (f"; {unknown} rows are unknown" if unknown else "")
-    values = (
-        f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}"
-        for row in changed
-    )
+        return f"Nothing changes in {', '.join(_change_counts(comparison))}"
     named = [
-        with_unit(text, row.unit)
-        for text, row in zip(values, changed[:MOST_NAMED], strict=False)
+        f"{row.title}{f' ({row.parts[0].name})' if row.parts else ''}: from "
+        + with_unit(
+            f"{measured_text(row.trained)} to {measured_text(row.deployed)}", row.unit
+        )
+        for row in changed[:MOST_NAMED]
     ]
-    return f"{len(changed)} of {len(comparison.rows)} rows change; most of all {'; then '.join(named)}"
+    others = ", ".join(row.id for row in changed[MOST_NAMED:])
+    compared, *missing = _change_counts(comparison)
+    texts = [
+        f"{len(changed)} of {compared} change",
+        *missing,
+        f"most of all {'; then '.join(named)}",
+        f"then {others}" if others else "",
+    ]
+    return "; ".join(filter(None, texts))
+
+
+def _change_counts(comparison: Comparison) -> list[str]:
+    """Return how many rows were compared, are unknown, and were not compared."""
+    found = Counter(row.change for row in comparison.rows)
+    unknown, neither = found[Change.UNKNOWN], found[Change.NEITHER]
+    compared = counted(len(comparison.rows) - unknown - neither, "row")
+    others = {"unknown": unknown, Change.NEITHER.value: neither}
+    return [compared, *(f"{count} {word}" for word, count in others.items() if count)]
+
+
+def change_text(row: ChangeRow) -> str:
+    """Return what changes in a row, in one line."""
+    values = f"{measured_text(row.trained)} to {measured_text(row.deployed)}"
+    found = _parts_text(row) or values
+    return "; ".join(
+        filter(None, (f"{row.title}: {with_unit(found, row.unit)}", row.remark))
+    )
+
+
+def _parts_text(row: ChangeRow) -> str:
+    """Return the links, joints or motors that change most, with both values."""
+    named = [
+        f"{one.name} {measured_text(one.trained)} to {measured_text(one.deployed)}"
+        for one in row.parts[:MOST_PARTS]
+    ]
+    if len(row.parts) > MOST_PARTS:
+        named.append(f"and {len(row.parts) - MOST_PARTS} more")
+    return ", ".join(named)
 
 
 def _change_table(comparison: Comparison) -> Table:
@@ -448,7 +567,7 @@ def _change_table(comparison: Comparison) -> Table:
 
     def below(row: ChangeRow) -> str:
         title = row.title if row.change in (Change.VISIBLE, Change.LARGE) else ""
-        return "; ".join(filter(None, (title, row.remark)))
+        return "; ".join(filter(None, (title, _parts_text(row), row.remark)))
 
     return Table(
         columns=(
@@ -465,7 +584,7 @@ def _change_table(comparison: Comparison) -> Table:
             ),
             Column("", "", below, place=Place.BELOW),
         ),
-        rows=comparison.rows,
+        rows=[row for row in comparison.rows if row.change is not Change.NEITHER],
     )
 
 
@@ -494,21 +613,21 @@ LOOK = "stack dense anywhere"
 
 def check_can_draw() -> None:
     """Check that a page can be drawn, before a long run."""
-    try:
+    with needs_extra("the HTML page", "plot"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("the HTML page", "plot", error) from error
 
 
 def sanity_page(report: Report) -> str:
     """Return the self-contained page of a sanity check."""
     checked = report.configuration
     lead = "What the numerical settings of this configuration do to the physics of measured objects: "
-    cards = (_card(row) for row in sorted(report.rows, key=lambda row: not row.is_flag))
+    rows = applicable(report)
+    cards = (_card(row) for row in sorted(rows, key=lambda row: not row.is_flag))
     parts: list[Part] = [
         Paragraph(top_line(report), Tone.ANSWER),
         element("p", f"{lead}{tally_text(report)}.", class_="lead"),
         _phenomena(report),
+        *inapplicable(report),
         *(
             element("p", _badge(verdict), f" {note}", class_="small")
             for verdict, note in VERDICT_NOTES.items()
@@ -569,7 +688,7 @@ def _phenomena(report: Report) -> Table:
             Column("", "verdict", html=_row_badge),
             Column("", "", responsible_text, place=Place.BELOW),
         ),
-        rows=report.rows,
+        rows=applicable(report),
         look="stack phenomena anywhere",
     )
 
@@ -612,12 +731,12 @@ def _card(row: PhenomenonResult) -> Html:
         parts.append(Paragraph(text))
     if row.cause is not None and row.cause.tried:
         parts.append(_tried(row.cause, row.unit))
-    if row.groups:
+    if row.parts:
         rows = [
-            (one.geoms, measured_text(one.value), one.verdict.value, one.remark)
-            for one in row.groups
+            (one.name, measured_text(one.value), one.verdict.value, one.remark)
+            for one in row.parts
         ]
-        parts.append(grid(("geoms", "measured", "verdict", ""), rows, look="anywhere"))
+        parts.append(grid(("part", "measured", "verdict", ""), rows, look="anywhere"))
     parts.append(Paragraph(source + scene, Tone.NOTE))
     return folded(
         row.title, as_html(parts), class_="card", id=row.phenomenon, open=row.is_flag

@@ -38,7 +38,7 @@ from gauge_envs.pages.html import (
 )
 from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import COST_TITLE, shortened
+from gauge_envs.pages.text import COST_TITLE, QUESTIONS, shortened
 from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
@@ -79,6 +79,7 @@ from gauge_envs.tools.site.model import (
     first_result,
     first_results,
     score_cell,
+    section,
     site_page,
 )
 from gauge_envs.tools.site.overview import overview_page
@@ -295,7 +296,8 @@ def engine_page(site: Site, name: str) -> str:
     for index in site.engines[name]:
         parts += [
             *_means(site, index),
-            _scores(site, index),
+            *section(QUESTIONS["validation"], _scores(site, index, is_verified=False)),
+            *section(QUESTIONS["verification"], _scores(site, index, is_verified=True)),
             *_settings(site, index),
             *_reasons(site, index),
         ]
@@ -327,11 +329,11 @@ def _means(site: Site, index: int) -> list[Html]:
     return [heading, element("p", f"Versions: {versions}.{physics} {counts}"), *places]
 
 
-def _scores(site: Site, index: int) -> Table:
+def _scores(site: Site, index: int, *, is_verified: bool) -> Table:
     rows = []
     for one in site.comparison.experiments:
         cell = one.cells[index]
-        if cell is not None:
+        if cell is not None and one.is_verified is is_verified:
             result = first_result(cell)
             convergence = None
             if result is not None:

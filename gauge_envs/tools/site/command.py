@@ -17,13 +17,15 @@ from gauge_envs.pages.text import counted, shortened
 
 def report(
     sources: arguments.Sources = None,
+    corrected: arguments.Corrected = True,
     out: Annotated[
-        Path, typer.Option(help="Folder for the site; a site in it is replaced.")
+        Path, arguments.target("Folder for the site; a site in it is replaced.")
     ] = Path("site"),
     replay: Annotated[
         bool,
         typer.Option(
             "--replay/--no-replay",
+            rich_help_panel=arguments.OUTPUT,
             help="3D replays; the poses are kept beside the results.",
         ),
     ] = True,
@@ -31,8 +33,8 @@ def report(
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
     It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
-    bit for bit. corrected=false after the results leaves out engines whose physics this package corrects. Exit code 1
-    when a file was skipped: a damaged one, or one that states a score that its trajectory does not give.
+    bit for bit. Exit code 1 when a file was skipped: a damaged one, or one that states a score that its trajectory does
+    not give.
     """
     from gauge_envs.tools.leaderboard import false_scores
     from gauge_envs.tools.site import save_site
@@ -40,10 +42,7 @@ def report(
 
     # Before the runs, which may take minutes.
     check_replaceable(out)
-    files, details = arguments.split_details(sources, corrected=bool)
-    results, skipped = loaded_results(
-        files, with_scene=True, corrected=details.get("corrected", True)
-    )
+    results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
     false = {
         file: found
         for file, result in results.items()
@@ -60,6 +59,7 @@ def report(
         *(sources or ["results"]),
         "--out",
         str(out),
+        *([] if corrected else ["--no-corrected"]),
         *([] if replay else ["--no-replay"]),
     ]
     with Progress("pages", len({result.id for result in results.values()})) as progress:

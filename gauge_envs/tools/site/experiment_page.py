@@ -9,11 +9,17 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, folded, join, listed
-from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
+from gauge_envs.pages.results import (
+    SCORE_METRICS,
+    VERIFIED,
+    discretization_text,
+    reality_lines,
+)
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import (
     GRADE_NOTES,
+    QUESTIONS,
     interval_text,
     quantity_text,
     score_text,
@@ -26,8 +32,15 @@ from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
+from gauge_envs.tools.compare import (
+    PAIRED_NOTES,
+    ExperimentComparison,
+    choose_yardstick,
+    coordinate_words,
+    is_aligned,
+    p_text,
+    verdict_text,
+)
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
 from gauge_envs.tools.site.model import (
     FACTS,
@@ -38,7 +51,7 @@ from gauge_envs.tools.site.model import (
     section,
     site_page,
 )
-from gauge_envs.tools.site.overview import place_text
+from gauge_envs.tools.site.overview import SOLUTION_NOTE, place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
@@ -63,7 +76,8 @@ BUDGETS_NOTE = (
 
 CONVERGENCE_NOTE = (
     "Change of the whole trajectory when the time step or the cell of a mesh is halved, over the scatter of real "
-    "trials. It was measured once for each engine with its default settings (scoring/convergence)."
+    "trials; where the reference is a solution, in the unit of g(t). It was measured once for each engine with its "
+    "default settings (scoring/convergence)."
 )
 
 UNCERTAINTY_NOTE = (
@@ -78,6 +92,9 @@ Parts = list[Part]
 
 MAX_PANELS = 6
 """Largest number of coordinates that are drawn."""
+
+MIN_RANGE = 0.02
+"""Smallest range of a panel, relative to the largest motion of the reference."""
 
 MAX_SECONDS = 10.0
 """Longest time that is drawn [s]: in a longer one, swings of a second cannot be told apart."""
@@ -173,7 +190,8 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         for index, cell, spread in found
         if spread is not None
     ]
-    if not rows:
+    # The distance from an exact solution has nothing that it is compared with on an axis.
+    if not rows or one.scale_unit not in ("1", "u"):
         return []
     rows.sort(key=lambda row: row.value)
     rows += [
@@ -186,9 +204,11 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         for name, value in (one.published(one.primary) or {}).items()
         if value is not None
     ]
-    figure = forest(
-        f"{SCORE_METRICS[one.primary].title} over that of real trials", rows
-    )
+    title = SCORE_METRICS[one.primary].title
+    if one.is_verified:
+        figure = forest(f"{title} over u", rows, unity="u")
+    else:
+        figure = forest(f"{title} over that of real trials", rows, unity="real trials")
     ranks = [
         join([site.links[two.configuration], f": {place_text(grade, two.rank)}"])
         for grade in site.comparison.compare_within([one])
@@ -203,15 +223,27 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
 
 
 def _scores(site: Site, one: ExperimentComparison) -> Parts:
+    """Return the table of scores; of a scene with a solution, events stand apart, which are compared with real ones."""
     names = one.metrics()
+    events = [name for name in names if SCORE_METRICS[name].is_event]
+    if not one.is_verified or not events:
+        return _score_section(site, one, names)
+    others = [name for name in names if name not in events]
+    return [*_score_section(site, one, others), *_score_section(site, one, events)]
+
+
+def _score_section(
+    site: Site, one: ExperimentComparison, names: Sequence[str]
+) -> Parts:
     if not names:
         return []
+    is_verified = one.is_verified and VERIFIED.key in names
     percentiles = [
         None if cell is None else cell.percentile(one.primary) for cell in one.cells
     ]
     has_trials = any(percentile is not None for percentile in percentiles)
     titles = ["", *(SCORE_METRICS[name].title for name in names)]
-    note = SCORES_NOTE
+    note = SOLUTION_NOTE if is_verified else SCORES_NOTE
     if has_trials:
         titles.append("real trials closer")
         note += " Real trials closer: share of the real trials that are closer to their mean."
@@ -232,7 +264,8 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
         if any(value is not None for value in values):
             empty = [""] * (len(titles) - 1 - len(names))
             rows.append([f"{title}, paper", *map(score_text, values), *empty])
-    return section("Scores", grid(titles, rows), note)
+    title = QUESTIONS["verification" if is_verified else "validation"]
+    return section(title, grid(titles, rows), note)
 
 
 def _causes(site: Site, results: Results) -> Parts:
@@ -251,7 +284,9 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
                 join([site.swatch(index), site.labels[index]])
                 for index in (pair.first, pair.second)
             ),
-            interval_text(found.difference, found.difference_95),
+            with_unit(
+                interval_text(found.difference, found.difference_95), one.scale_unit
+            ),
             p_text(found.p_holm),
             verdict_text(found.distinguishable),
         )
@@ -262,12 +297,14 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
     ]
     if not rows:
         return []
+    question = "verification" if one.is_verified else "validation"
     apart = sum(row[-1] == verdict_text(True) for row in rows)
     pairs = grid(("first", "second", "difference [95 %]", "p", "at 5 %"), rows)
     return [
         Heading("Pairs"),
         Paragraph(
-            "Difference of the scores, first minus second, by paired bootstrap; p is corrected for all pairs (Holm).",
+            f"Difference of the scores, first minus second. {PAIRED_NOTES[question]} p is corrected for all pairs "
+            "(Holm).",
             Tone.NOTE,
         ),
         folded(
@@ -434,7 +471,7 @@ def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts
     if band is None:
         panels, note = _plain_panels(site, unit, recorded, shown_s)
     else:
-        panels, note = _band_panels(site, unit, recorded, band, shown_s)
+        panels, note = _band_panels(site, results, band, shown_s)
     notes = [note] if note else []
     if shown_s < end_s:
         notes.append(
@@ -457,9 +494,14 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
     if band is not None:
         means = {
             BandGrade.RECORDING: "real: one recorded trial",
-            BandGrade.LAW: "law",
-            BandGrade.MODEL: "solved model, not real",
+            BandGrade.LAW: "law, not measured",
+            BandGrade.MODEL: "solved model, not measured",
         }
+        unit = "u of the solution" if band.grade.is_solution else "sigma"
+        areas = (
+            ("--band1", "swatch area", f"1 {unit}"),
+            ("--band2", "swatch area", f"2 {unit}"),
+        )
         mean = (
             "real mean"
             if band.trial_count is None
@@ -467,8 +509,7 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
         )
         for color, kind, text in (
             ("--real", "swatch", means.get(band.grade, mean)),
-            ("--band1", "swatch area", "1 sigma"),
-            ("--band2", "swatch area", "2 sigma"),
+            *(() if band.is_exact else areas),
         ):
             entries.append(
                 join(
@@ -484,36 +525,65 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
 
 
 def _band_panels(
-    site: Site, unit: str, recorded: Recorded, band: Band, end_s: float
+    site: Site, results: Results, band: Band, end_s: float
 ) -> tuple[list[CurvePanel], str]:
-    """Return the panels of the coordinates with the largest real motion, and a note if others are left out."""
-    width = band.projection.shape[1]
-    projected = [
-        (i, times, band.project(values))
-        for i, times, values, _ in recorded
-        if values.shape[1] == width
+    """Return the distance from the reference, and the coordinates with the largest share of it, with a note."""
+    ran = {
+        index: result
+        for index, result in results.items()
+        if result.trajectory is not None
+        and len(result.trajectory.coordinates) == band.projection.shape[1]
+    }
+    against = choose_yardstick([*ran.values()], band, names=())
+    deviations = {
+        index: against.deviation(result, aligned=is_aligned(result))
+        for index, result in ran.items()
+    }
+    shares = against.shares([*deviations.values()])
+    mean, spread = against.band.mean, against.spread
+    known = np.isfinite(mean).any(axis=1)
+    spans = np.ptp(mean[known], axis=0)
+    curves = [
+        (site.line(i), site.labels[i], against.times_s, against.lengths(one))
+        for i, one in deviations.items()
     ]
-    spans = [
-        float(np.ptp(column[np.isfinite(column)])) if np.isfinite(column).any() else 0.0
-        for column in band.mean.T
-    ]
+    trials = against.trial_lengths(aligned=any(map(is_aligned, ran.values())))
+    note = ""
+    if against.has_spread:
+        reach, text = against.lengths(spread), against.spread_words[0]
+        if len(trials):
+            reach = np.sqrt(np.nanmean(np.square(trials), axis=0))
+            text = "root mean square of the real trials from the mean of the others"
+        curves.insert(0, (("var(--real)", True), text, against.times_s, reach))
+        note = f"Dashed in the first panel: {text}. "
     panels = [
         CurvePanel(
-            title=f"{band.coordinates[column]} [{unit}]",
+            title=f"distance from {against.name} [{against.unit}]",
+            curves=curves,
+            end_s=end_s,
+        )
+    ]
+    shown = {index: against.motion(result) for index, result in ran.items()}
+    columns = sorted(np.argsort(-shares, kind="stable")[: MAX_PANELS - 1].tolist())
+    panels += [
+        CurvePanel(
+            title=f"{coordinate_words(against.band.coordinates[column])} [{against.unit}]",
             curves=[
                 (site.line(i), site.labels[i], times, values[:, column])
-                for i, times, values in projected
+                for i, (times, values) in shown.items()
             ],
             end_s=end_s,
-            times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
-            mean=band.mean[:, column],
-            sigma=band.sigma[:, column],
-            measured=band.measured,
+            times_s=against.times_s,
+            mean=mean[:, column],
+            sigma=spread[:, column],
+            measured=against.band.measured,
+            least_range=max(MIN_RANGE * float(spans.max()), 1e-9),
         )
-        for column in sorted(np.argsort(spans)[::-1][:MAX_PANELS].tolist())
+        for column in columns
     ]
-    left_out = f"{len(panels)} of {len(spans)} coordinates: those in which the real motion is largest."
-    return panels, left_out if len(spans) > len(panels) else ""
+    if len(shares) > len(columns):
+        note += f"{len(columns)} of {len(shares)} coordinates: those with the largest share of the squared distance."
+    return panels, note.strip()
 
 
 def _plain_panels(

@@ -14,6 +14,7 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
+from gauge_envs.pages.results import VERIFIED
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import COST_TITLE, score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
@@ -30,7 +31,7 @@ LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 
 
 class Standing(StrEnum):
-    """Standing of a normalized score to that of the real trials, by its interval; the value is a class of its cell."""
+    """Standing of a score, by its interval, to that of real trials or to u; the value is a class of its cell."""
 
     NEAR = "near"
     """The whole interval is below 1."""
@@ -38,11 +39,17 @@ class Standing(StrEnum):
     """The interval holds 1."""
     FAR = "far"
     """The whole interval is above 1."""
+    SOLVED = "solved"
+    """The interval of the distance from a solution reaches 0."""
+    DIFFERS = "differs"
+    """The interval of the distance from a solution is above 0."""
 
     @classmethod
-    def of(cls, interval: Sequence[float]) -> Standing:
-        """Return how an interval of a normalized score lies to 1, the mean score of the real trials."""
+    def of(cls, interval: Sequence[float], *, is_verified: bool) -> Standing:
+        """Return how an interval lies to 1, the mean score of real trials, or to 0, the solution of the scene."""
         low, high = interval
+        if is_verified:
+            return cls.DIFFERS if low > 0.0 else cls.SOLVED
         return cls.NEAR if high < 1.0 else cls.FAR if low > 1.0 else cls.EVEN
 
     @property
@@ -52,13 +59,17 @@ class Standing(StrEnum):
             Standing.NEAR: ("inside", "\u25bc below 1"),
             Standing.EVEN: ("visible", "\u2248 1 is in the interval"),
             Standing.FAR: ("wrong", "\u25b2 above 1"),
+            Standing.SOLVED: ("inside", "reaches 0: no difference is seen"),
+            Standing.DIFFERS: ("wrong", "above 0: differs from the solution"),
         }[self]
         return element("span", text, class_=f"badge {kind}")
 
 
-def whisker_text(value: float, interval: Sequence[float] | None) -> Html:
-    """Return a score with its 95 % interval below it."""
-    score = element("span", score_text(value), class_="value")
+def whisker_text(
+    value: float, interval: Sequence[float] | None, unit: str = "1"
+) -> Html:
+    """Return a score in a unit with its 95 % interval below it."""
+    score = element("span", with_unit(score_text(value), unit), class_="value")
     return (
         score
         if interval is None
@@ -236,9 +247,11 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
     interval = cell.interval_95(metric)
     parts: list[Html] = []
     if spread is not None:
-        parts.append(whisker_text(spread.mean, interval))
+        unit = one.scale_unit if metric == VERIFIED.key else "1"
+        parts.append(whisker_text(spread.mean, interval, unit))
         if interval is not None and metric == one.primary:
-            parts.append(Standing.of(interval).badge)
+            standing = Standing.of(interval, is_verified=one.is_verified)
+            parts.append(standing.badge)
     elif raw is not None:
         parts.append(
             element(

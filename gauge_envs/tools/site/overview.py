@@ -8,7 +8,7 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted
+from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, QUESTIONS, counted
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare import (
     DIFFERENT,
@@ -18,6 +18,7 @@ from gauge_envs.tools.compare import (
     GradeScore,
     cost_text,
     deciding_text,
+    grades_of,
     mean_rank_text,
 )
 from gauge_envs.tools.site.model import (
@@ -33,6 +34,11 @@ from gauge_envs.tools.site.model import (
 SCALE_NOTE = (
     "Score: distance to the real mean over the mean distance of single real trials, which is 1. Lower is closer. In "
     "brackets: 95 % interval, from the sample of real trials."
+)
+
+SOLUTION_NOTE = (
+    "Distance from the solution of the scene over u, its standard uncertainty; that from an exact solution is in its "
+    "unit. In brackets: 95 % interval. RMSE and DTW: distances of g(t) from the solution. Nothing here is of reality."
 )
 
 ALIGNED_NOTE = (
@@ -58,8 +64,8 @@ EVENTS_NOTE = (
 )
 
 PARTIAL_NOTE = (
-    "These references hold for a part of the motion, for which no scatter of real trials is published. So there is no "
-    "1 to compare with and no interval."
+    "No scatter of real trials is published for what these references compare. So there is no 1 to compare with and no "
+    "interval."
 )
 
 UNSCORED_NOTE = (
@@ -80,26 +86,10 @@ def overview_page(site: Site) -> str:
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
         f"Compared: {references or 'none'}."
     )
-    none: list[str] = ["No experiment has a score in all configurations."]
-    answers = [_answer(site, grade) for grade in graded] or none
-    answers += [
-        line
-        for grade in comparison.grades
-        if grade.constants == DIFFERENT
-        for line in _changes(site, grade)
-    ]
+    asked = [question for question in QUESTIONS if grades_of(comparison, question)]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
-        *_matrix(site),
-        Heading("Mean ranks, grade by grade"),
-        element("div", *(element("p", answer) for answer in answers), class_="answer"),
-        *(
-            part
-            for grade in graded
-            if len(grade.scores) > 1
-            for part in _ranking(site, grade)
-        ),
-        Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
+        *(part for question in asked for part in _question(site, question)),
         *section(
             "Distance to a part of the motion",
             _scores_table(site, "experiment", _unscaled(site)),
@@ -114,7 +104,31 @@ def overview_page(site: Site) -> str:
         *_engines(site),
         *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
     ]
-    return site_page("How far is each engine from reality?", parts, here="index.html")
+    titles = [QUESTIONS[question].partition(": ")[2].capitalize() for question in asked]
+    title = " ".join(titles) or "How far are engines apart?"
+    return site_page(title, parts, here="index.html")
+
+
+def _question(site: Site, question: str) -> Iterator[Part]:
+    """Yield the scores and the ranks of the grades that answer one question."""
+    grades = grades_of(site.comparison, question)
+    graded = [grade for grade in grades if grade.ids]
+    none: list[str] = ["No experiment has a score in all configurations."]
+    answers = [_answer(site, grade) for grade in graded] or none
+    answers += [
+        line
+        for grade in grades
+        if grade.constants == DIFFERENT
+        for line in _changes(site, grade)
+    ]
+    yield Heading(QUESTIONS[question])
+    yield from _matrix(site, is_verified=question == "verification")
+    yield Heading("Mean ranks, grade by grade", 3)
+    yield element("div", *(element("p", one) for one in answers), class_="answer")
+    for grade in graded:
+        if len(grade.scores) > 1:
+            yield from _ranking(site, grade)
+    yield Paragraph(MEAN_RANK_NOTE, Tone.NOTE)
 
 
 def _grade_title(grade: GradeComparison) -> str:
@@ -228,12 +242,22 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
 
 @dataclass(frozen=True)
 class _Phenomenon:
-    """Experiments of one family against references of one grade, of which one has a score."""
+    """Experiments of one family against references of one grade and one scale, of which one has a score."""
 
     title: str
     tests: str
     grades: Sequence[GradeComparison]
     members: Sequence[ExperimentComparison]
+
+    @property
+    def scale_unit(self) -> str:
+        """Unit of the scores; that of all members is the same."""
+        return self.members[0].scale_unit
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether scores are distances from exact solutions, which have no interval."""
+        return self.scale_unit not in ("1", "u")
 
     def of(self, configuration: int) -> tuple[GradeComparison, GradeScore] | None:
         """Return the comparison that ranks a configuration, and its score there; None without a mean."""
@@ -246,16 +270,18 @@ class _Phenomenon:
         return next((entry for entry in found if entry[1].mean is not None), None)
 
 
-def _phenomena(site: Site) -> Iterator[_Phenomenon]:
-    groups: dict[tuple[str, str, str, bool], list[ExperimentComparison]] = {}
+def _phenomena(site: Site, *, is_verified: bool) -> Iterator[_Phenomenon]:
+    groups: dict[tuple[str, str, str, bool, str], list[ExperimentComparison]] = {}
     for one in site.comparison.experiments:
-        groups.setdefault((*site.family(one), one.grade, one.withheld), []).append(one)
-    for (title, tests, _, _), members in groups.items():
+        if one.is_verified is is_verified:
+            key = (*site.family(one), one.grade, one.withheld, one.scale_unit)
+            groups.setdefault(key, []).append(one)
+    for (title, tests, *_), members in groups.items():
         if compared := site.comparison.compare_within(members):
             yield _Phenomenon(title, tests, compared, members)
 
 
-def _matrix(site: Site) -> list[Part]:
+def _matrix(site: Site, *, is_verified: bool) -> list[Part]:
     def heading(one: _Phenomenon) -> Html:
         links = (
             element(
@@ -279,11 +305,10 @@ def _matrix(site: Site) -> list[Part]:
 
     def standing(index: int, one: _Phenomenon) -> str:
         found = one.of(index)
-        return (
-            ""
-            if found is None or found[1].mean is None
-            else Standing.of(found[1].mean.interval_95).value
-        )
+        if found is None or found[1].mean is None or one.is_exact:
+            return ""
+        ends = found[1].mean.interval_95
+        return Standing.of(ends, is_verified=is_verified).value
 
     columns = (
         Column(
@@ -291,22 +316,24 @@ def _matrix(site: Site) -> list[Part]:
         )
         for index, link in enumerate(site.headings)
     )
-    rows = list(_phenomena(site))
+    rows = list(_phenomena(site, is_verified=is_verified))
     if not rows:
         return []
+    solved = (Standing.SOLVED, Standing.DIFFERS)
+    shown = [one for one in Standing if (one in solved) is is_verified]
     matrix = Table(
         columns=(Column("", "phenomenon", html=heading), *columns),
         rows=rows,
         look="matrix",
     )
-    key = listed((standing.badge for standing in Standing), class_="key")
+    key = listed((standing.badge for standing in shown), class_="key")
     return [
-        Heading("Engine by phenomenon"),
+        Heading("Engine by phenomenon", 3),
         key,
         matrix,
-        Paragraph(SCALE_NOTE, Tone.NOTE),
+        Paragraph(SOLUTION_NOTE if is_verified else SCALE_NOTE, Tone.NOTE),
         Paragraph(RANK_NOTE, Tone.NOTE),
-        Paragraph(ALIGNED_NOTE, Tone.NOTE),
+        *([] if is_verified else [Paragraph(ALIGNED_NOTE, Tone.NOTE)]),
     ]
 
 
@@ -328,7 +355,9 @@ def _matrix_cell(index: int, one: _Phenomenon) -> Html:
         )
     grade, score = found
     parts = [
-        whisker_text(mean.value, mean.interval_95),
+        whisker_text(
+            mean.value, None if one.is_exact else mean.interval_95, one.scale_unit
+        ),
         below(place_text(grade, score.rank)),
     ]
     if len(grade.ids) < len(one.members):
@@ -392,9 +421,13 @@ def _unscaled(site: Site) -> Iterator[MetricRow]:
             for cell in one.cells
             if cell is not None and cell.spread("rmse", normalized=False) is not None
         ]
-        if cells and not any(
-            cell.draws is not None or cell.spread("rmse", normalized=True)
-            for cell in cells
+        if (
+            not one.is_verified
+            and cells
+            and not any(
+                cell.draws is not None or cell.spread("rmse", normalized=True)
+                for cell in cells
+            )
         ):
             yield one, "rmse", f"RMSE, {one.grade}"
 

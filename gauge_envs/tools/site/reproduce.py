@@ -39,14 +39,14 @@ def run_command(results: Sequence[Result]) -> str | None:
         words += (
             []
             if first.parameters == "calibrated"
-            else ["--parameters", first.parameters]
+            else ["--parameter", first.parameters]
         )
     else:
-        words += ["--parameters", ",".join(_assignments(first.parameters))]
+        words += ["--parameter", ",".join(_assignments(first.parameters))]
     for assignment in _assignments(first.settings_given):
         words += ["--set", assignment]
     if first.marker_proxy != MarkerProxy.MATERIAL:
-        words.append(f"marker_proxy={first.marker_proxy}")
+        words += ["--marker-proxy", str(first.marker_proxy)]
     used = [
         f"imported-{key}"
         for key in ("drivers", "reference")
@@ -71,17 +71,16 @@ def _assignments(values: Mapping[str, Any]) -> list[str]:
 def _start_words(results: Sequence[Result]) -> list[str]:
     """Return the words for seed, repeats and jitter."""
     seeds = sorted(result.seed or 0 for result in results)
-    words = [f"seed={seeds[0]}"] if seeds[0] else []
+    words = ["--seed", str(seeds[0])] if seeds[0] else []
     # Repeats have consecutive seeds; the range holds also those that are missing here.
     count = seeds[-1] - seeds[0] + 1
-    words += [f"repeats={count}"] if count > 1 else []
+    words += ["--repeats", str(count)] if count > 1 else []
     jitter = results[0].jitter
     if "position_m" in jitter:
         position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
         millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
-        words.append(
-            f"jitter={millimetres}mm,{_exact(angle_rad, math.degrees(angle_rad), math.radians)}deg"
-        )
+        degrees = _exact(angle_rad, math.degrees(angle_rad), math.radians)
+        words += ["--jitter", f"{millimetres}mm,{degrees}deg"]
     return words
 
 

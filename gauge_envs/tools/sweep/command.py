@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
@@ -37,68 +36,152 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
     from gauge_envs.tools.sweep.spec import SweepSpec
 
-DEFAULT_JOBS = 16
+DEFAULT_PARTS = 16
 """Parts of a sweep on Slurm."""
 
 
+def _option(
+    option: str, panel: str, text: str, default: str | None = None, **more: Any
+) -> Any:
+    """Return an option that replaces a key of the sweep file, or that a sweep alone has."""
+    names = [option, "-" + option[2]] if option in SHORT else [option]
+    shown = True if default is None else default
+    return typer.Option(
+        *names, rich_help_panel=panel, help=text, show_default=shown, **more
+    )
+
+
+SHORT = ("--backend", "--parameter", "--seed")
+"""Options with a short one, which is their first letter."""
+
+Texts = list[str] | None
+
+
 def sweep(
-    words: Annotated[
-        list[str] | None,
+    file: Annotated[
+        Path | None,
         typer.Argument(
-            metavar="[FILE] [KEY=VALUE]...",
-            help="Sweep file, TOML, and keys that replace those in it.",
+            metavar="FILE", help="Sweep file, TOML; options replace its keys."
         ),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path(
-        "sweep"
-    ),
+    parameters: Annotated[
+        Texts,
+        _option(
+            "--parameter",
+            arguments.SCENE,
+            "Parameter sets, as calibrated,effective; or overrides of one, as cube.friction=0.3.",
+            "calibrated",
+            metavar=arguments.ASSIGNED,
+        ),
+    ] = None,
+    jitter: arguments.JitterTexts = None,
+    backend: Annotated[
+        Texts, _option("--backend", arguments.NUMERICS, "Engines.", "mujoco")
+    ] = None,
+    preset: Annotated[
+        Texts,
+        _option(
+            "--preset",
+            arguments.NUMERICS,
+            "Presets of every engine.",
+            "chosen by each engine",
+        ),
+    ] = None,
     changes: Annotated[
-        list[str] | None,
-        typer.Option(
+        Texts,
+        _option(
             "--set",
-            help="Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50.",
+            arguments.NUMERICS,
+            "Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50.",
+            "those of the engine",
+            metavar=arguments.ASSIGNED,
         ),
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show the plan and its cost; run nothing.")
-    ] = False,
-    workers: Annotated[
+    seed: Annotated[
         int | None,
-        typer.Option(min=1, help="Worker processes; all processors by default."),
+        _option("--seed", arguments.NUMERICS, "Seed of the first repeat.", "0", min=0),
     ] = None,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Run again what failed before.")
-    ] = False,
-    limits: arguments.Limits = "",
+    repeats: Annotated[
+        int | None,
+        _option(
+            "--repeats",
+            arguments.NUMERICS,
+            "Episodes of each combination, from starts that scatter.",
+            "1",
+            min=1,
+        ),
+    ] = None,
+    timeout: arguments.Timeout = None,
+    memory: arguments.Memory = None,
+    isolate: arguments.Isolate = False,
+    jobs: arguments.Jobs = None,
     ray: Annotated[
         str | None,
-        typer.Option(
-            help="Run on Ray: auto, local, or the address of a cluster.",
+        _option(
+            "--ray",
+            arguments.NUMERICS,
+            "Run on Ray: auto, local, or the address of a cluster.",
             metavar="ADDRESS",
         ),
     ] = None,
-    slurm: Annotated[
-        Path | None,
-        typer.Option(help="Write a script for Slurm, of --shard parts; run nothing."),
+    only: Annotated[
+        Texts,
+        _option(
+            "--only",
+            arguments.SELECTION,
+            "Ids, patterns or experiment files.",
+            "those of the file",
+            metavar="ID",
+        ),
     ] = None,
     shard: Annotated[
         str | None,
-        typer.Option(
+        _option(
+            "--shard",
+            arguments.SELECTION,
+            "Run one part, as 0/16; parts may run at the same time.",
             metavar="NUMBER/COUNT",
-            help="Run one part, as 0/16; parts may run at the same time.",
         ),
     ] = None,
+    retry_failed: Annotated[
+        bool,
+        _option("--retry-failed", arguments.SELECTION, "Run again what failed before."),
+    ] = False,
+    dry_run: Annotated[
+        bool,
+        _option(
+            "--dry-run", arguments.OUTPUT, "Show the plan and its cost; run nothing."
+        ),
+    ] = False,
+    slurm: Annotated[
+        Path | None,
+        _option(
+            "--slurm",
+            arguments.OUTPUT,
+            "Write a script for Slurm; run nothing.",
+            metavar="FILE",
+        ),
+    ] = None,
+    parts: Annotated[
+        int | None,
+        _option(
+            "--parts",
+            arguments.OUTPUT,
+            "Parts of the sweep on Slurm.",
+            str(DEFAULT_PARTS),
+            min=1,
+        ),
+    ] = None,
+    out: Annotated[Path, arguments.target("Folder for the result files.")] = Path(
+        "sweep"
+    ),
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run engines, settings and experiments in all combinations; continue an earlier run.
 
-    Keys: backends=mujoco,rapier; variants='SlopeSlider-2-*', ids, patterns or experiment files; presets=, of every
-    engine; parameters=calibrated,effective, or one set of overrides; repeats=, episodes of each combination; seed=, of
-    the first repeat; jitter=1mm,0.5deg, scatter of positions and angles. Several values have commas.
-
-    Episodes whose results are in the folder do not run again. Limits are those of the worker processes; with isolate
-    each task has a process of its own. Exit code 1 when an episode failed or diverged, or when an experiment given by
-    its id was declined.
+    Episodes whose results are in the folder do not run again. --timeout and --memory are those of the worker processes;
+    with --isolate each task has a process of its own. Exit code 1 when an episode failed or diverged, or when an
+    experiment given by its id was declined.
     """
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.pool import Limits
@@ -112,26 +195,35 @@ def sweep(
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
     from gauge_envs.tools.sweep.words import outcome_table
 
-    file, given = _split(words)
+    scatter = arguments.parsed_jitter(jitter)
+    options: dict[str, Any] = {
+        "backends": backend,
+        "variants": only,
+        "presets": preset,
+        "parameters": _parameter_sets(parameters),
+        "repeats": repeats,
+        "seed": seed,
+        "jitter": None if scatter is None else scatter.to_dict(),
+    }
+    given = {key: value for key, value in options.items() if value is not None}
     if file is None and not given and not changes:
         raise ParameterError(
-            "nothing to run: give a sweep file, or words as variants='SlopeSlider-2-*'"
+            "nothing to run: give a sweep file, or experiments, as --only 'SlopeSlider-2-*'"
         )
     values = {} if file is None else load_sweep_file(file)
     if changes:
         known = given.get("backends") or values.get("backends") or ["mujoco"]
         given["settings"] = _with_changes(values.get("settings", {}), changes, known)
     spec = sweep_spec(values | given)
-    _, time_s, memory_gb = arguments.parsed_limits(limits)
-    bounds = Limits(
-        TIME_LIMIT_S if time_s is None else time_s,
-        memory_gb,
-        "isolate" in limits.split(","),
-    )
+    bounds = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
     plan = plan_sweep(spec, isolate=bounds.isolate)
     if slurm is not None:
-        _write_slurm(slurm, file, out, shard, workers or 1, given)
+        given |= {"shard": shard} if shard else {}
+        limits = {"--timeout": timeout, "--memory": memory, "--isolate": isolate}
+        _write_slurm(slurm, file, out, parts or DEFAULT_PARTS, jobs or 1, given, limits)
         return False
+    if parts is not None:
+        raise ParameterError("--parts goes with --slurm: leave it out")
     if shard is not None:
         plan = part_of(plan, *_part(shard))
     earlier = earlier_episodes(out, None if dry_run else note)
@@ -143,15 +235,13 @@ def sweep(
     }
     tasks = list(remaining_tasks(plan, done))
     if dry_run:
-        _show_plan(plan, tasks, earlier.values(), workers or processors(), form)
+        _show_plan(plan, tasks, earlier.values(), jobs or processors(), form)
         return False
     counts = Counter(
         (earlier[name].group[0], outcome) for name, outcome in done.items()
     )
     if tasks:
-        counts += _run(
-            plan, tasks, _workers(ray, workers, bounds, len(tasks)), out, form
-        )
+        counts += _run(plan, tasks, _workers(ray, jobs, bounds, len(tasks)), out, form)
     if form is not Format.JSON:
         print_document(outcome_table(plan, counts), form)
     message(f"{counted(counts.total(), 'episode')}; results in {out}")
@@ -165,38 +255,11 @@ def sweep(
 # --- what is asked for -----------------------------------------------------------------------------------------------
 
 
-def _split(words: Sequence[str] | None) -> tuple[Path | None, dict[str, Any]]:
-    """Return the sweep file, and the keys that replace its own."""
-
-    def parameters(text: str) -> list[Any]:
-        return (
-            [arguments.parsed_parameters(text)]
-            if "=" in text
-            else arguments.split_list(text)
-        )
-
-    lists = dict.fromkeys(("backends", "variants", "presets"), arguments.split_list) | {
-        "parameters": parameters
-    }
-    numbers = {
-        "repeats": PositiveInt,
-        "seed": NonNegativeInt,
-        "jitter": arguments.parsed_jitter,
-    }
-    files: list[str] = []
-    given: dict[str, Any] = {}
-    for word in words or ():
-        others, values = arguments.split_details([word], **lists, **numbers)
-        files += others
-        given |= {
-            key: [*given.get(key, []), *value] if key in lists else value
-            for key, value in values.items()
-        }
-    if len(files) > 1:
-        raise ParameterError(
-            f"{' and '.join(files)}: expected one sweep file; experiments are variants=ID,ID"
-        )
-    return (Path(files[0]) if files else None), given
+def _parameter_sets(texts: Sequence[str] | None) -> list[Any] | None:
+    """Return names of parameter sets, or one set of overrides."""
+    if texts and any("=" in text for text in texts):
+        return [arguments.parsed_parameters(texts)]
+    return list(texts) if texts else None
 
 
 def _with_changes(
@@ -211,8 +274,7 @@ def _with_changes(
                 f"--set {text!r}: expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE"
             )
         listed = [
-            arguments.json_or_text(value.strip())
-            for value in arguments.split_list(values)
+            arguments.value_of(value.strip()) for value in arguments.split_list(values)
         ]
         backend, dot, name = key.partition(".")
         if not dot:
@@ -241,33 +303,37 @@ def _write_slurm(
     script: Path,
     file: Path | None,
     out: Path,
-    shard: str | None,
-    workers: int,
+    parts: int,
+    jobs: int,
     given: Mapping[str, Any],
+    limits: Mapping[str, Any],
 ) -> None:
+    """Write the script of a sweep file, whose parts have these limits."""
     from gauge_envs.tools.sweep.machines import slurm_script, write_slurm_script
 
+    if "shard" in given:
+        raise ParameterError(
+            f"--slurm writes all parts: write --parts {DEFAULT_PARTS} in place of --shard"
+        )
     if file is None or given:
         raise ParameterError(
-            "--slurm needs a sweep file that states everything: write what the other words and options state into it"
+            "--slurm needs a sweep file that states everything: write what the other options state into it"
         )
-    if shard is not None and not re.fullmatch(r"[1-9]\d{0,8}", shard):
-        raise ParameterError(
-            f"--shard {shard!r}: expected a number of parts with --slurm, as {DEFAULT_JOBS}"
-        )
-    jobs = DEFAULT_JOBS if shard is None else int(shard)
     words = [
         str(file.resolve()),
         "--out",
         str(out.resolve()),
-        "--workers",
-        str(workers),
+        "--jobs",
+        str(jobs),
     ]
+    for option, value in limits.items():
+        if value:
+            words += [option] if value is True else [option, str(value)]
     text = slurm_script(
         script.name,
         words,
-        jobs=jobs,
-        workers=workers,
+        jobs=parts,
+        workers=jobs,
         log_folder=out.resolve() / "slurm",
     )
     write_slurm_script(script, text)
@@ -339,7 +405,7 @@ def _run(
                 counts[str(result.backend), result.outcome] += 1
                 name = f"{short_id(result.id)} on {result.backend}"
                 if result.outcome is Outcome.FAILED:
-                    message(f"failed: {name}, seed {result.seed}: {result.error}")
+                    message(f"{name}, seed {result.seed}: {result.error}", "failed")
                 progress.advance(name)
                 if form is Format.JSON:
                     print_json_lines([result.to_dict(trajectory=False)])

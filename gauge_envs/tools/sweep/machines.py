@@ -8,9 +8,9 @@ from typing import Any
 
 from gauge_envs.errors import (
     GaugeError,
-    MissingExtraError,
     ParameterError,
     ResultFileError,
+    needs_extra,
 )
 from gauge_envs.files import os_errors, write_whole
 from gauge_envs.runs.episodes import not_run, planned_results
@@ -79,10 +79,8 @@ def ray_workers(address: str, count: int | None, limits: Limits) -> list[RayWork
         count: Number of workers, or None.
         limits: Limits of their processes.
     """
-    try:
+    with needs_extra("a sweep on many machines", "ray"):
         import ray
-    except ImportError as error:
-        raise MissingExtraError("a sweep on many machines", "ray", error) from error
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address == "local":
         # Ray on this machine alone needs no token, and would write one into the home folder.

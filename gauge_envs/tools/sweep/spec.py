@@ -186,7 +186,7 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
     """
     path = Path(path)
     with os_errors(
-        lambda cause: SweepFileError(path, "(file)", f"cannot be read: {cause}")
+        lambda cause: SweepFileError(path, None, f"cannot be read: {cause}")
     ):
         content = read_regular(path, MEGABYTE)
     try:
@@ -195,7 +195,7 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
     except ValidationError as error:
         raise SweepFileError(path, *_fault(error)) from None
     except ValueError as error:
-        raise SweepFileError(path, "(file)", f"not a TOML file: {error}") from error
+        raise SweepFileError(path, None, f"not a TOML file: {error}") from error
     return values | {"variants": [_located(path, name) for name in spec.variants]}
 
 
@@ -235,4 +235,4 @@ def _fault(error: ValidationError) -> tuple[str, str]:
             else SweepSpec.model_fields
         )
         reason = f"{reason}; keys: {', '.join(known)}"
-    return key or "(file)", reason
+    return key, reason

@@ -1,4 +1,4 @@
-"""`gauge transfer` and `gauge transfer envelope`."""
+"""`gauge transfer`, `gauge transfer settings` and `gauge transfer envelope`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import (
@@ -24,59 +23,89 @@ from gauge_envs.errors import MissingExtraError, ParameterError
 if TYPE_CHECKING:
     from gauge_envs.tools.transfer.envelope import Envelope
 
+LAW_FRACTION = 0.95
+"""Share of the limit that the policy of a law uses."""
+
 DEFAULT_ENGINES = ("mujoco", "newton")
 
 TrustOption = Annotated[
     bool,
     typer.Option(
-        "--trust", help="Let loading run code of the policy's file or module."
+        "--trust",
+        rich_help_panel=arguments.SCENE,
+        help="Let loading run code of the policy's file or module.",
     ),
 ]
 
+PictureOption = Annotated[Path | None, arguments.target("Picture to write, .png.")]
+
+
+def _statistics(text: str) -> Any:
+    """Return the option `--normalization`."""
+    return typer.Option(metavar="FILE", rich_help_panel=arguments.SCENE, help=text)
+
 
 def transfer(
-    words: Annotated[
+    policies: Annotated[
         list[str],
         typer.Argument(
-            metavar="POLICY... [NAME=VALUE]...",
+            metavar="POLICY",
             help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
         ),
     ],
     task: Annotated[
         str,
-        typer.Option(
-            "--id", metavar="ID", help="Control task, as GAUGE/Turntable-Limit-wood."
-        ),
+        arguments.experiment("Control task, as GAUGE/Turntable-Limit-wood."),
     ],
-    engine: Annotated[
-        str, typer.Option("--backend", help="Engine of the training.")
-    ] = "mujoco",
+    engine: Annotated[str, arguments.backend("Engine of the training.")] = "mujoco",
     changes: arguments.Settings = None,
     parameters: arguments.Parameters = None,
     normalization: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Statistics of VecNormalize, for all policies or each."
-        ),
+        _statistics("Statistics of VecNormalize, for all policies or each."),
     ] = None,
     trust: TrustOption = False,
     to: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ENGINE[:NAME=VALUE,...]",
-            help="Engine to replay in; repeatable; mujoco, newton.",
+            metavar=arguments.PER_ENGINE,
+            rich_help_panel=arguments.NUMERICS,
+            show_default="those of mujoco,newton that are installed",
+            help="Engines to replay in.",
         ),
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")
+    sigmas: Annotated[
+        list[float] | None,
+        typer.Option(
+            rich_help_panel=arguments.SCENE,
+            show_default="1",
+            help="Changes of each constant in standard uncertainties, as 1,2; 0 is none.",
+        ),
     ] = None,
+    starts: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            rich_help_panel=arguments.NUMERICS,
+            help="Starts in each world, within the uncertainty of the start.",
+        ),
+    ] = 3,
+    seed: arguments.Seed = 0,
+    fail_below: Annotated[
+        float,
+        arguments.measured(
+            "--fail-below",
+            "%",
+            "Exit code 1 when less of the reward is kept.",
+            arguments.SELECTION,
+        ),
+    ] = 0.0,
+    out: PictureOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
 
-    Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in
-    each world, within the start's uncertainty; seed=0 of the starts; fail_below=90, in percent: exit code 1 when less
-    is kept.
+    Exit code 1 when less is kept than --fail-below states.
     """
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.policies.load import load_policies
@@ -89,13 +118,6 @@ def transfer(
     from gauge_envs.tools.transfer.transfer import transfer_report
     from gauge_envs.tools.transfer.words import draw_transfer, transfer_document
 
-    policies, details = arguments.split_details(
-        words,
-        sigmas=_numbers,
-        starts=PositiveInt,
-        seed=NonNegativeInt,
-        fail_below=float,
-    )
     files = _picture_files(out)
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     training = training_world(engine, arguments.parsed_settings(changes), constants)
@@ -104,15 +126,11 @@ def transfer(
             policies, env, normalization=normalization or [], trust=trust
         )
     others = list(
-        other_worlds(
-            task, training, engines=_engines(to), sigmas=details.pop("sigmas", [1.0])
-        )
+        other_worlds(task, training, engines=_engines(to), sigmas=_deviations(sigmas))
     )
-    least = details.pop("fail_below", 0.0)
-    details = {"starts": 3, "seed": 0} | details
     with stderr_console().status("replaying") as status:
         replays = replay(
-            task, loaded, training, others, **details,
+            task, loaded, training, others, starts=starts, seed=seed,
             notify=lambda name: status.update(f"replaying: {plain_text(name)}"),
         )  # fmt: skip
     report = transfer_report(replays)
@@ -121,17 +139,12 @@ def transfer(
             message(f"{name}: {reason}", "left out")
     writers = {".png": lambda file: save_png(draw_transfer(report), file)}
     print_document(transfer_document(report), form, files=files, writers=writers)
-    return 100.0 * report.kept.value < least
+    return 100.0 * report.kept.value < fail_below
 
 
-def _numbers(text: str) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise ParameterError(
-            f"sigmas={text}: expected numbers with commas, as 1,2"
-        ) from None
-    return [] if numbers == [0.0] else numbers
+def _deviations(sigmas: Sequence[float] | None) -> list[float]:
+    """Return changes of constants; none for 0."""
+    return [one for one in sigmas or [1.0] if one != 0.0]
 
 
 def _engines(texts: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
@@ -148,7 +161,9 @@ def _engines(texts: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
                 (
                     name,
                     arguments.parsed_settings(
-                        arguments.split_list(settings) if settings else []
+                        arguments.split_values(settings, arguments.ASSIGNED)
+                        if settings
+                        else []
                     )
                     or {},
                 )
@@ -169,56 +184,201 @@ def _picture_files(out: Path | None) -> dict[str, Path]:
     return files
 
 
-def transfer_envelope(
-    words: Annotated[
+def transfer_settings(
+    policies: Annotated[
         list[str],
         typer.Argument(
-            metavar="ID [NAME=VALUE]...", help="Control task or experiment."
+            metavar="POLICY",
+            help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
         ),
+    ],
+    env: Annotated[
+        str,
+        typer.Option(
+            metavar="ENV",
+            rich_help_panel=arguments.SCENE,
+            help="Gymnasium id, as Ant-v5; module:function that returns an environment; or an MJCF file.",
+        ),
+    ],
+    settings: Annotated[
+        list[str],
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            rich_help_panel=arguments.NUMERICS,
+            help="Setting to test: an option, as impratio=10, or KIND:NAMES.attribute, as geom:*foot*.friction=0.6.",
+        ),
+    ],
+    training: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            rich_help_panel=arguments.NUMERICS,
+            show_default="those of the environment",
+            help="Setting of the training.",
+        ),
+    ] = None,
+    reward: Annotated[
+        str | None,
+        typer.Option(
+            metavar="module:function",
+            rich_help_panel=arguments.SCENE,
+            help="Reward of an MJCF file, of model and data; may return whether the episode succeeded too.",
+        ),
+    ] = None,
+    control_s: Annotated[
+        float | None,
+        arguments.measured(
+            "--control", "s", "Time between actions of an MJCF file.", arguments.SCENE
+        ),
+    ] = None,
+    duration_s: Annotated[
+        float | None,
+        arguments.measured(
+            "--duration", "s", "Length of an episode of an MJCF file.", arguments.SCENE
+        ),
+    ] = None,
+    normalization: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            rich_help_panel=arguments.SCENE,
+            help="Statistics of VecNormalize, for all policies or each.",
+        ),
+    ] = None,
+    trust: TrustOption = False,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            rich_help_panel=arguments.NUMERICS,
+            help="Seeds, the same with both settings.",
+        ),
+    ] = 20,
+    fail_below: Annotated[
+        float,
+        arguments.measured(
+            "--fail-below",
+            "%",
+            "Exit code 1 when less of the reward is kept.",
+            arguments.SELECTION,
+        ),
+    ] = 0.0,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Replay policies of a MuJoCo environment with other settings of the engine: how much reward survives?
+
+    Exit code 1 when less is kept than --fail-below states.
+    """
+    from gauge_envs.tools.transfer.policies.load import load_policies
+    from gauge_envs.tools.transfer.settings_replay import make_env, replay_settings
+    from gauge_envs.tools.transfer.words import settings_document
+
+    def make() -> Any:
+        return make_env(
+            env, reward=reward, control_s=control_s, duration_s=duration_s, trust=trust
+        )
+
+    with closing(make()) as first:
+        loaded = load_policies(
+            policies, first, normalization=normalization or [], trust=trust
+        )
+    with stderr_console().status("replaying") as status:
+        report = replay_settings(
+            env, make, loaded, _assigned(training or []), _assigned(settings), seeds=seeds,
+            notify=lambda name: status.update(f"replaying: {name}"),
+        )  # fmt: skip
+    print_document(settings_document(report), form)
+    if report.test.kept is None and fail_below:
+        raise ParameterError(
+            "--fail-below: the policies earn no positive reward in training, so that no share of it can be kept"
+        )
+    return report.test.kept is not None and 100.0 * report.test.kept.value < fail_below
+
+
+def _assigned(texts: Sequence[str]) -> dict[str, str]:
+    """Return values by name of `NAME=VALUE`."""
+    pairs = [text.partition("=") for text in texts]
+    if wrong := ["".join(pair) for pair in pairs if "" in pair]:
+        raise ParameterError(f"{wrong[0]}: expected NAME=VALUE, as impratio=10")
+    return {name: value for name, _, value in pairs}
+
+
+def transfer_envelope(
+    subject: Annotated[
+        str, typer.Argument(metavar="ID", help="Control task or experiment.")
     ],
     policy: Annotated[
         str,
         typer.Option(
             metavar="POLICY",
+            rich_help_panel=arguments.SCENE,
             help="Policy of a control task, as in gauge transfer; or that of its law.",
         ),
     ] = "law",
+    fraction: Annotated[
+        float,
+        typer.Option(
+            rich_help_panel=arguments.SCENE,
+            help="Share of the limit that the policy of the law uses.",
+        ),
+    ] = LAW_FRACTION,
+    informed: Annotated[
+        bool,
+        typer.Option(
+            "--informed",
+            rich_help_panel=arguments.SCENE,
+            help="Let the policy of the law know the constants of each world.",
+        ),
+    ] = False,
     normalization: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="Statistics that VecNormalize saved beside the policy."
-        ),
+        _statistics("Statistics that VecNormalize saved beside the policy."),
     ] = None,
     trust: TrustOption = False,
-    engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
+    engine: arguments.Backend = "mujoco",
     changes: arguments.Settings = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")
-    ] = None,
+    samples: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            rich_help_panel=arguments.NUMERICS,
+            help="Number of points, a power of 2.",
+        ),
+    ] = 256,
+    batch: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            rich_help_panel=arguments.NUMERICS,
+            help="Worlds that run at a time.",
+        ),
+    ] = 256,
+    seed: arguments.Seed = 0,
+    out: PictureOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show what uncertain constants and starts do to a reward or a score.
-
-    Details: samples=256, number of points, a power of 2, and their seed=0; batch=256, worlds that run at a time.
-    --policy law:fraction=0.95,informed=false states the law's share of the limit, and whether it knows the constants of
-    each world.
-    """
+    """Show what uncertain constants and starts do to a reward or a score."""
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.control import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
-    subject, details = arguments.split_subject(
-        words, samples=PositiveInt, batch=PositiveInt, seed=NonNegativeInt
-    )
     files = _picture_files(out)
-    common = {"samples": 256, "batch": 256, "seed": 0} | details
-    with Progress("samples", common["samples"]) as progress:
+    is_changed = informed or fraction != LAW_FRACTION
+    if is_changed and policy != "law":
+        raise ParameterError(
+            f"--fraction and --informed are of --policy law, and not of {policy}"
+        )
+    common: dict[str, Any] = {"samples": samples, "batch": batch, "seed": seed}
+    with Progress("samples", samples) as progress:
         common |= {"backend": engine, "settings": arguments.parsed_settings(changes)}
         common["notify"] = lambda done: progress.show("samples", done)
         if subject.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-            found = _control(subject, policy, normalization, trust, **common)
-        elif policy != "law":
+            found = _control(
+                subject, policy, (fraction, informed), normalization, trust, **common
+            )
+        elif policy != "law" or is_changed:
             raise ParameterError(
                 f"{subject} is an experiment: only control tasks have policies"
             )
@@ -231,7 +391,12 @@ def transfer_envelope(
 
 
 def _control(
-    task: str, policy: str, normalization: Path | None, trust: bool, **options: Any
+    task: str,
+    policy: str,
+    law: tuple[float, bool],
+    normalization: Path | None,
+    trust: bool,
+    **options: Any,
 ) -> Envelope:
     from dataclasses import replace
 
@@ -239,16 +404,14 @@ def _control(
     from gauge_envs.tools.transfer.policies.load import load_policy
     from gauge_envs.tools.transfer.policy_replays import make_control_env
 
-    name, _, text = policy.partition(":")
-    if name == "law":
-        others, details = arguments.split_details(
-            text.split(",") if text else [], fraction=float, informed=bool
+    if policy.startswith("law:"):
+        raise ParameterError(
+            f"--policy {policy}: write --policy law --fraction 0.95 --informed"
         )
-        if others:
-            raise ParameterError(
-                f"--policy {policy}: expected law:fraction=0.95,informed=true"
-            )
-        return control_envelope(task, policy=LawPolicy(**details), **options)
+    if policy == "law":
+        return control_envelope(
+            task, policy=LawPolicy(fraction=law[0], informed=law[1]), **options
+        )
     with closing(make_control_env(task)) as env:
         loaded = load_policy(policy, env, normalization=normalization, trust=trust)
     return replace(control_envelope(task, policy=loaded, **options), policy=policy)

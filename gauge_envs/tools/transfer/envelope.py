@@ -70,7 +70,7 @@ class Envelope:
     Attributes:
         id: Gymnasium id.
         backend: Name of the engine.
-        quantity: Name of the quantity: `reward`, `normalized RMSE` or `deviation`.
+        quantity: Name of the quantity: `reward`, `normalized RMSE`, `RMSE`, `RMSE from the law` or `deviation`.
         unit: Its unit; `1` for a ratio.
         policy: What acted.
         parameters: The uncertain parameters.
@@ -125,9 +125,9 @@ def experiment_envelope(
 ) -> Envelope:
     """Run an experiment at points of its uncertainty, in a vector environment whose worlds have the constants.
 
-    The quantity is the normalized RMSE where the experiment has a band of reality or a law, the RMSE from its first
-    trial where each trial has a start of its own, and otherwise the root mean square distance of g(t) from that of the
-    calibrated values.
+    The quantity is the normalized RMSE where the experiment has a band of reality, the RMSE from its law or from its
+    first trial where each trial has a start of its own, and otherwise the root mean square distance of g(t) from that
+    of the calibrated values.
 
     Args:
         variant: Variant or id.
@@ -144,10 +144,9 @@ def experiment_envelope(
     common: dict[str, Any] = {"backend": backend, "settings": settings}
     ((calibrated, path),) = _batch(experiment, [{}], **common)
     assert path is not None
+    grade = band_grade(experiment.name)
     # The solution of the calibrated scene is no reference for other constants.
-    is_scored = (
-        calibrated is not None and band_grade(experiment.name) is not BandGrade.MODEL
-    )
+    is_scored = calibrated is not None and grade is not BandGrade.MODEL
     values: list[float] = []
     endings: list[str] = []
     for first in range(0, samples, _checked_batch(batch)):
@@ -168,7 +167,9 @@ def experiment_envelope(
                 )
         notify(len(values))
     quantity, unit = "deviation", experiment.score.observable.unit
-    if is_scored and experiment.trial is None:
+    if is_scored and grade is BandGrade.LAW:
+        quantity = "RMSE from the law"
+    elif is_scored and experiment.trial is None:
         quantity, unit = "normalized RMSE", "1"
     elif is_scored:
         quantity = "RMSE"
@@ -213,9 +214,10 @@ def _batch(
         for score, episode in zip(envs.scores(), envs.episodes, strict=True):
             distance = None
             if score is not None:
-                distance = (
-                    score.rmse_normalized if experiment.trial is None else score.rmse
+                is_over_trials = (
+                    experiment.trial is None and BandGrade(score.grade).is_real
                 )
+                distance = score.rmse_normalized if is_over_trials else score.rmse
             found.append(
                 (
                     distance,

@@ -129,10 +129,10 @@ def transfer_report(replays: Replays) -> TransferReport:
         _world(
             world,
             [one for one in replays.episodes if one.world == world.name],
-            reward=_estimate(float(rewards[number].mean()), rewards[number]),
+            reward=estimate(float(rewards[number].mean()), rewards[number]),
             kept=Estimate(value=1.0)
             if number == 0
-            else _estimate(float(shares[number]), deviations[number]),
+            else estimate(float(shares[number]), deviations[number]),
             allowed=largest[world.name] / largest[replays.worlds[0].name],
         )
         for number, world in enumerate(replays.worlds)
@@ -144,13 +144,13 @@ def transfer_report(replays: Replays) -> TransferReport:
         starts=replays.starts,
         training=rows[0],
         others=others,
-        kept=_estimate(float(shares[1:].mean()), deviations[1:].mean(axis=0)),
+        kept=estimate(float(shares[1:].mean()), deviations[1:].mean(axis=0)),
         first_fall=min((row for row in others if row.falls), key=_order, default=None),
         left_out=replays.left_out,
     )
 
 
-def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
+def estimate(value: float, table: NDArray[np.float64]) -> Estimate:
     """Return a mean with its interval, from what scatters about it or about zero, shape [policies, starts]."""
     means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
     if not means:

@@ -14,6 +14,7 @@ from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted, value_text, with_unit
 from gauge_envs.tools.transfer.envelope import Envelope, EnvelopeReport, is_constant
+from gauge_envs.tools.transfer.settings_replay import SettingsReport
 from gauge_envs.tools.transfer.transfer import (
     FALL_SHARE,
     Estimate,
@@ -126,6 +127,75 @@ def _world_row(row: WorldTransfer) -> dict[str, Any]:
     values = dataclasses.asdict(row)
     world = values.pop("world")
     return {"kind": world.pop("kind"), "world": world.pop("name"), **world, **values}
+
+
+# --- settings ---
+
+
+def settings_verdict(report: SettingsReport) -> str:
+    """Return the result in a few sentences."""
+    test, sentences = report.test, []
+    change = f"The reward changes by {_interval(test.change)} from the same seeds."
+    if test.kept is None:
+        sentences.append(
+            f"The training earns no positive reward, so no share is kept. {change}"
+        )
+    else:
+        sentences.append(
+            f"Keeps {_percent(test.kept)} of the reward of the training's settings. {change}"
+        )
+    if report.falls:
+        sentences.append("It falls: the whole interval says so.")
+    if test.success is None:
+        sentences.append("The environment states no success (info['is_success']).")
+    count = len(report.policies) * report.seeds
+    sentences.append(
+        f"{counted(len(report.policies), 'policy')}, {counted(count, 'episode')} with each of both settings."
+    )
+    return " ".join(sentences)
+
+
+def _interval(value: Estimate) -> str:
+    if value.low is None or value.high is None:
+        return f"{value.value:+.4g}"
+    return f"{value.value:+.4g} [{value.low:+.4g}, {value.high:+.4g}]"
+
+
+def settings_document(report: SettingsReport) -> Document:
+    """Return a row for each set of settings, and the result; the JSON row is the report."""
+    verdict = settings_verdict(report)
+    rows = [
+        {
+            "name": name,
+            "reward": row.reward,
+            "kept": row.kept,
+            "success": row.success,
+            "full_length": row.full_length,
+            "settings": ", ".join(
+                f"{key}={text}" for key, text in row.settings.items()
+            ),
+        }
+        for name, row in (("training", report.training), ("test", report.test))
+    ]
+
+    def percent(value: Estimate | None) -> str:
+        return "-" if value is None else _percent(value)
+
+    table = Table(
+        columns=(
+            Column("name", "settings"),
+            Column("reward", "reward", _interval, is_number=True),
+            Column("kept", "kept", percent, is_number=True),
+            Column("success", "success", percent, is_number=True),
+            Column("full_length", "full length", lambda value: f"{100 * value:.0f} %", is_number=True),
+            Column("settings", "changed", place=Place.BELOW),
+        ),
+        rows=rows,
+    )  # fmt: skip
+    parts = (table, Paragraph(""), Paragraph(verdict))
+    return Document(
+        parts=parts, rows=[dataclasses.asdict(report) | {"verdict": verdict}]
+    )
 
 
 # --- envelopes ---

@@ -172,7 +172,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     except ValidationError as error:
         raise task_file_error(path, error) from error
     except ValueError as error:
-        raise TaskFileError(path, "(file)", str(error)) from error
+        raise TaskFileError(path, None, str(error)) from error
     layer = _named_file(path, "usd", definition.usd)
     scene, recorded, used_files = _scene(path, layer, definition)
     contents = [content, read_bytes(layer), *map(read_bytes, used_files)]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -37,12 +37,13 @@ def video_prompts(
     source: Annotated[
         str | None,
         typer.Argument(
-            metavar="[URL or DIR]",
-            help="Copy of the repository; that on GitHub by default.",
+            metavar="URL or DIR",
+            show_default="that on GitHub",
+            help="Copy of the repository.",
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder for TASK.png, TASK.txt and a note.")
+        Path, arguments.target("Folder for TASK.png, TASK.txt and a note.")
     ] = Path("world_model_inputs"),
 ) -> None:
     """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
@@ -60,10 +61,10 @@ def video_prompts(
 
 
 def video_score(
-    words: Annotated[
-        list[str],
+    files: Annotated[
+        list[Path],
         typer.Argument(
-            metavar="VIDEO... [NAME=VALUE]...",
+            metavar="VIDEO",
             help="Videos, or tracks: .csv with frame, x, y, confidence.",
         ),
     ],
@@ -72,6 +73,7 @@ def video_score(
         typer.Option(
             "--id",
             metavar="ID",
+            rich_help_panel=arguments.SCENE,
             help="Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
         ),
     ],
@@ -79,29 +81,67 @@ def video_score(
         Path | None,
         typer.Option(
             metavar="FILE",
+            rich_help_panel=arguments.SCENE,
             help="How the camera sees the plane, TOML or JSON; a board in the film.",
         ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for videos with the track drawn in."),
     ] = None,
     first_frame: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
+            rich_help_panel=arguments.SCENE,
             help="Picture that the model was given, to register the videos by.",
         ),
+    ] = None,
+    fps: Annotated[
+        float | None,
+        arguments.measured(
+            "--fps",
+            "Hz",
+            "Frames per second; a track states none.",
+            arguments.SCENE,
+            is_positive=True,
+            show_default="that of the video",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="px",
+            rich_help_panel=arguments.SCENE,
+            show_default="that of the camera file",
+            help="Width and height of the pictures of a track, as 832x480.",
+        ),
+    ] = None,
+    object_box: Annotated[
+        str | None,
+        typer.Option(
+            "--object",
+            metavar="px",
+            rich_help_panel=arguments.SCENE,
+            help="With --camera: left, top, width and height of a box around the object in the first frame, as "
+            "612,300,40,40.",
+        ),
+    ] = None,
+    angle_deg: Annotated[
+        float | None,
+        arguments.measured(
+            "--angle",
+            "deg",
+            "With --camera: slope of a slide or roll.",
+            arguments.SCENE,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        arguments.target("Folder for videos with the track drawn in."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    They have intervals. Details: fps=, frames per second, instead of the rate that a video states; size=832x480, of the
-    pictures of a track in pixels. Films of one's own, with --camera: object=612,300,40,40, left, top, width and height
-    of a box around the object in the first frame; angle_deg=, slope of a slide or roll. They give friction, rolling
-    resistance, restitution or damping too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when
-    a video is graded invalid.
+    They have intervals. Films of one's own, with --camera, give friction, rolling resistance, restitution or damping
+    too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
@@ -115,39 +155,34 @@ def video_score(
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
-    names, details = arguments.split_details(
-        words, fps=float, size=_size, object=_box, angle_deg=float
-    )
-    are_tracks = {Path(name): name.lower().endswith(".csv") for name in names}
+    size_px = None if size is None else _size(size)
+    box_px = None if object_box is None else _box(object_box)
+    are_tracks = {file: file.suffix.lower() == ".csv" for file in files}
     if any(are_tracks.values()) and (out or first_frame):
         raise ParameterError(
             "--out and --first-frame need the video, and a track has none: leave out one of both"
         )
     if not all(are_tracks.values()) and (
-        "size" in details or (camera is None) != ("object" not in details)
+        size_px is not None or (camera is None) != (box_px is None)
     ):
         raise ParameterError(
-            "a video states its size; a film of one's own needs --camera and object="
+            "a video states its size; a film of one's own needs --camera and --object"
         )
     view = None if camera is None else read_camera(camera)
     if task in MOTIONS and (view is None or any(are_tracks.values())):
         raise ParameterError(
-            f"--id {task} is for films of one's own, with --camera and object="
+            f"--id {task} is for films of one's own, with --camera and --object"
         )
     has_failed = False
     for file, is_track in are_tracks.items():
-        source: Frames | None = (
-            None if is_track else FileFrames(file, fps=details.get("fps"))
-        )
+        source: Frames | None = None if is_track else FileFrames(file, fps=fps)
         if source is not None and view is not None:
             source = FrontalFilm(source, view)
-            result = score_phone_film(
-                source, task, details["object"], angle_deg=details.get("angle_deg")
-            )
+            result = score_phone_film(source, task, box_px or (), angle_deg=angle_deg)
         else:
             chosen = video_task(task)
             track = (
-                _given_track(file, details, view)
+                _given_track(file, fps, size_px, view)
                 if source is None
                 else track_object(source, chosen, first_frame=first_frame)
             )
@@ -159,7 +194,7 @@ def video_score(
                     save_file(out / f"{file.stem}.swing.csv", swing_log(source, result))
                 )
         print_document(
-            score_document(result, {} if task in MOTIONS else video_task(task).real),
+            score_document(result, None if task in MOTIONS else video_task(task)),
             form,
         )
         has_failed = has_failed or result.grade is Grade.INVALID
@@ -171,7 +206,7 @@ def _box(text: str) -> tuple[float, ...]:
     found = re.fullmatch(",".join([r"(\d+(?:\.\d*)?)"] * 4), text)
     if found is None or not float(found[3]) * float(found[4]):
         raise ParameterError(
-            f"object={text}: give left, top, width and height of the box in pixels, as 612,300,40,40"
+            f"--object {text}: give left, top, width and height of the box in pixels, as 612,300,40,40"
         )
     return tuple(map(float, found.groups()))
 
@@ -181,24 +216,27 @@ def _size(text: str) -> tuple[int, int]:
     found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
     if found is None:
         raise ParameterError(
-            f"size={text}: give width and height in pixels, as 832x480"
+            f"--size {text}: give width and height in pixels, as 832x480"
         )
     return int(found[1]), int(found[2])
 
 
 def _given_track(
-    file: Path, details: Mapping[str, Any], view: PlaneView | None
+    file: Path,
+    fps: float | None,
+    size_px: tuple[int, int] | None,
+    view: PlaneView | None,
 ) -> Track:
     """Return the track of a file; its pixels are those of its camera file unless a size is stated."""
     from gauge_envs.tools.video import read_track
     from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
-    if "fps" not in details:
+    if fps is None:
         raise ParameterError(
-            f"{file}: a track states no frame rate: give it, as fps=30"
+            f"{file}: a track states no frame rate: give it, as --fps 30"
         )
-    size_px = details.get("size", REFERENCE_SIZE_PX if view is None else view.size_px)
-    return read_track(file, fps=details["fps"], size_px=size_px)
+    default_px = REFERENCE_SIZE_PX if view is None else view.size_px
+    return read_track(file, fps=fps, size_px=size_px or default_px)
 
 
 def video_report(
@@ -209,12 +247,13 @@ def video_report(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(help="Folder for page, results.json and tables.")
+        Path, arguments.target("Folder for page, results.json and tables.")
     ] = Path("video_report"),
     first_frame: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
+            rich_help_panel=arguments.SCENE,
             help="Folder with the pictures that models were given, TASK.png.",
         ),
     ] = None,
@@ -233,7 +272,7 @@ def video_report(
     videos, others = find_videos(folder)
     results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
     broken = [
-        f"{file}: left out: it is named otherwise than MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
+        f"{file}: it is named otherwise than MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4"
         for file in others
     ]
     with Progress("videos", len(videos)) as progress:
@@ -253,7 +292,7 @@ def video_report(
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
     for text in broken:
-        message(text)
+        message(text, "left out")
     page = save_file(out / "index.html", video_page(results))
     rows = [
         {"model": key[0], **one.to_dict()}
@@ -270,52 +309,75 @@ def video_report(
 
 
 def video_board(
-    words: Annotated[
-        list[str],
+    file: Annotated[
+        Path,
         typer.Argument(
-            metavar="FILE [NAME=VALUE]...",
-            help="File to write, .pdf or .png in true size.",
+            metavar="FILE", help="File to write, .pdf or .png in true size."
         ),
     ],
+    square_mm: Annotated[
+        float,
+        arguments.measured(
+            "--square",
+            "mm",
+            "Edge of a square; 7 x 5 of 35 mm fit on A4.",
+            arguments.SCENE,
+            is_positive=True,
+        ),
+    ] = 35.0,
 ) -> None:
-    """Write a board to print, beside which a phone held by hand can film a motion.
-
-    Details: square_mm=35, the edge of a square: 7 x 5 of them fit on A4.
-    """
+    """Write a board to print, beside which a phone held by hand can film a motion."""
     from gauge_envs.tools.video.phone_films import save_board
 
-    file, details = arguments.split_subject(words, square_mm=float)
-    echo(save_board(Path(file), details.get("square_mm", 35.0)))
+    echo(save_board(file, square_mm))
 
 
 def video_render(
-    words: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="TASK [NAME=VALUE]...", help="Task; see gauge list video-tasks."
-        ),
+    task: Annotated[
+        str, typer.Argument(metavar="TASK", help="Task; see gauge list video-tasks.")
     ],
     out: Annotated[
-        Path, typer.Option(help="Video to write, .mp4; its exact track goes beside it.")
+        Path,
+        arguments.target("Video to write, .mp4; its exact track goes beside it."),
     ],
-    backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",
     parameters: arguments.Parameters = None,
+    backend: arguments.Backend = "mujoco",
     changes: arguments.Settings = None,
+    seconds: Annotated[
+        float | None,
+        arguments.measured(
+            "--duration",
+            "s",
+            "Time after the release, at most 8 s.",
+            arguments.SELECTION,
+            is_positive=True,
+            show_default="that of the experiment",
+        ),
+    ] = None,
+    fps: Annotated[
+        float,
+        arguments.measured(
+            "--fps",
+            "Hz",
+            "Pictures in a second; a divisor of 180.",
+            arguments.OUTPUT,
+            is_positive=True,
+        ),
+    ] = 30.0,
 ) -> None:
     """Make a video of an engine with the view of the first frame of a task.
 
-    gauge video score judges it. Details: fps=30, which divides 180; seconds=, time after the release, by default that
-    of the experiment, at most 8 s.
+    gauge video score judges it.
     """
     from gauge_envs.tools.video.render import film
 
-    task, details = arguments.split_subject(words, fps=float, seconds=float)
     filmed = film(
         task,
         backend=backend,
         parameters=arguments.parsed_parameters(parameters) or "calibrated",
         settings=arguments.parsed_settings(changes),
-        **details,
+        fps=fps,
+        seconds=seconds,
     )
     track = filmed.save(out)
     echo(out)

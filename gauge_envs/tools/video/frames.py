@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import MissingExtraError, VideoError
+from gauge_envs.errors import VideoError, needs_extra
 from gauge_envs.files import MEGABYTE, os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
@@ -104,10 +104,8 @@ class _OpenCV:
     """OpenCV, which is imported when one of its names is used: it is optional, and slow to import."""
 
     def __getattr__(self, name: str) -> Any:
-        try:
+        with needs_extra("OpenCV", "video"):
             import cv2
-        except ImportError as error:
-            raise MissingExtraError("OpenCV", "video", error) from error
         return getattr(cv2, name)
 
 

@@ -89,7 +89,7 @@ def save_board(path: Path, square_mm: float) -> Path:
     """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
     if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
         raise ParameterError(
-            f"{path}, square_mm={square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm"
+            f"{path}, --square {square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm"
         )
     side = math.ceil(DPI * square_mm / 25.4)
     sheet = cv2.copyMakeBorder(
@@ -260,7 +260,7 @@ class FrontalFilm(Frames):
             pivot_px=None
             if pivot is None
             else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
-            real={},
+            law={},
         )
 
 
@@ -419,7 +419,7 @@ def score_phone_film(
     ):
         faults.append(f"gravity is {gravity:.3g} m/s^2")
     reasons = [
-        f"{one}: give fps= of the camera if the film is in slow motion, and check the camera file"
+        f"{one}: give --fps of the camera if the film is in slow motion, and check the camera file"
         for one in faults
     ]
     return replace(

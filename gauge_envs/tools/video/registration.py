@@ -78,7 +78,7 @@ def registration_by_outline(
         task: The task.
     """
     size = (picture.shape[1], picture.shape[0])
-    if not task.real:
+    if not task.law:
         # A film of one's own has no known first frame: it is on the grid already.
         return stretched(size)
     scene = _Scene(picture, task)

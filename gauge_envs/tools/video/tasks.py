@@ -2,6 +2,9 @@
 
 Every video model gets the same first frame. Numbers in pixels were read from those frames, on their grid of 832 x 480
 pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
+
+The "real baseline" of the published table is no measurement: its accelerations are g (sin 30 - mu cos 30) with the
+calibrated friction, and g. It is the `law` of a task; real trials stand beside it where there are any.
 """
 
 import csv
@@ -15,6 +18,7 @@ from typing import Any
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import toml_document
+from gauge_envs.references.published import published_baselines
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
 
@@ -34,6 +38,19 @@ PUBLISHED_NAMES = {
     "de": "de_n",
 }
 """Names of the metrics in this package by those of the published table."""
+
+
+TRIALS_FILE = "slope_slider_30deg_summary.toml"
+"""File of `scoring/facts` with the accelerations of the real slides, which `scripts/build_bands.py` computes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """A metric of real trials: its mean and standard deviation, in the unit of the metric."""
+
+    mean: float
+    std: float
+    source: str
 
 
 class Motion(StrEnum):
@@ -73,7 +90,8 @@ class VideoTask:
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
         doubt: Why this package's tracker cannot be believed in this scene; empty where it can.
-        real: Real values by the name of the metric, from the published table of real trials.
+        law: Values of the law by the name of the metric, the column "real baseline" of the published table; empty for
+            a film of one's own.
     """
 
     id: str
@@ -88,7 +106,12 @@ class VideoTask:
     rest_px: tuple[float, float] | None = None
     doubt: str = ""
     release_height_m: float = 0.0
-    real: dict[str, float]
+    law: dict[str, float]
+
+    @property
+    def real(self) -> dict[str, Measured]:
+        """What real trials measured, by the name of the metric; metrics without trials are absent."""
+        return _measured(self.id) if self.law else {}
 
     @property
     def scale_m_per_px(self) -> float:
@@ -117,6 +140,42 @@ def _scene(task: str) -> Scene:
 
 
 @cache
+def _measured(task: str) -> dict[str, Measured]:
+    family, _, material = task.rpartition("-")
+    if family == "SlopeSlider-2":
+        facts = toml_document((scoring_folder("facts") / TRIALS_FILE).read_bytes())
+        trials = facts[material]
+        found = trials["acceleration_m_s2"]
+        source = f"{trials['trial_count']} real trials (scoring/facts/{TRIALS_FILE})"
+        return {"a_m_s2": Measured(mean=found["mean"], std=found["std"], source=source)}
+    return {
+        PUBLISHED_NAMES[metric]: Measured(
+            mean=baseline.mean,
+            std=baseline.std,
+            source="real trials as published (GAUGE, Table 5)",
+        )
+        for metric, baseline in published_baselines(task).items()
+        if metric in PUBLISHED_NAMES and baseline.std is not None
+    }
+
+
+@cache
+def _published_rows() -> tuple[dict[str, str], ...]:
+    """Return the rows of the published table."""
+    file = scoring_folder("published") / "world_model_results.csv"
+    with file.open(newline="", encoding="utf-8") as stream:
+        return tuple(csv.DictReader(stream))
+
+
+def _law(task: str) -> dict[str, float]:
+    return {
+        PUBLISHED_NAMES[row["metric"]]: float(row["real_baseline"])
+        for row in _published_rows()
+        if row["variant"] == task
+    }
+
+
+@cache
 def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
     entries = toml_document(
@@ -129,7 +188,12 @@ def video_tasks() -> tuple[VideoTask, ...]:
         }
         motion = Motion(values.pop("motion"))
         tasks.append(
-            VideoTask(motion=motion, direction=DIRECTIONS.get(motion), **values)
+            VideoTask(
+                motion=motion,
+                direction=DIRECTIONS.get(motion),
+                law=_law(values["id"]),
+                **values,
+            )
         )
     return tuple(tasks)
 
@@ -153,13 +217,9 @@ def published_results() -> dict[str, dict[tuple[str, str], float | None]]:
     They are Table 3 of GAUGE's paper: ten configurations of six models.
     """
     found: dict[str, dict[tuple[str, str], float | None]] = {}
-    with (scoring_folder("published") / "world_model_results.csv").open(
-        newline="", encoding="utf-8"
-    ) as file:
-        for row in csv.DictReader(file):
-            key = (row.pop("variant"), PUBLISHED_NAMES[row.pop("metric")])
-            for name in ("real_baseline", "unit"):
-                row.pop(name, None)
-            for model, text in row.items():
+    for row in _published_rows():
+        key = (row["variant"], PUBLISHED_NAMES[row["metric"]])
+        for model, text in row.items():
+            if model not in ("variant", "metric", "unit", "real_baseline"):
                 found.setdefault(model, {})[key] = float(text) if text else None
     return found

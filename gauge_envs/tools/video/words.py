@@ -16,7 +16,7 @@ from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.video import Grade, VideoScore, VideoTask, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
-from gauge_envs.tools.video.tasks import published_results
+from gauge_envs.tools.video.tasks import Measured, published_results
 
 TITLES = {
     "a_m_s2": "acceleration [m/s^2]",
@@ -35,14 +35,15 @@ TITLES = {
 
 
 def task_table(tasks: Iterable[VideoTask]) -> Table:
-    """Return the tasks with their object, scale and real values."""
+    """Return the tasks with their object, scale, and the values of the law and of real trials."""
     return Table(
         columns=(
             Column("task", "task"),
             Column("motion", "motion"),
             Column("size_mm", "object", unit="mm", is_number=True),
             Column("size_px", "object", unit="px", is_number=True),
-            Column("metrics", "real values"),
+            Column("law", "law"),
+            Column("real", "real trials"),
         ),
         rows=[
             {
@@ -50,8 +51,12 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
                 "motion": task.motion.value,
                 "size_mm": 1000.0 * task.size_m,
                 "size_px": task.size_px,
-                "metrics": ", ".join(
-                    f"{TITLES[name]} {value:g}" for name, value in task.real.items()
+                "law": ", ".join(
+                    f"{TITLES[name]} {value:g}" for name, value in task.law.items()
+                ),
+                "real": ", ".join(
+                    f"{TITLES[name]} {measured_text(value)}"
+                    for name, value in task.real.items()
                 ),
             }
             for task in tasks
@@ -59,13 +64,15 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
     )
 
 
-def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
+def score_document(result: VideoScore, task: VideoTask | None) -> Document:
     """Return the result of one video: its grade with the reasons, and each metric with its interval.
 
     Args:
         result: The result.
-        real: Real values by the name of the metric.
+        task: Task whose law and real trials stand beside it; None for a film of one's own.
     """
+    law = {} if task is None else task.law
+    real = {} if task is None else task.real
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
     if result.track.registration is not None:
         scale += f"; registered by {result.track.registration.method}"
@@ -86,8 +93,14 @@ def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
             ),
             Column(
                 "",
-                "real",
-                lambda name: short_text(real[name]) if name in real else "-",
+                "law",
+                lambda name: short_text(law[name]) if name in law else "-",
+                is_number=True,
+            ),
+            Column(
+                "",
+                "real trials",
+                lambda name: measured_text(real[name]) if name in real else "-",
                 is_number=True,
             ),
         ),
@@ -120,6 +133,11 @@ def short_text(value: float | None) -> str:
     return "\u2013" if value is None else f"{value:.4g}"
 
 
+def measured_text(value: Measured) -> str:
+    """Return the mean and the standard deviation of real trials."""
+    return f"{short_text(value.mean)} +- {value.std:.2g}"
+
+
 def interval_text(interval: tuple[float, float] | None) -> str:
     """Return both ends of an interval; empty for None."""
     return (
@@ -141,7 +159,8 @@ PICTURE_WIDTH_PX = 416
 VALUES_NOTE = (
     "Mean over the valid clips (seeds) of a model. Interval of 95 %: of the mean by Student's t; of one clip, of "
     "simulated tracks. Spread: standard deviation over seeds. Usable: valid clips of all. Published: GAUGE, arXiv "
-    '2608.05948, Table 3; "negative" is with the negative prompt.'
+    '2608.05948, Table 3; "negative" is with the negative prompt. Law: of the ideal motion with the calibrated '
+    "constants, Table 3 again. Real trials: mean of motion-capture trials, for metrics that have any."
 )
 
 Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
@@ -186,7 +205,7 @@ def results_table(results: Results) -> Table:
             for one in clips.values()
             if one is not None and one.grade is Grade.VALID
         ]
-        for name in (*video_task(task).real, "form"):
+        for name in (*video_task(task).law, "form"):
             values = np.array([one.metrics[name] for one in valid], dtype=float)
             values = values[np.isfinite(values)]
             mean, spread, ends = None, None, None
@@ -207,7 +226,9 @@ def results_table(results: Results) -> Table:
                 "mean": mean,
                 "spread": spread,
             }
-            row["real"] = video_task(task).real.get(name)
+            row["law"] = video_task(task).law.get(name)
+            trials = video_task(task).real.get(name)
+            row["real"] = None if trials is None else trials.mean
             row["low"], row["high"] = ends or (None, None)
             rows.append(
                 row
@@ -220,7 +241,7 @@ def results_table(results: Results) -> Table:
     keys = [
         (task, name)
         for task in dict.fromkeys(task for _, task in results)
-        for name in video_task(task).real
+        for name in video_task(task).law
     ]
     for model, known in published_results().items():
         rows += [
@@ -237,7 +258,8 @@ def results_table(results: Results) -> Table:
         "low": "95 % from",
         "high": "to",
         "spread": "spread",
-        "real": "real",
+        "law": "law",
+        "real": "real trials",
     }
     columns = [
         Column(key, title, short_text, is_number=True) for key, title in titles.items()

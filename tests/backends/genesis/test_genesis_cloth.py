@@ -1,18 +1,14 @@
 """Genesis's cloth: the stiffness that it has, how it is held and driven, friction, repeatability."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Attachment, Cloth, Contact, Motion, Pose, Region, Scene
+from gauge_envs.scene import Attachment, Motion, Pose, Region, Scene
 
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
@@ -27,26 +23,26 @@ from gauge_envs.backends.genesis.settings import (
     spring_stiffnesses,
 )
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
+from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.lab import clamped, fabric, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 
 
-def cloth_of(fabric: str) -> Cloth:
+def cloth_of(fabric):
     (cloth,) = load_experiment(f"TextileFlinging-{fabric}").scene.deformables
-    assert isinstance(cloth, Cloth)
     return cloth
 
 
-def measured(*patterns: str, **settings: object) -> dict[str, tuple[Status, float]]:
+def measured(*patterns, **settings):
     """Return status and measured value of some conformance checks, by id."""
     found = run_checks("genesis", settings=settings, only=patterns)
     return {result.check: (result.status, result.measured) for result in found}
 
 
 @pytest.mark.parametrize("fabric", FABRICS)
-def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(fabric: str) -> None:
+def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(fabric):
     """The energy of a cell with springs k and s is minimized over the free transverse strain."""
     cloth = cloth_of(fabric)
     along, diagonal = spring_stiffnesses(cloth)
@@ -63,7 +59,7 @@ def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(fabric: str) -> No
     )
 
 
-def test_default_cloth_has_its_stretch_shear_and_bending_stiffness() -> None:
+def test_default_cloth_has_its_stretch_shear_and_bending_stiffness():
     found = measured("cloth-stretch", "cloth-shear", "cloth-bending", "cloth-energy")
     assert {status for status, _ in found.values()} == {Status.PASS}
     assert found["cloth-stretch"][1] == pytest.approx(110.0, rel=2e-3)
@@ -72,39 +68,39 @@ def test_default_cloth_has_its_stretch_shear_and_bending_stiffness() -> None:
 
 
 @pytest.mark.slow
-def test_the_hinge_of_genesis_does_not_resist_bending() -> None:
+def test_the_hinge_of_genesis_does_not_resist_bending():
     status, value = measured("cloth-bending", exact_hinges=False)["cloth-bending"]
     assert status is Status.FAIL
     assert not value < 1e3
 
 
 @pytest.mark.slow
-def test_nominal_compliances_at_the_rate_of_the_paper_give_a_soft_sheet() -> None:
+def test_nominal_compliances_at_the_rate_of_the_paper_give_a_soft_sheet():
     status, value = measured("cloth-stretch", preset="paper")["cloth-stretch"]
     assert status is Status.FAIL
     assert value < 1.0
 
 
-def test_held_edges_slide_and_rest() -> None:
+def test_held_edges_slide_and_rest():
     found = measured("cloth-pinned-edge", "cloth-slide", "cloth-rests")
     assert {status for status, _ in found.values()} == {Status.PASS}
     assert found["cloth-rests"][1] < 0.01
 
 
 @pytest.mark.slow
-def test_cloth_slides_without_friction_where_genesis_has_none() -> None:
+def test_cloth_slides_without_friction_where_genesis_has_none():
     _, value = measured("cloth-slide", body_friction=False)["cloth-slide"]
     assert value == pytest.approx(9.80665 / 2, rel=0.02)
 
 
-def test_a_step_in_which_a_spring_would_close_is_an_error() -> None:
+def test_a_step_in_which_a_spring_would_close_is_an_error():
     scene = load_experiment("TextileFlinging-oxford").scene
     with pytest.raises(ParameterError, match="choose a smaller timestep_s"):
         backend("genesis").build(scene, {"timestep_s": 1 / 900})
 
 
 @pytest.mark.parametrize("fabric", FABRICS)
-def test_the_default_step_is_below_the_longest_one(fabric: str) -> None:
+def test_the_default_step_is_below_the_longest_one(fabric):
     scene = load_experiment(f"TextileFlinging-{fabric}").scene
     settings = pbd_presets(scene)["default"]
     assert settings.timestep_s <= longest_timestep_s(cloth_of(fabric), cell_m=0.025) * (
@@ -114,7 +110,7 @@ def test_the_default_step_is_below_the_longest_one(fabric: str) -> None:
 
 
 @pytest.mark.parametrize("fabric", FABRICS)
-def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric: str) -> None:
+def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric):
     """A vibration w of the iteration has the characteristic polynomial z^2 - 2 (1 - q) z + (1 - q), q = (w h)^2."""
     cloth = cloth_of(fabric)
     grid = ClothGrid(cloth, 0.025)
@@ -138,7 +134,7 @@ def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric: str) -> No
     assert share < 4.0 / 3.0
 
 
-def test_cells_are_small_enough_for_narrow_bodies() -> None:
+def test_cells_are_small_enough_for_narrow_bodies():
     assert cloth_cell_m(load_experiment("TextileFlinging-satin").scene) == 0.025
     assert cloth_cell_m(
         load_experiment("TextileStretching-satin").scene
@@ -154,9 +150,7 @@ def test_cells_are_small_enough_for_narrow_bodies() -> None:
         ({"mesh": "remeshed"}, "nominal"),
     ],
 )
-def test_effective_stiffness_needs_one_whole_iteration(
-    changes: dict[str, object], field: str
-) -> None:
+def test_effective_stiffness_needs_one_whole_iteration(changes, field):
     scene = load_experiment("TextileFlinging-satin").scene
     with pytest.raises(ParameterError, match=field):
         backend("genesis").build(scene, changes)
@@ -164,7 +158,7 @@ def test_effective_stiffness_needs_one_whole_iteration(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [3600, 7200])
-def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
+def test_a_vibration_decays_as_the_step_says(rate_hz):
     """A hanging strip bobs at w = (pi / 2 L) sqrt(K_s / rho), and its amplitude falls at the rate w^2 h / 2."""
     length_m, width_m, density, stretch = 0.3, 0.075, 0.2, 110.0
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
@@ -180,14 +174,7 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
     simulation.close()
     times = np.arange(1, 145) / 180
 
-    def bob(
-        t: NDArray[np.float64],
-        rest: float,
-        size: float,
-        decay: float,
-        w: float,
-        phase: float,
-    ) -> Any:
+    def bob(t, rest, size, decay, w, phase):
         return rest + size * np.exp(-decay * t) * np.cos(w * t + phase)
 
     w = np.pi / (2 * length_m) * np.sqrt(stretch / density)
@@ -203,18 +190,16 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
 
 
 @pytest.mark.slow
-def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
+def test_sheets_collide_only_in_the_contacts_of_the_scene():
     """A sheet falls on another that falls more slowly, with no body beside them."""
     square = replace(
         cloth_of("leather"), size_m=(0.1, 0.1), mass_kg=0.02, thickness_m=4e-3
     )
     lower = replace(square, name="lower", pose=Pose(position_m=(0.0, 0.0, 1.0)))
     upper = replace(square, name="upper", pose=Pose(position_m=(0.0, 0.0, 1.01)))
-    contact = Contact(
-        first=("lower",), second=("upper",), friction=0.3, restitution=0.0
-    )
+    touch = contact("lower", "upper", friction=0.3)
     gaps = []
-    for contacts in ((contact,), ()):
+    for contacts in ((touch,), ()):
         scene = Scene(
             bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2
         )
@@ -231,7 +216,7 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
     assert gaps[1] == pytest.approx(-0.01, abs=1e-9)
 
 
-def test_cloth_that_genesis_cannot_simulate_is_declined() -> None:
+def test_cloth_that_genesis_cannot_simulate_is_declined():
     loaded = tuple(
         unsupported_deformables(load_experiment("TableclothPulling-wood").scene)
     )

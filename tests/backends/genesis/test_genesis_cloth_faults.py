@@ -1,13 +1,7 @@
 """Faults planted in Genesis's cloth, each of which a conformance check of cloth catches."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
@@ -18,7 +12,7 @@ from gauge_envs.tools.conformance import Status, run_checks
 Patch = pytest.MonkeyPatch
 
 
-def bending_compliance_halved(patch: Patch) -> None:
+def bending_compliance_halved(patch):
     """Hinges are twice as stiff."""
     healthy = PBDKernels.set_compliance
     patch.setattr(
@@ -26,7 +20,7 @@ def bending_compliance_halved(patch: Patch) -> None:
     )
 
 
-def friction_halved(patch: Patch) -> None:
+def friction_halved(patch):
     """Bodies rub half as much."""
     healthy = PBDKernels.set_friction
     patch.setattr(
@@ -34,11 +28,11 @@ def friction_halved(patch: Patch) -> None:
     )
 
 
-def border_springs_whole(patch: Patch) -> None:
+def border_springs_whole(patch):
     """Springs on the border have the stiffness of those inside."""
     healthy = cloth.grid_stiffnesses
 
-    def whole(*arguments: Any) -> NDArray[np.float64]:
+    def whole(*arguments):
         found = healthy(*arguments)
         along = found.max()
         return np.where(np.isclose(found, 0.5 * along), along, found)
@@ -46,7 +40,7 @@ def border_springs_whole(patch: Patch) -> None:
     patch.setattr(cloth, "grid_stiffnesses", whole)
 
 
-def held_edge_late(patch: Patch) -> None:
+def held_edge_late(patch):
     """Held particles are where their body was one step earlier."""
     healthy = cloth.driven_places
     patch.setattr(
@@ -56,7 +50,7 @@ def held_edge_late(patch: Patch) -> None:
     )
 
 
-FAULTS: list[tuple[Callable[[Patch], None], str, float, float]] = [
+FAULTS = [
     (bending_compliance_halved, "cloth-bending", 2.0, 0.1),
     (friction_halved, "cloth-slide", 1.54, 0.05),
     (border_springs_whole, "cloth-stretch", 1.25, 0.05),
@@ -66,13 +60,7 @@ FAULTS: list[tuple[Callable[[Patch], None], str, float, float]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("plant", "check", "ratio", "tolerance"), FAULTS)
-def test_a_fault_in_cloth_fails_its_check(
-    plant: Callable[[Patch], None],
-    check: str,
-    ratio: float,
-    tolerance: float,
-    monkeypatch: Patch,
-) -> None:
+def test_a_fault_in_cloth_fails_its_check(plant, check, ratio, tolerance, monkeypatch):
     plant(monkeypatch)
     (result,) = run_checks("genesis", only=(check,))
     assert result.status is Status.FAIL
@@ -80,7 +68,7 @@ def test_a_fault_in_cloth_fails_its_check(
 
 
 @pytest.mark.slow
-def test_an_edge_that_lags_one_step_fails_its_check(monkeypatch: Patch) -> None:
+def test_an_edge_that_lags_one_step_fails_its_check(monkeypatch):
     held_edge_late(monkeypatch)
     (result,) = run_checks("genesis", only=("cloth-pinned-edge",))
     assert result.status is Status.FAIL

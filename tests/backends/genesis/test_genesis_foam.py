@@ -1,14 +1,12 @@
 """Genesis's soft bodies, by finite elements and by material points: elasticity, grips, contact, repeatability."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.scene import Attachment, Cloth, Contact, Scene
+from gauge_envs.scene import Attachment
 
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
@@ -28,10 +26,11 @@ from gauge_envs.backends.shared.attachments import (
 from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError, record
+from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.conformance import Status, run_checks
 
 
-def soft_row(scene: Scene) -> SoftRow:
+def soft_row(scene):
     (bodies,) = bonded_soft_bodies(scene)
     return SoftRow.of(bodies, attachments_by_body(scene, bodies))
 
@@ -39,9 +38,7 @@ def soft_row(scene: Scene) -> SoftRow:
 @pytest.mark.parametrize(
     "preset", ["default", pytest.param("mpm", marks=pytest.mark.slow)]
 )
-def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(
-    preset: str,
-) -> None:
+def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(preset):
     results = list(run_checks("genesis", settings={"preset": preset}, only=("foam-*",)))
     assert {result.check: result.status for result in results} == {
         "foam-start": Status.PASS,
@@ -55,7 +52,7 @@ def test_a_bar_has_its_modulus_and_poisson_ratio_and_follows_its_grip(
 
 
 @pytest.mark.slow
-def test_a_cube_as_wide_as_the_foam_stays_outside_it() -> None:
+def test_a_cube_as_wide_as_the_foam_stays_outside_it():
     scene = load_experiment("FoamBending-soft").scene
     simulation = backend("genesis").build(scene)
     simulation.reset(0)
@@ -71,7 +68,7 @@ def test_a_cube_as_wide_as_the_foam_stays_outside_it() -> None:
     assert np.all(np.abs(gap_m - 1e-3) < 4e-4)
 
 
-def test_blocks_of_a_row_have_their_own_material() -> None:
+def test_blocks_of_a_row_have_their_own_material():
     scene = load_experiment("CantileverBeam-soft").scene
     simulation = backend("genesis").build(scene)
     simulation.reset(0)
@@ -88,7 +85,7 @@ def test_blocks_of_a_row_have_their_own_material() -> None:
     assert all(np.isfinite(lengths))
 
 
-def test_grid_planes_lie_at_the_faces_of_both_grips() -> None:
+def test_grid_planes_lie_at_the_faces_of_both_grips():
     row = soft_row(load_experiment("FoamTwisting-soft").scene)
     voxel = fitted_voxel_m([row], 0.0125)
     assert 0.85 * 0.0125 <= voxel <= 1.15 * 0.0125
@@ -96,7 +93,7 @@ def test_grid_planes_lie_at_the_faces_of_both_grips() -> None:
         assert abs(round(face / voxel) * voxel - face) < 0.15 * voxel
 
 
-def test_the_step_of_material_points_is_a_share_of_the_time_of_sound() -> None:
+def test_the_step_of_material_points_is_a_share_of_the_time_of_sound():
     scene = load_experiment("FoamTwisting-soft").scene
     (body,) = scene.deformables
     density = body.mass_kg / (0.05 * 0.05 * 0.2)
@@ -107,9 +104,7 @@ def test_the_step_of_material_points_is_a_share_of_the_time_of_sound() -> None:
     assert soft_presets(scene)["mpm"].timestep_s <= longest_mpm_timestep_s(body, 0.0125)
 
 
-def test_out_of_the_box_foam_has_the_values_that_genesis_gives_to_a_program_that_states_none() -> (
-    None
-):
+def test_out_of_the_box_foam_has_the_values_that_genesis_gives_to_a_program_that_states_none():
     options = engine().options
     presets = soft_presets(load_experiment("FoamTwisting-soft").scene)
     one = presets["out_of_box"]
@@ -130,7 +125,7 @@ def test_out_of_the_box_foam_has_the_values_that_genesis_gives_to_a_program_that
 @pytest.mark.parametrize(
     "preset", ["out_of_box", pytest.param("paper", marks=pytest.mark.slow)]
 )
-def test_foam_that_bursts_is_an_error_that_names_the_longest_step(preset: str) -> None:
+def test_foam_that_bursts_is_an_error_that_names_the_longest_step(preset):
     scene = load_experiment("FoamTwisting-soft").scene
     simulation = backend("genesis").build(scene, {"preset": preset})
     simulation.reset(0)
@@ -144,7 +139,7 @@ def test_foam_that_bursts_is_an_error_that_names_the_longest_step(preset: str) -
 
 
 @pytest.mark.slow
-def test_the_longest_step_that_the_error_names_holds() -> None:
+def test_the_longest_step_that_the_error_names_holds():
     scene = load_experiment("FoamTwisting-soft").scene
     (body,) = scene.deformables
     voxel_m = fitted_voxel_m([soft_row(scene)], 1 / 64)
@@ -157,7 +152,7 @@ def test_the_longest_step_that_the_error_names_holds() -> None:
     simulation.close()
 
 
-def test_a_preset_for_other_scenes_is_declined() -> None:
+def test_a_preset_for_other_scenes_is_declined():
     for id, preset, kind in (
         ("Pendulum-metal", "mpm", "soft bodies"),
         ("TextileFlinging-satin", "mpm", "soft bodies"),
@@ -170,14 +165,14 @@ def test_a_preset_for_other_scenes_is_declined() -> None:
 
 
 @pytest.mark.slow
-def test_scenes_of_the_benchmark_that_a_preset_does_not_fit_are_left_out() -> None:
+def test_scenes_of_the_benchmark_that_a_preset_does_not_fit_are_left_out():
     (result,) = run_checks(
         "genesis", settings={"preset": "mpm"}, only=["restore-benchmark-soft"]
     )
     assert result.status is Status.PASS, result.diagnosis
 
 
-def test_weights_reproduce_linear_functions() -> None:
+def test_weights_reproduce_linear_functions():
     generator = np.random.default_rng(0)
     sources, points = (
         generator.uniform(size=(300, 3)),
@@ -190,18 +185,15 @@ def test_weights_reproduce_linear_functions() -> None:
     )
 
 
-def test_soft_bodies_that_genesis_cannot_simulate_are_declined() -> None:
+def test_soft_bodies_that_genesis_cannot_simulate_are_declined():
     for id in ("RopeWinding-rubber", "StickStack-soft"):
         reasons = tuple(unsupported_deformables(load_experiment(id).scene))
         assert any("is a line" in reason for reason in reasons)
     scene = load_experiment("CantileverBeam-soft").scene
-    touching = Contact(
-        first=("cube-1",), second=("cube-3",), friction=0.1, restitution=0.0
-    )
+    touching = contact("cube-1", "cube-3", friction=0.1)
     reasons = tuple(unsupported_deformables(replace(scene, contacts=(touching,))))
     assert any("'cube-1' may touch 'cube-3'" in reason for reason in reasons)
     (cloth,) = load_experiment("TextileFlinging-satin").scene.deformables
-    assert isinstance(cloth, Cloth)
     both = replace(scene, deformables=(*scene.deformables, cloth))
     assert any("is beside cloth" in reason for reason in unsupported_deformables(both))
     apart = replace(

@@ -1,9 +1,5 @@
 """Readers of Genesis scenes for the sanity check, and the language of their changes."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -29,7 +25,7 @@ def engine():
     forget_models()
 
 
-def ball_scene(**rigid) -> gs.Scene:
+def ball_scene(**rigid):
     scene = gs.Scene(
         show_viewer=False,
         sim_options=gs.options.SimOptions(
@@ -42,7 +38,7 @@ def ball_scene(**rigid) -> gs.Scene:
     return scene
 
 
-def test_the_options_of_a_scene_are_read(engine) -> None:
+def test_the_options_of_a_scene_are_read(engine):
     scene = ball_scene(
         friction_cone=gs.friction_cone.elliptic, iterations=7, constraint_timeconst=0.03
     )
@@ -62,7 +58,7 @@ def test_the_options_of_a_scene_are_read(engine) -> None:
     assert {name: read.settings[name] for name in expected} == expected
 
 
-def test_a_built_scene_states_the_constants_of_its_geoms(engine) -> None:
+def test_a_built_scene_states_the_constants_of_its_geoms(engine):
     scene = ball_scene()
     scene.build()
     ball, ground = 0.04, 0.02
@@ -77,7 +73,7 @@ def test_a_built_scene_states_the_constants_of_its_geoms(engine) -> None:
     assert group.settings["sustained_impedance"] == pytest.approx((0.8, 0.9, 0.002))
 
 
-def test_saved_options_are_those_of_the_scene(engine, tmp_path: Path) -> None:
+def test_saved_options_are_those_of_the_scene(engine, tmp_path):
     scene = ball_scene(iterations=7, noslip_iterations=3)
     path = tmp_path / "options.json"
     path.write_text(scene.options.model_dump_json(), encoding="utf-8")
@@ -98,18 +94,18 @@ def test_saved_options_are_those_of_the_scene(engine, tmp_path: Path) -> None:
     assert settings["iterations"] == 7 and settings["noslip_iterations"] == 3
 
 
-def test_a_settings_file_is_no_file_of_options(tmp_path: Path) -> None:
+def test_a_settings_file_is_no_file_of_options(tmp_path):
     path = tmp_path / "settings.json"
     path.write_text('{"backend": "mujoco"}', encoding="utf-8")
     assert reader_of(path).accepts.startswith("a settings file")
 
 
-def test_short_time_constants_are_raised_to_two_steps() -> None:
+def test_short_time_constants_are_raised_to_two_steps():
     options = {"sim": {"dt": 0.02}, "rigid": {"constraint_timeconst": None}}
     assert options_settings(options, 32)["sustained_timeconst_s"] == pytest.approx(0.04)
 
 
-def test_changes_can_be_pasted(engine) -> None:
+def test_changes_can_be_pasted(engine):
     text = LANGUAGE.paste_text(
         {"timestep_s": 0.001, "friction_cone": "elliptic", "iterations": 100}
     )

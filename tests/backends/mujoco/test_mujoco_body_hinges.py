@@ -1,9 +1,6 @@
 """Hinges between two bodies in MuJoCo: MJCF files there and back, states, and the reader of positions."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +9,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.resolve import load_experiment_from_asset
-from gauge_envs.scene.scene import Scene
 from gauge_envs.tools.assets.export import write_mjcf
 
 NAME = "ElbowToss-blocks"
@@ -20,17 +16,17 @@ BODIES = ("first", "second")
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
+def file(tmp_path):
     write_mjcf(load_experiment(NAME), tmp_path / "elbow.xml")
     return tmp_path / "elbow.xml"
 
 
 @pytest.fixture
-def scene() -> Scene:
+def scene():
     return load_experiment(NAME).scene
 
 
-def flight(simulation: object) -> np.ndarray:
+def flight(simulation):
     simulation.reset(0)
     states = []
     for _ in range(60):
@@ -39,7 +35,7 @@ def flight(simulation: object) -> np.ndarray:
     return np.array(states)
 
 
-def test_a_file_gives_the_same_scene_and_motion(file: Path, scene: Scene) -> None:
+def test_a_file_gives_the_same_scene_and_motion(file, scene):
     engine = BackendMuJoCo()
     read = engine.read_file(file, scene)
     assert read.changes == ()
@@ -49,7 +45,7 @@ def test_a_file_gives_the_same_scene_and_motion(file: Path, scene: Scene) -> Non
     )
 
 
-def test_an_edited_hinge_is_named_and_read(file: Path, scene: Scene) -> None:
+def test_an_edited_hinge_is_named_and_read(file, scene):
     text = file.read_text()
     edited = re.sub(
         r'(<joint name="second"[^>]* pos=")([^" ]+)',
@@ -65,11 +61,10 @@ def test_an_edited_hinge_is_named_and_read(file: Path, scene: Scene) -> None:
     ) == (pytest.approx(0.01, abs=1e-9))
 
 
-def test_edited_start_rates_keep_the_hinge_closed(file: Path, scene: Scene) -> None:
+def test_edited_start_rates_keep_the_hinge_closed(file, scene):
     """A faster root carries the body that hangs on it; the scene accepts the velocities, so the hinge is not torn."""
     text = file.read_text()
     rates = re.search(r'<key name="start"[^>]* qvel="([^"]+)"', text)
-    assert rates is not None
     values = [float(one) for one in rates[1].split()]
     values[0] += 1.0
     values[4] += 2.0
@@ -82,10 +77,9 @@ def test_edited_start_rates_keep_the_hinge_closed(file: Path, scene: Scene) -> N
     )
 
 
-def test_a_body_that_hangs_elsewhere_is_refused(file: Path, scene: Scene) -> None:
+def test_a_body_that_hangs_elsewhere_is_refused(file, scene):
     text = file.read_text()
     block = re.search(r'\s*<body name="second".*?</body>', text, flags=re.DOTALL)
-    assert block is not None
     file.write_text(
         text.replace(block[0], "").replace("</worldbody>", f"{block[0]}\n</worldbody>")
     )
@@ -93,13 +87,13 @@ def test_a_body_that_hangs_elsewhere_is_refused(file: Path, scene: Scene) -> Non
         BackendMuJoCo().read_file(file, scene)
 
 
-def test_an_experiment_runs_from_its_file(file: Path) -> None:
+def test_an_experiment_runs_from_its_file(file):
     experiment = load_experiment_from_asset(NAME, file)
     assert not experiment.edited
     assert experiment.scene.body_hinges
 
 
-def test_positions_are_those_of_states(scene: Scene) -> None:
+def test_positions_are_those_of_states(scene):
     one, other = (BackendMuJoCo().build(scene) for _ in range(2))
     positions = one.sample_positions(BODIES, 5, 1.0 / 180.0)
     for row in positions:

@@ -6,9 +6,7 @@ friction, impacts and the implicit integrator take energy away, and nothing else
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,7 +17,6 @@ from numpy.typing import NDArray
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import BENDING_PER_EDGE, STIFFNESS_PER_TRIANGLE
-from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -37,7 +34,7 @@ class Energies:
         driven: Name of the driven body, whose energy is left out.
     """
 
-    def __init__(self, simulation: SimulationMuJoCo, driven: str) -> None:
+    def __init__(self, simulation, driven):
         self._simulation = simulation
         self._model = simulation.model
         self._scratch = mujoco.MjData(self._model)
@@ -48,7 +45,7 @@ class Energies:
         self._kinematics()
         self._rest_m2 = {flex: self._squared_edges(flex) for flex in self._cloths()}
 
-    def now(self) -> tuple[float, float, float]:
+    def now(self):
         """Kinetic, potential and elastic energy now [J]."""
         self._scratch.qpos[:] = self._simulation.data.qpos
         self._kinematics()
@@ -66,27 +63,27 @@ class Energies:
             sum(self._elastic(flex) for flex in self._cloths()),
         )
 
-    def elastic_at(self, qpos: NDArray[np.float64]) -> float:
+    def elastic_at(self, qpos):
         """Elastic energy at given joint positions [J]."""
         self._scratch.qpos[:] = qpos
         self._kinematics()
         return sum(self._elastic(flex) for flex in self._cloths())
 
-    def _kinematics(self) -> None:
+    def _kinematics(self):
         mujoco.mj_kinematics(self._model, self._scratch)
         mujoco.mj_comPos(self._model, self._scratch)
         mujoco.mj_flex(self._model, self._scratch)
 
-    def _cloths(self) -> list[int]:
+    def _cloths(self):
         return [int(flex) for flex in np.flatnonzero(self._model.flex_dim == 2)]
 
-    def _vertices(self, flex: int) -> NDArray[np.float64]:
+    def _vertices(self, flex):
         first = self._model.flex_vertadr[flex]
         return self._scratch.flexvert_xpos[
             first : first + self._model.flex_vertnum[flex]
         ]
 
-    def _squared_edges(self, flex: int) -> NDArray[np.float64]:
+    def _squared_edges(self, flex):
         """Squared edge lengths [m^2] from vertex 1 to 2, 2 to 0 and 0 to 1, shape [triangle_count, 3]."""
         first, count = (
             self._model.flex_elemdataadr[flex],
@@ -97,7 +94,7 @@ class Energies:
         ]
         return ((corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]) ** 2).sum(axis=2)
 
-    def _elastic(self, flex: int) -> float:
+    def _elastic(self, flex):
         """Membrane energy s' S s / 4 a triangle and bending energy x' B x / 2 an edge [J]."""
         changes = self._squared_edges(flex) - self._rest_m2[flex]
         start = self._model.flex_stiffnessadr[flex]
@@ -142,25 +139,18 @@ class Ledger:
     work_j: NDArray[np.float64]
 
     @property
-    def unpaid_j(self) -> NDArray[np.float64]:
+    def unpaid_j(self):
         """Energy gained since the start, less the work done [J], shape [frame_count]."""
         energy = self.parts_j.sum(axis=1)
         return energy - energy[0] - self.work_j
 
     @property
-    def largest_rise_j(self) -> float:
+    def largest_rise_j(self):
         """The most by which energy less work rises between any two frames [J]."""
         return float((self.unpaid_j - np.minimum.accumulate(self.unpaid_j)).max())
 
 
-def ledger(
-    name: str,
-    frame_count: int,
-    *,
-    parameters: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    clock_s: float = 0.0,
-) -> Ledger:
+def ledger(name, frame_count, *, parameters=None, settings=None, clock_s=0.0):
     """Run a scene with one driven body, step by step.
 
     The work is what the impulses of cloth, rope and contacts take out of the driven body: what its velocity changes by,
@@ -201,7 +191,7 @@ def ledger(
     return Ledger(parts_j=np.array(parts), work_j=np.array(works))
 
 
-def check(book: Ledger) -> None:
+def check(book):
     """Energy rose by no more than the work, neither since the start nor between any two frames.
 
     What is allowed is a share of the most work, given or taken, so far; a driver that lowers a cloth takes some.
@@ -217,7 +207,7 @@ def check(book: Ledger) -> None:
 ON_ITS_LAYER = {"textile.position_m": [0.4785, 0.4285, 0.188]}
 
 
-def test_elastic_energy_is_that_of_mujocos_forces() -> None:
+def test_elastic_energy_is_that_of_mujocos_forces():
     """Its slope along a random direction, at a random shape, is the force that MuJoCo applies."""
     simulation = BackendMuJoCo().build(load_experiment("TextileFlinging-rayon").scene)
     model, data = simulation.model, simulation.data
@@ -234,7 +224,7 @@ def test_elastic_energy_is_that_of_mujocos_forces() -> None:
     assert slope == pytest.approx(-float(data.qfrc_passive @ direction), rel=1e-6)
 
 
-def test_ledger_closes_where_nothing_rubs() -> None:
+def test_ledger_closes_where_nothing_rubs():
     """A cloth swung by its edge keeps what the rod gives it, less 2 %: the work is measured right, not just enough."""
     book = ledger("TextileFlinging-rayon", 16)
     check(book)
@@ -242,7 +232,7 @@ def test_ledger_closes_where_nothing_rubs() -> None:
 
 
 @pytest.mark.slow
-def test_finer_steps_lose_less() -> None:
+def test_finer_steps_lose_less():
     """What the implicit integrator takes away is of first order in the step."""
     coarse, fine = (
         ledger("TextileFlinging-rayon", 10, settings={"timestep_s": step})
@@ -252,7 +242,7 @@ def test_finer_steps_lose_less() -> None:
 
 
 @pytest.mark.slow
-def test_cloth_is_lifted_out_of_the_board_once() -> None:
+def test_cloth_is_lifted_out_of_the_board_once():
     """As published, cloth and board touch; the push onto its contact layer is the only energy from nowhere."""
     book = ledger("Funnel-rayon", 8)
     cloth = load_experiment("Funnel-rayon").scene.deformables[0]
@@ -288,8 +278,6 @@ EPISODES = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "frames", "parameters", "clock_s"), EPISODES)
-def test_energy_comes_from_the_driver_alone(
-    name: str, frames: int, parameters: dict[str, Any], clock_s: float
-) -> None:
+def test_energy_comes_from_the_driver_alone(name, frames, parameters, clock_s):
     last = round(load_experiment(name).scene.duration_s * FRAME_RATE_HZ) + 1
     check(ledger(name, min(frames, last), parameters=parameters, clock_s=clock_s))

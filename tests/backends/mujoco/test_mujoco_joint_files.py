@@ -1,20 +1,16 @@
 """MJCF files of scenes whose hinges have friction, armature and motors: exact return, edits, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import AssetError
-from gauge_envs.scene import Hinge, JointDynamics, Scene
+from gauge_envs.scene import Hinge, JointDynamics
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile
@@ -36,7 +32,7 @@ DYNAMICS = JointDynamics(
 )
 
 
-def chain() -> Scene:
+def chain():
     """Return two blocks on a hinge to the world with friction, and a servo between them."""
     scene = load_experiment(
         "ElbowToss-blocks", {"first.position_m": (0.0, 0.0, 0.15)}
@@ -53,9 +49,7 @@ def chain() -> Scene:
     )
 
 
-def read(
-    scene: Scene, folder: Path, *replacements: tuple[str, str]
-) -> tuple[Path, ModelFile]:
+def read(scene, folder, *replacements):
     """Return the file of a scene after edits of its text, and what is read from it."""
     text = ElementTree.tostring(
         exact_xml(BackendMuJoCo().build(scene)), encoding="unicode"
@@ -68,7 +62,7 @@ def read(
     return path, BackendMuJoCo().read_file(path, scene)
 
 
-def test_the_file_is_the_scenes(tmp_path: Path) -> None:
+def test_the_file_is_the_scenes(tmp_path):
     scene = chain()
     path, found = read(scene, tmp_path)
     assert found.scene == scene
@@ -83,7 +77,7 @@ def test_the_file_is_the_scenes(tmp_path: Path) -> None:
     assert abs(worlds[0].data.qpos[2]) > 0.1
 
 
-def test_a_torque_motor_stays(tmp_path: Path) -> None:
+def test_a_torque_motor_stays(tmp_path):
     scene = chain()
     torque = replace(scene.body_hinges[0], motor=TorqueMotor(command=COMMAND))
     scene = replace(scene, body_hinges=(torque,))
@@ -155,9 +149,7 @@ def test_a_torque_motor_stays(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_edit_counts_and_is_listed(
-    old: str, new: str, part: str, field: str, value: float, change: str, tmp_path: Path
-) -> None:
+def test_an_edit_counts_and_is_listed(old, new, part, field, value, change, tmp_path):
     _, found = read(chain(), tmp_path, (old, new))
     hinge = chain().hinges[0 if part == "dynamics" else 1]
     expected = replace(hinge, **{part: replace(getattr(hinge, part), **{field: value})})
@@ -167,7 +159,7 @@ def test_an_edit_counts_and_is_listed(
     assert f"{part}.{field} " in line
 
 
-def test_a_file_without_the_motor_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_the_motor_is_refused(tmp_path):
     with pytest.raises(
         AssetError, match="its joint has a motor and needs an actuator with its name"
     ):
@@ -178,7 +170,7 @@ def test_a_file_without_the_motor_is_refused(tmp_path: Path) -> None:
         )
 
 
-def test_a_file_without_the_play_is_refused(tmp_path: Path) -> None:
+def test_a_file_without_the_play_is_refused(tmp_path):
     with pytest.raises(
         AssetError, match="its joint has backlash and needs a second hinge 'first/play'"
     ):

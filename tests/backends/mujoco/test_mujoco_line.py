@@ -1,14 +1,11 @@
 """A rod in MuJoCo against closed forms: small deflections of all stiffnesses, and friction of its foot."""
 
-from __future__ import annotations
-
 from math import pi
 
 import mujoco
 import numpy as np
 import pytest
 from foam import ORIGIN
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.line import add_rod
 from gauge_envs.backends.shared.attachments import RigidAttachment
@@ -21,10 +18,14 @@ SOFT_PA, HARD_PA = 9285115.0, 1e9
 class Bench:
     """A rod that hangs from the origin by its high end, without weight."""
 
-    def __init__(self, young_pa: float, motion: Motion) -> None:
+    def __init__(self, young_pa, motion, steps_per_s=900):
         self.spec = mujoco.MjSpec()
         option = self.spec.option
-        option.timestep, option.gravity, option.impratio = 1 / 900, [0.0] * 3, 10.0
+        option.timestep, option.gravity, option.impratio = (
+            1 / steps_per_s,
+            [0.0] * 3,
+            10.0,
+        )
         option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
         option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         base = self.spec.worldbody.add_body(name="base")
@@ -47,30 +48,31 @@ class Bench:
         self.part = add_rod(self.spec, rod, attachments=[held], damping_s=0.01)
         self.finish()
 
-    def finish(self) -> None:
+    def finish(self):
         self.model = self.spec.compile()
         self.part.complete(self.model)
         self.data = mujoco.MjData(self.model)
         self.part.bind(self.model, self.data)
 
-    def place(self, x: float = 0.0, z: float = 0.0, speed: float = 0.0) -> None:
+    def place(self, x=0.0, z=0.0, speed=0.0):
         """Put the driven base."""
         self.data.qpos[:7] = [x, 0.0, z, 1.0, 0.0, 0.0, 0.0]
         self.data.qvel[:6] = [speed, 0.0, 0.0, 0.0, 0.0, 0.0]
 
-    def load(self, force_n: float, seconds: float = 1.5) -> NDArray[np.float64]:
-        """Nodes after a force has pulled the free end along x for a while."""
-        self.data.xfrc_applied[self.model.flex_vertbodyid[0], 0] = force_n
+    def load(self, force_n, seconds=1.5, axis=0):
+        """Nodes after a force has pulled the free end along an axis for a while."""
+        self.data.xfrc_applied[self.model.flex_vertbodyid[0], axis] = force_n
+        steps = round(1.0 / (180 * self.model.opt.timestep))
         for _ in range(round(180 * seconds)):
             if self.is_driven:
                 self.place()
-            mujoco.mj_step(self.model, self.data, nstep=5)
+            mujoco.mj_step(self.model, self.data, nstep=steps)
         return self.part.nodes()
 
 
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
 @pytest.mark.parametrize("young_pa", [SOFT_PA, HARD_PA])
-def test_clamped_rod_bends_as_theory_says(young_pa: float, motion: Motion) -> None:
+def test_clamped_rod_bends_as_theory_says(young_pa, motion):
     rigidity = young_pa * pi / 4 * ROD_RADIUS_M**4
     bench = Bench(young_pa, motion)
     nodes = bench.load(3e-3 * rigidity / ROD_M**3)
@@ -82,9 +84,26 @@ def test_clamped_rod_bends_as_theory_says(young_pa: float, motion: Motion) -> No
 
 
 @pytest.mark.parametrize(
+    ("young_pa", "steps_per_s", "motion"),
+    [
+        (SOFT_PA, 900, Motion.FIXED),
+        (SOFT_PA, 3600, Motion.KINEMATIC),
+        (HARD_PA, 3600, Motion.FIXED),
+    ],
+)
+def test_pulled_rod_stretches_as_theory_says(young_pa, steps_per_s, motion):
+    """A force along the rod moves its end by F L / (E A), at every step that lets the rod be as stiff."""
+    bench = Bench(young_pa, motion, steps_per_s)
+    stretch_m = 1e-4 * ROD_M
+    force_n = stretch_m / ROD_M * young_pa * pi * ROD_RADIUS_M**2
+    nodes = bench.load(-force_n, axis=2)
+    assert -ROD_M - nodes[0, 2] == pytest.approx(stretch_m, rel=2e-3)
+
+
+@pytest.mark.parametrize(
     ("young_pa", "friction"), [(SOFT_PA, 0.8087), (HARD_PA, 0.5801)]
 )
-def test_foot_that_slides_feels_the_friction(young_pa: float, friction: float) -> None:
+def test_foot_that_slides_feels_the_friction(young_pa, friction):
     """The base moves sideways a tenth of a millimetre too low. The stiff rod sticks and slides, the other slides."""
     bench = Bench(young_pa, Motion.KINEMATIC)
     spec = bench.spec

@@ -1,7 +1,5 @@
 """Versions of MuJoCo: settings and bodies that some of them lack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco
@@ -19,7 +17,7 @@ CLOTH = load_experiment("TextileFlinging-satin").scene
 
 
 @pytest.fixture
-def older(monkeypatch: pytest.MonkeyPatch) -> None:
+def older(monkeypatch):
     """MuJoCo 3.11, as far as this package asks for it."""
     monkeypatch.setattr(mujoco, "__version__", "3.11.0")
     absent = tuple(replace(feature, constant="mjABSENT") for feature in FEATURES)
@@ -27,7 +25,7 @@ def older(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("older")
-def test_deformable_bodies_are_declined_below_4() -> None:
+def test_deformable_bodies_are_declined_below_4():
     (reason,) = backend("mujoco").supports(CLOTH).missing
     assert "need MuJoCo 4" in reason
     assert "MuJoCo 3.11.0" in reason
@@ -35,7 +33,7 @@ def test_deformable_bodies_are_declined_below_4() -> None:
         backend("mujoco").build(CLOTH)
 
 
-def test_support_follows_the_installed_version() -> None:
+def test_support_follows_the_installed_version():
     assert backend("mujoco").supports(RIGID)
     assert bool(backend("mujoco").supports(CLOTH)) is (MAJOR >= 4)
 
@@ -56,31 +54,27 @@ def test_support_follows_the_installed_version() -> None:
         ({"preset": "rod"}, "'integrator'.*'discrete'"),
     ],
 )
-def test_a_setting_that_the_installed_version_lacks_is_an_error(
-    settings: dict[str, object], message: str
-) -> None:
+def test_a_setting_that_the_installed_version_lacks_is_an_error(settings, message):
     with pytest.raises(ParameterError, match=message):
         backend("mujoco").build(RIGID, settings)
 
 
 @pytest.mark.usefixtures("older")
-def test_a_setting_that_the_installed_version_lacks_is_not_in_force() -> None:
+def test_a_setting_that_the_installed_version_lacks_is_not_in_force():
     in_force = backend("mujoco").build(RIGID).settings
     assert "speculative" not in in_force
     assert in_force["integrator"] == "implicitfast"
 
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.since)
-def test_a_feature_is_installed_from_the_version_on_that_is_stated(
-    feature: versions.Feature,
-) -> None:
+def test_a_feature_is_installed_from_the_version_on_that_is_stated(feature):
     installed = tuple(int(part) for part in mujoco.__version__.split(".")[:2])
     assert feature.is_installed is (
         installed >= tuple(int(part) for part in feature.since.split("."))
     )
 
 
-def test_constants_that_the_installed_version_lacks_are_left_out() -> None:
+def test_constants_that_the_installed_version_lacks_are_left_out():
     names = {"Euler": "mjINT_EULER", "later": "mjINT_LATER"}
     assert constants_of("mjtIntegrator", names) == {
         "Euler": mujoco.mjtIntegrator.mjINT_EULER

@@ -1,8 +1,5 @@
 """Cloth in Newton's vertex block descent against closed forms: stretch, shear, bending, friction, energy, edges."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,24 +14,20 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
-    Box,
-    Cloth,
-    Contact,
     Motion,
     Pose,
     Region,
-    RigidBody,
     Scene,
-    Sphere,
 )
+from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.bench.parts import ball, contact, fixed_box
 
 newton = pytest.importorskip("newton")
 
 from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
-from gauge_envs.backends.newton.parts import ClothPartNewton, add_cloth  # noqa: E402
+from gauge_envs.backends.newton.parts import add_cloth  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsVBD, longest_timestep_s  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD, stiffness_ratio  # noqa: E402
-from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 
 HANGING = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
 """Warp downward."""
@@ -43,7 +36,7 @@ RATES = dict.fromkeys(FABRICS, 1440) | {"nylon": 2880}
 """Steps per second that three iterations are enough for."""
 
 
-def weight_n_per_m2(cloth: Cloth) -> float:
+def weight_n_per_m2(cloth):
     return cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
 
 
@@ -52,19 +45,19 @@ class Rig:
 
     def __init__(
         self,
-        cloth: Cloth,
-        attachments: Sequence[RigidAttachment] = (),
+        cloth,
+        attachments=(),
         *,
-        gravity_m_per_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_PER_S2),
-        rate_hz: int = 1440,
-        iterations: int = 3,
-        cell_m: float = CELL_M,
-    ) -> None:
+        gravity_m_per_s2=(0.0, 0.0, -GRAVITY_M_PER_S2),
+        rate_hz=1440,
+        iterations=3,
+        cell_m=CELL_M,
+    ):
         builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
         settings = SettingsVBD(
             preset="rig", timestep_s=1 / rate_hz, iterations=iterations, cell_m=cell_m
         )
-        self.part: ClothPartNewton = add_cloth(
+        self.part = add_cloth(
             builder, cloth, attachments=attachments, bodies={}, settings=settings
         )
         builder.color(include_bending=True)
@@ -73,10 +66,10 @@ class Rig:
         self.stepper.record()
 
     @property
-    def moved_m(self) -> np.ndarray:
+    def moved_m(self):
         return self.part.nodes(self.stepper.now) - self.part.rest_m
 
-    def settle(self, seconds: float) -> Rig:
+    def settle(self, seconds):
         """Come to rest: velocities are taken away again and again."""
         for _ in range(round(10 * seconds)):
             self.stepper.advance(0.1)
@@ -87,9 +80,7 @@ class Rig:
         return self
 
 
-def played(
-    scene: Scene, seconds: float, *names: str, full_surface: bool = False
-) -> list[np.ndarray]:
+def played(scene, seconds, *names, full_surface=False):
     """Nodes of bodies of a scene after some time [m]."""
     settings = {
         "timestep_s": 1 / 1440,
@@ -103,7 +94,7 @@ def played(
     return [simulation.nodes(name) for name in names or ("textile",)]
 
 
-def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
+def strains(part, nodes_m):
     """Strain of each edge of the mesh along warp and weft."""
     edges = np.unique(
         np.sort(part.grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1),
@@ -123,7 +114,7 @@ def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
     "name",
     [*FABRICS[:2], *(pytest.param(one, marks=pytest.mark.slow) for one in FABRICS[2:])],
 )
-def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
+def test_a_hanging_strip_stretches_under_its_weight(name):
     """Its end sinks by weight times length squared over twice the stiffness, with the iterations that a run has."""
     length_m = 0.4
     cloth = fabric(name, (length_m, 0.05), HANGING)
@@ -139,7 +130,7 @@ def test_a_hanging_strip_stretches_under_its_weight(name: str) -> None:
 
 
 @pytest.mark.parametrize("softness", [1.0, 0.1])
-def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> None:
+def test_a_sheet_between_two_walls_shears_under_its_weight(softness):
     """Gravity in its plane: a parabola with weight times span squared over 8 K_sh in the middle.
 
     Uniform is the fabric whose measured shear stiffness Newton's isotropic membrane can have. Bending in the plane adds
@@ -167,7 +158,7 @@ def test_a_sheet_between_two_walls_shears_under_its_weight(softness: float) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), ("y", 0.035)])
-def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None:
+def test_a_cantilever_sags_like_an_elastica(axis, tolerance):
     """A strip clamped at one end, by more than half its length.
 
     Newton's hinges are as stiff as they are long, so a square grid with diagonals bends along its lines with the cell
@@ -191,7 +182,7 @@ def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None
     assert -rig.moved_m[tip, 2].mean() == pytest.approx(expected, rel=tolerance)
 
 
-def energy_j(rig: Rig) -> float:
+def energy_j(rig):
     """Kinetic, potential and elastic energy, from the laws that Newton's documentation states."""
     model, state = rig.model, rig.stepper.now
     x, v = (
@@ -232,7 +223,7 @@ def energy_j(rig: Rig) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["rayon", "nylon"])
-def test_a_falling_sheet_gains_no_energy(name: str) -> None:
+def test_a_falling_sheet_gains_no_energy(name):
     """Held at one edge it drops, swings through and snaps; the stiffest fabrics for their mass are the ones at risk."""
     cloth = fabric(name, (0.4, 0.2))
     rig = Rig(cloth, [pinned("x")], rate_hz=RATES[name])
@@ -246,7 +237,7 @@ def test_a_falling_sheet_gains_no_energy(name: str) -> None:
     assert np.abs(strains(rig.part, rig.part.nodes(rig.stepper.now))).max() < 0.05
 
 
-def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
+def test_too_few_iterations_for_the_stiffness_are_an_error():
     cloth = fabric("nylon", (0.2, 0.2))
     with pytest.raises(ParameterError, match="take 11"):
         Rig(cloth, rate_hz=1440, iterations=3)
@@ -259,89 +250,53 @@ def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
     assert stiffness_ratio(rig.model, 1 / 2880) == pytest.approx(expected, rel=0.02)
 
 
-# --- held edges ------------------------------------------------------------------------------------------------------
-
-
 # --- contact ---------------------------------------------------------------------------------------------------------
 
 
-def body(
-    name: str, shape: Box | Sphere, pose: Pose, motion: Motion = Motion.FIXED
-) -> RigidBody:
-    return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=1.0)
-
-
-def touching(first: str, second: str, friction: float = 0.0) -> Contact:
-    return Contact(first=(first,), second=(second,), friction=friction, restitution=0.0)
-
-
-def sheet(
-    name: str, size_m: tuple[float, float], pose: Pose, as_name: str = "textile"
-) -> Cloth:
+def sheet(name, size_m, pose, as_name="textile"):
     return replace(fabric(name, size_m, pose), name=as_name)
 
 
-def on_a_slope(friction: float, angle_deg: float) -> Scene:
-    tilt = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, angle_deg, 0.0))
-    above = 0.01 + 0.5 * fabric("oxford", (0.1, 0.1)).thickness_m
-    place = tilt.to_world(np.array([-0.2, 0.0, above]))
-    pose = Pose(position_m=tuple(place.tolist()), quaternion=tilt.quaternion)
-    return Scene(
-        bodies=(body("board", Box(size_m=(2.0, 0.5, 0.02)), tilt),),
-        deformables=(sheet("oxford", (0.2, 0.2), pose),),
-        contacts=(touching("textile", "board", friction),),
+FRAME = fixed_box("frame", (0.0, 0.0, 1.0), (0.01, 0.01, 0.01))
+
+
+def held_around(name):
+    """Attachments of all four edges of a sheet."""
+    return tuple(
+        Attachment(deformable=name, region=Region(axis=axis, side=side), to="frame")
+        for axis in "xy"
+        for side in ("low", "high")
+    )
+
+
+def test_cloth_passes_through_what_it_has_no_contact_with():
+    scene = Scene(
+        bodies=(
+            fixed_box("board", (0.0, 0.0, -0.02), (2.0, 0.5, 0.02)),
+            fixed_box("other", (0.3, 0.0, 0.06), (0.1, 0.1, 0.1)),
+        ),
+        deformables=(sheet("oxford", (0.2, 0.2), Pose(position_m=(-0.2, 0.0, 0.0))),),
+        contacts=(contact("textile", "other", friction=0.3),),
         duration_s=1.0,
-    )
-
-
-@pytest.mark.slow
-def test_cloth_stays_on_a_slope_that_holds_it() -> None:
-    scene = on_a_slope(0.8, 30.0)
-    (start,), (end,) = played(scene, 0.1), played(scene, 0.4)
-    assert np.abs(end - start).max() < 1e-4
-
-
-def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
-    scene = on_a_slope(0.3, 0.0)
-    other = body(
-        "other", Box(size_m=(0.1, 0.1, 0.1)), Pose(position_m=(0.3, 0.0, 0.06))
-    )
-    scene = replace(
-        scene,
-        bodies=(*scene.bodies, other),
-        contacts=(touching("textile", "other", 0.3),),
     )
     (nodes,) = played(scene, 0.2)
     assert nodes[:, 2].max() < -0.15
 
 
 @pytest.mark.slow
-def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
-    ball = body(
-        "ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085))
+def test_a_narrow_body_meets_cloth_between_its_vertices():
+    marble = replace(
+        ball("ball", (0.0125, 0.006, -0.0085), radius_m=0.008), motion=Motion.FIXED
     )
     scene = Scene(
-        bodies=(
-            ball,
-            body(
-                "frame",
-                Box(size_m=(0.01, 0.01, 0.01)),
-                Pose(position_m=(0.0, 0.0, 1.0)),
-            ),
-        ),
+        bodies=(marble, FRAME),
         deformables=(sheet("satin", (0.2, 0.2), ORIGIN),),
-        attachments=tuple(
-            Attachment(
-                deformable="textile", region=Region(axis=axis, side=side), to="frame"
-            )  # type: ignore[arg-type]
-            for axis in "xy"
-            for side in ("low", "high")
-        ),
-        contacts=(touching("textile", "ball"),),
+        attachments=held_around("textile"),
+        contacts=(contact("textile", "ball", friction=0.0),),
         duration_s=1.0,
     )
 
-    def sag_m(one: Scene, full_surface: bool) -> float:
+    def sag_m(one, full_surface):
         (nodes,) = played(one, 0.3, full_surface=full_surface)
         return float(-nodes[:, 2].min())
 
@@ -353,30 +308,18 @@ def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
 
 
 @pytest.mark.slow
-def test_cloth_rests_on_cloth() -> None:
+def test_cloth_rests_on_cloth():
     """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
-    corners = body(
-        "frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0))
-    )
+    above = Pose(position_m=(0.004, 0.003, 0.02))
+    pairs = (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))
     scene = Scene(
-        bodies=(corners,),
+        bodies=(FRAME,),
         deformables=(
             sheet("uniform", (0.3, 0.3), ORIGIN, "taut"),
-            sheet(
-                "uniform", (0.15, 0.15), Pose(position_m=(0.004, 0.003, 0.02)), "loose"
-            ),
+            sheet("uniform", (0.15, 0.15), above, "loose"),
         ),
-        attachments=tuple(
-            Attachment(
-                deformable="taut", region=Region(axis=axis, side=side), to="frame"
-            )  # type: ignore[arg-type]
-            for axis in "xy"
-            for side in ("low", "high")
-        ),
-        contacts=tuple(
-            touching(a, b, 0.3)
-            for a, b in (("taut", "loose"), ("taut", "taut"), ("loose", "loose"))
-        ),
+        attachments=held_around("taut"),
+        contacts=tuple(contact(*pair, friction=0.3) for pair in pairs),
         duration_s=1.0,
     )
     taut, loose = played(scene, 0.3, "taut", "loose")
@@ -387,15 +330,31 @@ def test_cloth_rests_on_cloth() -> None:
     assert fallen[:, 2].max() < -0.1
 
 
-def test_every_pair_gets_its_own_friction() -> None:
+def test_every_pair_gets_its_own_friction():
     scene = load_experiment("TableclothPulling-metal").scene
     contacts = surface_contacts(scene)
     sides = contacts.shape_friction | {"textile": contacts.friction}
-    for contact in scene.contacts:
-        for first in contact.first:
-            for second in contact.second:
+    for touch in scene.contacts:
+        for first in touch.first:
+            for second in touch.second:
                 assert np.sqrt(sides[first] * sides[second]) == pytest.approx(
-                    contact.friction, rel=1e-6
+                    touch.friction, rel=1e-6
                 )
     assert contacts.touched == {"cube", "table"}
     assert not contacts.itself
+
+
+@pytest.mark.slow
+def test_cloth_stays_on_a_slope_that_holds_it():
+    lean = (0.0, 30.0, 0.0)
+    slope = Pose.from_euler_deg((0.0, 0.0, 0.0), lean)
+    above_m = 0.01 + 0.5 * fabric("oxford", (0.1, 0.1)).thickness_m
+    place = vector(slope.to_world(np.array([-0.2, 0.0, above_m])))
+    scene = Scene(
+        bodies=(fixed_box("board", (0.0, 0.0, 0.0), (2.0, 0.5, 0.02), euler_deg=lean),),
+        deformables=(sheet("oxford", (0.2, 0.2), replace(slope, position_m=place)),),
+        contacts=(contact("textile", "board", friction=0.8),),
+        duration_s=1.0,
+    )
+    (start,), (end,) = played(scene, 0.1), played(scene, 0.4)
+    assert np.abs(end - start).max() < 1e-4

@@ -1,7 +1,5 @@
 """Segments of ropes and rods in Newton."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foam import ORIGIN
@@ -15,7 +13,7 @@ from gauge_envs.backends.newton.line import add_line  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsLines  # noqa: E402
 
 
-def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
+def test_segments_have_the_mass_and_inertia_of_their_pieces():
     free_m, depth_m, radius_m, mass_kg = 0.15, 0.03, 0.005, 0.0149
     rod = Rod(
         name="rod",

@@ -1,14 +1,9 @@
 """Soft bodies in Newton against closed forms and independent finite elements: tetrahedra by VBD, material points."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
-
 import numpy as np
 import pytest
 from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, ORIGIN, YOUNG_PA, block
 from hexahedra import extrapolated_end_force
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
@@ -23,12 +18,10 @@ from gauge_envs.backends.newton.settings import SettingsMPM, SettingsVBD  # noqa
 from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 from gauge_envs.backends.shared.soft_rows import SoftRow  # noqa: E402
-from gauge_envs.scene import Motion, Region, SoftBody  # noqa: E402
+from gauge_envs.scene import Motion, Region  # noqa: E402
 
 
-def plate(
-    side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z"
-) -> RigidAttachment:
+def plate(side, motion, depth_m=0.0, axis="z"):
     return RigidAttachment(
         region=Region(axis=axis, side=side, depth_m=depth_m),
         body=side,
@@ -37,7 +30,7 @@ def plate(
     )
 
 
-def vbd(**changes) -> SettingsVBD:
+def vbd(**changes):
     return SettingsVBD(
         preset="bench",
         starts_from_acceleration=False,
@@ -50,10 +43,10 @@ class Bench:
 
     def __init__(
         self,
-        *bodies: SoftBody,
-        gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *bodies,
+        gravity=(0.0, 0.0, 0.0),
         **changes,
-    ) -> None:
+    ):
         wp.config.log_level = wp.LOG_WARNING
         self.builder = newton.ModelBuilder(gravity=gravity)
         row = SoftRow.of(bodies, {bodies[0].name: [plate("low", Motion.FIXED)]})
@@ -64,11 +57,7 @@ class Bench:
         self.stepper = StepperVBD(self.model, driven=[], settings=settings)
         self.stepper.record()
 
-    def run(
-        self,
-        seconds: float,
-        path: Callable[[float], tuple[Sequence[float], Rotation]] | None = None,
-    ) -> None:
+    def run(self, seconds, path=None):
         """Simulate while the driven plate follows a path, given at 180 Hz."""
         for index in range(round(180 * seconds)):
             if path is not None:
@@ -83,10 +72,10 @@ class Bench:
                 self.stepper.drive(np.array(self.driven), np.array([motion]))
             self.stepper.advance(1 / 180)
 
-    def nodes(self) -> NDArray[np.float64]:
+    def nodes(self):
         return self.part.nodes(self.stepper.now)
 
-    def moved(self, *points_m: Sequence[float]) -> NDArray[np.float64]:
+    def moved(self, *points_m):
         """Displacements of material points [m]."""
         return self.part.track(points_m)(self.stepper.now) - np.array(points_m)
 
@@ -94,16 +83,14 @@ class Bench:
 STILL = Rotation.identity()
 
 
-def ramp(time: float, seconds: float) -> float:
+def ramp(time, seconds):
     return min(time / seconds, 1.0)
 
 
 # --- the elements ----------------------------------------------------------------------------------------------------
 
 
-def linear_stiffness(
-    builder: newton.ModelBuilder, young_pa: float, poisson: float
-) -> csr_matrix:
+def linear_stiffness(builder, young_pa, poisson):
     """Stiffness matrix of linear elasticity on the tetrahedra of a model in the making, from scratch."""
     points, corners = (
         np.array(builder.particle_q, dtype=float),
@@ -126,9 +113,7 @@ def linear_stiffness(
     return csr_matrix((blocks.ravel(), (rows, columns)))
 
 
-def mesh(
-    *bodies: SoftBody, high: Motion | None = Motion.FIXED, **options
-) -> tuple[newton.ModelBuilder, object]:
+def mesh(*bodies, high=Motion.FIXED, **options):
     builder = newton.ModelBuilder()
     attachments = {bodies[0].name: [plate("low", Motion.FIXED)]}
     if high:
@@ -144,9 +129,7 @@ def mesh(
     ids=["tension", "shear", "shear of finer cells"],
 )
 @pytest.mark.parametrize("poisson", [0.23, 0.34])
-def test_clamped_bar_is_too_stiff_by_what_is_stated(
-    poisson: float, axis: int, cells: int, least: float, most: float
-) -> None:
+def test_clamped_bar_is_too_stiff_by_what_is_stated(poisson, axis, cells, least, most):
     builder, part = mesh(block(length_m=0.1743, poisson=poisson), cell_m=EDGE_M / cells)
     stiffness = linear_stiffness(builder, YOUNG_PA, poisson)
     high = np.flatnonzero(part.rest_m[:, 2] > 0.0871)
@@ -161,7 +144,7 @@ def test_clamped_bar_is_too_stiff_by_what_is_stated(
     assert least < force / fine < most
 
 
-def test_mass_is_that_of_the_material() -> None:
+def test_mass_is_that_of_the_material():
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), density=1000.0)
     soft = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
     builder = newton.ModelBuilder()
@@ -176,7 +159,7 @@ def test_mass_is_that_of_the_material() -> None:
     assert part.rest_m[part.node_indices["soft"], 2].min() == pytest.approx(0.0)
 
 
-def test_points_are_those_of_the_elements() -> None:
+def test_points_are_those_of_the_elements():
     bench = Bench(block(poisson=0.3))
     rng = np.random.default_rng(0)
     slope, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
@@ -193,9 +176,7 @@ def test_points_are_those_of_the_elements() -> None:
 @pytest.mark.parametrize(
     "gravity", [(0.0, 0.3, 0.0), (0.0, 0.0, 3.0)], ids=["bending", "tension"]
 )
-def test_linear_elasticity_on_the_same_mesh_is_in_balance(
-    gravity: tuple[float, float, float],
-) -> None:
+def test_linear_elasticity_on_the_same_mesh_is_in_balance(gravity):
     """Started at the solution it stays there, so Newton's own constants are E and nu; what is left is the mesh."""
     bench = Bench(
         block(poisson=0.34, density=1000.0),
@@ -219,7 +200,7 @@ def test_linear_elasticity_on_the_same_mesh_is_in_balance(
     assert np.abs(moved - expected).max() < 0.02 * np.abs(expected).max()
 
 
-def test_damping_of_an_axial_swing() -> None:
+def test_damping_of_an_axial_swing():
     """Kelvin and Voigt's: half the frequency times the relaxation time, to which the implicit step adds itself."""
     bench = Bench(
         block(density=1000.0),
@@ -243,7 +224,7 @@ def test_damping_of_an_axial_swing() -> None:
     )
 
 
-def cantilever(**options) -> Bench:
+def cantilever(**options):
     foam = {"young_pa": 86410.0, "poisson": 0.23, "density": 12.8}
     rubber = {"young_pa": 9285115.0, "poisson": 0.49, "density": 1072.8}
     cubes = [
@@ -259,7 +240,7 @@ def cantilever(**options) -> Bench:
 
 
 @pytest.mark.slow
-def test_rigid_blocks_and_soft_ones_stay_together() -> None:
+def test_rigid_blocks_and_soft_ones_stay_together():
     bench = cantilever(gravity=(0.0, 9.81, 0.0))
     bench.run(0.15)
     rest, nodes = bench.part.rest_m, bench.nodes()
@@ -282,7 +263,7 @@ def test_rigid_blocks_and_soft_ones_stay_together() -> None:
 
 
 @pytest.mark.slow
-def test_rigid_rubber_swings_as_stiff_rubber_does() -> None:
+def test_rigid_rubber_swings_as_stiff_rubber_does():
     """Rubber that is 20 times as stiff as the foam instead of 107 times, compressible, by short steps."""
     tips = []
     for options in (
@@ -312,7 +293,7 @@ def test_rigid_rubber_swings_as_stiff_rubber_does() -> None:
 class BenchMPM(Bench):
     """The same with material points."""
 
-    def __init__(self, body: SoftBody, *, voxel_m: float, step_s: float) -> None:
+    def __init__(self, body, *, voxel_m, step_s):
         wp.config.log_level = wp.LOG_WARNING
         attachments = {
             body.name: [
@@ -345,9 +326,7 @@ class BenchMPM(Bench):
         self.stepper.record()
 
 
-def test_points_have_the_mass_of_the_free_material_and_voxels_end_at_the_grips() -> (
-    None
-):
+def test_points_have_the_mass_of_the_free_material_and_voxels_end_at_the_grips():
     bench = BenchMPM(block(centre_m=(0.41, 0.39, 0.13)), voxel_m=0.018, step_s=1 / 180)
     masses = bench.model.particle_mass.numpy()
     assert masses.sum() == pytest.approx(DENSITY_KG_PER_M3 * AREA_M2 * 0.1743, rel=1e-5)
@@ -356,7 +335,7 @@ def test_points_have_the_mass_of_the_free_material_and_voxels_end_at_the_grips()
     assert np.abs(planes - planes.round()).max() < 0.15
 
 
-def test_points_between_material_points_follow_linear_motion() -> None:
+def test_points_between_material_points_follow_linear_motion():
     bench = BenchMPM(block(centre_m=(0.41, 0.39, 0.13)), voxel_m=0.025, step_s=1 / 180)
     rng = np.random.default_rng(0)
     slope, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
@@ -374,7 +353,7 @@ def test_points_between_material_points_follow_linear_motion() -> None:
 
 
 @pytest.mark.slow
-def test_material_points_in_tension() -> None:
+def test_material_points_in_tension():
     """Strain and stress (which Newton counts positive in compression) of E and nu in the middle of the bar."""
     bench = BenchMPM(
         block(centre_m=(0.41, 0.39, 0.13), poisson=0.23), voxel_m=0.018, step_s=1 / 900

@@ -1,7 +1,5 @@
 """Contact constants of pairs as materials and collision groups of shapes. Needs no engine."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 
@@ -11,19 +9,10 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
 from gauge_envs.scene import (
-    Contact,
     ContactMode,
-    Motion,
-    Pose,
-    RigidBody,
     Scene,
-    Sphere,
 )
-
-
-def unsupported(scene: Scene) -> list[str]:
-    return list(backend("physx").unsupported(scene))
-
+from gauge_envs.tools.bench.parts import ball, contact as touching
 
 NAMES = "abcde"
 GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(
@@ -31,26 +20,16 @@ GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(
 )
 
 
-def ball(name: str) -> RigidBody:
-    return RigidBody(
-        name=name,
-        shape=Sphere(radius_m=0.1),
-        motion=Motion.DYNAMIC,
-        pose=Pose(position_m=(0, 0, 1)),
-        mass_kg=1,
-    )
-
-
-def scene_of(*contacts: Contact, bodies: str = NAMES, **parts: object) -> Scene:
+def scene_of(*contacts, bodies=NAMES, **parts):
     return Scene(
-        bodies=tuple(ball(name) for name in bodies),
+        bodies=tuple(ball(name, (0, 0, 1)) for name in bodies),
         contacts=contacts,
         duration_s=1.0,
         **parts,
     )
 
 
-def materials_that_touch(groups: dict, one: str, other: str) -> set[Constants]:
+def materials_that_touch(groups, one, other):
     """Materials of the copies of two bodies that SAPIEN lets collide: its documented rule, in Python."""
     found = set()
     for constants, a in groups.get(one, {}).items():
@@ -72,18 +51,10 @@ def materials_that_touch(groups: dict, one: str, other: str) -> set[Constants]:
         max_size=6,
     )
 )
-def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(
-    rows: list,
-) -> None:
+def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(rows):
     contacts, seen = [], set()
     for first, second, friction, restitution in rows:
-        contact = Contact(
-            first=first,
-            second=second,
-            friction=friction,
-            restitution=restitution,
-            mode=ContactMode.IMPACT,
-        )
+        contact = touching(first, second, friction=friction, restitution=restitution)
         pairs = {frozenset(pair) for pair in scene_of(contact).colliding_pairs(contact)}
         if not pairs & seen:
             contacts.append(contact)
@@ -95,26 +66,26 @@ def test_bodies_touch_with_the_constants_of_their_contact_and_no_others(
         for pair in scene.colliding_pairs(contact)
     }
     groups = groups_of_bodies(scene, sustained_restitution=False)
-    touching = {
+    found = {
         frozenset(pair): materials_that_touch(groups, *pair)
         for pair in combinations(NAMES, 2)
     }
-    assert {pair: found for pair, found in touching.items() if found} == expected
+    assert {pair: values for pair, values in found.items() if values} == expected
 
 
-def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it() -> None:
-    contact = Contact(first=("a",), second=("b",), friction=0.3, restitution=0.6)
+def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it():
+    impact = touching("a", "b", friction=0.3, restitution=0.6)
+    contact = replace(impact, mode=ContactMode.SUSTAINED)
     assert constants_of(contact, sustained_restitution=False) == Constants(0.3, 0.0)
     assert constants_of(contact, sustained_restitution=True) == Constants(0.3, 0.6)
-    impact = replace(contact, mode=ContactMode.IMPACT)
     assert constants_of(impact, sustained_restitution=False) == Constants(0.3, 0.6)
 
 
-def test_every_rigid_scene_is_supported() -> None:
+def test_every_rigid_scene_is_supported():
     for name in (
         "WallBreaking-wood",
         "NewtonsCradle-metal",
         "Turntable-3-metal",
         "NonsmoothContact-3-wood",
     ):
-        assert unsupported(load_experiment(name).scene) == []
+        assert list(backend("physx").unsupported(load_experiment(name).scene)) == []

@@ -1,6 +1,6 @@
 """Laws and contract of the PhysX backend, against closed forms."""
 
-from __future__ import annotations
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -8,79 +8,32 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("sapien")
 
+from rigid import plane_deg, scene_of, solid, states
 from straight import fitted_acceleration
 
 from gauge_envs.backends import backend
-from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
-    Contact,
-    ContactMode,
     ConvexUnion,
     Cylinder,
     Hinge,
     Motion,
-    Plane,
     Pose,
-    RigidBody,
-    Scene,
-    Shape,
-    Sphere,
 )
 from gauge_envs.scene.meshes import prism
+from gauge_envs.tools.bench.parts import ball, contact
 from gauge_envs.tools.conformance import run_checks
 
 PHYSX = backend("physx")
 
 
-def fixed(name: str, shape: Shape, pose: Pose) -> RigidBody:
-    return RigidBody(
-        name=name,
-        shape=shape,
-        motion=Motion.FIXED,
-        pose=pose,
-        mass_kg=0.0 if shape.kind == "plane" else 1,
-    )
-
-
-def states(
-    scene: Scene, names: list[str], seconds: float, **settings: object
-) -> np.ndarray:
-    """States at 180 Hz, shape [sample_count, len(names), 13]."""
-    simulation = PHYSX.build(scene, settings)
-    rows = [simulation.body_states(names)]
-    for _ in range(round(180 * seconds)):
-        simulation.advance(1 / 180)
-        rows.append(simulation.body_states(names))
-    simulation.close()
-    return np.array(rows)
-
-
 @pytest.mark.parametrize("restitution", [0.3, 0.577, 0.9])
-def test_rebounds_have_the_restitution_and_the_bias_of_a_step(
-    restitution: float,
-) -> None:
+def test_rebounds_have_the_restitution_and_the_bias_of_a_step(restitution):
     """PhysX adds the speed g h of one more step of gravity to the speed of approach."""
-    pose = Pose(position_m=(0, 0, 0.33))
-    ball = RigidBody(
-        name="ball",
-        shape=Sphere(radius_m=0.03),
-        motion=Motion.DYNAMIC,
-        pose=pose,
-        mass_kg=0.1,
-    )
-    contact = Contact(
-        first=("ball",),
-        second=("ground",),
-        friction=0.8,
-        restitution=restitution,
-        mode=ContactMode.IMPACT,
-    )
-    ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    rows = states(
-        Scene(bodies=(ball, ground), contacts=(contact,), duration_s=2.0), ["ball"], 2.0
-    )[:, 0]
+    touch = contact("ball", "ground", friction=0.8, restitution=restitution)
+    scene = scene_of(ball("ball", (0, 0, 0.33)), plane_deg(), contacts=(touch,))
+    rows = states(PHYSX, scene, ["ball"], 2.0)[:, 0]
     energy = 0.5 * rows[:, 9] ** 2 + GRAVITY_M_PER_S2 * (rows[:, 2] - 0.03)
     tops = np.flatnonzero((rows[:-1, 9] > 0) & (rows[1:, 9] <= 0))
     speeds = np.sqrt(2.0 * np.array([GRAVITY_M_PER_S2 * 0.3, *energy[tops]][:4]))
@@ -90,195 +43,103 @@ def test_rebounds_have_the_restitution_and_the_bias_of_a_step(
     assert speeds[1:] == pytest.approx(biased, rel=0.01)
 
 
-def rolling_share(length_m: float) -> float:
+def rolling_share(length_m):
     """Acceleration of a cylinder of 30 mm radius that rolls down 20 degrees, over that of the law."""
     lean = Rotation.from_euler("y", 20, degrees=True)
     place = tuple((0.03 * lean.apply([0, 0, 1.0])).tolist())
     pose = Pose.from_rotation(place, lean * Rotation.from_euler("x", 90, degrees=True))
-    shape = Cylinder(radius_m=0.03, length_m=length_m)
-    body = RigidBody(
-        name="roller", shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=0.2
-    )
-    plane = fixed("plane", Plane(), Pose.from_rotation((0, 0, 0), lean))
-    contact = Contact(
-        first=("roller",), second=("plane",), friction=0.5, restitution=0.0
-    )
-    rows = states(
-        Scene(bodies=(body, plane), contacts=(contact,), duration_s=0.6),
-        ["roller"],
-        0.6,
-    )[:, 0]
+    roller = solid("roller", Cylinder(radius_m=0.03, length_m=length_m), pose=pose)
+    touch = contact("roller", "ground", friction=0.5)
+    scene = scene_of(roller, plane_deg(20.0), contacts=(touch,))
+    rows = states(PHYSX, scene, ["roller"], 0.6)[:, 0]
     along = rows[:, :3] @ lean.apply([1.0, 0.0, 0.0])
     law = 2.0 / 3.0 * GRAVITY_M_PER_S2 * np.sin(np.radians(20))
-    return float(
-        fitted_acceleration(np.arange(len(along)) / 180, along - along[0]) / law
-    )
+    return fitted_acceleration(np.arange(len(along)) / 180, along - along[0]) / law
 
 
-def test_long_cylinders_roll_and_short_ones_are_prisms() -> None:
+def test_long_cylinders_roll_and_short_ones_are_prisms():
     """docs/engines/physx.md states what a cylinder that is shorter than its diameter loses."""
     assert rolling_share(0.08) == pytest.approx(1.0, abs=0.001)
     assert rolling_share(0.06) == pytest.approx(1.0, abs=0.005)
     assert rolling_share(0.04) == pytest.approx(0.952, abs=0.005)
 
 
-def test_a_cube_that_spins_on_its_face_is_braked_at_its_corners() -> None:
+def test_a_cube_that_spins_on_its_face_is_braked_at_its_corners():
     """docs/engines/physx.md: 1.8 times the torque of an even pressure, 0.383 mu m g a."""
     edge, mass, friction = 0.05, 0.1, 0.2
-    cube = RigidBody(
-        name="cube",
-        shape=Box(size_m=(edge,) * 3),
-        motion=Motion.DYNAMIC,
-        pose=Pose(position_m=(0, 0, edge / 2)),
+    spin = (0.0, 0.0, 20.0)
+    cube = solid(
+        "cube",
+        Box(size_m=(edge,) * 3),
+        (0, 0, edge / 2),
         mass_kg=mass,
-        angular_velocity_rad_per_s=(0.0, 0.0, 20.0),
+        angular_velocity_rad_per_s=spin,
     )
-    ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(
-        first=("cube",), second=("ground",), friction=friction, restitution=0.0
-    )
-    rows = states(
-        Scene(bodies=(cube, ground), contacts=(contact,), duration_s=0.2),
-        ["cube"],
-        0.05,
-    )[:, 0]
+    touch = contact("cube", "ground", friction=friction)
+    scene = scene_of(cube, plane_deg(), contacts=(touch,))
+    rows = states(PHYSX, scene, ["cube"], 0.05)[:, 0]
     torque = mass * edge**2 / 6.0 * 180.0 * np.diff(rows[:, 12]).mean()
-    assert -torque / (friction * mass * GRAVITY_M_PER_S2 * edge) == pytest.approx(
-        0.5**0.5, rel=0.02
-    )
+    share = -torque / (friction * mass * GRAVITY_M_PER_S2 * edge)
+    assert share == pytest.approx(0.5**0.5, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("hinges", "tolerance"), [("articulation", 1e-4), ("joint", 2e-4)]
-)
-def test_both_kinds_of_hinge_swing_with_the_period_of_the_pendulum(
-    hinges: str, tolerance: float
-) -> None:
-    ball = RigidBody(
-        name="bob",
-        shape=Sphere(radius_m=0.02),
-        motion=Motion.DYNAMIC,
-        pose=Pose(position_m=(0.02, 0, 0.8)),
-        mass_kg=0.3,
-    )
+def test_a_hinge_without_an_articulation_swings_with_the_period_of_the_pendulum():
+    """The conformance checks swing the default, an articulation."""
+    bob = ball("bob", (0.02, 0, 0.8), radius_m=0.02)
     length = float(np.hypot(0.02, 0.2))
-    scene = Scene(
-        bodies=(ball,),
-        joints=(Hinge(body="bob", anchor_m=(0, 0, 1), axis=(0, 1, 0)),),
-        duration_s=8,
-    )
-    rows = states(scene, ["bob"], 8.0, hinges=hinges)[:, 0]
+    hinge = Hinge(body="bob", anchor_m=(0, 0, 1), axis=(0, 1, 0))
+    scene = scene_of(bob, joints=(hinge,), seconds=8)
+    rows = states(PHYSX, scene, ["bob"], 8.0, hinges="joint")[:, 0]
     assert np.hypot(rows[:, 0], rows[:, 2] - 1.0) == pytest.approx(length, abs=2e-6)
     up = np.flatnonzero((rows[:-1, 0] < 0) & (rows[1:, 0] >= 0))
     crossings = (up - rows[up, 0] / (rows[up + 1, 0] - rows[up, 0])) / 180
     amplitude = np.arctan2(0.02, 0.2)
-    law = (
-        2
-        * np.pi
-        * np.sqrt((length**2 + 0.4 * 0.02**2) / (GRAVITY_M_PER_S2 * length))
-        * (1 + amplitude**2 / 16)
-    )
-    assert np.diff(crossings).mean() == pytest.approx(law, rel=tolerance)
+    arm_m = (length**2 + 0.4 * 0.02**2) / length
+    law = 2 * np.pi * np.sqrt(arm_m / GRAVITY_M_PER_S2) * (1 + amplitude**2 / 16)
+    assert np.diff(crossings).mean() == pytest.approx(law, rel=2e-4)
 
 
-def test_thin_and_round_pieces_keep_their_vertices() -> None:
+def test_thin_and_round_pieces_keep_their_vertices():
     """PhysX leaves out vertices within 0.7 mm of a plane of others, if it makes the mesh in metres."""
-    sliver = ConvexUnion(
-        pieces_m=(
-            ((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0.1, 0.1, 0.0005), (0, 0, 0.0005)),
-        )
-    )
-    plate = prism(Cylinder(radius_m=0.15, length_m=0.01))
-    pose = Pose(position_m=(0, 0, 1))
-    bodies = [
-        RigidBody(name=name, shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
-        for name, shape in (("sliver", sliver), ("plate", plate))
-    ]
-    ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(
-        first=("sliver", "plate"), second=("ground",), friction=0.3, restitution=0.0
-    )
-    simulation = PHYSX.build(
-        Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=1.0)
-    )
-    for body in bodies:
-        (shape,) = simulation._inner._model.parts[body.name].component.collision_shapes
-        corners = np.asarray(body.shape.pieces_m[0])
-        gaps = np.linalg.norm(
-            corners[:, None] - shape.vertices * shape.scale, axis=2
-        ).min(axis=1)
-        assert gaps.max() < 1e-7
-    simulation.close()
-
-
-def test_a_piece_that_physx_simplifies_is_an_error() -> None:
-    turns = 2.0 * np.pi * np.arange(120) / 120
-    rings = [
-        np.column_stack([np.cos(turns), np.sin(turns), np.full(120, height)])
-        for height in (0.0, 1.0)
-    ]
-    drum = RigidBody(
-        name="drum",
-        shape=ConvexUnion(
-            pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),)
-        ),
-        motion=Motion.DYNAMIC,
-        pose=Pose(position_m=(0, 0, 1)),
-        mass_kg=0.1,
-    )
-    ground = fixed("ground", Plane(), Pose(position_m=(0, 0, 0)))
-    contact = Contact(
-        first=("drum",), second=("ground",), friction=0.3, restitution=0.0
-    )
-    scene = Scene(bodies=(drum, ground), contacts=(contact,), duration_s=1.0)
-    assert not PHYSX.supports(scene)
-    with pytest.raises(
-        UnsupportedSceneError, match="PhysX simplifies a convex piece of 240 vertices"
-    ):
-        PHYSX.build(scene)
-
-
-def turned_deg(plate: Shape, *, acceleration: float, **settings: object) -> float:
-    """Return by how much a cube has turned after 0.1 s on a plate that accelerates along x [degrees]."""
-    cube = Box(size_m=(0.05, 0.05, 0.05))
+    corners = ((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), (0.1, 0.1, 0.0005), (0, 0, 0.0005))
     bodies = (
-        RigidBody(
-            name="cube",
-            shape=cube,
-            motion=Motion.DYNAMIC,
-            pose=Pose(position_m=(0, -0.075, 0.025)),
-            mass_kg=0.09,
-        ),
-        RigidBody(
-            name="plate",
-            shape=plate,
-            motion=Motion.KINEMATIC,
-            pose=Pose(position_m=(0, 0, -0.01)),
-            mass_kg=1.0,
-        ),
+        solid("sliver", ConvexUnion(pieces_m=(corners,)), (0, 0, 1)),
+        solid("plate", prism(Cylinder(radius_m=0.15, length_m=0.01)), (0, 0, 1)),
     )
-    contact = Contact(
-        first=("cube",), second=("plate",), friction=0.38, restitution=0.0
-    )
-    simulation = PHYSX.build(
-        Scene(bodies=bodies, contacts=(contact,), duration_s=1.0), settings
-    )
+    touch = contact(("sliver", "plate"), "ground", friction=0.3)
+    with closing(
+        PHYSX.build(scene_of(*bodies, plane_deg(), contacts=(touch,)))
+    ) as simulation:
+        for one in bodies:
+            component = simulation._inner._model.parts[one.name].component
+            (shape,) = component.collision_shapes
+            apart = (
+                np.asarray(one.shape.pieces_m[0])[:, None]
+                - shape.vertices * shape.scale
+            )
+            assert np.linalg.norm(apart, axis=2).min(axis=1).max() < 1e-7
+
+
+def turned_deg(plate, *, acceleration, **settings):
+    """Return by how much a cube has turned after 0.1 s on a plate that accelerates along x [degrees]."""
+    edge = Box(size_m=(0.05, 0.05, 0.05))
+    cube = solid("cube", edge, (0, -0.075, 0.025), mass_kg=0.09)
+    support = solid("plate", plate, (0, 0, -0.01), motion=Motion.KINEMATIC)
+    touch = contact("cube", "plate", friction=0.38)
+    scene = scene_of(cube, support, contacts=(touch,))
     change = np.array([acceleration, 0.0, 0.0, 0.0, 0.0, 0.0])
-    for sample in range(18):
-        time_s = sample / 180
-        place = Pose(position_m=(0.5 * acceleration * time_s**2, 0.0, -0.01))
-        simulation.drive("plate", place, change * time_s, change)
-        simulation.advance(1 / 180)
-    row = simulation.body_states(["cube"])[0]
-    simulation.close()
-    return abs(
-        float(
-            np.degrees(Rotation.from_quat(row[3:7], scalar_first=True).as_rotvec()[2])
-        )
-    )
+    with closing(PHYSX.build(scene, settings)) as simulation:
+        for sample in range(18):
+            time_s = sample / 180
+            place = Pose(position_m=(0.5 * acceleration * time_s**2, 0.0, -0.01))
+            simulation.drive("plate", place, change * time_s, change)
+            simulation.advance(1 / 180)
+        quaternion = simulation.body_states(["cube"])[0, 3:7]
+    turn = Rotation.from_quat(quaternion, scalar_first=True).as_rotvec()
+    return abs(float(np.degrees(turn[2])))
 
 
-def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
+def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh():
     """Pressure and friction are symmetric about the line of motion: a cube must not turn. It slips above 3.7 m/s^2."""
     disc, slab = Cylinder(radius_m=0.15, length_m=0.02), Box(size_m=(0.3, 0.3, 0.02))
     assert turned_deg(disc, acceleration=3.0) < 1e-3
@@ -287,9 +148,7 @@ def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
     assert turned_deg(disc, acceleration=4.2) > 0.1
 
 
-def test_checks_see_a_driven_body_that_physx_does_not_move(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch):
     """The state of a driven body is PhysX's: one that gets no targets stands still, whatever its driver prescribes."""
     from gauge_envs.backends.physx import simulation
     from gauge_envs.backends.physx.model import physx

@@ -1,7 +1,5 @@
 """Settings and presets of the PhysX backend, and the one engine of a process."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -24,13 +22,13 @@ PHYSX = backend("physx")
 BALL = load_experiment("BouncingBall-rubber").scene
 
 
-def test_versions_name_sapien_and_its_physx() -> None:
+def test_versions_name_sapien_and_its_physx():
     versions = PHYSX.versions()
     assert versions["sapien"].startswith("3.0.")
     assert "physx-5." in versions["physx"]
 
 
-def test_out_of_box_has_sapiens_own_values() -> None:
+def test_out_of_box_has_sapiens_own_values():
     ours = PRESETS["out_of_box"]
     scene, shape, body = (
         physx.get_scene_config(),
@@ -79,7 +77,7 @@ def test_out_of_box_has_sapiens_own_values() -> None:
     assert wrong == {}
 
 
-def test_settings_reach_the_engine() -> None:
+def test_settings_reach_the_engine():
     settings = {
         "preset": "isaac",
         "position_iterations": 7,
@@ -105,7 +103,7 @@ def test_settings_reach_the_engine() -> None:
     simulation.close()
 
 
-def test_the_defaults_of_sapien_do_not_change() -> None:
+def test_the_defaults_of_sapien_do_not_change():
     before = physx.get_scene_config().__getstate__()
     PHYSX.build(BALL, {"bounce_threshold_m_per_s": 0.3, "solver": "PGS"}).close()
     after = physx.get_scene_config().__getstate__()
@@ -113,7 +111,7 @@ def test_the_defaults_of_sapien_do_not_change() -> None:
 
 
 @pytest.mark.slow
-def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
+def test_simulations_with_other_tolerances_do_not_share_a_process():
     first = PHYSX.build(BALL)
     with pytest.raises(
         BackendError, match=r"one engine per process.*Close the other one first"
@@ -127,10 +125,10 @@ def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
     PHYSX.build(BALL).close()
 
 
-def test_the_engine_takes_the_tolerances_of_each_simulation() -> None:
+def test_the_engine_takes_the_tolerances_of_each_simulation():
     """A pyramid that tips shows them: it ends elsewhere, and the same tolerances end at the same bits in any order."""
     scene = load_experiment("NonsmoothContact-3-plastic").scene
-    ends: dict[float, set[bytes]] = {}
+    ends = {}
     for length_m in (0.1, 1.0, 0.1, 1.0):
         simulation = PHYSX.build(scene, {"tolerance_length_m": length_m})
         simulation.advance(0.5)
@@ -142,7 +140,7 @@ def test_the_engine_takes_the_tolerances_of_each_simulation() -> None:
     assert ends[0.1] != ends[1.0]
 
 
-def test_a_closed_simulation_says_so() -> None:
+def test_a_closed_simulation_says_so():
     simulation = PHYSX.build(BALL)
     simulation.close()
     simulation.close()
@@ -159,9 +157,7 @@ def test_a_closed_simulation_says_so() -> None:
         ("SlopeSlider-2-plastic", {"cube.friction": 0.5 * (0.275018 + 0.262758)}),
     ],
 )
-def test_published_scores_of_isaac_sim_follow_if_frames_are_late(
-    name: str, parameters: object
-) -> None:
+def test_published_scores_of_isaac_sim_follow_if_frames_are_late(name, parameters):
     """docs/engines/physx.md: the published score within 3 %, and not without the late step."""
     published = published_baselines(name)["rmse"].engines["isaacsim"]
     request = RunRequest(
@@ -175,7 +171,7 @@ def test_published_scores_of_isaac_sim_follow_if_frames_are_late(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["default", "out_of_box"])
-def test_every_rigid_experiment_finishes(preset: str) -> None:
+def test_every_rigid_experiment_finishes(preset):
     outcomes = {}
     for name in (variant.name for variant in variants()):
         if PHYSX.supports(load_experiment(name).scene):

@@ -1,7 +1,5 @@
 """Contact constants of bodies from those of pairs, by products. Needs no engine."""
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec
 
@@ -20,17 +18,16 @@ from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import (
-    Contact,
-    ContactMode,
     Motion,
     Pose,
     RigidBody,
     Scene,
     Sphere,
 )
+from gauge_envs.tools.bench.parts import contact
 
 
-def test_products_of_bodies_are_the_values_of_pairs() -> None:
+def test_products_of_bodies_are_the_values_of_pairs():
     pairs = {("a", "b"): 0.3, ("b", "c"): 0.1, ("c", "d"): 0.8, ("a", "d"): 2.4}
     values = products(pairs, "friction")
     assert {pair: values[pair[0]] * values[pair[1]] for pair in pairs} == pytest.approx(
@@ -38,7 +35,7 @@ def test_products_of_bodies_are_the_values_of_pairs() -> None:
     )
 
 
-def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair() -> None:
+def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair():
     pairs = {
         ("ball", "brick-1"): 0.22,
         ("ball", "brick-2"): 0.22,
@@ -49,13 +46,13 @@ def test_pair_of_value_zero_gets_a_millionth_beside_a_positive_pair() -> None:
     assert values["brick-1"] * values["brick-2"] <= 1.000001e-6
 
 
-def test_body_whose_pairs_are_all_zero_has_the_value_zero() -> None:
+def test_body_whose_pairs_are_all_zero_has_the_value_zero():
     values = products({("cube", "board"): 0.0, ("cube", "ground"): 0.25}, "restitution")
     assert values["board"] == 0.0
     assert values["cube"] * values["ground"] == pytest.approx(0.25, rel=1e-9)
 
 
-def test_values_without_products_name_a_pair() -> None:
+def test_values_without_products_name_a_pair():
     pairs = {("a", "b"): 0.5, ("c", "d"): 0.5, ("a", "c"): 0.5, ("b", "d"): 0.1}
     with pytest.raises(
         UnsupportedSceneError, match=r"'a' and 'b' has the friction 0\.5"
@@ -63,7 +60,7 @@ def test_values_without_products_name_a_pair() -> None:
         products(pairs, "friction")
 
 
-def test_wall_is_representable() -> None:
+def test_wall_is_representable():
     scene = load_experiment("WallBreaking-wood").scene
     values = {name: one.restitution for name, (one,) in surfaces(scene).items()}
     ball, bricks, _, _ = scene.contacts
@@ -77,11 +74,11 @@ def test_wall_is_representable() -> None:
     assert list(backend("pybullet").unsupported(scene)) == []
 
 
-def pair_contact(first: str, second: str, friction: float) -> Contact:
-    return Contact(first=(first,), second=(second,), friction=friction, restitution=0.0)
+def pair_contact(first, second, friction):
+    return contact(first, second, friction=friction)
 
 
-def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
+def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface():
     motions = {
         "one": "dynamic",
         "two": "dynamic",
@@ -108,12 +105,12 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
     found = surfaces(Scene(bodies=bodies, contacts=contacts, duration_s=1.0))
     assert [len(found[name]) for name in ("one", "two")] == [1, 1]
     assert 3 <= len(found["board"]) + len(found["plate"]) <= 4
-    for contact in contacts:
-        (one,), (other,) = contact.first, contact.second
+    for touch in contacts:
+        (one,), (other,) = touch.first, touch.second
         (first,) = [surface for surface in found[one] if other in surface.partners]
         (second,) = [surface for surface in found[other] if one in surface.partners]
         assert first.friction * second.friction == pytest.approx(
-            contact.friction, rel=1e-9
+            touch.friction, rel=1e-9
         )
 
 
@@ -125,13 +122,11 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
         ("WallBreaking-wood", {"ball"}),
     ],
 )
-def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(
-    name: str, late: set[str]
-) -> None:
+def test_every_impact_has_a_late_body_and_sustained_pairs_have_few(name, late):
     assert impact_bodies(load_experiment(name).scene) == late
 
 
-def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() -> None:
+def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone():
     motions = {
         "cube": "dynamic",
         "ball": "dynamic",
@@ -150,16 +145,10 @@ def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() ->
         for name, motion in motions.items()
     )
 
-    def impact(first: str, second: str) -> Contact:
-        return Contact(
-            first=(first,),
-            second=(second,),
-            friction=0.3,
-            restitution=0.2,
-            mode=ContactMode.IMPACT,
-        )
+    def impact(first, second):
+        return contact(first, second, friction=0.3, restitution=0.2)
 
-    def found(*contacts: Contact) -> set[str]:
+    def found(*contacts):
         return pushing_bodies(Scene(bodies=bodies, contacts=contacts, duration_s=1.0))
 
     held, pushed = pair_contact("cube", "board", 0.3), pair_contact("cube", "bar", 0.3)
@@ -178,11 +167,11 @@ def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone() ->
         "SlopeContact-wood",
     ],
 )
-def test_no_body_of_the_benchmark_needs_the_cone(name: str) -> None:
+def test_no_body_of_the_benchmark_needs_the_cone(name):
     assert pushing_bodies(load_experiment(name).scene) == set()
 
 
-def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> None:
+def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron():
     scene = load_experiment("FoamStretching-soft").scene
     # A pressure wave of 87 m/s takes 136 us through 16.7 mm / sqrt(2).
     assert settings_for(scene).timestep_s == 1 / 18000
@@ -192,8 +181,8 @@ def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> Non
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])
 def test_missing_engine_names_the_extra_and_the_python_with_wheels(
-    monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
-) -> None:
+    monkeypatch, version
+):
     monkeypatch.setattr(
         bundled,
         "find_spec",

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 from rich.console import Console
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
@@ -18,7 +16,7 @@ from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.figures import OURS
-from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
+from gauge_envs.pages.results import SCORE_METRICS, VERIFIED, configuration_labels
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -323,7 +321,7 @@ def test_wall_time_is_over_simulated_time():
     assert comparison.summaries()[0].wall_s_per_sim_s == 4.0
 
 
-def test_rankings_can_leave_out_what_this_package_corrects(tmp_path):
+def test_rankings_can_leave_out_what_this_package_corrects(tmp_path, gauge):
     # Rapier has no corrections, and out_of_box leaves MuJoCo as it is delivered; MuJoCo's default preset is corrected.
     for result in (
         made(),
@@ -332,8 +330,8 @@ def test_rankings_can_leave_out_what_this_package_corrects(tmp_path):
     ):
         write_result(result, tmp_path / result_file_name(result))
     every, left = (
-        CliRunner().invoke(app, ["compare", str(tmp_path), "--format", "json", *words])
-        for words in ([], ["corrected=false"])
+        gauge("compare", tmp_path, "--format", "json", *words)
+        for words in ([], ["--no-corrected"])
     )
     labels = [
         [
@@ -427,11 +425,11 @@ def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
     assert ours.mean.value == pytest.approx(np.mean(aligned))
     assert ours.mean_rank.value == 1.5
     assert grade(together, "law").scores[0].mean.value == pytest.approx(
-        real[HOLD].score.rmse_normalized
+        real[HOLD].score.verification.distance
     )
     assert grade(together, "model").ids == (f"GAUGE/{SOLVED}",)
     assert grade(together, "model").scores[0].mean.value == pytest.approx(
-        real[SOLVED].score.rmse_normalized
+        real[SOLVED].score.verification.distance_in_u
     )
 
 
@@ -629,7 +627,12 @@ def test_results_of_two_references_are_not_averaged(real):
 
 
 @pytest.mark.parametrize(
-    "metric", [name for name, one in SCORE_METRICS.items() if one.is_normalized]
+    "metric",
+    [
+        name
+        for name, one in SCORE_METRICS.items()
+        if one.is_normalized and one is not VERIFIED
+    ],
 )
 def test_each_normalized_metric_has_an_interval(metric):
     values = {f"{metric}_normalized": 0.5, f"{metric}_normalized_95": (0.25, 1.5)}
@@ -768,15 +771,16 @@ def test_engines_without_a_reference_get_a_panel_of_their_distance():
     panel = next(axis for axis in figure.axes if "distance" in axis.get_ylabel())
     heights = max(panel.get_lines(), key=lambda line: len(line.get_ydata())).get_ydata()
     assert heights == pytest.approx(60.0 * np.arange(31) / 30)
-    assert not any(
-        "distance" in axis.get_ylabel()
-        for axis in draw_experiment([made(FOAM, **other)]).axes
-    )
+    alone = draw_experiment([made(FOAM, motion=along(60.0), **other)]).axes[0]
+    (moved,) = alone.get_lines()
+    assert moved.get_ydata() == pytest.approx(60.0 * np.arange(31) / 30)
 
 
 def test_rounding_errors_do_not_fill_a_panel():
     figure = draw_experiment([made(FOAM, motion=along(60.0))])
-    limits = [axis.get_ylim() for axis in figure.axes[:3]]
+    panels = [axis for axis in figure.axes if "%" in axis.get_title(loc="left")]
+    limits = [axis.get_ylim() for axis in panels]
+    assert len(limits) == 3
     widest = max(high - low for low, high in limits)
     assert all(high - low >= 0.019 * widest for low, high in limits)
 
@@ -805,12 +809,12 @@ def test_overview_has_every_score_where_it_belongs():
 
 def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(real):
     figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
-    primary, raw = figure.axes
+    primary, raw, solved = figure.axes
     score = real[SLIDER].score
-    assert {
-        score.rmse_aligned_normalized,
-        real[HOLD].score.rmse_normalized,
-    } <= places_of(primary)
+    assert score.rmse_aligned_normalized in places_of(primary)
+    # The distance from an exact solution has an axis of its own, in its unit, and no line at 1.
+    assert places_of(solved) == {real[HOLD].score.verification.distance}
+    assert "[mm]" in solved.get_xlabel()
     assert score.rmse_normalized in places_of(raw)
     published = {
         name: set(published_baselines(name)["rmse"].engines.values())
@@ -862,7 +866,7 @@ MADE = (
         ("compare", ""),
         ("compare-wide", "--format wide"),
         ("compare-markdown", "--format markdown"),
-        ("compare-json", "--format json metric=rmse"),
+        ("compare-json", "--format json --metric=rmse"),
     ],
 )
 def test_the_output_is_the_approved_one(gauge, approved, tmp_path, name, words):
@@ -873,7 +877,8 @@ def test_the_output_is_the_approved_one(gauge, approved, tmp_path, name, words):
 
 
 @pytest.mark.parametrize(
-    ("name", "words"), [("real", "--format wide"), ("real-json", "--json metric=rmse")]
+    ("name", "words"),
+    [("real", "--format wide"), ("real-json", "--json --metric=rmse")],
 )
 def test_ranks_and_pairs_are_the_approved_ones(
     gauge, approved, tmp_path, real, name, words
@@ -889,7 +894,7 @@ def test_a_damaged_file_is_skipped(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
     (tmp_path / "cut.json").write_text("{")
     # A file that is given twice counts once.
-    result = gauge("compare", ".", ".", "--json", "metric=rmse")
+    result = gauge("compare", ".", ".", "--json", "--metric=rmse")
     assert result.exit_code == 1
     assert "cut.json: not a result file" in result.stderr
     first = json.loads(result.stdout.splitlines()[0])
@@ -897,5 +902,5 @@ def test_a_damaged_file_is_skipped(gauge, tmp_path):
 
 
 def test_wrong_requests_are_refused(gauge, approved):
-    commands = ("compare nowhere", "compare", "compare metric=rsme")
+    commands = ("compare nowhere", "compare", "compare --metric=rsme")
     approved("compare/refused", approval.refused_commands(gauge, *commands))

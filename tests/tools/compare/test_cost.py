@@ -1,14 +1,10 @@
 """Error over cost in compare: its table, its rows and its picture."""
 
-from __future__ import annotations
-
 import json
 
 import pytest
 from cost_results import STEPS_S, made, sweep, wrong_step
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ShapeError
 from gauge_envs.pages.document import as_markdown, as_rows
 from gauge_envs.runs.result_file import result_file_name, write_result
@@ -43,7 +39,6 @@ def test_the_sufficient_step_is_the_largest_below_the_real_scatter():
     scatter = curve.measure.scatter
     assert scatter is not None
     sufficient = curve.sufficient()
-    assert sufficient is not None
     for setting in curve.main_line:
         is_below = setting.numerical is not None and setting.numerical <= scatter
         assert is_below == (setting.step_s <= sufficient.step_s)
@@ -69,20 +64,13 @@ def test_results_that_did_not_run_or_are_jittered_are_named():
         curves([made(wall_s=None)])
 
 
-def test_the_command_writes_a_picture_a_table_and_all_numbers(tmp_path):
+def test_the_command_writes_a_picture_a_table_and_all_numbers(tmp_path, gauge):
     pytest.importorskip("matplotlib")
     (tmp_path / "in").mkdir()
     for result in [*sweep(), *sweep(wrong_step, backend="rapier")]:
         write_result(result, tmp_path / "in" / result_file_name(result))
-    arguments = [
-        "plot",
-        tmp_path / "in",
-        "--kind",
-        "cost",
-        "--out",
-        tmp_path / "out",
-    ]
-    done = CliRunner().invoke(app, list(map(str, arguments)))
+    arguments = ["plot", tmp_path / "in", "--kind", "cost", "--out", tmp_path / "out"]
+    done = gauge(*list(map(str, arguments)))
     assert done.exit_code == 0, done.output
     assert (tmp_path / "out" / "pareto.png").stat().st_size > 10_000
     assert len(json.loads((tmp_path / "out" / "pareto.json").read_text())) == 2 * len(

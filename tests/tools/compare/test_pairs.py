@@ -1,7 +1,5 @@
 """Differences of two simulated engines whose truth is known, and means over experiments against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -177,7 +175,6 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one():
         ]
         (grade,) = compare_grade("trials", withheld=False, experiments=experiments)
         mean = grade.scores[0].mean
-        assert mean is not None
         held += mean.interval_95[0] <= truth <= mean.interval_95[1]
     assert held >= 0.91 * 200
 
@@ -249,3 +246,53 @@ def test_trials_that_drift_tell_no_engines_apart():
         )
         verdicts.append((all(refused), pair.distinguishable))
     assert verdicts == [(True, False), (False, True)]
+
+
+# --- distances from a solution ---
+
+
+def of_solution(motions, error):
+    """Return engines that are observed against a solution with an error, in units of u, shape [entry_count] each."""
+    draws = []
+    for motion in motions:
+        deviation = (motion - error)[None]
+        distance = np.linalg.norm(deviation, axis=1)
+        errors = np.random.default_rng(3).standard_normal(4000)
+        drawn = np.maximum(distance[:, None] + errors, 0.0)
+        draws.append(
+            ScoreDraws(
+                (0,), distance, distance, drawn, np.zeros((1, 0)), deviation, errors
+            )
+        )
+    return GradedExperiment(id="solved", draws=tuple(draws), scale_unit="u")
+
+
+@pytest.mark.parametrize("directions", [1, 3, 30])
+@pytest.mark.parametrize("size_in_u", [1.0, 3.0, 8.0])
+def test_engines_that_are_as_far_from_the_solution_are_rarely_told_apart(
+    directions, size_in_u
+):
+    """The error has the size u and any number of directions; two engines are off by as much in two of them."""
+    random = np.random.default_rng([directions, int(size_in_u)])
+    worlds, apart = 400, 0
+    for _ in range(worlds):
+        basis = np.linalg.qr(random.standard_normal((40, max(directions, 2))))[0]
+        error = basis[:, :directions] @ random.standard_normal(directions)
+        error /= np.sqrt(directions)
+        motions = size_in_u * basis[:, 0], size_in_u * basis[:, 1]
+        (pair,) = compare_pairs([of_solution(motions, error)], [(0, 1)])
+        apart += pair.experiments[0].p < 0.05
+    assert apart / worlds <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / worlds)
+
+
+def test_an_engine_that_solves_the_scene_is_told_from_one_that_is_off_by_6_u():
+    random = np.random.default_rng(5)
+    basis = np.linalg.qr(random.standard_normal((40, 2)))[0]
+    found = []
+    for _ in range(100):
+        error = basis @ random.standard_normal(2) / np.sqrt(2.0)
+        motions = np.zeros(40), 6.0 * basis[:, 0]
+        (pair,) = compare_pairs([of_solution(motions, error)], [(0, 1)])
+        found.append(pair.experiments[0].p < 0.05 and pair.closer == 0)
+    # 6 u are told apart where the error along the difference is below 3 u - 1.96 u: its standard deviation is 0.71 u.
+    assert np.mean(found) > 0.85

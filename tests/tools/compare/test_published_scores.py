@@ -1,7 +1,5 @@
 """The comparison of an engine with the published scores of an engine."""
 
-from __future__ import annotations
-
 import pytest
 
 from gauge_envs.references.published import published_baselines

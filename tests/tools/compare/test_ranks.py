@@ -1,7 +1,5 @@
 """Verdicts over many pairs, ranks and grades: against closed forms, and in worlds in which no engine differs."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -166,7 +164,6 @@ def test_the_mean_rank_is_the_sum_of_the_probabilities_that_others_are_closer():
             for pair, share in closer.items()
             if score.configuration in pair
         ]
-        assert score.mean_rank is not None
         assert score.mean_rank.value == pytest.approx(1.0 + sum(others))
         low, high = score.mean_rank.interval_95
         assert 1.0 <= low <= score.mean_rank.value <= high <= 3.0
@@ -184,7 +181,7 @@ def test_one_experiment_with_scores_fifty_times_larger_does_not_decide():
     assert first.mean is not None and second.mean is not None
     assert first.mean.value > 5.0 * 2.0 > 2.0 and first.mean.value > second.mean.value
     assert [one.configuration for one in grade.ranked] == [0, 1]
-    assert first.mean_rank is not None and first.mean_rank.value == pytest.approx(1.25)
+    assert first.mean_rank.value == pytest.approx(1.25)
     (pair,) = grade.pairs
     assert (pair.closer, pair.counts, pair.distinguishable) == (0, (3, 1), True)
     assert (first.rank, second.rank) == (1, 2)

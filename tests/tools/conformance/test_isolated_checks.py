@@ -1,13 +1,9 @@
 """An engine that crashes, exits or hangs in a check costs that check, and the others run."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import GaugeError
@@ -19,7 +15,7 @@ ONLY = ("free-fall", "slide-plane", "driven-flick")
 """Of these, only the second has contacts."""
 
 
-def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
+def checked(name, *options):
     """Rows and outcome of the command."""
     chosen = [part for one in ONLY for part in ("--only", one)]
     result = CliRunner().invoke(
@@ -48,13 +44,11 @@ def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
         ),
     ],
 )
-def test_an_engine_that_dies_costs_one_check(
-    installed: Callable[..., None], name: str, cause: str
-) -> None:
+def test_an_engine_that_dies_costs_one_check(installed, name, cause):
     installed(name)
     # Only what hangs needs the clock; on a busy machine others may take as long to start.
     rows, result = checked(
-        name, "--limits", "10s" if name == "contact-hang" else "isolate"
+        name, *(("--timeout", "10s") if name == "contact-hang" else ("--isolate",))
     )
     assert [(row["check"], row["status"]) for row in rows] == list(
         zip(ONLY, ("pass", "error", "pass"), strict=True)
@@ -65,9 +59,9 @@ def test_an_engine_that_dies_costs_one_check(
 
 
 @pytest.mark.slow
-def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
+def test_a_memory_limit_costs_one_check(installed):
     installed("contact-greedy")
-    rows, _ = checked("contact-greedy", "--limits", "60s,0.8GB")
+    rows, _ = checked("contact-greedy", "--timeout", "60s", "--memory", "0.8GB")
     assert [row["status"] for row in rows] == ["pass", "error", "pass"]
     assert (
         rows[1]["diagnosis"]
@@ -75,24 +69,20 @@ def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
     )
 
 
-def test_checks_measure_the_same_bits_in_another_process() -> None:
+def test_checks_measure_the_same_bits_in_another_process():
     here = [row["measured"] for row in checked("mujoco")[0]]
-    there = [row["measured"] for row in checked("mujoco", "--limits", "isolate")[0]]
+    there = [row["measured"] for row in checked("mujoco", "--isolate")[0]]
     assert here == there
 
 
-def test_an_engine_that_cannot_be_imported_is_an_error(
-    installed: Callable[..., None],
-) -> None:
+def test_an_engine_that_cannot_be_imported_is_an_error(installed):
     installed("at-import")
     rows, result = checked("at-import")
     assert (rows, result.exit_code) == ([], 2)
     assert "SystemExit: 3" in result.stderr
 
 
-def test_refused_settings_end_the_run_from_another_process(
-    installed: Callable[..., None],
-) -> None:
+def test_refused_settings_end_the_run_from_another_process(installed):
     installed("well")
     with (
         Worker() as worker,
@@ -103,17 +93,15 @@ def test_refused_settings_end_the_run_from_another_process(
         run_checks("nothing", only=ONLY, worker=worker)
 
 
-def test_settings_that_json_does_not_have_are_a_finding(
-    installed: Callable[..., None],
-) -> None:
+def test_settings_that_json_does_not_have_are_a_finding(installed):
     installed("no-json")
     rows, _ = checked("no-json")
     assert {row["status"] for row in rows} == {Status.ERROR}
     assert "setting 'pool' is a set" in rows[0]["diagnosis"]
 
 
-def test_a_limit_must_be_positive() -> None:
-    for limit in ("0s", "0GB"):
-        rows, result = checked("mujoco", "--limits", limit)
+def test_a_limit_must_be_positive():
+    for option in ("--timeout", "--memory"):
+        rows, result = checked("mujoco", option, "0")
         assert (rows, result.exit_code) == ([], 2)
         assert "expected a positive number" in result.stderr

@@ -1,17 +1,10 @@
 """Columns of several environments share a page, and a column of other checks or another version is marked."""
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.conformance import Status, checks
@@ -29,19 +22,17 @@ ONLY = ["free-fall", "foam-start", "slide-plane"]
 
 
 @pytest.fixture(scope="module")
-def column() -> MatrixColumn:
+def column():
     found = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
     assert len(list(run_column(found, ONLY, None))) == 2
     return found
 
 
 @pytest.fixture
-def edited(
-    column: MatrixColumn, tmp_path: Path
-) -> Callable[[Callable[[dict[str, Any]], object]], Path]:
+def edited(column, tmp_path):
     """Function that writes the column with a change of its record."""
 
-    def write(change: Callable[[dict[str, Any]], object]) -> Path:
+    def write(change):
         file = write_columns([column], tmp_path / "column.json")
         document = json.loads(file.read_text(encoding="utf-8"))
         change(document["columns"][0])
@@ -51,7 +42,7 @@ def edited(
     return write
 
 
-def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None:
+def test_a_column_comes_back_whole(column, tmp_path):
     (found,) = read_columns(write_columns([column], tmp_path / "deep" / "column.json"))
     assert (found.settings, found.refused, found.made) == (
         column.settings,
@@ -69,10 +60,8 @@ def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None
         assert again.cpu_s
 
 
-def test_a_number_that_is_not_finite_comes_back_as_none(
-    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
-) -> None:
-    def change(record: dict[str, Any]) -> None:
+def test_a_number_that_is_not_finite_comes_back_as_none(edited):
+    def change(record):
         record["findings"]["free-fall"]["status"] = "fail"
         del record["findings"]["free-fall"]["measured"]
 
@@ -81,10 +70,8 @@ def test_a_number_that_is_not_finite_comes_back_as_none(
     assert math.isnan(found.findings["free-fall"].measured)
 
 
-def test_a_result_of_another_check_is_marked_and_not_counted(
-    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
-) -> None:
-    def change(record: dict[str, Any]) -> None:
+def test_a_result_of_another_check_is_marked_and_not_counted(edited):
+    def change(record):
         record["findings"]["free-fall"]["fingerprint"] = "0" * 12
         record["findings"]["of-old"] = record["findings"]["free-fall"]
 
@@ -98,9 +85,7 @@ def test_a_result_of_another_check_is_marked_and_not_counted(
     assert read_columns(write_columns([found], file))[0].outdated == found.outdated
 
 
-def test_a_column_of_another_version_is_marked(
-    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
-) -> None:
+def test_a_column_of_another_version_is_marked(edited):
     (found,) = read_columns(edited(lambda record: record.update(gauge_envs="0.0.1")))
     assert not found.is_of_this_version
     assert "⚠ " + found.made + ", gauge-envs 0.0.1" in as_markdown(
@@ -108,7 +93,7 @@ def test_a_column_of_another_version_is_marked(
     )
 
 
-def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> None:
+def test_a_column_is_in_one_file_only(column, tmp_path):
     file = write_columns([column], tmp_path / "column.json")
     with pytest.raises(ParameterError, match=r"mujoco PGS.*leave one of them out"):
         with_columns([column], [file])
@@ -126,18 +111,14 @@ def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> N
         ),
     ],
 )
-def test_another_file_is_refused_with_its_reason(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_another_file_is_refused_with_its_reason(tmp_path, text, message):
     file = tmp_path / "other.json"
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ResultFileError, match=message):
         read_columns(file)
 
 
-def test_pages_are_made_of_files_without_a_run(
-    column: MatrixColumn, tmp_path: Path
-) -> None:
+def test_pages_are_made_of_files_without_a_run(column, tmp_path, gauge):
     """A page of two files has the columns of both, and no check runs."""
     first = write_columns([column], tmp_path / "first.json")
     other = MatrixColumn(
@@ -150,9 +131,7 @@ def test_pages_are_made_of_files_without_a_run(
     )
     both = tmp_path / "both.json"
     words = ["backend", "check", str(first), str(second)]
-    result = CliRunner().invoke(
-        app, [*words, "--out", str(page), "--out", str(both), "--format", "markdown"]
-    )
+    result = gauge(*words, "--out", page, "--out", both, "--format", "markdown")
     assert result.exit_code == 0, result.output
     assert "| mujoco | PGS | solver = PGS | 2 of 2 |" in result.stdout
     assert "mine" in page.read_text(encoding="utf-8")
@@ -174,12 +153,7 @@ def test_pages_are_made_of_files_without_a_run(
         ({"fingerprint": "another check"}, None),
     ],
 )
-def test_a_baseline_names_what_changed(
-    column: MatrixColumn,
-    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
-    edits: dict[str, Any],
-    kind: str | None,
-) -> None:
+def test_a_baseline_names_what_changed(column, edited, edits, kind):
     before = read_columns(
         edited(lambda record: record["findings"]["free-fall"].update(edits))
     )
@@ -191,22 +165,17 @@ def test_a_baseline_names_what_changed(
         assert [one.kind for one in changes(before, [column])] == ["worse"]
 
 
-def test_a_baseline_decides_the_exit_code(column: MatrixColumn, tmp_path: Path) -> None:
+def test_a_baseline_decides_the_exit_code(column, tmp_path, gauge):
     file = tmp_path / "before.json"
     arguments = ["backend", "check", "mujoco:out_of_box", "--only", "rebound-0.5"]
-    assert CliRunner().invoke(app, [*arguments, "--out", str(file)]).exit_code == 1
-    assert CliRunner().invoke(app, [*arguments, "--baseline", str(file)]).exit_code == 0
+    assert gauge(*arguments, "--out", file).exit_code == 1
+    assert gauge(*arguments, "--baseline", file).exit_code == 0
     file.write_text(
         file.read_text(encoding="utf-8").replace(
             '"status": "fail"', '"status": "pass"'
         ),
         encoding="utf-8",
     )
-    worse = CliRunner().invoke(app, [*arguments, "--baseline", str(file)])
+    worse = gauge(*arguments, "--baseline", file)
     assert (worse.exit_code, "worse" in worse.stdout) == (1, True)
-    assert (
-        CliRunner()
-        .invoke(app, ["backend", "check", "mujoco", "--baseline", str(file)])
-        .exit_code
-        == 2
-    )
+    assert gauge("backend", "check", "mujoco", "--baseline", file).exit_code == 2

@@ -1,7 +1,5 @@
 """Control tasks: their optimum is the law's limit, and engines that obey the law let a policy have just that."""
 
-from __future__ import annotations
-
 import copy
 import csv
 import math
@@ -25,11 +23,7 @@ from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.errors import (
-    BackendError,
-    GaugeError,
-    ParameterError,
-)
+from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
@@ -160,18 +154,18 @@ def test_wrong_calls_are_refused(approved):
         "unknown task": lambda: find_control_task("Turntable-Limit-wod"),
         "step before reset": lambda: make("Turntable-Limit-wood").step([0.0]),
         "report before the end": lambda: reset(turntable).report(),
-        "jitter": lambda: turntable.reset(options={"jitter": True}),
+        "jitter": lambda: turntable.reset(options={"jitterr": True}),
         "two actions": lambda: reset(turntable).step([0.0, 0.0]),
         "a large action": lambda: reset(turntable).step([1.1]),
         "no number": lambda: reset(turntable).step([math.nan]),
         "a word": lambda: reset(turntable).step("fast"),
         "drive interval": lambda: make("Turntable-Limit-wood", **out_of_box),
-        "window": lambda: TurntableLimit("wood", render_mode="human"),
+        "window of worlds": lambda: gymnasium.make_vec(carry, render_mode="human"),
         "one entry": lambda: gymnasium.make_vec(carry, **one_entry),
         "no worlds": lambda: ControlVectorEnv("Carry-Limit-wood", 0),
         "worlds' step before reset": lambda: worlds.step(np.zeros((2, 1))),
         "three seeds": lambda: worlds.reset(seed=[1, 2, 3]),
-        "jitter of worlds": lambda: worlds.reset(options={"jitter": True}),
+        "jitter of worlds": lambda: worlds.reset(options={"jitterr": True}),
         "one action": lambda: reset(worlds).step(np.zeros((1, 1))),
         "large actions": lambda: reset(worlds).step(np.full((2, 1), 2.0)),
         "worlds' reset after close": closed.reset,
@@ -217,9 +211,7 @@ def test_ratio_and_z():
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(
-    material,
-):
+def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material):
     path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
     rows = [
         line

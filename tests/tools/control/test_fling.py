@@ -1,7 +1,5 @@
 """Fling: the law is that of the energy seen from the rod, and no motion of the rod beats it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

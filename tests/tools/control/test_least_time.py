@@ -1,7 +1,5 @@
 """Carry and push: no motion beats friction's least time, the law's policy comes near it, and a wrong friction shows."""
 
-from __future__ import annotations
-
 import math
 
 import gymnasium
@@ -11,11 +9,7 @@ from scipy.optimize import linprog
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.carry import CarryLimit
-from gauge_envs.tools.control.least_time import (
-    REST_M_PER_S,
-    TOLERANCE_M,
-    TOLERANCE_RAD,
-)
+from gauge_envs.tools.control.least_time import REST_M_PER_S, TOLERANCE_M, TOLERANCE_RAD
 from gauge_envs.tools.control.limit import Ending, pair_friction
 from gauge_envs.tools.control.play import play
 from gauge_envs.tools.control.push import PushLimit
@@ -209,9 +203,7 @@ def test_the_time_to_go_cancels_over_an_arrival(task, share):
 
 
 @pytest.mark.parametrize("task", [CarryLimit, PushLimit])
-def test_without_an_arrival_the_place_at_the_end_is_paid(
-    task,
-):
+def test_without_an_arrival_the_place_at_the_end_is_paid(task):
     env = task("wood", settings=FAST)
     for action, ending in (
         ((0.0, 0.0), Ending.MISSED),

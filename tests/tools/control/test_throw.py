@@ -1,7 +1,5 @@
 """Throw: the law's height is that of an ideal ball on the best plate, and engines let the law's policy have it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

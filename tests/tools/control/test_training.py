@@ -1,7 +1,5 @@
 """The training of the example improves from nothing to what chance cannot reach."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Trials that are written, changed and imported."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

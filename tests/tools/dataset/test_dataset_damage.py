@@ -320,11 +320,6 @@ VALUES = st.recursive(
 )
 
 
-@given(st.binary(max_size=60) | VALUES.map(lambda value: json.dumps(value).encode()))
-def test_any_bytes_are_a_trial_or_a_named_fault(content):
-    read_all(content, SLIDER)
-
-
 def small_trial(name):
     """A trial of few markers' and frames' worth of numbers, quick to copy and to write."""
     (content,) = synthetic_trials(name, [0.3], frames_after=0).contents

@@ -85,7 +85,7 @@ def test_the_pinned_revision_is_fetched_and_noted(hub, run):
 def test_patterns_revision_and_folder_are_passed_on(hub, tmp_path, run):
     pattern = f"{trial_folder(NAME)}/*"
     assert (
-        run(pattern, "metadata/*", f"revision={OTHER}", "--out", tmp_path).exit_code
+        run(pattern, "metadata/*", f"--revision={OTHER}", "--out", tmp_path).exit_code
         == 0
     )
     (call,) = hub.calls

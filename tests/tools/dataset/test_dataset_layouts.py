@@ -228,13 +228,13 @@ def test_a_part_of_the_dataset_is_read(tmp_path):
     assert (finding.key, finding.left_out) == ("board", False)
 
 
-STATES = "unit=mm says that of files without one"
+STATES = "--unit mm says that of files without one"
 
 
 @pytest.mark.parametrize(
     ("content", "suffix", "what"),
     [
-        (lambda c: arrays(c), ".npz", "FPS: it is missing; 30 is expected; rate=30"),
+        (lambda c: arrays(c), ".npz", "FPS: it is missing; 30 is expected; --rate 30"),
         (lambda c: csv_text(columns(c), RATE), ".csv", STATES),
         (lambda c: csv_text({**columns(c), "Cube x": [1.0]}), ".csv", "Cube x: the key occurs twice"),
         (lambda c: csv_text({"cube.x [mm]": [1.0], "cube.y [m]": [1.0]}), ".csv", "columns are in mm, m"),
@@ -276,9 +276,9 @@ def test_the_command_takes_unit_and_rate(tmp_path, gauge):
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
         bodies = {key: content[key] for key in ("cube", "board")}
         write_trial(tmp_path, SLIDER, number, bodies)
-    refused = gauge("data", "import", tmp_path, "rate=30")
-    assert refused.exit_code == 1 and "unit=mm" in refused.stderr
-    assert gauge("data", "import", tmp_path, "rate=30", "unit=mm").exit_code == 0
+    refused = gauge("data", "import", tmp_path, "--rate=30")
+    assert refused.exit_code == 1 and "--unit mm" in refused.stderr
+    assert gauge("data", "import", tmp_path, "--rate=30", "--unit=mm").exit_code == 0
 
 
 def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not():

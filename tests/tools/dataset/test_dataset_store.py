@@ -40,7 +40,7 @@ def importing(root, rounds):
     """Start a process that imports a dataset; it is ready when it has printed a line."""
     command = [sys.executable, "-c", IMPORT, str(root), str(rounds)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+    assert process.stdout.readline() == "ready\n"
     return process
 
 

@@ -123,6 +123,16 @@ def assert_consistent(diagnosis):
         )
 
 
+def diagnosed(experiment, mean, run, **options):
+    """The budget of a simulated run, its times and values, against a mean."""
+    times, values = run
+    diagnosis = diagnose_trajectory(
+        experiment, band(mean), times_s=times, values=values, **options
+    )
+    assert_consistent(diagnosis)
+    return diagnosis
+
+
 # --- planted errors --------------------------------------------------------------------------------------------------
 
 
@@ -150,14 +160,11 @@ def test_a_slide_gives_back_release_offset_and_acceleration(
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
     # The simulation runs longer, so that nothing is held at its end where reality is let go earlier.
-    times, values = samples(count + 6, slide(2600.0, start_mm=start_mm))
+    run = samples(count + 6, slide(2600.0, start_mm=start_mm))
     real = slide(2600.0 * ratio, start_mm=start_mm + offset_mm, late_s=late_s)(
         frames_s(count)
     )
-    diagnosis = diagnose_trajectory(
-        experiment, band(real), times_s=times, values=values
-    )
-    assert_consistent(diagnosis)
+    diagnosis = diagnosed(experiment, real, run)
     assert diagnosis.kind is MotionKind.UNIFORM_ACCELERATION
     found = part(diagnosis, BudgetStage.RATE)
     if late_s >= 0.0:
@@ -235,12 +242,9 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=FL
 def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
     experiment = load_experiment(BALL)
     count = experiment.frame_count
-    times, values = samples(count, bounce(simulated))
+    run = samples(count, bounce(simulated))
     mean = bounce(real, late_s=late_s, raised_mm=raised_mm)(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values
-    )
-    assert_consistent(diagnosis)
+    diagnosis = diagnosed(experiment, mean, run)
     assert diagnosis.kind is MotionKind.REBOUND
     # Between the samples on either side of the impact, w apart, the height is taken as linear: this cuts the corner, a
     # change of speed by (1 + e) v, off by (1 + e) v w / 4 at most, and one frame can lie there.
@@ -277,14 +281,11 @@ def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
     arm_m = math.dist(joint.anchor_m, experiment.scene.body(joint.body).pose.position_m)
     centre = 1e3 * (np.array(joint.anchor_m) - [0.0, 0.0, arm_m])
     count = 150
-    times, values = samples(count, swing(1.2, centre=centre))
+    run = samples(count, swing(1.2, centre=centre))
     real = swing(
         1.2 * period, amplitude_mm=150.0 * amplitude, late_s=late_s, centre=centre
     )(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(real), times_s=times, values=values
-    )
-    assert_consistent(diagnosis)
+    diagnosis = diagnosed(experiment, real, run)
     assert diagnosis.kind is MotionKind.OSCILLATION
     found = part(diagnosis, BudgetStage.RATE)
     assert change(found, "period").simulated == pytest.approx(1.2, rel=1e-3)
@@ -312,14 +313,11 @@ def winding(times):
 def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, offset_mm):
     experiment = load_experiment(DRIVEN)
     count = experiment.frame_count
-    times, values = samples(count, winding)
+    run = samples(count, winding)
     played = winding(speed * np.maximum(frames_s(count) - late_s, 0.0))
     start = winding(np.zeros(1))
     real = start + larger * (played - start) + [offset_mm, 0.0, -offset_mm]
-    diagnosis = diagnose_trajectory(
-        experiment, band(real), times_s=times, values=values
-    )
-    assert_consistent(diagnosis)
+    diagnosis = diagnosed(experiment, real, run)
     assert diagnosis.kind is MotionKind.GENERAL
     assert diagnosis.rest.rmse < 0.1
     found = part(diagnosis, BudgetStage.RATE)
@@ -502,14 +500,9 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
 def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(
-        count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1))
-    )
+    run = samples(count, lambda times: np.tile([97.0, 407.0, 359.0], (len(times), 1)))
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values
-    )
-    assert_consistent(diagnosis)
+    diagnosis = diagnosed(experiment, mean, run)
     assert (
         part(diagnosis, BudgetStage.RATE).missing
         == "the simulation does not move, so it has no rate"
@@ -534,11 +527,9 @@ def test_no_error_is_no_budget():
 def test_limits_are_reported():
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(count, slide(800.0))
+    run = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values
-    )
+    diagnosis = diagnosed(experiment, mean, run)
     rate = change(part(diagnosis, BudgetStage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
@@ -549,11 +540,9 @@ def test_a_part_that_another_can_replace_is_reported():
     """Let go at the right time and too slow: a shift hides most of it, the acceleration is all of it."""
     experiment = load_experiment(SLIDE)
     count = experiment.frame_count
-    times, values = samples(count + 10, slide(2600.0))
+    run = samples(count + 10, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values
-    )
+    diagnosis = diagnosed(experiment, mean, run)
     assert part(diagnosis, BudgetStage.RELEASE).share > 0.5
     assert part(diagnosis, BudgetStage.RELEASE).last_share < 1e-3
     assert part(diagnosis, BudgetStage.RATE).alone_share > 0.999
@@ -566,11 +555,9 @@ def test_a_part_that_another_can_replace_is_reported():
 def test_speed_and_displacement_that_cannot_be_separated_are_noted():
     experiment = load_experiment(DRIVEN)
     count = experiment.frame_count
-    times, values = samples(count, slide(100.0))
+    run = samples(count, slide(100.0))
     mean = slide(140.0)(frames_s(count))
-    diagnosis = diagnose_trajectory(
-        experiment, band(mean), times_s=times, values=values
-    )
+    diagnosis = diagnosed(experiment, mean, run)
     assert diagnosis.rest.share < 1e-4
     assert any("its split between them is not" in note for note in diagnosis.notes)
 
@@ -596,7 +583,6 @@ def test_a_second_impact_ends_the_first_flight():
         gravity_m_per_s2=GRAVITY_M_PER_S2[2:],
         contact_mm=np.array([FLOOR_MM]),
     )
-    assert impact is not None
     assert impact.restitution == pytest.approx(0.3, abs=1e-3)
     assert impact.time_s == pytest.approx(fall_s, abs=1e-5)
     assert impact.until_s == pytest.approx(until_s, abs=2.0 / 180.0)
@@ -700,11 +686,11 @@ def test_command_takes_trajectories_of_any_simulator(gauge, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("text", "order=rate,release,offset"),
+        ("text", "--order=rate,release,offset"),
         ("wide", "--format wide"),
         ("markdown", "--format markdown"),
         ("json", "--json"),
-        ("measured", "measured_only=true"),
+        ("measured", "--measured-only"),
     ],
 )
 def test_the_output_is_the_approved_one(
@@ -723,9 +709,9 @@ def test_wrong_requests_are_refused(gauge, approved, tmp_path, ball, unscored):
     write_result(unscored, tmp_path / "cradle.json")
     commands = (
         "diagnose cradle.json",
-        "diagnose ball.json order=rate",
-        "diagnose ball.json order=release,offset,offset",
-        "diagnose ball.json order=release,offset,speed",
+        "diagnose ball.json --order=rate",
+        "diagnose ball.json --order=release,offset,offset",
+        "diagnose ball.json --order=release,offset,speed",
         "diagnose missing",
         f"diagnose --id {SLIDE}",
     )

@@ -152,7 +152,6 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results, tmp_path):
     take = take_of(result, file)
     rows, columns = picture_place()
     step = SIZE["width"] + _Scale(SIZE["height"]).gap
-    assert result.trajectory is not None
     times_s, samples = result.trajectory.arrays()
     own = Pictures("rgb_array", **SIZE)
     panel = SimulatedPanel(take, title="", detail="", **SIZE)
@@ -329,7 +328,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
         file.unlink()
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
     out = tmp_path / "ball.png"
-    shape = ["width=160", "height=120", "strip=2"]
+    shape = ["--width=160", "--height=120", "--strip=2"]
     run = gauge("video", "film", folder, "--out", out, *shape)
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
@@ -382,14 +381,14 @@ def test_wrong_commands_are_named(folder, tmp_path, gauge):
     damaged = gauge("video", "film", "a.json", "--out", "a.gif")
     assert damaged.exit_code == 2 and "not a result file" in damaged.stderr
     assert not (tmp_path / "a.gif").exists()
-    alone = gauge("video", "film", folder, "recording_start_s=1")
-    assert alone.exit_code == 2 and "need recording=FILE" in alone.stderr
+    alone = gauge("video", "film", folder, "--recording-start=1")
+    assert alone.exit_code == 2 and "need --recording" in alone.stderr
 
 
 def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(
-        MissingExtraError, match=r"a WebP or GIF needs no extra.*gauge-envs\[video\]"
+        MissingExtraError, match=r"a WebP or GIF needs no FFmpeg.*gauge-envs\[video\]"
     ):
         save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
 
@@ -461,11 +460,7 @@ def clip(tmp_path):
     ids=["first", "start", "later", "after the end", "slow motion"],
 )
 def test_a_recording_is_on_the_clock_of_the_simulation(
-    clip,
-    rate_hz,
-    start_s,
-    time_s,
-    index,
+    clip, rate_hz, start_s, time_s, index
 ):
     from gauge_envs.tools.film.panel import RecordedPanel
 

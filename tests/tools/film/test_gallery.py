@@ -1,7 +1,5 @@
 """The gallery shows all films and control tasks."""
 
-from __future__ import annotations
-
 import re
 
 from places import ROOT
@@ -16,7 +14,7 @@ MOST_FILM_BYTES, MOST_BYTES = 640_000, 4_000_000
 """Largest size of a film, and of all pictures: a page that loads in seconds."""
 
 
-def test_every_picture_is_on_the_page_and_none_is_left_over() -> None:
+def test_every_picture_is_on_the_page_and_none_is_left_over():
     wanted = {build_gallery.picture_name(name) for name in build_gallery.CONTROLS}
     films = {build_gallery.film_name(film) for film in build_gallery.FILMS}
     page = PAGE.read_text(encoding="utf-8")

@@ -67,14 +67,12 @@ def test_without_rerun_the_error_names_the_extra(slider, tmp_path, monkeypatch):
 def test_the_recording_has_the_bodies_of_the_result(slider, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
     found = read(write_rerun(slider, tmp_path / "folder" / "a.rrd"))
-    assert slider.trajectory is not None
     positions_m = column(found["/world/bodies/cube"], "Transform3D:translation")
     # Views are 60 a second, samples 180.
     assert positions_m == pytest.approx(
         1e-3 * slider.trajectory.arrays()[1][::3], abs=1e-7
     )
     band = reference_band(load_experiment(NAME))
-    assert band is not None
     ghost_mm = 1e3 * column(found["/world/mean/cube"], "Transform3D:translation")
     assert band.project(ghost_mm) == pytest.approx(band.mean, abs=1e-3)
 
@@ -116,7 +114,6 @@ def test_deformable_bodies_and_markers_are_recorded(name, body, tmp_path):
 
 def test_a_result_that_the_engine_does_not_repeat_is_refused(slider, tmp_path):
     pytest.importorskip("rerun", reason="extra 'rerun' is not installed")
-    assert slider.trajectory is not None
     times_s, samples = slider.trajectory.arrays(later=True)
     samples[5 * SAMPLES_PER_FRAME] += 0.5
     forged = replace(

@@ -1,7 +1,5 @@
 """Printed lines of each engine, run on a pendulum that only the engine's own interface builds, against the backend."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -14,9 +12,9 @@ from gauge_envs.backends import backend
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.bench.parts import ramp
-from gauge_envs.tools.identify import Identified, Log, one_joint
+from gauge_envs.tools.identify import Log, one_joint
 from gauge_envs.tools.identify.rig import numbers, simulated, with_terms
-from gauge_envs.tools.identify.words import snippet
+from gauge_envs.tools.identify.snippets import snippet_lines
 
 MASS_KG, LENGTH_M, G = 0.5, 0.2, 9.80665
 RADIUS_M = 0.05 * LENGTH_M
@@ -38,7 +36,7 @@ SERVO = {KP: 3.0, KV: 0.15, ARMATURE: 0.01}
 def mujoco_angles(lines, command, torque):
     import mujoco
 
-    joint, *servo = lines.splitlines()
+    _, joint, *servo = lines.splitlines()
     place = f'type="hinge" axis="0 1 0" pos="0 0 {LENGTH_M}"/>'
     inertial = f'<inertial pos="0 0 0" mass="{MASS_KG}" diaginertia="{f"{INERTIA_KG_M2} " * 3}"/>'
     model = mujoco.MjModel.from_xml_string(
@@ -309,13 +307,8 @@ def test_the_printed_lines_move_a_joint_as_the_backend_does(name, terms):
     expected = simulated(
         engine, scene, log, [terms], (start, np.zeros(1)), {"timestep_s": STEP_S}
     )[:, 0]
-    found = Identified(
-        engine=name,
-        settings=(),
-        joints=numbers(with_terms(scene, [terms], log, start)),
-        error_rad={},
-    )
-    lines = snippet(found)
+    joints = numbers(with_terms(scene, [terms], log, start))
+    lines = snippet_lines(name, ["elbow"], joints, [()], [{}], STEP_S)
     left = {one: value for one, value in terms.items() if f": {one} =" in lines}
     assert not left or name in ("pybullet", "physx", "rapier"), left
 

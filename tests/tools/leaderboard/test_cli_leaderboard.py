@@ -1,28 +1,19 @@
 """The leaderboard commands: exit codes, the combined table, and what it leaves out."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import result_file_name, write_result
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood")
 
 
-def write_submission(
-    root: Path, configuration: str, results: Sequence[Result], settings: str
-) -> None:
+def write_submission(root, configuration, results, settings):
     engine = results[0].backend
     version = results[0].versions["mujoco"]
     folder = root / str(engine) / version / configuration
@@ -42,7 +33,7 @@ def write_submission(
 
 
 @pytest.fixture(scope="module")
-def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def board(tmp_path_factory):
     """A leaderboard of two configurations of MuJoCo."""
     root = tmp_path_factory.mktemp("board")
     (root / "board.toml").write_text(
@@ -61,23 +52,11 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-@pytest.fixture
-def gauge() -> Callable[..., Any]:
-    def call(*arguments: object) -> Any:
-        return CliRunner().invoke(
-            app, list(map(str, arguments)), env={"COLUMNS": "140"}
-        )
-
-    return call
-
-
-def records(text: str) -> list[dict[str, Any]]:
+def records(text):
     return [json.loads(line) for line in text.splitlines() if line.startswith("{")]
 
 
-def test_check_passes_and_runs_a_sample_again(
-    gauge: Callable[..., Any], board: Path
-) -> None:
+def test_check_passes_and_runs_a_sample_again(gauge, board):
     done = gauge("leaderboard", "check", board, "--rerun", 1, "--json")
     assert done.exit_code == 0, done.output
     kinds = [one["record"] for one in records(done.stdout)]
@@ -89,9 +68,7 @@ def test_check_passes_and_runs_a_sample_again(
     } == {0.0}
 
 
-def test_table_has_intervals_and_no_mean_across_grades(
-    gauge: Callable[..., Any], board: Path
-) -> None:
+def test_table_has_intervals_and_no_mean_across_grades(gauge, board):
     done = gauge("leaderboard", "table", board, "--json")
     assert done.exit_code == 0, done.output
     found = records(done.stdout)
@@ -110,11 +87,17 @@ def test_table_has_intervals_and_no_mean_across_grades(
         for one in found
         if one["record"] == "experiment" and one["metric"] == "rmse"
     ]
-    assert all(
-        cell["normalized_95"] is not None
+    # The law is solved exactly, so that its distance has no interval and is over no trials.
+    has_interval = {
+        one["grade"]: [
+            cell["normalized_95"] is not None for cell in one["configurations"]
+        ]
         for one in scored
-        for cell in one["configurations"]
-    )
+    }
+    assert has_interval == {"trials": [True, True], "law": [False, False]}
+    assert {one["grade"] for one in found if one.get("metric") == "verification"} == {
+        "law"
+    }
     assert all(
         cell["wall_s_per_sim_s"] is None
         for one in scored
@@ -122,9 +105,7 @@ def test_table_has_intervals_and_no_mean_across_grades(
     )
 
 
-def test_markdown_is_written_and_submitters_change_no_table(
-    gauge: Callable[..., Any], board: Path, tmp_path: Path
-) -> None:
+def test_markdown_is_written_and_submitters_change_no_table(gauge, board, tmp_path):
     assert gauge("leaderboard", "table", board, "--out", tmp_path).exit_code == 0
     text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
     (line,) = (line for line in text.splitlines() if "| coarse |" in line)
@@ -140,8 +121,8 @@ def test_markdown_is_written_and_submitters_change_no_table(
 
 
 def test_a_partial_submission_is_listed_apart_and_changes_no_comparison(
-    gauge: Callable[..., Any], board: Path, tmp_path: Path
-) -> None:
+    gauge, board, tmp_path
+):
     copy = Path(shutil.copytree(board, tmp_path / "board"))
     whole = records(gauge("leaderboard", "table", copy, "--json").stdout)
     partial = {"timestep_s": 1 / 540}
@@ -171,8 +152,8 @@ def test_a_partial_submission_is_listed_apart_and_changes_no_comparison(
 
 
 def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(
-    gauge: Callable[..., Any], board: Path, tmp_path: Path
-) -> None:
+    gauge, board, tmp_path
+):
     copy = tmp_path / "board"
     for file in board.rglob("*.*"):
         if file.is_file():
@@ -195,9 +176,7 @@ def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(
     assert [one["configuration"] for one in submissions] == ["default"]
 
 
-def test_a_missing_folder_gives_exit_code_2(
-    gauge: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_missing_folder_gives_exit_code_2(gauge, tmp_path):
     done = gauge("leaderboard", "check", tmp_path / "absent")
     assert done.exit_code == 2
     assert "cannot be listed" in done.output
@@ -207,20 +186,18 @@ def test_a_missing_folder_gives_exit_code_2(
     "options", [[], ["--json"], ["--format", "markdown"], ["--out", "site"]]
 )
 def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
-    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    options, tmp_path, monkeypatch, gauge
+):
     monkeypatch.chdir(tmp_path)
     folder = tmp_path / "board" / "mujoco" / "1.0" / "default"
     folder.mkdir(parents=True)
     (folder / "submission.toml").write_text("format = 2")
-    result = CliRunner().invoke(app, ["leaderboard", "table", "board", *options])
+    result = gauge("leaderboard", "table", "board", *options)
     assert result.exit_code == 1 and isinstance(result.exception, SystemExit)
     assert "left out:" in result.stderr
 
 
-def test_a_leaderboard_asks_for_the_experiments_of_its_file(
-    gauge: Callable[..., Any], board: Path, tmp_path: Path
-) -> None:
+def test_a_leaderboard_asks_for_the_experiments_of_its_file(gauge, board, tmp_path):
     copy = Path(shutil.copytree(board, tmp_path / "board"))
     file = copy / "board.toml"
     assert "2 of 2" in gauge("leaderboard", "check", copy).output
@@ -243,9 +220,7 @@ def test_a_leaderboard_asks_for_the_experiments_of_its_file(
 @pytest.mark.parametrize(
     "text", ['experiments = ["SlopSlider-*"]', "experiments = 3", "format = 1", "["]
 )
-def test_a_file_that_states_no_experiments_is_refused(
-    gauge: Callable[..., Any], board: Path, tmp_path: Path, text: str
-) -> None:
+def test_a_file_that_states_no_experiments_is_refused(gauge, board, tmp_path, text):
     copy = Path(shutil.copytree(board, tmp_path / "board"))
     (copy / "board.toml").write_text(text, encoding="utf-8")
     done = gauge("leaderboard", "check", copy)

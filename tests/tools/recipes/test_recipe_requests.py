@@ -27,7 +27,7 @@ from gauge_envs.tools.sanity import Verdict
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.phenomena import phenomenon
 
-GOOD = "--backend=mujoco friction=0.4 mass_kg=0.5 timestep_s=0.002"
+GOOD = "--backend=mujoco --friction=0.4 --mass=0.5 --set=timestep_s=0.002"
 """A request that is met; a word replaces an earlier one of the same name."""
 
 
@@ -52,7 +52,7 @@ def searched(engine="mujoco", **asked):
 
 
 def test_a_recipe_is_one_json_object(values):
-    found = values(f"{GOOD} restitution=0.6")
+    found = values(f"{GOOD} --restitution=0.6")
     assert list(found) == [
         *("engine", "asked", "settings", "snippet", "reached", "error"),
         *("misses", "detail", "wall_s", "explanation", "versions"),
@@ -248,14 +248,14 @@ def test_the_closed_form_has_the_impedance_that_mujoco_makes_of_a_stated_one():
 
 def test_settings_are_explained_on_the_command_line(values):
     contact = "solref=0.02 1 solimp=0.9 0.95 0.001"
-    words = f"--backend mujoco --explain '{contact}' mass_kg=2 timestep_s=0.002"
+    words = f"--backend mujoco --explain '{contact}' --mass=2 --set=timestep_s=0.002"
     found = values(words)
     depth = found["closed_form"]["penetration_m"]
     assert found["reached"]["penetration_m"] == pytest.approx(depth, rel=1e-3)
 
 
 def test_friction_need_not_be_asked(values):
-    words = "--backend mujoco restitution=0.6 mass_kg=0.5 timestep_s=0.002"
+    words = "--backend mujoco --restitution=0.6 --mass=0.5 --set=timestep_s=0.002"
     found = values(words)
     assert found["asked"]["friction"] is None and found["error"]["friction"] is None
     assert found["misses"] == []
@@ -291,7 +291,7 @@ def test_every_material_has_a_source():
 
 
 def test_a_material_is_looked_up_in_the_task_files(values):
-    found = values("wood-on-wood timestep_s=0.002 --backend mujoco")
+    found = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
     (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]
     for key in ("friction", "restitution", "mass_kg"):
         assert found["asked"][key] == getattr(pair, key)
@@ -343,15 +343,24 @@ def test_a_terminal_does_not_cut_what_is_to_be_pasted(width, values):
 
 # --- wrong requests --------------------------------------------------------------------------------------------------
 
+
+def asked(word):
+    """Return the good request with a word, in place of its value for the same option."""
+    option = word.partition("=")[0]
+    others = [one for one in GOOD.split() if one.partition("=")[0] != option]
+    return " ".join([*others, repr(word)])
+
+
 WRONG_WORDS = """
-mass_kg=-1  mass_kg=nan  restitution=1.5  friction=0  friction=-1  friction=1e9  timestep_s=1  timestep_s=0
-penetration_m=1  stiffness_n_per_m=1e-3  damping_n_s_per_m=3  --backend=bullet  wood-on-wod  satin  sattin
+--mass=-1  --mass=nan  --restitution=1.5  --friction=0  --friction=-1  --friction=1e9
+--set=timestep_s=1  --set=timestep_s=0  --set=iterations=3  --set=timestep_s=fast
+--penetration=1  --stiffness=1e-3  --damping=3  --backend=bullet  wood-on-wod  satin  sattin
 '--explain=solref=1 1'
 """
 
 
 def test_wrong_requests_end_with_their_reasons(gauge, approved):
-    requests = [f"{GOOD} {word!r}" for word in shlex.split(WRONG_WORDS)]
+    requests = [f"{asked(word)!s}" for word in shlex.split(WRONG_WORDS)]
     words = GOOD.split()
     requests += [" ".join(words[:k] + words[k + 1 :]) for k in range(len(words))]
     commands = [f"recipe {request}" for request in requests]
@@ -385,7 +394,7 @@ def test_an_engine_that_is_not_installed_is_named(monkeypatch, gauge):
         raise MissingExtraError("backend 'rapier'", "rapier", gone)
 
     monkeypatch.setattr(engine_settings("rapier"), "backend", absent)
-    result = gauge("recipe", *GOOD.split(), "--backend=rapier")
+    result = gauge("recipe", *shlex.split(asked("--backend=rapier")))
     assert result.exit_code == 2
     assert "pip install 'gauge-envs[rapier]'" in result.stderr
 

@@ -8,7 +8,6 @@ from types import ModuleType
 from typing import Any
 
 import mujoco
-import pytest
 
 DOG = """<mujoco model="dog"><option iterations="1" ls_iterations="5" ccd_iterations="20" timestep="{step}"/>
   <worldbody><geom name="floor" type="plane" size="0 0 .01" contype="1" conaffinity="0" priority="1" friction=".6"/>
@@ -21,9 +20,7 @@ DOG = """<mujoco model="dog"><option iterations="1" ls_iterations="5" ccd_iterat
 ROBOT = '<mujoco><worldbody><body pos="0 0 .2"><freejoint/><geom name="foot" size=".1"/></body></worldbody></mujoco>'
 
 
-def playground_env(
-    model: mujoco.MjModel | None = None, *, substeps: int = 5, **config: Any
-) -> Any:
+def playground_env(model=None, *, substeps=5, **config):
     """Return an environment of Playground with a model, that of `DOG` if None, and a configuration."""
     kind = type("Walk", (), {"__module__": "mujoco_playground.env"})
     env = kind()
@@ -43,10 +40,10 @@ class MujocoCfg:
     timestep: float = 0.002
     options: dict[str, Any] = field(default_factory=dict)
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         self.options = options
 
-    def apply(self, model: mujoco.MjModel) -> None:
+    def apply(self, model):
         types = {
             "integrator": "mjtIntegrator",
             "cone": "mjtCone",
@@ -88,7 +85,7 @@ class CollisionCfg:
 
     constants: dict[str, Any] = field(default_factory=dict)
 
-    def __init__(self, **constants: Any) -> None:
+    def __init__(self, **constants):
         self.constants = constants
 
 
@@ -96,17 +93,11 @@ class CollisionCfg:
 class Part:
     """Any other class, with its attributes."""
 
-    def __init__(self, **attributes: Any) -> None:
+    def __init__(self, **attributes):
         vars(self).update(attributes)
 
 
-def mjlab_task(
-    sim: SimulationCfg | None = None,
-    collision: CollisionCfg | None = None,
-    *,
-    observed: int = 0,
-    acted: int = 0,
-) -> Any:
+def mjlab_task(sim=None, collision=None, *, observed=0, acted=0):
     """Return a task configuration of mjlab with lags of its observations and its actuators."""
     kind = type("Task", (Part,), {"__module__": "mjlab.tasks.cfg"})
     robot = Part(
@@ -124,11 +115,11 @@ def mjlab_task(
 class Scene:
     """A ground plane and a ball, compiled by MuJoCo."""
 
-    def __init__(self, cfg: Any, device: str) -> None:
+    def __init__(self, cfg, device):
         assert device == "cpu"
         self._constants = cfg.collision.constants
 
-    def compile(self) -> mujoco.MjModel:
+    def compile(self):
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(
             name="terrain", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 0.01)
@@ -145,9 +136,9 @@ class Scene:
         return spec.compile()
 
 
-def install_mjlab(monkeypatch: pytest.MonkeyPatch) -> None:
+def install_mjlab(monkeypatch):
     """Let `mjlab.scene` be importable, as in mjlab's own Python."""
     module = ModuleType("mjlab.scene")
-    module.Scene = Scene  # type: ignore[attr-defined]
+    module.Scene = Scene
     monkeypatch.setitem(sys.modules, "mjlab", ModuleType("mjlab"))
     monkeypatch.setitem(sys.modules, "mjlab.scene", module)

@@ -102,7 +102,7 @@ PLANTED = {
 """Planted faults by name."""
 
 
-def model_xml(planted: Planted | None = None) -> str:
+def model_xml(planted=None):
     """Return a model of a robot with a trunk, two shins and a foot on a plane, with a fault or without."""
     fault = planted or Planted()
     option = RECOMMENDED["option"] | fault.option
@@ -121,6 +121,6 @@ def model_xml(planted: Planted | None = None) -> str:
         <geom name="foot" size=".04" pos="0 0 -.3" {attributes(fault.foot)}/></body></worldbody></mujoco>"""
 
 
-def attributes(values: dict[str, str]) -> str:
+def attributes(values):
     """Return attributes as they are written in XML."""
     return " ".join(f'{name}="{value}"' for name, value in values.items())

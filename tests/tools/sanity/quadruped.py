@@ -1,7 +1,5 @@
 """A quadruped of 12 kg built from primitives, with spherical feet."""
 
-from __future__ import annotations
-
 GOOD = {
     "option": 'timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="100"',
     "geom": 'solref="0.004 1" solimp="0.95 0.95 0.001"',
@@ -13,13 +11,8 @@ FOOT_RADIUS_M = 0.022
 
 
 def quadruped_xml(
-    *,
-    option: str = GOOD["option"],
-    geom: str = GOOD["geom"],
-    foot: str = "",
-    friction: float = 0.6,
-    locked: bool = False,
-) -> str:
+    *, option=GOOD["option"], geom=GOOD["geom"], foot="", friction=0.6, locked=False
+):
     """Return the model.
 
     Args:

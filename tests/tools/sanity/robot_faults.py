@@ -13,7 +13,7 @@ FEET = {
 }
 
 
-def good_xml() -> str:
+def good_xml():
     """Return the quadruped: 15 kg, feet of 22 mm, servos of 80 Nm/rad, and the contact settings of docs/sanity.md."""
     legs, servos = "", ""
     for leg, (x, y) in FEET.items():
@@ -54,7 +54,7 @@ class Fault:
     changes: tuple[tuple[str, str], ...]
     count: int = 0
 
-    def xml(self) -> str:
+    def xml(self):
         """Return the model with the fault."""
         text = good_xml()
         for old, new in self.changes:
@@ -212,10 +212,7 @@ FAULTS = {
     "no_armature": Fault(
         "mujoco#989",
         ("robot-servo",),
-        (
-            ('armature="0.005"', 'armature="0"'),
-            ('kp="80" kv="2"', 'kp="40000" kv="2"'),
-        ),
+        (('armature="0.005"', 'armature="0"'), ('kp="80" kv="2"', 'kp="40000" kv="2"')),
     ),
     "damping_by_40": Fault(
         "mujoco#184", ("robot-damping",), (('damping="0.5"', 'damping="20"'),)
@@ -315,10 +312,7 @@ FAULTS = {
     "one_iteration": Fault(
         "mujoco#1545",
         SLIDES,
-        (
-            (OPTION, 'timestep="0.004" iterations="1" ls_iterations="5"'),
-            (SOLREF, ""),
-        ),
+        ((OPTION, 'timestep="0.004" iterations="1" ls_iterations="5"'), (SOLREF, "")),
     ),
     "override": Fault(
         "moveit_pro_example_ws#811",

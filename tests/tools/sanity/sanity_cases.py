@@ -1,12 +1,10 @@
 """Training settings and known motions that several tests of the sanity check use."""
 
-from __future__ import annotations
+import json
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.tools.sanity.scenario import Scenario
 
 CHEETAH = {
     "timestep_s": 0.01,
@@ -19,12 +17,7 @@ CHEETAH = {
 """Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
 
 
-def moved(
-    scenario: Scenario,
-    times_s: NDArray[np.float64],
-    markers_m: NDArray[np.float64] | None = None,
-    **displacements_m: NDArray[np.float64],
-) -> Rollout:
+def moved(scenario, times_s, markers_m=None, **displacements_m):
     """Return a rollout with given markers and displacements of bodies [m], shape [sample_count, 3]; others rest.
 
     A hyphen in the name of a body is an underscore in the keyword.
@@ -42,3 +35,23 @@ def moved(
     return Rollout(
         scene=scenario.scene, times_s=times_s, states=states, markers_m=markers
     )
+
+
+def read_text(*read):
+    """Return what was read of targets as a text to approve."""
+    lines = []
+    for one in read:
+        foot = one.foot_contact
+        values = {
+            "target": [one.name, one.backend, one.language, one.trains_on],
+            "frame_skip": one.frame_skip,
+            "gravity_m_per_s2": one.gravity_m_per_s2,
+            "settings": one.settings,
+            "origins": one.origins,
+            "contacts": [group.geoms for group in one.contact_groups],
+            "foot": foot and [foot.friction, foot.static_friction, foot.restitution],
+            "foot from": foot and foot.text,
+            "notes": one.notes,
+        }
+        lines.append(json.dumps(values, indent=1))
+    return "\n".join(lines)

@@ -1,10 +1,6 @@
 """Which setting is responsible: planted settings in MuJoCo, and the search itself on responses that are known."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import pytest
 from sanity_cases import CHEETAH
@@ -14,13 +10,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cause import alternatives, find_cause
 from gauge_envs.tools.sanity.measure import CURVE_SAMPLES, Measured, Measurements
-from gauge_envs.tools.sanity.model import (
-    Cause,
-    PhenomenonResult,
-    Report,
-    TrainingConfiguration,
-    Verdict,
-)
+from gauge_envs.tools.sanity.model import TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
@@ -52,7 +42,7 @@ PLANTS = {
 """One bad setting each, and a phenomenon in which it must show."""
 
 
-def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
+def report(settings, only=QUICK):
     return check(
         TrainingConfiguration(
             name="planted", source="test", backend="mujoco", settings=settings
@@ -61,7 +51,7 @@ def report(settings: Mapping[str, Any], only: Sequence[str] = QUICK) -> Report:
     )
 
 
-def flagged(rows: Sequence[PhenomenonResult]) -> dict[str, PhenomenonResult]:
+def flagged(rows):
     return {row.phenomenon: row for row in rows if row.is_flag}
 
 
@@ -69,23 +59,21 @@ def flagged(rows: Sequence[PhenomenonResult]) -> dict[str, PhenomenonResult]:
 
 
 @pytest.mark.parametrize("name", PLANTS)
-def test_planted_setting_is_found(name: str) -> None:
+def test_planted_setting_is_found(name):
     bad, shows_in = PLANTS[name]
     bad_rows = flagged(report({**GOOD, name: bad}, only=[shows_in]).rows)
-    assert bad_rows[shows_in].cause is not None
     assert bad_rows[shows_in].cause.settings == (name,)
     assert bad_rows[shows_in].cause.line.startswith(f"{name} = ")
 
 
-def test_settings_that_need_each_other_are_both_reported() -> None:
+def test_settings_that_need_each_other_are_both_reported():
     # Without refsafe a time constant of 0.002 s is too short for a step of 0.002 s: either of them mends it.
     (row,) = report({**GOOD, "refsafe": False}, only=["creep-wood"]).rows
     assert row.verdict is Verdict.WRONG
-    assert row.cause is not None
     assert "refsafe" in row.cause.line and "timestep_s" in row.cause.line
 
 
-def test_good_configuration_raises_no_flag() -> None:
+def test_good_configuration_raises_no_flag():
     found = report(GOOD)
     assert flagged(found.rows) == {}
     assert found.worst is Verdict.INSIDE
@@ -97,7 +85,7 @@ def test_good_configuration_raises_no_flag() -> None:
     assert found.versions["mujoco"]
 
 
-def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
+def test_half_cheetah_is_flagged_with_a_cause_each():
     seen = []
     found = check(
         TrainingConfiguration(
@@ -129,7 +117,7 @@ def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     assert len(creep.curve.reality) == len(creep.curve.default) <= CURVE_SAMPLES
 
 
-def test_a_preset_is_taken_apart_into_its_settings() -> None:
+def test_a_preset_is_taken_apart_into_its_settings():
     scenario = phenomena(["rebound"])[0].scenario
     names = alternatives(
         Measurements(backend("mujoco")), scenario, {"preset": "out_of_box"}
@@ -138,7 +126,7 @@ def test_a_preset_is_taken_apart_into_its_settings() -> None:
     assert not {"preset", "drive_interval_s"} & set(names)
 
 
-def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted() -> None:
+def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted():
     model = {
         "timestep_s": 0.02,
         "cone": "pyramidal",
@@ -166,24 +154,24 @@ def test_what_is_tried_is_documented_or_a_preset_and_can_be_pasted() -> None:
         assert one.value is not None and one.value != one.was
 
 
-def test_refused_settings_are_the_users_error() -> None:
+def test_refused_settings_are_the_users_error():
     with pytest.raises(ParameterError, match="colour"):
         report({"colour": "red"}, only=["creep-wood", "rebound"])
 
 
-def test_divergence_is_a_row() -> None:
+def test_divergence_is_a_row():
     loose = {"timestep_s": 0.01, "contact_solref": (0.002, 1.0), "refsafe": False}
     loose["contact_solimp"] = CHEETAH["contact_solimp"]
     (row,) = report(loose, only=["creep-wood"]).rows
     assert (row.verdict, row.configured) == (Verdict.WRONG, None)
     assert row.remark.startswith("diverged")
-    assert row.cause is not None and row.cause.settings
-    assert row.curve is not None and row.curve.configured == ()
+    assert row.cause.settings
+    assert row.curve.configured == ()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTS)
-def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
+def test_planted_setting_is_found_in_every_flagged_row(name):
     """It is the cause, or is named among the settings that suffice, where it is not the default of the scene."""
     bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
     assert PLANTS[name][1] in bad
@@ -204,7 +192,7 @@ def test_planted_setting_is_found_in_every_flagged_row(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_good_configuration_raises_no_flag_anywhere() -> None:
+def test_good_configuration_raises_no_flag_anywhere():
     assert flagged(report(GOOD, only=()).rows) == {}
 
 
@@ -214,14 +202,14 @@ def test_good_configuration_raises_no_flag_anywhere() -> None:
 class Made(Measurements):
     """Measurements whose values follow a formula of five switches, 0 by default; reality is 0 +- 1."""
 
-    def __init__(self, formula: Callable[..., float]) -> None:
+    def __init__(self, formula):
         super().__init__(backend("mujoco"))
         self._formula = formula
 
-    def in_force(self, scenario: object, settings: Mapping[str, Any]) -> dict[str, Any]:
+    def in_force(self, scenario, settings):
         return dict.fromkeys("abcde", 0) | dict(settings)
 
-    def measure(self, phenomenon: object, settings: Mapping[str, Any]) -> Measured:
+    def measure(self, phenomenon, settings):
         value = self._formula(**self.in_force(None, settings))
         if math.isinf(value):
             return Measured(
@@ -240,7 +228,7 @@ class Made(Measurements):
         return Measured(value=value, deviation=0.5 * abs(value), verdict=verdict)
 
 
-def cause_of(formula: Callable[..., float], **settings: Any) -> Cause | None:
+def cause_of(formula, **settings):
     made = Made(formula)
     (phenomenon,) = phenomena(["creep-wood"])
     return find_cause(
@@ -248,15 +236,15 @@ def cause_of(formula: Callable[..., float], **settings: Any) -> Cause | None:
     )
 
 
-def test_nothing_is_responsible_for_what_is_right() -> None:
+def test_nothing_is_responsible_for_what_is_right():
     assert cause_of(lambda a, b, c, d, e: 1.5 * a, a=1, b=1) is None
 
 
-def test_the_closest_single_setting_is_responsible_and_others_are_reported() -> None:
+def test_the_closest_single_setting_is_responsible_and_others_are_reported():
     cause = cause_of(
         lambda a, b, c, d, e: 20.0 * a * b + 0.5 * c - 0.4 * b, a=1, b=1, c=1
     )
-    assert cause is not None and cause.settings == ("a",)
+    assert cause.settings == ("a",)
     assert cause.line == (
         "a = 0 instead of 1 brings creep from 20.1 mm/s to 0.1 mm/s (b = 0 alone to 0.5 mm/s); "
         "from the engine's documented default"
@@ -268,7 +256,7 @@ def test_the_closest_single_setting_is_responsible_and_others_are_reported() -> 
     ]
 
 
-def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
+def test_within_the_scatter_what_harms_the_default_is_responsible():
     # With b put back it comes closest, as c takes back what a alone does; but a harms alone, and b does not.
     cause = cause_of(
         lambda a, b, c, d, e: 7.0 * a * b + a * (1 - b) * (1.5 - 1.4 * c) + c * (1 - a),
@@ -276,24 +264,24 @@ def test_within_the_scatter_what_harms_the_default_is_responsible() -> None:
         b=1,
         c=1,
     )
-    assert cause is not None and cause.settings == ("a",)
+    assert cause.settings == ("a",)
     assert "from 7 mm/s to 1 mm/s (b = 0 alone to 0.1 mm/s)" in cause.line
 
 
-def test_half_the_error_is_enough_and_what_completes_it_is_reported() -> None:
+def test_half_the_error_is_enough_and_what_completes_it_is_reported():
     cause = cause_of(lambda a, b, c, d, e: 20.0 * a + 10.0 * b, a=1, b=1)
-    assert cause is not None and cause.settings == ("a",)
+    assert cause.settings == ("a",)
     assert "from 30 mm/s to 10 mm/s (with b = 0 too to 0 mm/s)" in cause.line
 
 
-def test_each_of_two_suffices() -> None:
+def test_each_of_two_suffices():
     cause = cause_of(lambda a, b, c, d, e: 20.0 * max(a, b), a=1, b=1, c=1)
-    assert cause is not None and cause.settings == ("a", "b")
+    assert cause.settings == ("a", "b")
     assert "each alone on this package's preset: a 20 mm/s, b 20 mm/s" in cause.line
     assert sum(trial.on_default for trial in cause.tried) == 3
 
 
-def test_two_are_responsible_together() -> None:
+def test_two_are_responsible_together():
     # Three equal shares: no one takes half away, none alone is half of it, and one more than two is not needed.
     cause = cause_of(
         lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1
@@ -302,22 +290,22 @@ def test_two_are_responsible_together() -> None:
     assert "together" in cause.line and "d" not in cause.settings
 
 
-def test_more_than_a_few_are_the_configuration_as_a_whole() -> None:
+def test_more_than_a_few_are_the_configuration_as_a_whole():
     # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
     cause = cause_of(
         lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1
     )
-    assert cause is not None and cause.settings == ()
+    assert cause.settings == ()
     assert cause.line == "no reset of up to 3 settings explains it: a, b, c, d, e"
 
 
-def test_what_the_default_gets_wrong_too() -> None:
+def test_what_the_default_gets_wrong_too():
     cause = cause_of(lambda a, b, c, d, e: 10.0 + a, a=1)
-    assert cause is not None and cause.settings == ()
+    assert cause.settings == ()
     assert cause.line == "no setting alone explains it; this package's preset: 10 mm/s"
 
 
-def test_what_ends_a_divergence_is_responsible() -> None:
+def test_what_ends_a_divergence_is_responsible():
     cause = cause_of(lambda a, b, c, d, e: math.inf if a else 1.0 + b, a=1, b=1)
-    assert cause is not None and cause.settings == ("a",)
+    assert cause.settings == ("a",)
     assert "from diverged: far to 2 mm/s" in cause.line

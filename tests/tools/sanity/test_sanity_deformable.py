@@ -1,35 +1,31 @@
 """What the sanity check measures on deformable bodies: readings against closed forms, outcomes of training settings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
+from gauge_envs.runs.rollout import DeclinedError, DivergedError
 from gauge_envs.scene import Rope
 from gauge_envs.tools.sanity.cause import find_cause
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import run_scenario
 
 MUJOCO = backend("mujoco")
 TIMES_S = np.linspace(0.0, 1.2, 601)
 
 
-def one(name: str) -> Phenomenon:
+def one(name):
     (found,) = phenomena([name], include_deformables=True)
     return found
 
 
-def deformable() -> list[Phenomenon]:
+def deformable():
     return [
         one
         for one in phenomena(include_deformables=True)
@@ -37,21 +33,20 @@ def deformable() -> list[Phenomenon]:
     ]
 
 
-def read(phenomenon: Phenomenon, rollout: Rollout) -> float:
+def read(phenomenon, rollout):
     assert phenomenon.failure is None
     return float(phenomenon.value(rollout))
 
 
-def markers_m(phenomenon: Phenomenon) -> NDArray[np.float64]:
+def markers_m(phenomenon):
     """Markers at rest [m], shape [marker_count, 3]."""
-    assert phenomenon.scenario.scene.markers is not None
     return np.asarray(phenomenon.scenario.scene.markers.positions_m)
 
 
 # --- readings of motions that are known ------------------------------------------------------------------------------
 
 
-def test_sag_is_the_centre_of_the_swing() -> None:
+def test_sag_is_the_centre_of_the_swing():
     sag = one("cloth-sag")
     rest = markers_m(sag)
     down_m = 1.3e-3 * (1.0 - np.cos(2.0 * np.pi * 16.4 * TIMES_S))
@@ -61,7 +56,7 @@ def test_sag_is_the_centre_of_the_swing() -> None:
     )
 
 
-def test_sag_of_a_linear_strip_is_the_law() -> None:
+def test_sag_of_a_linear_strip_is_the_law():
     """By summing up the elongations of thin slices, each under the weight below it."""
     sag = one("cloth-sag")
     (cloth,) = sag.scenario.scene.deformables
@@ -75,7 +70,7 @@ def test_sag_of_a_linear_strip_is_the_law() -> None:
     assert sag.reality.value == pytest.approx(1e3 * elongation_m, rel=1e-3)
 
 
-def test_fling_reads_the_angle_of_a_rigid_sheet() -> None:
+def test_fling_reads_the_angle_of_a_rigid_sheet():
     fling = one("fling-lag")
     rest = markers_m(fling)
     rod = np.asarray(fling.scenario.scene.body("rod").pose.position_m)
@@ -95,7 +90,7 @@ def test_fling_reads_the_angle_of_a_rigid_sheet() -> None:
 
 
 @pytest.mark.parametrize("name", ["foam-stretch", "foam-compress"])
-def test_area_of_a_face_that_grows_alike_in_all_directions(name: str) -> None:
+def test_area_of_a_face_that_grows_alike_in_all_directions(name):
     foam = one(name)
     rest = markers_m(foam)
     markers = rest * np.linspace(1.0, 1.02, len(TIMES_S))[:, None, None]
@@ -105,7 +100,7 @@ def test_area_of_a_face_that_grows_alike_in_all_directions(name: str) -> None:
 
 
 @pytest.mark.parametrize("frequency_hz", [1.69, 2.49])
-def test_frequency_of_a_sine(frequency_hz: float) -> None:
+def test_frequency_of_a_sine(frequency_hz):
     beam = one("beam")
     fall_m = (
         0.04
@@ -127,7 +122,7 @@ def test_frequency_of_a_sine(frequency_hz: float) -> None:
 
 
 @pytest.mark.parametrize("stretch", [0.01, -0.02])
-def test_stretch_of_a_rope_that_is_wound(stretch: float) -> None:
+def test_stretch_of_a_rope_that_is_wound(stretch):
     rope = one("rope-length")
     (body,) = rope.scenario.scene.deformables
     assert isinstance(body, Rope)
@@ -141,7 +136,7 @@ def test_stretch_of_a_rope_that_is_wound(stretch: float) -> None:
     assert read(rope, rollout) == pytest.approx(1e3 * stretch * body.length_m, rel=1e-3)
 
 
-def test_foot_stays_behind_the_base() -> None:
+def test_foot_stays_behind_the_base():
     foot = one("foot-lag")
     rest = markers_m(foot)
     base = np.outer(0.0173 * TIMES_S, [1.0, 0.0, 0.0])
@@ -158,7 +153,7 @@ def test_foot_stays_behind_the_base() -> None:
 # --- rollouts --------------------------------------------------------------------------------------------------------
 
 
-def test_markers_start_where_the_scene_has_them() -> None:
+def test_markers_start_where_the_scene_has_them():
     scenario = replace(one("beam").scenario, seconds=0.05, nodes_of=("cube-4",))
     rollout = run_scenario(MUJOCO, scenario, {})
     np.testing.assert_allclose(rollout.markers_m[0], markers_m(one("beam")), atol=1e-9)
@@ -169,7 +164,7 @@ def test_markers_start_where_the_scene_has_them() -> None:
     assert 0.7 < fall / (0.5 * 9.80665 * rollout.times_s[-1] ** 2) < 1.5
 
 
-def test_refused_settings_are_declined_with_their_reason() -> None:
+def test_refused_settings_are_declined_with_their_reason():
     settings = CHEETAH | {"integrator": "implicitfast"}
     with pytest.raises(DeclinedError, match="set integrator='discrete'"):
         run_scenario(MUJOCO, one("foam-stretch").scenario, settings)
@@ -181,7 +176,7 @@ def test_refused_settings_are_declined_with_their_reason() -> None:
 @pytest.mark.parametrize(
     "name", ["cloth-carry", "cloth-sag", "foam-stretch", "beam", "foot-lag"]
 )
-def test_explicit_elasticity_diverges_and_is_seen(name: str, timestep_s: float) -> None:
+def test_explicit_elasticity_diverges_and_is_seen(name, timestep_s):
     """MuJoCo sets back to the start what blows up, and a body at its start may look as if it were right."""
     measured = Measurements(MUJOCO).measure(
         one(name), {"timestep_s": timestep_s, "integrator": "Euler"}
@@ -190,8 +185,8 @@ def test_explicit_elasticity_diverges_and_is_seen(name: str, timestep_s: float) 
     assert measured.remark.startswith("diverged: after 0.0")
 
 
-def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> None:
-    def give_up(simulation: SimulationMuJoCo, seconds: float) -> None:
+def test_an_engine_that_raises_has_diverged(monkeypatch):
+    def give_up(simulation, seconds):
         raise MemoryError("too many\ncontacts")
 
     monkeypatch.setattr(SimulationMuJoCo, "advance", give_up)
@@ -223,7 +218,7 @@ def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> 
         ),
     ],
 )
-def test_what_harms_a_deformable_body_is_found(name, settings, responsible) -> None:
+def test_what_harms_a_deformable_body_is_found(name, settings, responsible):
     measurements, phenomenon = Measurements(MUJOCO), one(name)
     configured = measurements.measure(phenomenon, settings)
     default = measurements.measure(phenomenon, {})
@@ -232,7 +227,7 @@ def test_what_harms_a_deformable_body_is_found(name, settings, responsible) -> N
 
 
 @pytest.mark.slow
-def test_default_raises_one_flag_that_is_the_scenes() -> None:
+def test_default_raises_one_flag_that_is_the_scenes():
     """The beam: the modulus of its blocks is not published."""
     measurements = Measurements(MUJOCO)
     found = {
@@ -248,13 +243,13 @@ def test_default_raises_one_flag_that_is_the_scenes() -> None:
     assert found["cloth-carry"].value == pytest.approx(0.0, abs=4.0)
 
 
-def test_a_step_as_long_as_the_scene_is_declined() -> None:
+def test_a_step_as_long_as_the_scene_is_declined():
     """Nothing can be fitted to one sample."""
     with pytest.raises(DeclinedError, match="a step of 2 s is too long for a scene of"):
         run_scenario(MUJOCO, one("creep-wood").scenario, {"timestep_s": 2.0})
 
 
-def test_a_fall_of_two_samples_has_the_height_of_the_release() -> None:
+def test_a_fall_of_two_samples_has_the_height_of_the_release():
     rollout = run_scenario(
         MUJOCO, one("rebound").scenario, {"timestep_s": 0.15, "drive_interval_s": 0.15}
     )

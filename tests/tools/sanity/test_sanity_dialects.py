@@ -1,10 +1,8 @@
 """Each stack has one dialect, read and written by one table: what is read of a written change is the change."""
 
-from __future__ import annotations
-
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from math import radians
 from pathlib import Path
@@ -23,7 +21,7 @@ from mujoco_stacks import (
     playground_env,
 )
 
-from gauge_envs.tools.sanity import TrainingConfiguration, configuration
+from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.stacks import STACKS, dialect, genesis
 from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
@@ -34,7 +32,7 @@ FLAGS = dict.fromkeys(
     (False, True),
 )
 
-MUJOCO: Mapping[str, tuple[Any, ...]] = {
+MUJOCO = {
     "timestep_s": (0.0025, 0.004),
     "integrator": ("Euler", "implicitfast", "RK4"),
     "cone": ("elliptic", "pyramidal"),
@@ -58,7 +56,7 @@ MUJOCO: Mapping[str, tuple[Any, ...]] = {
 }
 """Values of the settings of MuJoCo's stacks."""
 
-PHYSX: Mapping[str, tuple[Any, ...]] = {
+PHYSX = {
     "timestep_s": (0.0025, 0.004),
     "solver": ("PGS", "TGS"),
     **dict.fromkeys(("position_iterations", "velocity_iterations"), (3, 17)),
@@ -75,7 +73,7 @@ PHYSX: Mapping[str, tuple[Any, ...]] = {
 
 NUMBERS = (0.0125, 0.5)
 
-GENESIS: Mapping[str, tuple[Any, ...]] = {
+GENESIS = {
     "precision": (32, 64),
     "timestep_s": (0.0025, 0.004),
     "integrator": ("Euler", "implicitfast", "approximate_implicitfast"),
@@ -95,20 +93,20 @@ GENESIS: Mapping[str, tuple[Any, ...]] = {
 class Tables(SimpleNamespace):
     """Nested tables whose entries are attributes, which come into being where they are named."""
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name):
         if name.startswith("__"):
             raise AttributeError(name)
         setattr(self, name, Tables())
         return getattr(self, name)
 
-    def plain(self) -> dict[str, Any]:
+    def plain(self):
         return {
             name: one.plain() if isinstance(one, Tables) else one
             for name, one in vars(self).items()
         }
 
 
-def merged(first: dict[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+def merged(first, second):
     """Return nested tables with the entries of others."""
     for name, one in second.items():
         first[name] = (
@@ -117,7 +115,7 @@ def merged(first: dict[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
     return first
 
 
-def found(read: TrainingConfiguration) -> dict[str, Any]:
+def found(read):
     """Return settings, and limits of contacts by the same names."""
     limits = None if read.capacity is None else read.capacity.limits
     return {
@@ -133,7 +131,7 @@ def found(read: TrainingConfiguration) -> dict[str, Any]:
 # --- one stack each: from a snippet to what is read of it -------------------------------------------------------------
 
 
-def of_mjcf(text: str, _: Path) -> dict[str, Any]:
+def of_mjcf(text, _):
     parts = text.replace(" and ", "\n")
     # Margins and gaps of two geoms add up, so the plane has none of its own.
     plane, ball = (
@@ -149,7 +147,7 @@ def of_mjcf(text: str, _: Path) -> dict[str, Any]:
     )
 
 
-def of_playground(text: str, _: Path) -> dict[str, Any]:
+def of_playground(text, _):
     if not text.startswith("config_overrides="):
         return of_mjcf(text, _)
     names = {"sim_dt": "timestep_s", "njmax": "njmax", "naconmax": "naconmax"}
@@ -160,14 +158,14 @@ def of_playground(text: str, _: Path) -> dict[str, Any]:
     }
 
 
-def playground_limits(overrides: Mapping[str, Any]) -> dict[str, Any]:
+def playground_limits(overrides):
     """Return the limits that are read of an environment of Playground with such overrides."""
     model = mujoco.MjModel.from_xml_string("<mujoco/>")
     read = found(configuration(playground_env(model, impl="warp", **overrides)))
     return {name: read[name] for name in ("njmax", "naconmax")}
 
 
-def of_mjlab(text: str, _: Path) -> dict[str, Any]:
+def of_mjlab(text, _):
     names = {
         "SimulationCfg": SimulationCfg,
         "MujocoCfg": MujocoCfg,
@@ -179,7 +177,7 @@ def of_mjlab(text: str, _: Path) -> dict[str, Any]:
     return found(configuration(mjlab_task(sim, collision)))
 
 
-def of_isaac_lab(text: str, _: Path) -> dict[str, Any]:
+def of_isaac_lab(text, _):
     made = Tables()
     exec(
         text,
@@ -195,7 +193,7 @@ def of_isaac_lab(text: str, _: Path) -> dict[str, Any]:
     )
 
 
-def of_isaac_gym(text: str, _: Path) -> dict[str, Any]:
+def of_isaac_gym(text, _):
     names = {
         "sim": Tables(dt=0.005, substeps=2, physx=Tables(num_position_iterations=4)),
         "asset": Tables(),
@@ -205,7 +203,7 @@ def of_isaac_gym(text: str, _: Path) -> dict[str, Any]:
     return found(isaac_gym_configuration(cfg, name="task", source="test"))
 
 
-def of_maniskill(text: str, _: Path) -> dict[str, Any]:
+def of_maniskill(text, _):
     fields = eval(text, {"SimConfig": dict, "SceneConfig": dict})
     return found(
         maniskill_configuration(
@@ -217,10 +215,10 @@ def of_maniskill(text: str, _: Path) -> dict[str, Any]:
 class Constants(np.ndarray):
     """Constants of two geoms, in the form of a tensor."""
 
-    def cpu(self) -> Constants:
+    def cpu(self):
         return self
 
-    def numpy(self) -> np.ndarray:
+    def numpy(self):
         return np.asarray(self)
 
 
@@ -233,12 +231,12 @@ class Geom(SimpleNamespace):
 class Names:
     """Constants of Genesis: `gs.integrator.Euler` is the text `Euler`."""
 
-    def __getattr__(self, name: str) -> str:
+    def __getattr__(self, name):
         return name
 
 
-def of_genesis(text: str, _: Path) -> dict[str, Any]:
-    given: dict[str, Any] = {"precision": "32"}
+def of_genesis(text, _):
+    given = {"precision": "32"}
     options = SimpleNamespace(
         SimOptions=lambda **sim: {"sim": sim},
         RigidOptions=lambda **rigid: {"rigid": rigid},
@@ -268,7 +266,7 @@ def of_genesis(text: str, _: Path) -> dict[str, Any]:
     kind = type("Scene", (), {"__module__": "genesis.engine.scene"})
     scene = kind()
     scene.is_built, scene.rigid_solver = True, solver
-    made: dict[str, Any] = {
+    made = {
         "sim": {"dt": 0.01, "substeps": 1, "gravity": (0.0, 0.0, -9.81)},
         "rigid": {},
     }
@@ -285,11 +283,11 @@ def of_genesis(text: str, _: Path) -> dict[str, Any]:
         ),
     )
     size = SimpleNamespace(itemsize=8 if given["precision"] == "64" else 4)
-    sys.modules["genesis"].tc_float = size  # type: ignore[attr-defined]
+    sys.modules["genesis"].tc_float = size
     return found(configuration(scene))
 
 
-def of_toml(text: str, folder: Path) -> dict[str, Any]:
+def of_toml(text, folder):
     file = folder / "settings.toml"
     file.write_text(
         'backend = "mujoco"\n[settings]\n' + re.sub(r", (?=\w+ = )", "\n", text),
@@ -300,7 +298,7 @@ def of_toml(text: str, folder: Path) -> dict[str, Any]:
 
 Reading = Callable[[str, Path], dict[str, Any]]
 
-READINGS: Mapping[str, tuple[Reading, Mapping[str, tuple[Any, ...]]]] = {
+READINGS = {
     "mjcf": (of_mjcf, MUJOCO),
     "playground": (of_playground, MUJOCO),
     "mjlab": (of_mjlab, MUJOCO),
@@ -324,7 +322,7 @@ NOT_READ = {"link_linear_damping_per_s", "angular_damping_per_s"}
 """Settings that ManiSkill changes by a call on each link: no SimConfig states them."""
 
 
-def cases() -> Iterator[tuple[str, str]]:
+def cases():
     for name, (_, values) in READINGS.items():
         known = dialect(name)
         stated = [one.name for one in known.settings] or list(values)
@@ -333,7 +331,7 @@ def cases() -> Iterator[tuple[str, str]]:
                 yield name, setting
 
 
-def test_every_dialect_is_read_here_or_with_its_engine() -> None:
+def test_every_dialect_is_read_here_or_with_its_engine():
     modules = [
         import_module(f"gauge_envs.tools.sanity.stacks.{name}") for name in STACKS
     ]
@@ -343,8 +341,8 @@ def test_every_dialect_is_read_here_or_with_its_engine() -> None:
 
 @pytest.mark.parametrize(("name", "setting"), list(cases()))
 def test_reading_what_a_dialect_writes_gives_the_setting_back(
-    name: str, setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    name, setting, tmp_path, monkeypatch
+):
     install_mjlab(monkeypatch)
     monkeypatch.setitem(sys.modules, "genesis", ModuleType("genesis"))
     monkeypatch.setattr(genesis, "check_settings", lambda *_: None)
@@ -360,9 +358,7 @@ def test_reading_what_a_dialect_writes_gives_the_setting_back(
         )
 
 
-def test_changes_in_the_words_of_each_stack(
-    approved: Callable[[str, str], None],
-) -> None:
+def test_changes_in_the_words_of_each_stack(approved):
     """All settings of a stack at once, one that is left out, one without a key, and gravity."""
     lines = []
     for name in (*READINGS, "newton"):

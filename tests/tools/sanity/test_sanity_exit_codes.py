@@ -1,18 +1,16 @@
 """Exit codes, formats and the action of a sanity check: green only where all was measured and passed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import yaml
+from arm_faults import good_xml as good_arm_xml
 from places import ROOT
-from robot_faults import good_xml
+from robot_faults import FAULTS, good_xml
 from test_sanity_report import ADVICE, CREEP, NOTHING, PERIOD, SLIDE, WALL, report
 from typer.testing import CliRunner
 
@@ -24,8 +22,11 @@ from gauge_envs.tools.sanity.words import sanity_document
 
 RUNNER = CliRunner()
 
+QUICK_FAULTS = ("gravity_sideways", "trunk_in_grams", "floor_tilted_3_degrees")
+"""Faults of a model that every run of the tests checks in all formats."""
 
-def run(monkeypatch: pytest.MonkeyPatch, checked: sanity.Report, *options: str):
+
+def run(monkeypatch, checked, *options):
     monkeypatch.setattr(sanity, "check", lambda *_, **__: checked)
     return RUNNER.invoke(app, ["sanity", "mujoco", *options])
 
@@ -48,27 +49,55 @@ def run(monkeypatch: pytest.MonkeyPatch, checked: sanity.Report, *options: str):
         ((WALL,), ("--fail-on", "never"), 3),
     ],
 )
-def test_exit_codes(monkeypatch, rows, options, code) -> None:
+def test_exit_codes(monkeypatch, rows, options, code):
     assert run(monkeypatch, report(*rows), *options).exit_code == code
 
 
-def test_a_row_that_was_asked_for_by_name_must_be_measured(monkeypatch) -> None:
+def test_a_row_that_was_asked_for_by_name_must_be_measured(monkeypatch):
     checked = replace(report(PERIOD, NOTHING), asked=("slip",))
     assert run(monkeypatch, checked).exit_code == 3
     assert checked.unmeasured == ("slip",)
 
 
-def test_a_check_without_time_is_not_green() -> None:
-    outcome = RUNNER.invoke(
-        app,
-        [
+def test_rows_that_do_not_apply_and_rows_that_cannot_run_say_why(gauge, tmp_path):
+    (tmp_path / "arm.xml").write_text(good_arm_xml())
+    outcome = gauge("sanity", "arm.xml", "--only", "robot-stands,robot-slip")
+    reason = "no robot of the model stands on the ground under its own weight"
+    assert outcome.exit_code == 3
+    assert outcome.stdout.startswith(f"Nothing was measured; {reason}")
+    assert f"not applicable, {reason}: robot-stands, robot-slip" in outcome.stdout
+    # The servos of this quadruped diverge: it stands, and what the pose would show cannot be measured.
+    (tmp_path / "quadruped.xml").write_text(FAULTS["euler_without_eulerdamp"].xml())
+    words = [
+        "sanity",
+        "quadruped.xml",
+        "--only",
+        "robot-holds,robot-stand*,robot-dela*",
+    ]
+    whole, *rows = map(json.loads, gauge(*words, "--json").stdout.splitlines())
+    assert whole["counts"] == {"measured": 1, "declined": 1, "not_applicable": 1}
+    found = {row["phenomenon"]: row for row in rows}
+    assert found["robot-holds"]["verdict"] == "wrong"
+    assert found["robot-stands"]["remark"].startswith("the state diverges at")
+    assert found["robot-stands"]["applies"] and not found["robot-delay"]["applies"]
+    (run,) = json.loads(gauge(*words, "--format", "sarif").stdout)["runs"]
+    levels = {
+        one["associatedRule"]["id"]: one["level"]
+        for one in run["invocations"][0]["toolExecutionNotifications"]
+    }
+    assert levels == {"robot-stands": "error", "robot-delay": "note"}
+
+
+def test_a_check_without_time_is_not_green(gauge):
+    outcome = gauge(
+        *[
             "sanity",
             "HalfCheetah-v5",
-            "--limits",
+            "--timeout",
             "0s",
             "--only",
             "foot-*,creep-*,robot-servo",
-        ],
+        ]
     )
     assert outcome.exit_code == 3
     assert (
@@ -77,29 +106,20 @@ def test_a_check_without_time_is_not_green() -> None:
     )
 
 
-def test_a_configuration_with_flags_ends_with_1() -> None:
-    outcome = RUNNER.invoke(
-        app, ["sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity"]
-    )
+def test_a_configuration_with_flags_ends_with_1(gauge):
+    outcome = gauge("sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity")
     assert outcome.exit_code == 1
     assert outcome.stdout.startswith("Mends most: <default><geom solimp=")
 
 
-def test_feet_without_friction_are_not_green(tmp_path: Path) -> None:
+def test_feet_without_friction_are_not_green(tmp_path, gauge):
     path = tmp_path / "robot.xml"
     path.write_text(good_xml().replace("<geom friction", '<geom condim="1" friction'))
-    assert (
-        RUNNER.invoke(app, ["sanity", str(path), "--only", "foot-creep"]).exit_code == 3
-    )
-    assert (
-        RUNNER.invoke(
-            app, ["sanity", str(path), "--only", "foot-creep,robot-friction"]
-        ).exit_code
-        == 1
-    )
+    assert gauge("sanity", path, "--only", "foot-creep").exit_code == 3
+    assert gauge("sanity", path, "--only", "foot-creep,robot-friction").exit_code == 1
 
 
-def test_success_is_one_line(monkeypatch) -> None:
+def test_success_is_one_line(monkeypatch):
     lines = run(monkeypatch, report(PERIOD)).stdout.splitlines()
     assert lines == ["Robot-v0: No flags: 1 row measured, nothing to change; 12 s"]
     assert (
@@ -127,8 +147,8 @@ WORSE = replace(PERIOD, configured=1.0, verdict=Verdict.VISIBLE)
     ],
 )
 def test_a_baseline_compares_values_with_their_intervals(
-    rows, options, code, monkeypatch, tmp_path: Path
-) -> None:
+    rows, options, code, monkeypatch, tmp_path
+):
     before = tmp_path / "before.json"
     known = as_rows(sanity_document(report(CREEP, PERIOD)))
     before.write_text("\n".join(map(json.dumps, known)))
@@ -136,28 +156,102 @@ def test_a_baseline_compares_values_with_their_intervals(
     outcome = run(monkeypatch, report(*rows), *options)
     assert outcome.exit_code == code
     if WORSE in rows and code:
-        assert "period: visible, 2 half-widths; was 1 half-widths" in outcome.stderr
+        assert (
+            "period: visible, 1 mm/s, 2 half-widths from reality; was 1 half-widths"
+            in outcome.stderr
+        )
 
 
 @pytest.mark.parametrize("number", [10**400, 0, "x"])
 def test_a_baseline_with_a_number_that_is_none_is_an_error(
-    number: object, monkeypatch, tmp_path: Path
-) -> None:
-    row = {"phenomenon": "creep-wood", "verdict": "wrong", "configured": number}
+    number, monkeypatch, tmp_path
+):
+    row = {
+        "phenomenon": "creep-wood",
+        "verdict": "wrong",
+        "configured": number,
+        "parts": [],
+    }
     before = tmp_path / "before.json"
     before.write_text(json.dumps(row | {"reality": {"value": 0, "tolerance": 0}}))
     outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
     assert (
         outcome.exit_code == 2
-        and "is not the output of gauge sanity --json" in outcome.stderr
+        and "is not the output of this version's gauge sanity --json" in outcome.stderr
     )
+
+
+FINGER = (
+    '<geom name="trunk"',
+    '<body name="finger" pos=".22 0 .1"><joint name="finger" axis="0 1 0" range="-1 1" armature="0.3" damping="0"/>'
+    '<geom type="capsule" fromto="0 0 0 .04 0 0" size=".01" contype="0" conaffinity="0"/></body><geom name="trunk"',
+)
+"""A finger whose armature is far larger than it can have, on the back of the quadruped."""
+
+
+def with_finger(*changes):
+    text = good_xml()
+    servo = '<position name="finger" joint="finger" kp="2" kv="0.1" forcerange="-2 2"/></actuator>'
+    end = ('qpos="0 0 .322 1 0 0 0 0', 'qpos="0 0 .322 1 0 0 0 0 0')
+    for old, new in (FINGER, ("</actuator>", servo), end, *changes):
+        assert old in text, old
+        text = text.replace(old, new)
+    return text
+
+
+def test_a_known_part_hides_no_other_part_of_its_row(gauge, tmp_path):
+    (tmp_path / "robot.xml").write_text(with_finger())
+    words = [
+        "sanity",
+        "robot.xml",
+        "--only",
+        "robot-armature,robot-damp*,robot-inertia",
+    ]
+    before = gauge(*words, "--json")
+    (tmp_path / "before.json").write_text(before.stdout)
+    known = {
+        row["phenomenon"]: row
+        for row in map(json.loads, before.stdout.splitlines()[1:])
+    }
+    flagged = {
+        one["name"]
+        for one in known["robot-armature"]["parts"]
+        if one["verdict"] != "inside"
+    }
+    assert flagged == {"finger"}
+    again = gauge(*words, "--baseline", "before.json")
+    assert (again.exit_code, "regression" in again.stderr) == (0, False)
+    heavy = with_finger(('<joint armature="0.005"', '<joint armature="1"'))
+    (tmp_path / "robot.xml").write_text(heavy)
+    outcome = gauge(*words, "--baseline", "before.json")
+    legs = {
+        f"{leg}_{joint}"
+        for leg in ("FL", "FR", "RL", "RR")
+        for joint in ("hip", "knee")
+    }
+    named = {
+        line.split(", ")[1].split(":")[0]
+        for line in outcome.stderr.splitlines()
+        if "regression" in line
+    }
+    assert (outcome.exit_code, named) == (1, legs)
+
+
+def test_a_baseline_without_parts_is_to_be_written_again(monkeypatch, tmp_path):
+    rows = as_rows(sanity_document(report(CREEP, PERIOD)))
+    for row in rows:
+        row.pop("parts", None)
+    before = tmp_path / "before.json"
+    before.write_text("\n".join(map(json.dumps, rows)))
+    outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
+    assert outcome.exit_code == 2 and "write it again" in outcome.stderr
 
 
 # --- action ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
+def test_the_steps_of_the_action_run(tmp_path):
     action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
     assert action["runs"]["using"] == "composite"
     values = {name: one.get("default", "") for name, one in action["inputs"].items()}
@@ -167,19 +261,43 @@ def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
     (tmp_path / "robot.xml").write_text(good_xml())
     faulty = good_xml().replace('<body name="trunk"', '<body name="trunk" gravcomp="1"')
     (tmp_path / "faulty robot.xml").write_text(faulty)
-    for target, options, code in (
-        ("robot.xml", "--only robot-*,floor-tilt", 0),
-        ("faulty robot.xml", "--only robot-gravcomp --out rows.json", 1),
+    (tmp_path / "soft robot.xml").write_text(good_xml().replace('kp="80"', 'kp="40"'))
+    heavy = faulty.replace('density="1500"', 'density="2500"')
+    (tmp_path / "heavy.xml").write_text(heavy)
+    faulted, soft = "faulty robot.xml", "soft robot.xml"
+    for target, options, more, code in (
+        ("robot.xml", "--only robot-*,floor-tilt", {}, 0),
+        (faulted, "--only robot-gravcomp --out rows.json", {}, 1),
+        (faulted, "--only 'robot-gravcomp, floor-tilt' --baseline rows.json", {}, 0),
+        (faulted, "--only robot-gravcomp", {"baseline": "rows.json"}, 0),
+        (faulted, "--only robot-servo,robot-grav*", {"baseline": "absent.json"}, 2),
+        ("robot.xml", "--only kp,mass", {"against": soft}, 1),
+        ("robot.xml", "--only kp,mass", {"against": "robot.xml"}, 0),
+        ("robot.xml", "--only kp --fail-on never", {"against": soft}, 0),
+        ("robot.xml", "--only kp", {"against": "$(touch pwned)"}, 2),
+        # A check that is no worse than before, and a comparison that finds a mass.
         (
-            "faulty robot.xml",
-            "--only 'robot-gravcomp, floor-tilt' --baseline rows.json",
+            faulted,
+            "--only robot-gravcomp",
+            {"baseline": "rows.json", "against": faulted},
             0,
         ),
-        ("robot.xml", "--only foot-creep --limits 0s", 3),
-        ("robot.xml; touch pwned\n$(touch pwned)", "--only robot-* ; touch pwned", 2),
-        ("--fail-on=never", "--only `touch pwned`", 2),
+        (
+            faulted,
+            "--only robot-gravcomp,robot-density",
+            {"baseline": "rows.json", "against": "heavy.xml"},
+            1,
+        ),
+        ("robot.xml", "--only foot-creep --timeout 0s", {}, 3),
+        (
+            "robot.xml; touch pwned\n$(touch pwned)",
+            "--only robot-* ; touch pwned",
+            {},
+            2,
+        ),
+        ("--fail-on=never", "--only `touch pwned`", {}, 2),
     ):
-        given = values | {"target": target, "options": options}
+        given = values | {"target": target, "options": options} | more
         (step,) = [one for one in action["runs"]["steps"] if one["name"] == "Check"]
         env = {
             name: given[text.strip("${ }").removeprefix("inputs.")]
@@ -199,4 +317,39 @@ def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
         assert not (tmp_path / "pwned").exists()
         if code != 2:
             assert "::notice title=gauge sanity" in done.stdout
-            assert (tmp_path / given["page"]).is_file()
+            page = tmp_path / given["page"]
+            if more.get("against"):
+                assert "change" in page.with_suffix(".md").read_text()
+            if not more.get("against") or more.get("baseline"):
+                assert page.is_file()
+            page.unlink(missing_ok=True)
+            page.with_suffix(".md").unlink(missing_ok=True)
+        if more == {"against": soft} and code:
+            assert "::error title=gauge sanity kp::stiffness of a servo" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in QUICK_FAULTS else pytest.mark.slow)
+        for name in FAULTS
+    ],
+)
+def test_a_flagged_model_is_told_in_every_format(gauge, tmp_path, name):
+    """JSON follows its schema, SARIF has the flags, and a run is no regression of itself."""
+    (tmp_path / "robot.xml").write_text(FAULTS[name].xml(), encoding="utf-8")
+    words = ["sanity", "robot.xml", "--only", ",".join(FAULTS[name].rows)]
+    shown = gauge(*words, "--json")
+    assert shown.exit_code == 1
+    whole, *rows = map(json.loads, shown.stdout.splitlines())
+    flagged = [
+        row["phenomenon"]
+        for row in rows
+        if row["verdict"] in ("wrong", "visible") and not row["advisory"]
+    ]
+    assert whole["worst"] in ("wrong", "visible")
+    sarif = json.loads(gauge(*words, "--format", "sarif").stdout)
+    assert [one["ruleId"] for one in sarif["runs"][0]["results"]] == flagged != []
+    (tmp_path / "earlier.json").write_text(shown.stdout, encoding="utf-8")
+    again = gauge(*words, "--baseline", "earlier.json")
+    assert (again.exit_code, "regression" in again.stderr) == (0, False)

@@ -1,7 +1,5 @@
 """What a hand holds: readings against closed forms, contacts of a hand, and advice that mends."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -11,15 +9,13 @@ import numpy as np
 import pytest
 from places import ROOT
 from sanity_cases import moved
-from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
-from gauge_envs.cli.app import app
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.recipes.materials import published_pairs
 from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.model import Report, Verdict
+from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
 from gauge_envs.tools.sanity.phenomena.grasp import MOST_ROLLING_MM
 from gauge_envs.tools.sanity.run import check
@@ -35,14 +31,7 @@ GOOD = {
 BOX = "type='box' size='.005 .01 .02'"
 
 
-def hand(
-    option: str = "",
-    geom: str = "",
-    pad: str = "",
-    motors: str = "left right",
-    tip: str = BOX,
-    held_m: float = 0.03,
-) -> mujoco.MjModel:
+def hand(option="", geom="", pad="", motors="left right", tip=BOX, held_m=0.03):
     """Return a gripper above a cube on a floor."""
     fingers = "".join(
         f"<body name='{name}' pos='{place} 0 .1'><joint name='{name}' type='slide' axis='1 0 0'/>"
@@ -58,7 +47,7 @@ def hand(
     )
 
 
-def checked(model: mujoco.MjModel) -> tuple[dict[str, Verdict], Report]:
+def checked(model):
     report = check(model, only=["grasp-*", "rolling"], include_deformables=True)
     return {row.phenomenon: row.verdict for row in report.rows}, report
 
@@ -66,7 +55,7 @@ def checked(model: mujoco.MjModel) -> tuple[dict[str, Verdict], Report]:
 # --- readings --------------------------------------------------------------------------------------------------------
 
 
-def test_creep_and_depth_of_a_box_are_relative_to_its_pads() -> None:
+def test_creep_and_depth_of_a_box_are_relative_to_its_pads():
     creep = phenomenon("grasp-creep")
     times = np.linspace(0.0, 1.5, 151)
     down, inward = (
@@ -85,7 +74,7 @@ def test_creep_and_depth_of_a_box_are_relative_to_its_pads() -> None:
 
 
 @pytest.mark.parametrize("share", [0.383, 0.707, 3.0])
-def test_torque_is_read_from_the_energy_of_the_spin(share: float) -> None:
+def test_torque_is_read_from_the_energy_of_the_spin(share):
     row = phenomenon("grasp-torsion")
     times = np.linspace(0.0, 0.15, 1501)
     # 2 mu N side share over m (a^2 + b^2) / 12; at 3.0 the box stops within the time.
@@ -101,7 +90,7 @@ def test_torque_is_read_from_the_energy_of_the_spin(share: float) -> None:
 
 
 @pytest.mark.parametrize("arm_mm", [0.5, 3.0, 20.0])
-def test_rolling_friction_is_read_from_the_path(arm_mm: float) -> None:
+def test_rolling_friction_is_read_from_the_path(arm_mm):
     row = phenomenon("rolling")
     times = np.linspace(0.0, 0.5, 2001)
     # Rolling without slip: a = 5/7 g arm / r, until the ball stops.
@@ -113,7 +102,7 @@ def test_rolling_friction_is_read_from_the_path(arm_mm: float) -> None:
     )
 
 
-def test_the_limit_of_rolling_is_the_largest_published_value() -> None:
+def test_the_limit_of_rolling_is_the_largest_published_value():
     (name, most), *_ = sorted(
         (
             (row["name"], float(row["rolling_mm"]))
@@ -129,7 +118,7 @@ def test_the_limit_of_rolling_is_the_largest_published_value() -> None:
 
 
 @pytest.mark.slow
-def test_the_preset_has_the_values_of_the_conformance_checks() -> None:
+def test_the_preset_has_the_values_of_the_conformance_checks():
     names = ("grasp-creep", "grasp-sink")
     known = {one.check: one.measured for one in run_checks("mujoco", only=names)}
     for name in names:
@@ -141,7 +130,7 @@ def test_the_preset_has_the_values_of_the_conformance_checks() -> None:
 @pytest.mark.parametrize(
     ("arm_m", "verdict"), [(1e-3, Verdict.INSIDE), (0.1, Verdict.WRONG)]
 )
-def test_rolling_friction_of_mujoco(arm_m: float, verdict: Verdict) -> None:
+def test_rolling_friction_of_mujoco(arm_m, verdict):
     settings = {"condim": 6, "rolling_friction_m": arm_m}
     found = MUJOCO.measure(phenomenon("rolling"), settings)
     assert found.verdict is verdict
@@ -150,7 +139,7 @@ def test_rolling_friction_of_mujoco(arm_m: float, verdict: Verdict) -> None:
     )
 
 
-def test_no_slip_iterations_hold_with_the_elliptic_cone_alone() -> None:
+def test_no_slip_iterations_hold_with_the_elliptic_cone_alone():
     row, soft = (
         phenomenon("grasp-creep"),
         {"contact_solref": (0.02, 1.0), "impratio": 1.0},
@@ -167,7 +156,7 @@ def test_no_slip_iterations_hold_with_the_elliptic_cone_alone() -> None:
 # --- hands -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body() -> None:
+def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body():
     held = [
         group
         for group in configuration(hand(pad='condim="4"')).contact_groups
@@ -187,7 +176,7 @@ def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body() -> None:
 
 
 @pytest.mark.slow
-def test_grasps_are_measured_without_being_named_where_there_is_a_hand() -> None:
+def test_grasps_are_measured_without_being_named_where_there_is_a_hand():
     with_hand, without = (
         {
             row.phenomenon
@@ -202,9 +191,7 @@ def test_grasps_are_measured_without_being_named_where_there_is_a_hand() -> None
 @pytest.mark.parametrize(
     ("pad", "spins"), [("", True), ('condim="4" friction="1 .002 0"', False)]
 )
-def test_round_fingertips_without_torsional_friction_are_named(
-    pad: str, spins: bool
-) -> None:
+def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
     """What is said is what MuJoCo does: 5 N on two tips hold 2 mm of arm each, so 20 mN m, or nothing."""
     model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
     verdicts, report = checked(model)
@@ -225,11 +212,11 @@ def test_round_fingertips_without_torsional_friction_are_named(
     )
 
 
-def test_flat_pads_are_not_named() -> None:
+def test_flat_pads_are_not_named():
     assert checked(hand(**GOOD))[1].notes == ()
 
 
-def test_a_good_hand_has_no_flag() -> None:
+def test_a_good_hand_has_no_flag():
     verdicts, report = checked(hand(**GOOD))
     assert (
         set(verdicts) == set(GRASP)
@@ -249,7 +236,7 @@ FAULTS = {
 @pytest.mark.parametrize(
     "name", [pytest.param(one, marks=pytest.mark.slow) for one in FAULTS]
 )
-def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
+def test_advice_that_is_followed_mends_the_hand(name):
     """Planted faults: the change of the first line, set in a copy of the model, leaves no flag."""
     model = hand(**FAULTS[name])
     verdicts, report = checked(model)
@@ -263,10 +250,10 @@ def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box() -> None:
+def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box(gauge):
     page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
-    outcome = CliRunner().invoke(app, [*shlex.split(command), "--json"])
+    outcome = gauge(*shlex.split(command), "--json")
     rows = [json.loads(line) for line in outcome.stdout.splitlines()]
     verdicts = {
         row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row

@@ -1,11 +1,8 @@
 """Configurations in the style of IsaacGym. Keys and values are those of the files named at each."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import pytest
 import yaml
+from sanity_cases import read_text
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import configuration
@@ -100,48 +97,18 @@ class LeggedRobotCfg:
             max_depenetration_velocity = 1.0
 
 
-def read(text: str, **sim: Any) -> Any:
+def read(text, **sim):
     cfg = yaml.safe_load(text)
     cfg["simulator"]["config"]["sim"] |= sim
     return isaac_gym_configuration(cfg, name="config.yaml", source="test")
 
 
-def test_a_file_of_humanoidverse_is_read(tmp_path) -> None:
-    (tmp_path / "config.yaml").write_text(HUMANOIDVERSE)
-    found = configuration(tmp_path / "config.yaml")
-    assert (found.backend, found.language, found.frame_skip) == (
-        "physx",
-        "isaac_gym",
-        4,
-    )
-    assert found.settings == {
-        "preset": "isaac",
-        "timestep_s": 0.005,
-        "solver": "TGS",
-        "position_iterations": 4,
-        "velocity_iterations": 0,
-        "bounce_threshold_m_per_s": 0.5,
-        "contact_offset_m": 0.01,
-        "rest_offset_m": 0.0,
-        "max_depenetration_velocity_m_per_s": 1.0,
-        "hinges": "articulation",
-        "sustained_restitution": False,
-    }
-    assert found.origins["timestep_s"] == "1 / simulator.config.sim.fps"
-    assert found.foot_contact is not None
-    assert found.foot_contact.friction == (0.75, 1.125)
-    assert (
-        "robot 0.5 to 1.25 (domain_rand.friction_range), friction by average"
-        in found.foot_contact.text
-    )
-
-
-def test_references_of_hydra_are_followed(tmp_path) -> None:
+def test_references_of_hydra_are_followed(tmp_path):
     (tmp_path / "resolved.yml").write_text(PROTOMOTIONS)
     found = configuration(tmp_path / "resolved.yml")
     assert found.settings["timestep_s"] == pytest.approx(1 / 120)
     assert (found.frame_skip, found.settings["bounce_threshold_m_per_s"]) == (4, 0.2)
-    assert found.foot_contact is not None and found.foot_contact.mean_friction == 1.0
+    assert found.foot_contact.mean_friction == 1.0
     with pytest.raises(TargetError, match="which Hydra fills in: give the file"):
         read(PROTOMOTIONS, fps="${oc.env:FPS}")
     with pytest.raises(TargetError, match=r"neither .*sim\.dt nor a positive"):
@@ -150,47 +117,25 @@ def test_references_of_hydra_are_followed(tmp_path) -> None:
         read(PROTOMOTIONS, fps="${simulator.config.sim.fps}")
 
 
-def test_classes_of_legged_gym_are_read() -> None:
-    found = configuration(LeggedRobotCfg())
-    assert (found.name, found.frame_skip) == ("LeggedRobotCfg", 4)
-    assert found.settings["timestep_s"] == 0.005
-    # The number of the vertical axis is 0 for y and 1 for z.
-    assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
-    assert (
-        found.settings["angular_damping_per_s"],
-        found.settings["max_angular_velocity_rad_per_s"],
-    ) == (0.0, 1000.0)
-    assert not any("damping" in note for note in found.notes)
+TASK = """
+env:
+  plane: {staticFriction: 0.8, dynamicFriction: 0.6, restitution: 0.2}
+  controlFrequencyInv: 2
+sim:
+  dt: 0.0166
+  substeps: 2
+  up_axis: "y"
+  gravity: [0.0, -9.81, 0.0]
+  physx: {num_position_iterations: 8, solver_type: 0}
+"""
+"""A task of IsaacGymEnvs."""
 
 
-def test_a_task_of_isaac_gym_envs_is_read() -> None:
-    task = {
-        "env": {
-            "plane": {
-                "staticFriction": 0.8,
-                "dynamicFriction": 0.6,
-                "restitution": 0.2,
-            },
-            "controlFrequencyInv": 2,
-        },
-        "sim": {
-            "dt": 0.0166,
-            "substeps": 2,
-            "up_axis": "y",
-            "gravity": [0.0, -9.81, 0.0],
-            "physx": {},
-        },
-    }
-    task["sim"]["physx"] = {"num_position_iterations": 8, "solver_type": 0}
-    found = configuration(task)
-    assert (found.settings["timestep_s"], found.settings["solver"]) == (0.0083, "PGS")
-    assert (found.frame_skip, found.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
-    assert found.foot_contact is not None
-    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
-        pytest.approx(0.8),
-        pytest.approx(0.1),
-    )
-    assert found.settings["sustained_restitution"] is True
+def test_a_file_classes_and_a_task_are_read(tmp_path, approved):
+    """The number of the vertical axis of classes is 0 for y and 1 for z; frictions are averaged."""
+    (tmp_path / "config.yaml").write_text(HUMANOIDVERSE)
+    targets = tmp_path / "config.yaml", LeggedRobotCfg(), yaml.safe_load(TASK)
+    approved("sanity/read_isaac_gym", read_text(*map(configuration, targets)))
 
 
 @pytest.mark.parametrize(
@@ -209,6 +154,6 @@ def test_a_task_of_isaac_gym_envs_is_read() -> None:
         ),
     ],
 )
-def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
+def test_a_wrong_value_is_named(sim, message):
     with pytest.raises(TargetError, match=message):
         read(HUMANOIDVERSE, **sim)

@@ -1,22 +1,16 @@
 """Isaac Lab's `env.yaml`: what is read, what is noted, and what a foot meets. The file is written by Isaac Lab."""
 
-from __future__ import annotations
-
 import copy
 import json
-import math
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 import yaml
 from places import ROOT
-from typer.testing import CliRunner
+from sanity_cases import read_text
 
 from gauge_envs.backends import backend
-from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity import Verdict, check, configuration
@@ -34,10 +28,9 @@ G1 = Path(__file__).parent / "data" / "isaac_lab_g1_flat.yaml"
 DUMPED = yaml_document(G1.read_bytes())
 ITERATIONS = "scene__robot__spawn__articulation_props__solver_position_iteration_count"
 EXAMPLES = ROOT / "examples" / "sanity"
-RUNNER = CliRunner()
 
 
-def changed(**values: Any) -> dict[str, Any]:
+def changed(**values):
     """The dumped configuration with other values; two underscores stand for a dot."""
     cfg = copy.deepcopy(DUMPED)
     for key, value in values.items():
@@ -49,11 +42,11 @@ def changed(**values: Any) -> dict[str, Any]:
     return cfg
 
 
-def read(**values: Any) -> TrainingConfiguration:
+def read(**values):
     return isaac_lab_configuration(changed(**values), name="env.yaml", source="test")
 
 
-def material(friction: float, mode: str, restitution: float = 0.0) -> dict[str, Any]:
+def material(friction, mode, restitution=0.0):
     return {
         "static_friction": friction,
         "dynamic_friction": friction,
@@ -63,54 +56,16 @@ def material(friction: float, mode: str, restitution: float = 0.0) -> dict[str, 
     }
 
 
-def test_the_default_locomotion_task_is_read() -> None:
+def test_the_default_locomotion_task_is_read(approved):
     found = configuration(G1)
-    assert (found.backend, found.language, found.frame_skip) == (
-        "physx",
-        "isaac_lab",
-        4,
-    )
-    assert found.gravity_m_per_s2 == (0.0, 0.0, -9.81)
-    assert found.settings == {
-        "preset": "isaac",
-        "timestep_s": 0.005,
-        "solver": "TGS",
-        "bounce_threshold_m_per_s": 0.5,
-        "continuous_detection": False,
-        "enhanced_determinism": False,
-        "tolerance_length_m": 1.0,
-        "position_iterations": 8,
-        "velocity_iterations": 4,
-        "linear_damping_per_s": 0.0,
-        "angular_damping_per_s": 0.0,
-        "max_linear_velocity_m_per_s": 1000.0,
-        "max_angular_velocity_rad_per_s": pytest.approx(math.radians(1000.0)),
-        "max_depenetration_velocity_m_per_s": 1.0,
-        "hinges": "articulation",
-        "sustained_restitution": False,
-    }
-    assert (
-        found.origins["position_iterations"]
-        == "scene.robot.spawn.articulation_props.solver_position_iteration_count"
-    )
+    approved("sanity/read_isaac_lab", read_text(found))
     assert set(found.origins) == set(found.settings)
 
 
-def test_the_ranges_of_an_event_are_what_a_foot_meets() -> None:
-    foot = configuration(G1).foot_contact
-    assert foot is not None
-    assert (foot.friction, foot.static_friction, foot.restitution) == (
-        (0.6, 0.6),
-        (0.8, 0.8),
-        (0.0, 0.0),
-    )
-    assert foot.text.endswith(
-        "ground 1 (scene.terrain.physics_material) and robot 0.6 (events.physics_material), friction by multiply"
-    )
+def test_the_ranges_of_an_event_are_what_a_foot_meets():
     drawn = read(
         events__physics_material__params__dynamic_friction_range=[0.3, 0.8]
     ).foot_contact
-    assert drawn is not None
     assert drawn.friction == (0.3, 0.8) and drawn.mean_friction == pytest.approx(0.55)
     assert "friction 0.3 to 0.8" in drawn.text
 
@@ -126,23 +81,19 @@ def test_the_ranges_of_an_event_are_what_a_foot_meets() -> None:
         (("multiply", 0.5), ("max", 0.4), 0.5),
     ],
 )
-def test_of_two_rules_the_one_of_higher_priority_combines(
-    ground: tuple[str, float], robot: tuple[str, float], friction: float
-) -> None:
+def test_of_two_rules_the_one_of_higher_priority_combines(ground, robot, friction):
     found = read(
         events=None,
         scene__terrain__physics_material=material(ground[1], ground[0]),
         scene__robot__spawn__physics_material=material(robot[1], robot[0]),
     ).foot_contact
-    assert found is not None
     assert found.mean_friction == pytest.approx(friction)
 
 
-def test_a_floor_without_a_material_is_that_of_the_engine() -> None:
+def test_a_floor_without_a_material_is_that_of_the_engine():
     found = read(
         events=None, scene__terrain__physics_material=None, sim__physics_material=None
     )
-    assert found.foot_contact is not None
     assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
         0.5,
         pytest.approx(0.4),
@@ -154,24 +105,22 @@ def test_a_floor_without_a_material_is_that_of_the_engine() -> None:
         scene__terrain__physics_material=None,
         scene__terrain__terrain_type="generator",
     ).foot_contact
-    assert mesh is not None
     assert (mesh.mean_friction, mesh.mean_restitution) == (1.0, 0.0)
 
 
-def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
+def test_a_ground_plane_of_a_manipulation_task_is_found():
     plane = {
         "spawn": {
             "func": "isaaclab.sim.spawners.from_files.from_files:spawn_ground_plane"
         }
     }
-    plane["spawn"]["physics_material"] = material(0.7, "average")  # type: ignore[assignment]
+    plane["spawn"]["physics_material"] = material(0.7, "average")
     found = read(
         events=None,
         scene__terrain=None,
         scene__plane=plane,
         sim__physics_material=material(0.3, "average"),
     )
-    assert found.foot_contact is not None
     assert found.foot_contact.mean_friction == pytest.approx(0.5)
     nothing = read(events=None, scene__terrain=None)
     assert any("no ground is found" in note for note in nothing.notes)
@@ -187,9 +136,7 @@ def test_a_ground_plane_of_a_manipulation_task_is_found() -> None:
         ((1, 4), None, 4),
     ],
 )
-def test_iterations_of_the_robot_are_clamped(
-    limits: tuple[int, int], own: int | None, used: int
-) -> None:
+def test_iterations_of_the_robot_are_clamped(limits, own, used):
     found = read(
         sim__physx__min_position_iteration_count=limits[0],
         sim__physx__max_position_iteration_count=limits[1],
@@ -202,7 +149,7 @@ def test_iterations_of_the_robot_are_clamped(
     ) == (own is None)
 
 
-def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
+def test_what_the_engine_cannot_represent_is_noted_or_declined():
     notes = "\n".join(
         read(
             sim__physx__friction_correlation_distance=0.00625,
@@ -238,7 +185,7 @@ def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
     )
 
 
-def test_a_light_jaw_sinks_in_after_few_iterations() -> None:
+def test_a_light_jaw_sinks_in_after_few_iterations():
     """Its drive is solved after contacts, so that only iterations stop it, as users of Isaac Lab's grippers report."""
     row, measure = phenomenon("grasp-servo"), Measurements(backend("physx")).measure
     depths_mm = [
@@ -291,14 +238,12 @@ def test_a_light_jaw_sinks_in_after_few_iterations() -> None:
         ),
     ],
 )
-def test_a_wrong_value_is_named_with_its_key(
-    values: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_value_is_named_with_its_key(values, message):
     with pytest.raises(TargetError, match=message):
         read(**values)
 
 
-def test_other_engines_and_other_files_are_declined() -> None:
+def test_other_engines_and_other_files_are_declined():
     newton = changed(sim__newton_cfg={"solver_cfg": {"njmax": 65}})
     del newton["sim"]["physx"]
     with pytest.raises(
@@ -321,8 +266,8 @@ def test_other_engines_and_other_files_are_declined() -> None:
 
 
 def test_keys_that_isaac_lab_ignores_are_shown_where_nothing_is_flagged(
-    tmp_path: Path,
-) -> None:
+    tmp_path, gauge
+):
     """Settings of IsaacGym in Isaac Lab's place never apply there; the file stays one of Isaac Lab."""
     path = tmp_path / "env.yaml"
     path.write_text(
@@ -337,14 +282,14 @@ def test_keys_that_isaac_lab_ignores_are_shown_where_nothing_is_flagged(
         == "isaac_lab"
     )
     assert found.settings == configuration(G1).settings
-    outcome = RUNNER.invoke(app, ["sanity", str(path), "--only", "gravity"])
+    outcome = gauge("sanity", path, "--only", "gravity")
     assert outcome.exit_code == 0 and "No flags" in outcome.output
     assert "not read: sim.physx.num_position_iterations; Isaac Lab ignores" in " ".join(
         outcome.output.split()
     )
 
 
-def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
+def test_a_hydra_file_has_the_same_below_env(tmp_path):
     run = tmp_path / "2026-01-01_g1"
     (run / ".hydra").mkdir(parents=True)
     (run / ".hydra" / "config.yaml").write_text(
@@ -356,7 +301,7 @@ def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
     assert found.origins["timestep_s"] == "env.sim.dt"
 
 
-def test_the_older_namespace_and_its_keys_are_read() -> None:
+def test_the_older_namespace_and_its_keys_are_read():
     text = G1.read_text(encoding="utf-8").replace("isaaclab.", "omni.isaac.lab.")
     older = yaml_document(text)
     older["sim"] |= {"disable_contact_processing": False, "use_gpu_pipeline": True}
@@ -367,7 +312,7 @@ def test_the_older_namespace_and_its_keys_are_read() -> None:
     assert found.notes == configuration(G1).notes
 
 
-def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
+def test_isaac_lab_3_has_its_solver_at_another_place():
     physics = {
         **DUMPED["sim"]["physx"],
         "class_type": "isaaclab_physx.physics.physx_manager:PhysxManager",
@@ -392,14 +337,14 @@ def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
     assert not any("not known" in note for note in found.notes)
 
 
-def test_a_configuration_without_gravity_declines_what_needs_it() -> None:
+def test_a_configuration_without_gravity_declines_what_needs_it():
     assert (
         read(sim__gravity=[0.0, 0.0, 0.0]).inapplicable[Need.GRAVITY]
         == "the target has no gravity"
     )
 
 
-def test_impacts_count_where_a_restitution_is_stated() -> None:
+def test_impacts_count_where_a_restitution_is_stated():
     bouncy = changed(
         events=None,
         sim__physx__bounce_threshold_velocity=2.0,
@@ -419,10 +364,7 @@ def test_impacts_count_where_a_restitution_is_stated() -> None:
         (row,) = report.rows
         assert (row.verdict, row.is_flag) == (Verdict.WRONG, counts)
         if counts:
-            assert row.cause is not None and row.cause.settings == (
-                "bounce_threshold_m_per_s",
-            )
-            assert report.cure is not None
+            assert row.cause.settings == ("bounce_threshold_m_per_s",)
             assert report.cure.line.startswith(
                 "self.sim.physx.bounce_threshold_velocity = "
             )
@@ -431,7 +373,7 @@ def test_impacts_count_where_a_restitution_is_stated() -> None:
 
 
 @pytest.fixture
-def short_swing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def short_swing(monkeypatch):
     """A pendulum that swings only for as long as its period is measured."""
     swing = SimpleNamespace(frames=round(rigid.PERIOD_S * FRAME_RATE_HZ) + 2)
     monkeypatch.setattr(rigid, "published_baselines", lambda _: {"el": swing})
@@ -441,7 +383,7 @@ def short_swing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("short_swing")
-def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
+def test_a_setting_without_a_key_is_named_and_never_proposed():
     settings = {
         "timestep_s": 0.01,
         "hinges": "articulation",
@@ -456,9 +398,7 @@ def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
     )
     report = check(target, only=["period"])
     (row,) = report.rows
-    assert row.cause is not None and row.cause.settings == (
-        "link_linear_damping_per_s",
-    )
+    assert row.cause.settings == ("link_linear_damping_per_s",)
     assert (
         "link_linear_damping_per_s = 0 (which the target has no key for) instead of 0.05"
         in row.cause.line
@@ -467,7 +407,7 @@ def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
 
 
 @pytest.mark.slow
-def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
+def test_changes_that_only_help_together_are_tried_as_a_whole():
     """With PGS and one iteration, the solver alone and the iterations alone each bring another flag."""
     counts = {
         "solver_position_iteration_count": 1,
@@ -480,7 +420,6 @@ def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
         isaac_lab_configuration(cfg, name="pgs", source="test"),
         only=["slide-wood,carry-wood,point"],
     )
-    assert report.cure is not None
     props = "self.scene.robot.spawn.articulation_props"
     assert report.cure.line == (
         f"self.sim.physx.solver_type = 1; {props}.solver_position_iteration_count = 10; "
@@ -488,7 +427,7 @@ def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
     )
 
 
-def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
+def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated():
     trained, deployed = (
         EXAMPLES / f"g1_{name}.yaml" for name in ("trained", "deployed")
     )
@@ -507,12 +446,12 @@ def test_a_policy_of_mu_1_meets_one_half_where_nothing_is_stated() -> None:
     )
 
 
-def test_the_examples_hold_what_isaac_lab_writes() -> None:
+def test_the_examples_hold_what_isaac_lab_writes():
     """All keys and values of the trained example stand in the dumped file, materials of the robot aside."""
     example = yaml_document((EXAMPLES / "g1_trained.yaml").read_bytes())
     assert example.pop("events") == {"physics_material": None}
 
-    def assert_inside(part: Any, whole: Any, key: str) -> None:
+    def assert_inside(part, whole, key):
         if isinstance(part, dict):
             for name, value in part.items():
                 assert name in whole, f"{key}.{name}"

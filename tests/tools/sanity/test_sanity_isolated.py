@@ -1,18 +1,14 @@
 """An engine of another package that crashes in a sanity check costs a phenomenon. Results keep their bits."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from typing import Any
 
 import pytest
-from typer.testing import CliRunner, Result
+from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 
 
-def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:
+def checked(target, *only):
     """Rows and outcome of the command."""
     options = [part for one in only for part in ("--only", one)]
     result = CliRunner().invoke(app, ["sanity", target, "--json", *options])
@@ -20,7 +16,7 @@ def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:
 
 
 @pytest.mark.slow
-def test_another_process_measures_the_same_bits(installed: Callable[..., None]) -> None:
+def test_another_process_measures_the_same_bits(installed):
     installed("well")
     here, there = (
         checked("mujoco:out_of_box", "creep-wood")[0],
@@ -29,9 +25,7 @@ def test_another_process_measures_the_same_bits(installed: Callable[..., None]) 
     assert here == there != []
 
 
-def test_an_engine_that_dies_costs_one_phenomenon(
-    installed: Callable[..., None],
-) -> None:
+def test_an_engine_that_dies_costs_one_phenomenon(installed):
     installed("fall-crash", "supports-crash")
     (slide, rebound), result = checked("fall-crash", "creep-wood", "rebound")
     assert (slide["verdict"], rebound["verdict"], result.exit_code) == (
@@ -49,9 +43,7 @@ def test_an_engine_that_dies_costs_one_phenomenon(
 
 
 @pytest.mark.slow
-def test_an_engine_that_cannot_start_is_one_line(
-    installed: Callable[..., None],
-) -> None:
+def test_an_engine_that_cannot_start_is_one_line(installed):
     installed("at-import", "contact-crash")
     for name, cause in (
         ("at-import", "SystemExit: 3"),

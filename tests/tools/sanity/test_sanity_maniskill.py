@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from sanity_cases import read_text
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
@@ -22,46 +23,18 @@ from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
 pytest.importorskip("sapien")
 
-STORED: dict[str, Any] = json.loads(
+STORED = json.loads(
     (Path(__file__).parent / "data" / "maniskill_sim_configs.json").read_text()
 )["tasks"]
 PICK_CUBE = STORED["PickCube-v1"]
 
 
-def test_a_sim_config_is_read() -> None:
+def test_a_sim_config_is_read(approved):
     found = maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test")
-    assert (found.backend, found.frame_skip, found.gravity_m_per_s2) == (
-        "physx",
-        5,
-        (0.0, 0.0, -9.81),
-    )
-    assert found.settings == {
-        "preset": "out_of_box",
-        "timestep_s": 0.01,
-        "bounce_threshold_m_per_s": 2.0,
-        "sleep_threshold_m2_per_s2": 0.005,
-        "contact_offset_m": 0.02,
-        "rest_offset_m": 0.0,
-        "position_iterations": 15,
-        "velocity_iterations": 1,
-        "persistent_manifolds": True,
-        "continuous_detection": False,
-        "enhanced_determinism": False,
-        "friction_every_iteration": True,
-        "solver": "TGS",
-        "hinges": "articulation",
-        "link_linear_damping_per_s": 0.05,
-        "angular_damping_per_s": 0.05,
-        "sustained_restitution": False,
-    }
-    assert found.foot_contact is not None
-    assert (found.foot_contact.mean_friction, found.foot_contact.mean_restitution) == (
-        pytest.approx(0.3),
-        0.0,
-    )
+    approved("sanity/read_maniskill", read_text(found))
 
 
-def test_damping_of_links_is_what_sapien_starts_with() -> None:
+def test_damping_of_links_is_what_sapien_starts_with():
     import sapien
     from sapien import physx
 
@@ -75,7 +48,7 @@ def test_damping_of_links_is_what_sapien_starts_with() -> None:
     assert physx.PhysxRigidDynamicComponent().linear_damping == 0.0
 
 
-def test_damping_of_links_acts_on_links_alone() -> None:
+def test_damping_of_links_acts_on_links_alone():
     measurements = Measurements(backend("physx"))
     slide, energy = phenomena(["energy", "slide-wood"])
     free, damped = (
@@ -91,7 +64,7 @@ def test_damping_of_links_acts_on_links_alone() -> None:
     )
 
 
-def test_objects_are_read_as_their_values() -> None:
+def test_objects_are_read_as_their_values():
     @dataclass
     class SceneConfig:
         gravity: Any = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
@@ -144,7 +117,7 @@ def test_objects_are_read_as_their_values() -> None:
         ),
     ],
 )
-def test_a_wrong_value_is_named(values: dict[str, Any], message: str) -> None:
+def test_a_wrong_value_is_named(values, message):
     with pytest.raises(TargetError, match=message):
         maniskill_configuration(
             {**PICK_CUBE, **values}, name="PickCube-v1", source="test"
@@ -152,9 +125,7 @@ def test_a_wrong_value_is_named(values: dict[str, Any], message: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold() -> (
-    None
-):
+def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold():
     report = check(
         maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"),
         only=["period,rebound-slow"],
@@ -168,7 +139,6 @@ def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_thresho
     assert rows["period"].cause is not None and rows["period"].cause.settings == (
         "link_linear_damping_per_s",
     )
-    assert report.cure is not None
     assert report.cure.line.startswith(
         "[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag"
     )

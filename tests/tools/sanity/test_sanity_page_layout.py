@@ -1,14 +1,11 @@
 """The page of a sanity check on a laptop and on a phone: widths, sizes of text, and what comes first."""
 
-from __future__ import annotations
-
 import html
 import json
 import re
 import shutil
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from test_sanity_report import (
@@ -22,13 +19,7 @@ from test_sanity_report import (
     report,
 )
 
-from gauge_envs.tools.sanity.model import (
-    ContactGroup,
-    Cure,
-    GroupOutcome,
-    Report,
-    Verdict,
-)
+from gauge_envs.tools.sanity.model import ContactGroup, Cure, PartOutcome, Verdict
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
 from gauge_envs.tools.sanity.words import sanity_page
 
@@ -65,12 +56,19 @@ MEASURE = """
 """Script that opens everything and reports what is wider than the screen, and the smallest text [px]."""
 
 
-def page_report() -> Report:
+def page_report():
     groups = (
-        GroupOutcome(geoms=f"floor with {LONG}", value=-28.0, verdict=Verdict.WRONG),
-        GroupOutcome(geoms="floor with trunk", value=0.1, verdict=Verdict.INSIDE),
+        PartOutcome(
+            name=f"floor with {LONG}",
+            value=-28.0,
+            verdict=Verdict.WRONG,
+            deviation=56.0,
+        ),
+        PartOutcome(
+            name="floor with trunk", value=0.1, verdict=Verdict.INSIDE, deviation=0.2
+        ),
     )
-    worst = replace(CREEP, geoms=f"floor with {LONG}", groups=groups)
+    worst = replace(CREEP, geoms=f"floor with {LONG}", parts=groups)
     known = tuple(
         ContactGroup(
             geoms=f"floor with {name}", pair_count=4, constants=CONSTANTS, is_used=True
@@ -95,7 +93,7 @@ def page_report() -> Report:
     )
 
 
-def test_the_cure_comes_first_then_the_table_then_the_pictures() -> None:
+def test_the_cure_comes_first_then_the_table_then_the_pictures():
     text = sanity_page(page_report())
     places = [
         text.index(part)
@@ -111,7 +109,7 @@ def test_the_cure_comes_first_then_the_table_then_the_pictures() -> None:
     assert len(text) < 3_000_000
 
 
-def test_details_are_open_where_something_is_flagged() -> None:
+def test_details_are_open_where_something_is_flagged():
     cards = re.findall(
         r'<details class="card" id="([^"]+)"( open)?>', sanity_page(page_report())
     )
@@ -129,9 +127,7 @@ def test_details_are_open_where_something_is_flagged() -> None:
 @pytest.mark.parametrize(
     ("width", "height"), [pytest.param(1200, 800, marks=pytest.mark.slow), (390, 844)]
 )
-def test_nothing_is_wider_than_the_screen_and_text_is_readable(
-    width: int, height: int, tmp_path: Path
-) -> None:
+def test_nothing_is_wider_than_the_screen_and_text_is_readable(width, height, tmp_path):
     page = sanity_page(page_report()).replace("</body>", f"{MEASURE}</body>")
     # A window is at least 500 pixels wide, so the page is shown in a frame.
     frame = f'<iframe style="border:0" width="{width}" height="{height}" srcdoc="{html.escape(page)}"></iframe>'
@@ -161,7 +157,6 @@ def test_nothing_is_wider_than_the_screen_and_text_is_readable(
         check=True,
     ).stdout
     title = re.search(r"<title>(.*?)</title>", shown)
-    assert title is not None
     measured = json.loads(html.unescape(title.group(1)))
     assert measured["width"] == width
     assert measured["scroll"] <= width and measured["wide"] == []

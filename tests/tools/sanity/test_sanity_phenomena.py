@@ -1,15 +1,13 @@
 """What the sanity check measures: readings against closed forms, rollouts at a configuration's own step, verdicts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sanity_cases import CHEETAH, moved
+from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import UnknownNameError
@@ -20,22 +18,52 @@ from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.friction import PRINTED_MM, creep_bound_mm_per_s
 from gauge_envs.tools.sanity.scenario import run_scenario
 
 MUJOCO = backend("mujoco")
 
 
-def one(name: str) -> Phenomenon:
+def one(name):
     (found,) = phenomena([name])
     return found
 
 
-def value(name: str, settings: dict[str, object]) -> float:
+def value(name, settings):
     measured = Measurements(MUJOCO).measure(one(name), settings)
     assert measured.value is not None, measured.remark
     return measured.value
+
+
+LONG = ("period", "energy", "wall-sag", "wall-drift", "beam")
+"""Phenomena whose scenes are long or have many bodies."""
+NEEDS_TWO_LINES = ("foot-lag",)
+
+
+def trace_words(phenomenon, rollout):
+    """Return a trace at the start, the middle and the end, with the interval of reality there."""
+    trace = phenomenon.trace
+    values, times_s = trace.values(rollout), rollout.times_s
+    shown = [0, len(times_s) // 2, len(times_s) - 1]
+    words = [trace.label, told(trace.until_s), told(values[shown])]
+    if trace.reality is not None:
+        words += [told(part[shown]) for part in trace.reality(times_s)]
+    return " ".join(words)
+
+
+def test_numbers_of_all_phenomena_are_the_approved_ones(approved):
+    """Of an engine whose bodies move as stated functions of the time, so that no physics and no rounding matters."""
+    lines = []
+    for one in phenomena(include_deformables=True):
+        if one.id in (*LONG, *NEEDS_TWO_LINES):
+            continue
+        rollout = run_scenario(WobblingBackend(), one.scenario, {})
+        found = replace(judged(one, rollout), rollout=None)
+        lines.append(f"{one.id}: {told(found)}")
+        lines.append(f"  {told(one.needs)} {one.is_impact} {told(one.reality)}")
+        if one.trace is not None:
+            lines.append(f"  {trace_words(one, rollout)}")
+    approved("sanity/phenomena", "\n".join(dict.fromkeys(lines)))
 
 
 # --- rollouts --------------------------------------------------------------------------------------------------------
@@ -45,7 +73,7 @@ def value(name: str, settings: dict[str, object]) -> float:
     ("step", "interval"),
     [(0.01, 0.01), (0.003, 0.003), (0.0007, 0.0014), (1 / 9000, 0.002)],
 )
-def test_runs_at_its_own_step(step: float, interval: float) -> None:
+def test_runs_at_its_own_step(step, interval):
     scenario = replace(one("rebound").scenario, seconds=0.2)
     rollout = run_scenario(
         MUJOCO, scenario, {"timestep_s": step, "integrator": "Euler"}
@@ -59,7 +87,7 @@ def test_runs_at_its_own_step(step: float, interval: float) -> None:
 
 
 @pytest.mark.parametrize("interval", [0.01, 0.003, 1 / 600])
-def test_driver_intervals_join(interval: float) -> None:
+def test_driver_intervals_join(interval):
     scene = one("slip").scenario.scene
     (driver,) = scene.drivers
     path = DriverPath(driver, scene, 95, interval_s=interval)
@@ -74,7 +102,7 @@ def test_driver_intervals_join(interval: float) -> None:
 
 
 @pytest.mark.parametrize("step", [0.01, 0.003])
-def test_driven_plate_is_where_its_driver_says(step: float) -> None:
+def test_driven_plate_is_where_its_driver_says(step):
     scenario = replace(one("carry-wood").scenario, seconds=1.0)
     rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step})
     (driver,) = scenario.scene.drivers
@@ -85,7 +113,7 @@ def test_driven_plate_is_where_its_driver_says(step: float) -> None:
     assert np.degrees(turn.magnitude()) < 0.01
 
 
-def test_declined_and_diverged_are_outcomes() -> None:
+def test_declined_and_diverged_are_outcomes():
     scenario = one("creep-wood").scenario
     with pytest.raises(DeclinedError, match="unknown setting"):
         run_scenario(MUJOCO, scenario, {"colour": "red"})
@@ -105,7 +133,7 @@ def test_declined_and_diverged_are_outcomes() -> None:
 # --- readings of motions that are known ------------------------------------------------------------------------------
 
 
-def test_creep_counts_after_settling() -> None:
+def test_creep_counts_after_settling():
     creep = one("creep-wood")
     times = np.linspace(0.0, 1.0, 401)
     downhill = creep.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
@@ -116,7 +144,7 @@ def test_creep_counts_after_settling() -> None:
     assert creep.value(rollout) == pytest.approx(7.0, abs=1e-3)
 
 
-def test_resting_height_is_along_the_normal() -> None:
+def test_resting_height_is_along_the_normal():
     rest = one("rest-height")
     times = np.linspace(0.0, 1.0, 101)
     normal = rest.scenario.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
@@ -129,7 +157,7 @@ def test_resting_height_is_along_the_normal() -> None:
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_slide_reads_acceleration_from_rest(material: str) -> None:
+def test_slide_reads_acceleration_from_rest(material):
     slide = one(f"slide-{material}")
     times = np.linspace(0.0, 0.5, 126)
     downhill = slide.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
@@ -159,7 +187,7 @@ def test_slide_reads_acceleration_from_rest(material: str) -> None:
 
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.9])
 @pytest.mark.parametrize("interval", [0.002, 0.01])
-def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
+def test_rebound_of_an_ideal_ball(restitution, interval):
     rebound = one("rebound")
     times = np.arange(0.0, 0.85, interval)
     displacements = {}
@@ -176,7 +204,7 @@ def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
     ) == pytest.approx(restitution, rel=2e-3)
 
 
-def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
+def _bounces_m(times_s, drop_m, restitution):
     """Height above contact of a ball that loses 1 - e of its speed in an instant."""
     heights = drop_m - 0.5 * G * times_s**2
     start, speed = np.sqrt(2.0 * drop_m / G), restitution * np.sqrt(2.0 * G * drop_m)
@@ -187,7 +215,7 @@ def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
     return heights
 
 
-def test_a_ball_that_stays_down_is_a_failure() -> None:
+def test_a_ball_that_stays_down_is_a_failure():
     rebound = one("rebound")
     reading = judged(rebound, moved(rebound.scenario, np.linspace(0.0, 0.85, 400)))
     assert (reading.value, reading.remark) == (
@@ -196,7 +224,7 @@ def test_a_ball_that_stays_down_is_a_failure() -> None:
     )
 
 
-def test_only_the_last_ball_may_leave() -> None:
+def test_only_the_last_ball_may_leave():
     momentum = one("momentum")
     times = np.linspace(0.0, 0.55, 276)
     after = np.clip(times - 0.25, 0.0, None)
@@ -218,7 +246,7 @@ def test_only_the_last_ball_may_leave() -> None:
     assert (bad.value, bad.verdict) == (good.value, Verdict.WRONG)
 
 
-def test_depth_of_a_point_in_the_recess() -> None:
+def test_depth_of_a_point_in_the_recess():
     point = one("point")
     scene = point.scenario.scene
     tip = scene.body("pyramid").pose.to_world(np.array([0.0, 0.0, -0.075]))
@@ -230,7 +258,7 @@ def test_depth_of_a_point_in_the_recess() -> None:
     ) == pytest.approx(3.1)
 
 
-def test_lag_of_a_cube_behind_the_rod() -> None:
+def test_lag_of_a_cube_behind_the_rod():
     (carry,) = phenomena(["cloth-carry"], include_deformables=True)
     times = np.linspace(0.0, 2.0, 101)
     speeds = {"rod": -0.037, "cube": -0.035}
@@ -244,7 +272,7 @@ def test_lag_of_a_cube_behind_the_rod() -> None:
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
-def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
+def test_scores_of_creeping_cubes_differ_by_the_formula():
     place, displacement = 0.59, 0.3
     frames = np.column_stack(
         [
@@ -262,14 +290,12 @@ def test_scores_of_creeping_cubes_differ_by_the_formula() -> None:
 @pytest.mark.parametrize(
     ("material", "printed"), [("wood", 0.59), ("plastic", 1.90), ("metal", 0.86)]
 )
-def test_creep_bound_is_the_displacement_that_one_digit_hides(
-    material: str, printed: float
-) -> None:
+def test_creep_bound_is_the_displacement_that_one_digit_hides(material, printed):
     displacement = creep_bound_mm_per_s(f"SlopeSlider-1-{material}") * 8 / 30
     assert displacement**2 / (24.0 * printed) == pytest.approx(PRINTED_MM)
 
 
-def test_interval_covers_further_trials() -> None:
+def test_interval_covers_further_trials():
     random = np.random.default_rng(0)
     trials = random.normal(5.0, 0.3, (8_000, 8))
     hits = 0
@@ -285,7 +311,7 @@ def test_interval_covers_further_trials() -> None:
     assert hits / len(trials) == pytest.approx(0.95, abs=0.006)
 
 
-def test_reality_is_known() -> None:
+def test_reality_is_known():
     chosen = phenomena(include_deformables=True)
     assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 13
     for phenomenon in chosen:
@@ -310,7 +336,7 @@ def test_reality_is_known() -> None:
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
-def test_creep_of_half_cheetah_is_mujocos() -> None:
+def test_creep_of_half_cheetah_is_mujocos():
     """The creep of a plain MJCF model of the same cube, on a plane in tilted gravity."""
     model = mujoco.MjModel.from_xml_string(
         f"""<mujoco><option timestep="0.01" gravity="{G * np.sin(np.radians(10))} 0 {-G * np.cos(np.radians(10))}"/>
@@ -328,7 +354,7 @@ def test_creep_of_half_cheetah_is_mujocos() -> None:
     assert 50.0 < plain < 65.0
 
 
-def test_three_per_cent_of_a_slide_are_visible() -> None:
+def test_three_per_cent_of_a_slide_are_visible():
     slide = one("slide-wood")
     assert 0.9 < 0.03 * slide.reality.value / slide.reality.tolerance < 2.5
     measured = Measurements(MUJOCO).measure(slide, {"friction_scale": 0.96})
@@ -355,7 +381,7 @@ def test_three_per_cent_of_a_slide_are_visible() -> None:
         pytest.param((), marks=pytest.mark.slow, id="all"),
     ],
 )
-def test_backend_default_raises_no_flag(patterns: tuple[str, ...]) -> None:
+def test_backend_default_raises_no_flag(patterns):
     measurements = Measurements(MUJOCO)
     found = {p.id: measurements.measure(p, {}) for p in phenomena(patterns)}
     assert {
@@ -364,7 +390,7 @@ def test_backend_default_raises_no_flag(patterns: tuple[str, ...]) -> None:
 
 
 @pytest.mark.slow
-def test_newtons_default_raises_no_flag() -> None:
+def test_newtons_default_raises_no_flag():
     pytest.importorskip("newton")
     measurements = Measurements(backend("newton"))
     found = {p.id: measurements.measure(p, {}) for p in phenomena()}

@@ -12,7 +12,6 @@ import random
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -71,14 +70,14 @@ POSED = ("xpos", "xquat", "xipos", "ximat")
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
+def file(tmp_path):
     """File of the hard model."""
     path = tmp_path / f"hard{SUFFIX}"
     program.save(mujoco.MjModel.from_xml_string(HARD), str(path), "hard")
     return path
 
 
-def facts(target: Any) -> dict[str, Any]:
+def facts(target):
     """Everything that is read of a target, but how it is called, and the model, which a file does not hold."""
     read = configuration(target)
     return {
@@ -91,7 +90,7 @@ def facts(target: Any) -> dict[str, Any]:
 # --- program ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_program_is_python_3_8_and_imports_only_the_standard_library() -> None:
+def test_the_program_is_python_3_8_and_imports_only_the_standard_library():
     tree = ast.parse(PROGRAM, feature_version=(3, 8))
     tops = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
     names = {
@@ -110,7 +109,7 @@ def test_the_program_is_python_3_8_and_imports_only_the_standard_library() -> No
     )
 
 
-def run_program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+def run_program(folder, *arguments):
     """Run the program in a folder, without the sources of this package on the path."""
     (folder / "gauge_probe.py").write_text(PROGRAM, encoding="utf-8")
     environment = {
@@ -127,7 +126,7 @@ def run_program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[st
     )
 
 
-def test_a_file_gives_the_same_table_as_the_target(tmp_path: Path) -> None:
+def test_a_file_gives_the_same_table_as_the_target(tmp_path):
     done = run_program(tmp_path, "HalfCheetah-v5")
     assert done.stdout.split() == [f"HalfCheetah-v5{SUFFIX}"], done.stderr
     saved = tmp_path / done.stdout.strip()
@@ -155,9 +154,7 @@ def test_a_file_gives_the_same_table_as_the_target(tmp_path: Path) -> None:
         (("robots:Env(3)", "--out", "own.json"), "robots:Env(3)"),
     ],
 )
-def test_forms_of_targets(
-    tmp_path: Path, arguments: tuple[str, ...], name: str
-) -> None:
+def test_forms_of_targets(tmp_path, arguments, name):
     (tmp_path / "model.xml").write_text(HARD, encoding="utf-8")
     (tmp_path / "robots.py").write_text(
         "import mujoco\nSPEC = mujoco.MjSpec.from_file('model.xml')\n\ndef make():\n    return SPEC.compile()\n\n"
@@ -172,7 +169,7 @@ def test_forms_of_targets(
     assert read.settings == configuration(tmp_path / "model.xml").settings
 
 
-def test_a_target_without_a_model_is_an_error_in_one_line(tmp_path: Path) -> None:
+def test_a_target_without_a_model_is_an_error_in_one_line(tmp_path):
     done = run_program(tmp_path, "CartPole-v1")
     assert done.returncode == 1
     assert done.stderr.startswith("error: CartPole-v1: gymnasium.")
@@ -180,7 +177,7 @@ def test_a_target_without_a_model_is_an_error_in_one_line(tmp_path: Path) -> Non
     assert not list(tmp_path.glob("*.json"))
 
 
-def test_values_of_configurations_become_plain() -> None:
+def test_values_of_configurations_become_plain():
     class Mode(enum.Enum):
         TGS = 1
 
@@ -203,7 +200,7 @@ def test_values_of_configurations_become_plain() -> None:
         "kind": "ast:parse",
         "3": 0.004,
     }
-    nested: list[Any] = []
+    nested = []
     nested.append(nested)
     with pytest.raises(ProbeError, match="nested"):
         plain(nested)
@@ -212,13 +209,13 @@ def test_values_of_configurations_become_plain() -> None:
 # --- MuJoCo ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_model_of_a_file_is_the_original(file: Path) -> None:
+def test_the_model_of_a_file_is_the_original(file):
     original = mujoco.MjModel.from_xml_string(HARD)
     assert facts(file) == facts(original)
     assert facts(file)["gravity_m_per_s2"] == (0.1, 0.0, -9.7)
 
 
-def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
+def test_the_robot_of_a_file_stands_as_the_original(file):
     from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 
     original = mujoco.MjModel.from_xml_string(HARD)
@@ -270,7 +267,7 @@ def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
     np.testing.assert_allclose(hulls[1], hulls[0], atol=1e-6)
 
 
-def test_a_file_of_another_version_says_so(file: Path) -> None:
+def test_a_file_of_another_version_says_so(file):
     document = json.loads(file.read_text())
     document["versions"]["mujoco"] = "3.2.0"
     document["data"]["known_flags"]["disableflags"].remove("mjDSBL_MULTICCD")
@@ -292,7 +289,7 @@ def test_a_file_of_another_version_says_so(file: Path) -> None:
         assert note in notes
 
 
-def test_a_pair_of_geoms_is_chosen_by_name(file: Path) -> None:
+def test_a_pair_of_geoms_is_chosen_by_name(file):
     chosen = configuration(file, pair=("pin", "floor"))
     assert chosen.settings["contact_solref"] == [0.003, 0.8]
     assert chosen.settings["contact_solreffriction"] == [0.01, 1.0]
@@ -301,7 +298,7 @@ def test_a_pair_of_geoms_is_chosen_by_name(file: Path) -> None:
 # --- files of strangers ----------------------------------------------------------------------------------------------
 
 
-def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
+def changed(document, place, value):
     """A copy with another value at a place such as `data.arrays.geom_margin`."""
     document = copy.deepcopy(document)
     *path, last = place.split(".")
@@ -397,9 +394,7 @@ def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
         ),
     ],
 )
-def test_a_wrong_file_is_refused_with_the_place(
-    file: Path, place: str, value: Any, message: str
-) -> None:
+def test_a_wrong_file_is_refused_with_the_place(file, place, value, message):
     document = changed(json.loads(file.read_text()), place, value)
     file.write_text(json.dumps(document))
     with pytest.raises(TargetError, match=message) as caught:
@@ -408,7 +403,7 @@ def test_a_wrong_file_is_refused_with_the_place(
     assert len(str(caught.value)) < 1000
 
 
-def test_an_array_that_is_missing_is_named(file: Path) -> None:
+def test_an_array_that_is_missing_is_named(file):
     document = json.loads(file.read_text())
     for name in ARRAYS:
         rest = {
@@ -421,7 +416,7 @@ def test_an_array_that_is_missing_is_named(file: Path) -> None:
             configuration(file)
 
 
-def test_files_that_are_too_large_or_no_files_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_too_large_or_no_files_are_refused(tmp_path):
     large = tmp_path / f"large{SUFFIX}"
     with large.open("wb") as stream:
         stream.truncate(16 * 10**6 + 1)
@@ -440,12 +435,12 @@ def test_files_that_are_too_large_or_no_files_are_refused(tmp_path: Path) -> Non
         configuration(tmp_path / f"none{SUFFIX}")
 
 
-def test_damaged_files_end_in_errors_for_people(file: Path) -> None:
+def test_damaged_files_end_in_errors_for_people(file):
     original = json.loads(file.read_text())
     places = [f"data.arrays.{name}" for name in original["data"]["arrays"]]
     places += [f"data.options.{name}" for name in original["data"]["options"]]
     places += [f"data.{name}" for name in original["data"]]
-    values: list[Any] = [
+    values = [
         None,
         True,
         -1,
@@ -479,7 +474,7 @@ def test_damaged_files_end_in_errors_for_people(file: Path) -> None:
     assert 75 < refused < 150
 
 
-def test_a_json_file_is_recognized_by_its_start(file: Path, tmp_path: Path) -> None:
+def test_a_json_file_is_recognized_by_its_start(file, tmp_path):
     renamed = tmp_path / "robot.json"
     renamed.write_bytes(file.read_bytes())
     assert configuration(renamed).contact_groups == configuration(file).contact_groups

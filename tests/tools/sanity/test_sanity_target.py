@@ -1,21 +1,19 @@
 """What is read from a training configuration: a model's contacts as MuJoCo itself makes them, and its options."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
 from places import ROOT
+from sanity_cases import read_text
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
-from gauge_envs.errors import GaugeError, ParameterError, TargetError, UnknownNameError
+from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -64,13 +62,11 @@ HEAP = """
 """
 
 
-def heap(*, option: str = "", flag: str = "") -> mujoco.MjModel:
+def heap(*, option="", flag=""):
     return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
 
 
-def found_contacts(
-    model: mujoco.MjModel, data: mujoco.MjData
-) -> dict[tuple[int, int], np.ndarray]:
+def found_contacts(model, data):
     """Constants of the contacts that MuJoCo makes now, by the geoms; those in which nothing can move left out."""
     contacts = {}
     for contact in data.contact:
@@ -87,7 +83,7 @@ def found_contacts(
     return contacts
 
 
-def read_contacts(model: mujoco.MjModel) -> dict[tuple[int, int], np.ndarray]:
+def read_contacts(model):
     pairs = contact_pairs(model)
     without_gap = pairs.constants[:, : COLUMNS["gap"].start]
     return {
@@ -107,7 +103,7 @@ def read_contacts(model: mujoco.MjModel) -> dict[tuple[int, int], np.ndarray]:
         ),
     ],
 )
-def test_pairs_are_those_that_mujoco_makes_of_a_heap(option: str, flag: str) -> None:
+def test_pairs_are_those_that_mujoco_makes_of_a_heap(option, flag):
     model = heap(option=option, flag=flag)
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data)
@@ -121,7 +117,7 @@ def test_pairs_are_those_that_mujoco_makes_of_a_heap(option: str, flag: str) -> 
 
 
 @pytest.mark.parametrize("name", LOCOMOTION)
-def test_contacts_of_a_dropped_robot_are_among_the_pairs(name: str) -> None:
+def test_contacts_of_a_dropped_robot_are_among_the_pairs(name):
     env = gymnasium.make(name)
     model, data = env.unwrapped.model, env.unwrapped.data
     read, seen, random = read_contacts(model), set(), np.random.default_rng(0)
@@ -137,7 +133,7 @@ def test_contacts_of_a_dropped_robot_are_among_the_pairs(name: str) -> None:
     env.close()
 
 
-def test_a_gap_is_the_sum_of_both() -> None:
+def test_a_gap_is_the_sum_of_both():
     # `includemargin` leaves the gap out; it shows in how far apart a contact is found.
     xml = """<mujoco><worldbody><geom type="plane" size="1 1 1" gap=".03"/><body pos="0 0 {height}"><freejoint/>
       <geom size=".1" gap=".02"/></body></worldbody></mujoco>"""
@@ -151,30 +147,11 @@ def test_a_gap_is_the_sum_of_both() -> None:
         ].item() == pytest.approx(0.05)
 
 
-def test_half_cheetah() -> None:
-    read = configuration("HalfCheetah-v5")
-    settings = read.settings
-    assert (read.backend, read.frame_skip, read.notes) == ("mujoco", 5, ())
-    assert (settings["timestep_s"], settings["integrator"], settings["cone"]) == (
-        0.01,
-        "Euler",
-        "pyramidal",
-    )
-    assert settings["contact_solref"] == [0.02, 1.0]
-    assert settings["contact_solimp"] == [0.0, 0.8, 0.01, 0.5, 2.0]
-    assert "contact_margin_m" not in settings
-    assert [group.pair_count for group in read.contact_groups] == [8]
-    assert read.origins["contact_solref"] == read.contact_groups[0].geoms
-    assert read.contact_groups[0].geoms.startswith(
-        "floor with torso, head, bthigh and 5 more"
-    )
+def test_half_cheetah(approved):
+    approved("sanity/read_half_cheetah", read_text(configuration("HalfCheetah-v5")))
 
 
-def test_margins_of_foot_and_floor_add_up_in_ant() -> None:
-    assert configuration("Ant-v5").settings["contact_margin_m"] == pytest.approx(0.02)
-
-
-def test_every_option_of_a_model_reaches_the_built_model() -> None:
+def test_every_option_of_a_model_reaches_the_built_model():
     model = heap(
         option="timestep='.003' integrator='implicit' cone='elliptic' impratio='7' solver='CG' iterations='33' "
         "tolerance='1e-5' ls_iterations='11' ls_tolerance='.02' noslip_iterations='3' noslip_tolerance='1e-4' "
@@ -195,7 +172,7 @@ def test_every_option_of_a_model_reaches_the_built_model() -> None:
             )
 
 
-def test_contact_constants_of_a_model_reach_every_contact() -> None:
+def test_contact_constants_of_a_model_reach_every_contact():
     model = mujoco.MjModel.from_xml_string("""<mujoco><option cone="elliptic"/><worldbody>
       <geom name="floor" type="plane" size="1 1 1"/><body><freejoint/><geom name="foot" size=".1"/></body></worldbody>
       <contact><pair geom1="floor" geom2="foot" condim="6" friction=".7 .7 .01 .002 .002" solref=".015 .9"
@@ -224,7 +201,7 @@ def test_contact_constants_of_a_model_reach_every_contact() -> None:
         }
 
 
-def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too() -> None:
+def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too():
     settings = {
         "contact_solref": (0.01, 0.8),
         "contact_margin_m": 0.004,
@@ -249,7 +226,7 @@ def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too() -> None:
     )
 
 
-def test_friction_settings() -> None:
+def test_friction_settings():
     scene = load_experiment("SlopeSlider-1-wood").scene
     real = backend("mujoco").build(scene).model.pair_friction
     scaled = backend("mujoco").build(scene, {"friction_scale": 0.5}).model.pair_friction
@@ -264,7 +241,7 @@ def test_friction_settings() -> None:
     )
 
 
-def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
+def test_a_contact_margin_makes_a_cube_hover_by_as_much():
     scene = load_experiment("SlopeSlider-1-wood").scene
     up = scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
     heights = []
@@ -275,7 +252,7 @@ def test_a_contact_margin_makes_a_cube_hover_by_as_much() -> None:
     assert heights[1] - heights[0] == pytest.approx(0.003, abs=2e-5)
 
 
-def test_restitution_ends_where_contacts_are_given() -> None:
+def test_restitution_ends_where_contacts_are_given():
     recipe = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene).model
     given = (
         backend("mujoco")
@@ -290,7 +267,7 @@ def test_restitution_ends_where_contacts_are_given() -> None:
     assert not given.pair_solreffriction.any()
 
 
-def test_groups_that_differ_are_reported_and_can_be_picked() -> None:
+def test_groups_that_differ_are_reported_and_can_be_picked():
     model = heap()
     read = configuration(model)
     assert read.name == "heap"
@@ -311,7 +288,7 @@ def test_groups_that_differ_are_reported_and_can_be_picked() -> None:
         configuration(model, pair=("a1", "c"))
 
 
-def test_sliding_friction_alone_makes_no_difference() -> None:
+def test_sliding_friction_alone_makes_no_difference():
     hopper = configuration("Hopper-v5")
     assert [group.is_used for group in hopper.contact_groups] == [
         True,
@@ -326,7 +303,7 @@ def test_sliding_friction_alone_makes_no_difference() -> None:
     } == {1.0, 2.0}
 
 
-def test_override_gives_all_contacts_its_own_constants_friction_included() -> None:
+def test_override_gives_all_contacts_its_own_constants_friction_included():
     read = configuration(
         heap(
             option="o_friction='.1 .2 .3 .4 .5' o_solref='.007 1.3'",
@@ -349,14 +326,14 @@ def test_override_gives_all_contacts_its_own_constants_friction_included() -> No
         ("", "no two geoms can collide"),
     ],
 )
-def test_what_is_not_carried_over_is_reported(xml: str, note: str) -> None:
+def test_what_is_not_carried_over_is_reported(xml, note):
     body = "<worldbody><body><freejoint/><geom size='.1'/></body></worldbody>"
     model = mujoco.MjModel.from_xml_string(f"<mujoco>{xml}{body}</mujoco>")
     notes = mujoco_configuration(model, name="model", source="test").notes
     assert any(re.search(note, line) for line in notes), notes
 
 
-def test_files_backends_and_objects(tmp_path) -> None:
+def test_files_backends_and_objects(tmp_path):
     path = tmp_path / "robot.xml"
     (tmp_path / "part.xml").write_text(
         "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
@@ -389,13 +366,13 @@ def test_files_backends_and_objects(tmp_path) -> None:
 class Robot(gymnasium.Env):
     """An environment of somebody else, with a model and nothing more."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.model = mujoco.MjModel.from_xml_string(
             "<mujoco><option timestep='.005'/></mujoco>"
         )
 
 
-def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
+def test_environments_of_somebody_else(tmp_path, monkeypatch):
     read = configuration(Robot())
     assert (read.name, read.frame_skip, read.settings["timestep_s"]) == (
         "Robot",
@@ -424,13 +401,13 @@ def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
 @pytest.mark.parametrize(
     "name", ["good", pytest.param("newton", marks=pytest.mark.slow)]
 )
-def test_examples_are_read(name: str) -> None:
+def test_examples_are_read(name):
     read = configuration(ROOT / "examples" / "sanity" / f"{name}.toml")
     assert read.settings["timestep_s"] == 0.002
 
 
 @pytest.mark.parametrize("name", ["GAUGE/SlopeSlider-1-wood", "SlopeSlider-1-wood"])
-def test_an_id_of_this_suite_has_its_own_settings(name: str) -> None:
+def test_an_id_of_this_suite_has_its_own_settings(name):
     settings = configuration(name).settings
     assert settings["preset"] == "contact"
     assert settings == {
@@ -440,7 +417,7 @@ def test_an_id_of_this_suite_has_its_own_settings(name: str) -> None:
     }
 
 
-def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None:
+def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing():
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
     )
@@ -452,25 +429,15 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None
 
 
 @pytest.mark.parametrize(
-    ("target", "error", "message"),
+    ("target", "message"),
     [
-        (
-            "CartPole-v1",
-            TargetError,
-            r"CartPole-v1 is .*CartPoleEnv, which has no MuJoCo model; give a Gymnasium id",
-        ),
-        ("Nope-v1", TargetError, r"'Nope-v1': gymnasium.make fails: .*Nope"),
-        ("nowhere.xml", TargetError, "nowhere.xml: there is no such file"),
-        ("nowhere.toml", TargetError, "nowhere.toml: there is no such file"),
-        ("mujoco:nope", UnknownNameError, "unknown MuJoCo preset 'nope'"),
-        (3, TargetError, "int cannot be checked"),
+        ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope"),
+        (3, "int cannot be checked"),
     ],
 )
-def test_what_cannot_be_read_says_why(
-    target: object, error: type[GaugeError], message: str
-) -> None:
-    with pytest.raises(error, match=message):
-        configuration(target)  # type: ignore[arg-type]  # one of them is of a wrong type on purpose
+def test_what_cannot_be_read_says_why(target, message):
+    with pytest.raises(TargetError, match=message):
+        configuration(target)
 
 
 GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": %s}}'
@@ -498,6 +465,9 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
         ("a.toml", "backend = ", r"a\.toml: ."),
         ("a.json", "{", r"a\.json: ."),
         ("a.json", "[1]", "the file: "),
+        ("deep.json", "[" * 100_000, "deep.json"),
+        ("deep.toml", "a = " + "[" * 100_000, "deep.toml"),
+        ("a.toml", "\udcff", "a.toml"),
         (
             "a.toml",
             'backend = "mujoco"\n[settings]\ntimestep_s = 0',
@@ -533,28 +503,17 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
         ),
     ],
 )
-def test_a_wrong_file_is_named_with_its_key(
-    tmp_path, name: str, text: str, message: str
-) -> None:
+def test_a_wrong_file_is_named_with_its_key(tmp_path, name, text, message):
     path = tmp_path / name
-    path.write_text(text)
+    path.write_text(text, errors="surrogateescape")
     with pytest.raises(TargetError, match=message):
         configuration(path)
-
-
-@pytest.mark.parametrize("target", ["mujoco", "SlopeSlider-1-wood"])
-def test_pairs_are_of_models_alone(target: str) -> None:
-    with pytest.raises(
-        TargetError,
-        match=r"pairs of geoms are those of a MuJoCo model|has no geoms to choose from",
-    ):
-        configuration(target, pair=("a", "b"))
 
 
 # --- the step ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
+def test_a_training_step_runs_with_a_drive_interval_of_its_own():
     scene = load_experiment("BouncingBall-rubber").scene
     simulation = backend("mujoco").build(
         scene, {"timestep_s": 0.003, "drive_interval_s": 0.003}
@@ -574,7 +533,7 @@ def test_a_training_step_runs_with_a_drive_interval_of_its_own() -> None:
         {"timestep_s": 0.002, "drive_interval_s": 0.003},
     ],
 )
-def test_a_step_must_divide_the_drive_interval(settings: dict[str, float]) -> None:
+def test_a_step_must_divide_the_drive_interval(settings):
     with pytest.raises(
         ParameterError,
         match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
@@ -582,7 +541,7 @@ def test_a_step_must_divide_the_drive_interval(settings: dict[str, float]) -> No
         backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
 
 
-def test_environments_drive_in_intervals_of_their_own() -> None:
+def test_environments_drive_in_intervals_of_their_own():
     with pytest.raises(
         ParameterError,
         match=r"'drive_interval_s' is 0.002 s, but environments drive in intervals of 1/180 s",
@@ -599,13 +558,13 @@ def test_environments_drive_in_intervals_of_their_own() -> None:
     made.close()
 
 
-def test_checks_against_closed_forms_drive_as_environments_do() -> None:
+def test_checks_against_closed_forms_drive_as_environments_do():
     with pytest.raises(RefusedSettingsError, match=r"'drive_interval_s' is 0.002 s"):
         list(run_checks("mujoco", settings={"preset": "out_of_box"}, only=["slide*"]))
 
 
 @pytest.mark.slow
-def test_newton_runs_with_another_drive_interval() -> None:
+def test_newton_runs_with_another_drive_interval():
     scene = load_experiment("BouncingBall-rubber").scene
     simulation = backend("newton").build(
         scene, {"timestep_s": 1 / 600, "drive_interval_s": 1 / 600}
@@ -624,7 +583,7 @@ def test_newton_runs_with_another_drive_interval() -> None:
 
 
 @pytest.mark.parametrize("name", ["HalfCheetah-v5", "Ant-v5", "Humanoid-v5"])
-def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> None:
+def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name):
     # The robot's own compiled model, with a real cube on a real board dropped into it far from the robot.
     scene = load_experiment("SlopeSlider-1-wood").scene
     cube, board = scene.body("cube"), scene.body("board")
@@ -675,9 +634,7 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
     assert np.linalg.norm(place - start) > 1e-4
 
 
-def test_a_model_that_takes_too_much_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_model_that_takes_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("gauge_envs.tools.sanity.stacks.mjcf.MODEL_CPU_S", 2)
     bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
     (tmp_path / "bomb.xml").write_text(
@@ -687,19 +644,3 @@ def test_a_model_that_takes_too_much_is_refused(
         TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"
     ):
         configuration(tmp_path / "bomb.xml")
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
-        ("deep.json", b"[" * 100_000),
-        ("deep.toml", b"a = " + b"[" * 100_000),
-        ("a.toml", b"\xff"),
-    ],
-)
-def test_a_settings_file_that_is_damaged_is_an_error(
-    name: str, content: bytes, tmp_path: Path
-) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(TargetError, match=name):
-        configuration(tmp_path / name)

@@ -1,10 +1,7 @@
 """Models of mujoco_warp and MJX in this process, and flagged rows that are run again on mujoco_warp."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,7 +23,7 @@ from gauge_envs.tools.sanity.stacks import configuration
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
 
-GO1: dict[str, Any] = {
+GO1 = {
     "timestep_s": 0.004,
     "integrator": "Euler",
     "cone": "pyramidal",
@@ -44,7 +41,7 @@ BALLS = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
   <body pos="1 0 .099"><freejoint/><geom size=".1"/></body></worldbody></mujoco>"""
 
 
-def on_warp(model: mujoco.MjModel, **limits: int) -> tuple[Any, Any]:
+def on_warp(model, **limits):
     """Return model and data of mujoco_warp after a first look at the contacts."""
     with wp.ScopedDevice("cpu"):
         there = mujoco_warp.put_model(model)
@@ -53,7 +50,7 @@ def on_warp(model: mujoco.MjModel, **limits: int) -> tuple[Any, Any]:
     return there, data
 
 
-def test_captured_steps_are_those_of_mujoco_warp() -> None:
+def test_captured_steps_are_those_of_mujoco_warp():
     scene = load_experiment("SlopeSlider-1-wood").scene
     simulation = BackendMuJoCoWarp().build(scene, {**GO1, "drive_interval_s": 0.004})
     simulation.reset(0)
@@ -68,7 +65,7 @@ def test_captured_steps_are_those_of_mujoco_warp() -> None:
     assert np.abs(where - scene.body(cube).pose.position_m).max() > 0.0, "it moved"
 
 
-def test_a_model_of_mjx_is_read_as_the_model_that_it_is_made_from() -> None:
+def test_a_model_of_mjx_is_read_as_the_model_that_it_is_made_from():
     model = mujoco.MjModel.from_xml_string(quadruped_xml())
     names = [name for name in dir(model) if not name.startswith("_")]
     parts = {name: getattr(model, name) for name in names if name != "opt"}
@@ -84,9 +81,7 @@ def test_a_model_of_mjx_is_read_as_the_model_that_it_is_made_from() -> None:
     assert any("runs on MJX" in note for note in read.notes)
 
 
-def test_without_the_package_the_extra_is_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_the_package_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco_warp", None)
     with pytest.raises(
         MissingExtraError,
@@ -95,7 +90,7 @@ def test_without_the_package_the_extra_is_named(
         BackendMuJoCoWarp()
 
 
-def test_scenes_that_it_does_not_run() -> None:
+def test_scenes_that_it_does_not_run():
     backend = BackendMuJoCoWarp()
     assert backend.supports(load_experiment("SlopeSlider-2-wood").scene)
     assert "deformable bodies" in str(
@@ -108,7 +103,7 @@ def test_scenes_that_it_does_not_run() -> None:
 
 
 @pytest.mark.slow
-def test_what_mends_few_iterations_is_measured_where_it_trains() -> None:
+def test_what_mends_few_iterations_is_measured_where_it_trains():
     trained = TrainingConfiguration(
         name="go1",
         source="test",
@@ -140,7 +135,7 @@ def test_what_mends_few_iterations_is_measured_where_it_trains() -> None:
 
 
 @pytest.mark.slow
-def test_sliding_and_driving_follow_the_laws() -> None:
+def test_sliding_and_driving_follow_the_laws():
     backend = BackendMuJoCoWarp()
     settings = {
         **GO1,

@@ -1,7 +1,5 @@
 """YAML files of strangers: plain values only, within limits, and tags that run nothing."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest
@@ -17,20 +15,20 @@ from gauge_envs.tools.sanity.stacks.documents import (
 LETTERS = "abcdefghi"
 
 
-def grown(value: str) -> str:
+def grown(value):
     """Nine lists, each of nine aliases of the one before."""
     lists = [f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise(LETTERS)]
     return "\n".join([f"a: &a {value}", *lists])
 
 
-def merged() -> str:
+def merged():
     tables = [
         f"{b}: &{b} {{<<: [{', '.join([f'*{a}'] * 9)}]}}" for a, b in pairwise(LETTERS)
     ]
     return "\n".join(["a: &a {w: 1, x: 2, y: 3, z: 4}", *tables])
 
 
-def test_tuples_slices_and_aliases_are_data() -> None:
+def test_tuples_slices_and_aliases_are_data():
     text = """
     gravity: !!python/tuple [0.0, 0.0, -9.81]
     joints: !!python/object/apply:builtins.slice [null, null, null]
@@ -58,7 +56,7 @@ def test_tuples_slices_and_aliases_are_data() -> None:
         "!!python/tupl [1]",
     ],
 )
-def test_every_other_tag_of_python_is_refused(tag: str, tmp_path, monkeypatch) -> None:
+def test_every_other_tag_of_python_is_refused(tag, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "env.yaml").write_text(f"sim:\n  dt: {tag}\n")
     with pytest.raises(
@@ -69,7 +67,7 @@ def test_every_other_tag_of_python_is_refused(tag: str, tmp_path, monkeypatch) -
     assert not (tmp_path / "RAN").exists()
 
 
-def test_a_slice_is_never_called() -> None:
+def test_a_slice_is_never_called():
     assert yaml_document(
         "a: !!python/object/apply:builtins.slice {args: [1, 2], state: {x: 1}}"
     ) == {"a": None}
@@ -105,9 +103,7 @@ def test_a_slice_is_never_called() -> None:
     ],
     ids=lambda value: str(value)[:20].strip(),
 )
-def test_what_is_damaged_or_too_large_is_an_error(
-    text: str | bytes, reason: str, tmp_path
-) -> None:
+def test_what_is_damaged_or_too_large_is_an_error(text, reason, tmp_path):
     file = tmp_path / "env.yaml"
     file.write_bytes(text if isinstance(text, bytes) else text.encode())
     # Where the words are those of a library, the file is ours to name.
@@ -115,7 +111,7 @@ def test_what_is_damaged_or_too_large_is_an_error(
         read_yaml(file)
 
 
-def test_files_that_cannot_be_read_are_named(tmp_path) -> None:
+def test_files_that_cannot_be_read_are_named(tmp_path):
     for name, reason in {
         "absent.yaml": "no such file",
         ".": "not a regular file",

@@ -1,7 +1,5 @@
 """The site in a browser: every page opens from its folder without a message, and replays are drawn."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

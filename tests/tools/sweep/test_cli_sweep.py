@@ -1,7 +1,5 @@
 """`gauge sweep`: plans, runs, exit codes, interruption, and a message for each wrong request."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -42,7 +40,9 @@ def test_plan_and_run(gauge, tmp_path):
     assert done.exit_code == 0 and "mujoco" in done.stdout
     assert len(contents(tmp_path / "out")) == 4
     (row,) = lines(
-        gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "repeats=3")
+        gauge(
+            "sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "--repeats=3"
+        )
     )
     assert (row["experiment"], row["episodes"], row["left"], row["unknown"]) == (
         "SlopeSlider-2-wood",
@@ -58,8 +58,8 @@ def test_words_alone_are_the_file(gauge, tmp_path):
     steps = "timestep_s=0.002777777777777778,0.001388888888888889"
     gauge(
         "sweep",
-        "variants=SlopeSlider-2-wood",
-        "repeats=2",
+        "--only=SlopeSlider-2-wood",
+        "--repeats=2",
         "--set",
         steps,
         "--out",
@@ -71,11 +71,11 @@ def test_words_alone_are_the_file(gauge, tmp_path):
 @needs_rapier
 def test_words_and_options_replace_keys_of_the_file(gauge):
     options = [
-        "backends=mujoco",
-        "backends=rapier",
+        "--backend=mujoco",
+        "--backend=rapier",
         "--set",
         "mujoco.iterations=5,10",
-        "jitter=0.5mm",
+        "--jitter=0.5mm",
     ]
     rows = lines(
         gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", *options)
@@ -117,8 +117,8 @@ def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
 
 @needs_rapier
 def test_exit_code_1_states_a_bad_outcome(gauge, monkeypatch):
-    foam = ["backends=rapier", "repeats=1", "--out", "out"]
-    declined = gauge("sweep", "variants=FoamBending-soft", *foam)
+    foam = ["--backend=rapier", "--repeats=1", "--out", "out"]
+    declined = gauge("sweep", "--only=FoamBending-soft", *foam)
     assert declined.exit_code == 1 and declined.stdout.split()[-5:] == [
         "rapier",
         "0",
@@ -126,27 +126,27 @@ def test_exit_code_1_states_a_bad_outcome(gauge, monkeypatch):
         "1",
         "0",
     ]
-    assert gauge("sweep", "variants=FoamBending-s[o]ft", *foam).exit_code == 0
+    assert gauge("sweep", "--only=FoamBending-s[o]ft", *foam).exit_code == 0
 
 
 REFUSED = """
 sweep
-sweep repeats=2
+sweep --repeats=2
 sweep variant=SlopeSlider-2-wood
-sweep sweep.toml jitter=1cm
+sweep sweep.toml --jitter=1cm
 sweep sweep.toml SlopeSlider-2-wood
 sweep sweep.toml --set iterations
 sweep sweep.toml --set rapier.iterations=3
 sweep sweep.toml --shard 3
 sweep sweep.toml --shard 5/4
-sweep sweep.toml backends=bullet
-sweep sweep.toml variants=SlopeSlider-9-*
-sweep sweep.toml presets=quick
-sweep sweep.toml parameters=measured
+sweep sweep.toml --backend=bullet
+sweep sweep.toml --only=SlopeSlider-9-*
+sweep sweep.toml --preset=quick
+sweep sweep.toml --parameter=measured
 sweep sweep.toml --set substeps=2
 sweep sweep.toml --set timestep_s=0.004
-sweep sweep.toml repeats=1000000000
-sweep variants=SlopeSlider-2-wood --slurm jobs.py
+sweep sweep.toml --repeats=1000000000
+sweep --only=SlopeSlider-2-wood --slurm jobs.py
 """
 """Requests that are refused before anything runs."""
 
@@ -159,8 +159,8 @@ def test_what_cannot_be_met_is_refused_in_the_approved_words(gauge, approved):
 @pytest.mark.parametrize(
     ("arguments", "place"),
     [
-        (["sweep.toml", "repeats=0"], "repeats: "),
-        (["none.toml"], "none.toml: (file): cannot be read"),
+        (["sweep.toml", "--repeats=0"], "--repeats"),
+        (["none.toml"], "none.toml: cannot be read"),
         (["sweep.toml", "--out", "sweep.toml"], "results cannot be written there"),
         (["sweep.toml", "--set", "iterations=many"], "MuJoCo setting 'iterations'"),
         (["sweep.toml", "--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT"),
@@ -198,7 +198,7 @@ def test_parts_together_are_the_sweep(gauge, tmp_path):
 def test_the_slurm_script_states_the_sweep(gauge, tmp_path):
     assert (
         gauge(
-            "sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "3"
+            "sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--parts", "3"
         ).exit_code
         == 0
     )
@@ -210,7 +210,7 @@ def test_the_slurm_script_states_the_sweep(gauge, tmp_path):
 @pytest.mark.slow
 def test_the_slurm_script_runs_every_part(gauge, tmp_path):
     pytest.importorskip("submitit")
-    gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "2")
+    gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--parts", "2")
     done = subprocess.run(
         [sys.executable, "jobs.py", "--cluster", "local"],
         cwd=tmp_path,

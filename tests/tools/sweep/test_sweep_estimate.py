@@ -1,7 +1,5 @@
 """Estimated costs: medians of earlier episodes, interpolated between numbers of steps, or unknown."""
 
-from __future__ import annotations
-
 import pytest
 
 from gauge_envs.evaluation.score import Score

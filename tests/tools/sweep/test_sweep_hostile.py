@@ -1,7 +1,5 @@
 """Hostile sweep files and options end in an error for people, and nothing is written."""
 
-from __future__ import annotations
-
 import os
 import stat
 
@@ -65,7 +63,7 @@ def test_endless_combinations_are_refused():
         ),
         (
             'backends = ["rapier"]\n[settings]\nmujoco = [1]',
-            ["backends=mujoco", "--set", "mujoco.iterations=3"],
+            ["--backend=mujoco", "--set", "mujoco.iterations=3"],
             "settings.mujoco of the sweep file is a list",
         ),
         ("", ["--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT, as 0/16"),

@@ -1,7 +1,5 @@
 """Sweeps that are killed at random moments, and Ray: the same bits, nothing lost, nothing twice."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random
@@ -33,10 +31,10 @@ COMMAND = [
         "-c",
         "from gauge_command import main; main()",
         "sweep",
-        "--workers",
+        "--jobs",
         "2",
     ),
-    *("backends=mujoco,rapier", "variants=SlopeSlider-2-*", "repeats=2"),
+    *("--backend=mujoco,rapier", "--only=SlopeSlider-2-*", "--repeats=2"),
     *("--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"),
 ]
 
@@ -56,9 +54,7 @@ def children(pid):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
 @needs_rapier
-def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(
-    tmp_path,
-):
+def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_path):
     expected = whole(tmp_path / "whole")
     folder, moments = tmp_path / "killed", random.Random(0)
     kills = []

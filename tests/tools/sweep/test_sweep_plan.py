@@ -1,7 +1,5 @@
 """Plans: each content once, keys that follow the content, and requests that would fail every episode."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -61,9 +59,7 @@ def test_any_other_content_has_other_names(other):
     assert not names(planned(repeats=2)) & names(planned(**{"repeats": 2} | other))
 
 
-def test_the_versions_of_engine_and_package_belong_to_the_key(
-    monkeypatch,
-):
+def test_the_versions_of_engine_and_package_belong_to_the_key(monkeypatch):
     before = names(planned())
     monkeypatch.setattr(BackendMuJoCo, "versions", lambda self: {"mujoco": "99.0"})
     assert not before & names(planned())
@@ -94,7 +90,7 @@ def test_resolved_settings_are_those_in_force(name):
     engine, scene = backend(name), load_experiment(WOOD).scene
     simulation = engine.build(scene, {"timestep_s": 1 / 720})
     resolved = engine.resolved_settings(scene, {"timestep_s": 1 / 720})
-    assert resolved is not None and resolved["timestep_s"] == 1 / 720
+    assert resolved["timestep_s"] == 1 / 720
     assert dict(simulation.settings).items() <= dict(resolved).items()
     simulation.close()
 
@@ -142,7 +138,7 @@ def test_declined_episodes_are_planned_with_the_reason():
 def test_default_jitter_is_that_of_a_run():
     assert planned().runs[0].request.jitter is None
     jitter = planned(repeats=2).runs[0].request.jitter
-    assert jitter is not None and jitter.position_m == 0.001
+    assert jitter.position_m == 0.001
 
 
 # --- tasks ---

@@ -1,7 +1,5 @@
 """Sweeps in a folder: results, resuming and failures."""
 
-from __future__ import annotations
-
 import json
 from contextlib import closing
 

@@ -1,7 +1,5 @@
 """Sweep files: what they cover, and a clear message for each wrong one."""
 
-from __future__ import annotations
-
 import pytest
 
 from gauge_envs.errors import ParameterError, SweepFileError

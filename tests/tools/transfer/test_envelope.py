@@ -1,7 +1,5 @@
 """Envelopes against closed forms, and the ranges that are written for other packages."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -255,13 +253,13 @@ def test_effects_are_those_of_a_known_function():
     ("name", "words"), [("envelope", ""), ("envelope-json", "--json")]
 )
 def test_the_output_is_the_approved_one(gauge, approved, name, words):
-    command = "transfer envelope SlopeSlider-2-wood samples=4"
+    command = "transfer envelope SlopeSlider-2-wood --samples=4"
     result = gauge(*command.split(), *words.split())
     approved(f"transfer/{name}", approval.readable(result))
 
 
 def test_a_picture_is_drawn(gauge, tmp_path):
-    command = "transfer envelope GAUGE/Pendulum-Limit-metal samples=4 --out a.png"
+    command = "transfer envelope GAUGE/Pendulum-Limit-metal --samples=4 --out a.png"
     assert gauge(*command.split()).exit_code == 0
     assert (tmp_path / "a.png").stat().st_size > 5_000
 
@@ -270,17 +268,18 @@ def test_wrong_requests_are_refused(gauge, approved):
     commands = (
         "transfer envelope Turntable-9",
         "transfer envelope Turntable-1-wood --policy a.zip",
-        "transfer envelope Turntable-Limit-wood samples=5",
+        "transfer envelope Turntable-Limit-wood --samples=5",
         "transfer a.pt --id Pendulum-Limit-metal",
         "transfer a.zip --id Turntable-1-wood",
         "transfer numpy:mean --trust --id Pendulum-Limit-metal --to bullet3",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=one",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=inf",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=1e300",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal sigmas=nan",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco starts=1 sigmas=1,1",
-        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --to mujoco: starts=1",
-        "transfer envelope Pendulum-Limit-metal samples=2 --policy law:fraction=inf",
-        "transfer envelope Pendulum-Limit-metal samples=2 --policy law:fraction=-1",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=one",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=inf",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=1e300",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=nan",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --starts=1 --sigmas=1,1",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --to mujoco: --starts=1",
+        "transfer envelope Pendulum-Limit-metal --samples=2 --fraction=inf",
+        "transfer envelope Pendulum-Limit-metal --samples=2 --fraction=-1",
+        "transfer envelope Pendulum-Limit-metal --policy law:informed=true",
     )
     approved("transfer/refused", approval.refused_commands(gauge, *commands))

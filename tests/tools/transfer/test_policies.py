@@ -1,7 +1,5 @@
 """Policies of other packages: they act as in the package that saved them, and loading them runs no code."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

@@ -1,19 +1,16 @@
 """What a policy keeps of its promise: against closed forms of the slope, and with a planted fault of an engine."""
 
-from __future__ import annotations
-
-import json
 import math
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from json_lines import check_lines
 
 from gauge_envs import registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.cli.app import app
+from gauge_envs.cli.output import json_text
 from gauge_envs.errors import ParameterError
 from gauge_envs.pages.document import as_rows
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
@@ -177,11 +174,7 @@ def test_a_planted_fault_of_an_engine_is_named_first():
 # --- numbers, with rewards that are known ---
 
 
-def known(
-    rewards,
-    largest=None,
-    limit=1.0,
-):
+def known(rewards, largest=None, limit=1.0):
     """Return episodes with given rewards, the law's largest reward in each world, and a limit in all but the first."""
     kinds = [WorldKind.TRAINING, *[WorldKind.CONSTANT] * (len(rewards) - 1)]
     worlds = tuple(
@@ -337,7 +330,7 @@ def test_json_holds_a_line_for_each_world_and_the_verdict():
     )
     assert [row["kind"] for row in rows] == ["training", "constant", "verdict"]
     assert rows[-1]["kept"]["value"] == 0.5
-    json.dumps(rows, allow_nan=False)
+    check_lines("transfer", json_text(rows))
 
 
 # --- worlds and command ---
@@ -365,15 +358,15 @@ def test_worlds_state_their_sigma():
     assert worlds[0].settings["timestep_s"] == pytest.approx(1 / 2160)
 
 
-def test_command_reports_and_draws(tmp_path):
+def test_command_reports_and_draws(tmp_path, gauge):
     pytest.importorskip("matplotlib")
     picture = tmp_path / "a.png"
     arguments = [
         "transfer", f"{__name__}:pumping", "--trust", "--id", "GAUGE/Pendulum-Limit-metal",
-        "--to", "mujoco:timestep_s=0.0005555555555555556", "sigmas=2", "--out", str(picture),
-        "fail_below=101",
+        "--to", "mujoco:timestep_s=0.0005555555555555556", "--sigmas=2", "--out", str(picture),
+        "--fail-below=101",
     ]  # fmt: skip
-    result = CliRunner().invoke(app, arguments)
+    result = gauge(*arguments)
     assert result.exit_code == 1, result.output
     assert "ball.mass_kg - 2 sigma" in result.stdout
     assert "Keeps 100 %" in result.stdout

@@ -1,7 +1,5 @@
 """Scenes that nobody designed, with all that a USD layer holds of a scene, and edits of what is written of one."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -10,11 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video import Track
-from gauge_envs.tools.video.tasks import (
-    REFERENCE_SIZE_PX,
-    Motion,
-    video_task,
-)
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, video_task
 
 Draw = Callable[[NDArray[np.uint8], NDArray[np.float64], float], None]
 

@@ -7,17 +7,13 @@ before it. Each frame is the mean over its exposure, with noise and MPEG-4 compr
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.phone_films import (
-    SQUARES,
-    charuco,
-)
+from gauge_envs.tools.video.phone_films import SQUARES, charuco
 
 FloatArray = NDArray[np.float64]
 
@@ -26,7 +22,6 @@ PX_PER_M = 1250.0
 WALL_M = np.array([1.9, 1.3])
 SQUARE_M, OFFSET_M, OFFSET_SIGMA_M, EDGE_M = 0.035, 0.035, 0.002, 0.05
 EXPOSURES = 3
-BANDS = 12
 LEVEL_SIGMA_RAD = math.radians(0.3)
 G = 9.80665
 
@@ -52,15 +47,7 @@ class Shot:
     truth: float
 
 
-def shot(
-    motion: str,
-    seed: int,
-    folder: Path,
-    *,
-    fps: float = 30.0,
-    readout_s: float = 0.0,
-    crop_px: float = 0.0,
-) -> Shot:
+def shot(motion, seed, folder, *, fps=30.0):
     """Write a film with random constants, camera and light, and return it with the truth.
 
     Args:
@@ -68,8 +55,6 @@ def shot(
         seed: Seed of all constants.
         folder: Where film and camera file are written.
         fps: Frames per second.
-        readout_s: Time from the first to the last row of a rolling shutter [s], in `BANDS` steps.
-        crop_px: Standard deviation by which a stabilized crop moves from frame to frame [px].
     """
     rng = np.random.default_rng(seed)
     motions = {"slide": _slide, "roll": _roll, "fall": _fall, "pendulum": _swing}
@@ -85,7 +70,6 @@ def shot(
     rays = cv2.undistortPoints(grid.reshape(-1, 1, 2), *lens).reshape(
         *SIZE_PX[::-1], 1, 2
     )
-    edges = np.linspace(0, SIZE_PX[1], (BANDS if readout_s else 1) + 1).astype(int)
     video = folder / f"{motion}_{seed}.mp4"
     if not video.exists():
         writer = cv2.VideoWriter(
@@ -97,23 +81,12 @@ def shot(
         for number in range(int(lasts_s * fps)):
             total = np.zeros((*SIZE_PX[::-1], 3), np.float32)
             for part in range(EXPOSURES):
-                for top, end in pairwise(map(int, edges)):
-                    late_s = readout_s * (0.5 * (top + end) / SIZE_PX[1] - 0.5)
-                    time_s = (
-                        number + 0.5 * (part / (EXPOSURES - 1) - 0.5)
-                    ) / fps + late_s
-                    seen = (*place(time_s), offset, pivot)
-                    total[top:end] += _picture(
-                        wall, rays[top:end], lens, camera(time_s), motion, seen, top
-                    )
+                time_s = (number + 0.5 * (part / (EXPOSURES - 1) - 0.5)) / fps
+                seen = (*place(time_s), offset, pivot)
+                total += _picture(wall, rays, lens, camera(time_s), motion, seen)
             # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
             x, y = rng.integers(0, 64, 2)
             noisy = total / EXPOSURES + grain[y : y + SIZE_PX[1], x : x + SIZE_PX[0]]
-            if crop_px and number:
-                moved = np.column_stack([np.eye(2), rng.normal(0.0, crop_px, 2)])
-                noisy = cv2.warpAffine(
-                    noisy, moved, SIZE_PX, borderMode=cv2.BORDER_REPLICATE
-                )
             writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
         writer.release()
     corners = np.column_stack(
@@ -154,21 +127,15 @@ Motion = tuple[Place, str, float, float, FloatArray | None]
 """Place, name and value of the constant, duration [s], and the pivot of a swing [m]."""
 
 
-def _slide(rng: np.random.Generator) -> Motion:
+def _slide(rng):
     return _descent(rng, "friction", (24.0, 34.0), (0.1, 0.35), 1.0)
 
 
-def _roll(rng: np.random.Generator) -> Motion:
+def _roll(rng):
     return _descent(rng, "rolling_resistance", (8.0, 16.0), (0.0, 0.04), 1.4)
 
 
-def _descent(
-    rng: np.random.Generator,
-    name: str,
-    slopes_deg: tuple[float, float],
-    values: tuple[float, float],
-    inertia: float,
-) -> Motion:
+def _descent(rng, name, slopes_deg, values, inertia):
     slope, truth = math.radians(rng.uniform(*slopes_deg)), rng.uniform(*values)
     a, release = (
         G * (math.sin(slope) - truth * math.cos(slope)) / inertia,
@@ -181,20 +148,20 @@ def _descent(
     down = np.array([-math.cos(slope), -math.sin(slope)])
     start = np.array([0.62, 0.13])
 
-    def place(time_s: float) -> tuple[FloatArray, float]:
+    def place(time_s):
         since = min(max(time_s - release, 0.0), lasts)
         return start + 0.5 * a * since**2 * down, slope
 
     return place, name, truth, release + lasts + 0.2, None
 
 
-def _fall(rng: np.random.Generator) -> Motion:
+def _fall(rng):
     e, release, height = rng.uniform(0.55, 0.85), rng.uniform(0.3, 0.5), 0.42
     impacts = [math.sqrt(2.0 * height / G)]
     for bounce in range(1, 5):
         impacts.append(impacts[-1] + 2.0 * e**bounce * G * impacts[0] / G)
 
-    def place(time_s: float) -> tuple[FloatArray, float]:
+    def place(time_s):
         since = max(time_s - release, 0.0)
         count = sum(since >= one for one in impacts)
         if count == 0:
@@ -206,7 +173,7 @@ def _fall(rng: np.random.Generator) -> Motion:
     return place, "restitution", e, release + impacts[2], None
 
 
-def _swing(rng: np.random.Generator) -> Motion:
+def _swing(rng):
     damping, length, amplitude = (
         rng.uniform(0.05, 0.3),
         rng.uniform(0.3, 0.36),
@@ -214,7 +181,7 @@ def _swing(rng: np.random.Generator) -> Motion:
     )
     omega, pivot = math.sqrt(G / length), np.array([0.38, 0.2])
 
-    def place(time_s: float) -> tuple[FloatArray, float]:
+    def place(time_s):
         angle = amplitude * math.exp(-damping * time_s) * math.cos(omega * time_s)
         return pivot + length * np.array([math.sin(angle), -math.cos(angle)]), angle
 
@@ -224,9 +191,7 @@ def _swing(rng: np.random.Generator) -> Motion:
 # --- pictures --------------------------------------------------------------------------------------------------------
 
 
-def _camera(
-    rng: np.random.Generator, lasts_s: float
-) -> Callable[[float], tuple[FloatArray, FloatArray]]:
+def _camera(rng, lasts_s):
     """Return rotation vector and translation from the board to a camera that a hand moves, at a time."""
     eye = np.array([0.25, 0.0, 0.0]) + rng.uniform(
         [-0.25, -0.1, 1.05], [0.25, 0.2, 1.25]
@@ -237,7 +202,7 @@ def _camera(
     sizes = np.array([0.008, 0.008, 0.006, 0.012, 0.012, 0.01])[:, None] / waves
     roll = rng.normal(0.0, 0.03)
 
-    def pose(time_s: float) -> tuple[FloatArray, FloatArray]:
+    def pose(time_s):
         sway = (sizes * np.sin(2.0 * np.pi * waves * time_s + phases)).sum(axis=1)
         place = eye + sway[:3]
         forward = target - place
@@ -251,7 +216,7 @@ def _camera(
     return pose
 
 
-def _wall(motion: str, rng: np.random.Generator, place: Place) -> NDArray[np.uint8]:
+def _wall(motion, rng, place):
     """Return the wall with the board and what stands still, from the left top corner."""
     width, height = (WALL_M * PX_PER_M).astype(int)
     light = cv2.resize(
@@ -315,11 +280,11 @@ def _wall(motion: str, rng: np.random.Generator, place: Place) -> NDArray[np.uin
     return wall
 
 
-def _wall_px(points_m: FloatArray) -> FloatArray:
+def _wall_px(points_m):
     return (points_m * [1.0, -1.0] + [0.55, 0.5 * WALL_M[1]]) * PX_PER_M
 
 
-def _outline(motion: str, centre: FloatArray, tilt: float) -> FloatArray:
+def _outline(motion, centre, tilt):
     """Return points of the outline of the object on its plane [m], shape [count, 2]."""
     if motion == "slide":
         c, s = math.cos(tilt), math.sin(tilt)
@@ -329,16 +294,8 @@ def _outline(motion: str, centre: FloatArray, tilt: float) -> FloatArray:
     return centre + 0.5 * EDGE_M * np.column_stack([np.cos(angles), np.sin(angles)])
 
 
-def _picture(
-    wall: NDArray[np.uint8],
-    rays: NDArray[np.float32],
-    lens: tuple[FloatArray, FloatArray],
-    pose: tuple[FloatArray, FloatArray],
-    motion: str,
-    seen: tuple[FloatArray, float, float, FloatArray | None],
-    top: int,
-) -> NDArray[np.float32]:
-    """Return the rows from `top` at one moment: the wall, and the object with its place, tilt, offset and pivot."""
+def _picture(wall, rays, lens, pose, motion, seen):
+    """Return the picture at one moment: the wall, and the object with its place, tilt, offset and pivot."""
     (rvec, tvec), (centre, tilt, offset_m, pivot) = pose, seen
     rotation = cv2.Rodrigues(rvec)[0]
     plane = np.column_stack([rotation[:, 0], rotation[:, 1], tvec])
@@ -353,11 +310,9 @@ def _picture(
         wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
 
-    def drawn(
-        points_m: FloatArray, depth_m: float, colour: tuple[int, int, int]
-    ) -> None:
+    def drawn(points_m, depth_m, colour):
         world = np.column_stack([points_m, np.full(len(points_m), depth_m)])
-        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0] - [0.0, top]
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
         cv2.fillConvexPoly(
             picture,
             cv2.convexHull((places * 16).round().astype(np.int32)),
@@ -385,11 +340,8 @@ def _picture(
                 for depth in (front_m, front_m - EDGE_M)
             ]
         )
-        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0] - [0.0, top]
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
         hull = cv2.convexHull((places * 16).round().astype(np.int32))
         cv2.fillConvexPoly(picture, hull, (40, 60, 90), cv2.LINE_AA, 4)
     drawn(outline, front_m, (60, 95, 140) if motion == "slide" else (35, 30, 40))
     return picture.astype(np.float32)
-
-
-# --- the study -------------------------------------------------------------------------------------------------------

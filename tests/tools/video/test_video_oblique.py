@@ -93,9 +93,7 @@ def test_the_command_takes_a_track_and_a_camera(tmp_path, gauge):
     rows = [f"{frame},{x},{y}" for frame, (x, y) in enumerate(clip.places_px)]
     track = "\n".join(["frame,x,y", *rows])
     (tmp_path / "fall.csv").write_text(track, encoding="utf-8")
-    words = (
-        f"video score fall.csv --id {clip.task} --camera camera.toml fps={FPS:g} --json"
-    )
+    words = f"video score fall.csv --id {clip.task} --camera camera.toml --fps={FPS:g} --json"
     outcome = gauge(*words.split())
     by_hand = score_track(
         _track(clip.places_px, np.arange(len(rows)), FPS),

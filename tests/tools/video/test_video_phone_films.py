@@ -37,14 +37,14 @@ from gauge_envs.tools.video.words import TITLES  # noqa: E402
 def filmed(gauge, one, motion, *words):
     """Score a shot with its camera file and the box of its object."""
     box = ",".join(f"{value:.1f}" for value in one.box_px)
-    given = ["--id", motion, f"object={box}", "--camera", one.camera]
+    given = ["--id", motion, f"--object={box}", "--camera", one.camera]
     return gauge("video", "score", one.video, *given, *words)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pdf"])
 def test_a_printed_board_has_its_size(tmp_path, suffix, gauge):
     file = tmp_path / f"board{suffix}"
-    outcome = gauge("video", "board", file, "square_mm=30")
+    outcome = gauge("video", "board", file, "--square=30")
     assert outcome.exit_code == 0, outcome.output
     if suffix == ".pdf":
         # The box of the page is in points of 1/72 inch: 8 squares across, 6 down.
@@ -74,7 +74,12 @@ def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path, gauge):
     friction = found["metrics"]["friction"]
     assert friction == pytest.approx(one.truth, abs=0.03)
     assert (tmp_path / "drawn" / f"{one.video.stem}.overlay.mp4").exists()
-    asked = [f"friction={friction:.3f}", "mass_kg=0.1", "timestep_s=0.002", "--json"]
+    asked = [
+        f"--friction={friction:.3f}",
+        "--mass=0.1",
+        "--set=timestep_s=0.002",
+        "--json",
+    ]
     for engine in ("mujoco", "pybullet"):
         recipe = gauge("recipe", *asked, "--backend", engine)
         assert recipe.exit_code == 0 and json.loads(recipe.stdout)["misses"] == []
@@ -88,7 +93,11 @@ def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path, gauge):
     rng.uniform(0.05, 0.3)
     length_m = float(rng.uniform(0.3, 0.36))
     assert filmed(gauge, one, "pendulum", "--out", tmp_path).exit_code == 0
-    load = ["mass_kg=0.1", f"length_m={length_m}", "fit=viscous_friction_n_m_s_per_rad"]
+    load = [
+        "--mass=0.1",
+        f"--length={length_m}",
+        "--fit=viscous_friction_n_m_s_per_rad",
+    ]
     swing = tmp_path / f"{one.video.stem}.swing.csv"
     outcome = gauge("recipe", "joint", swing, *load, "--format", "json")
     (found,) = json.loads(outcome.stdout)["settings"]
@@ -113,13 +122,13 @@ def test_three_films_hold_the_truth(motion, tmp_path, gauge):
     [
         (
             "fall",
-            ["fps=15"],
-            r"gravity is (2\.[345]\d) m/s\^2: give fps= of the camera",
+            ["--fps=15"],
+            r"gravity is (2\.[345]\d) m/s\^2: give --fps of the camera",
         ),
         (
             "pendulum",
-            ["fps=15"],
-            r"gravity is (2\.[345]\d?) m/s\^2: give fps= of the camera",
+            ["--fps=15"],
+            r"gravity is (2\.[345]\d?) m/s\^2: give --fps of the camera",
         ),
         ("slide", [], "friction is below 0: .* check the camera file"),
         ("roll", [], "rolling_resistance is below 0: .* check the camera file"),
@@ -227,7 +236,7 @@ def test_a_ball_that_rolls_is_no_slide():
         (k * math.tan(slope) + c) / (1.0 + k), abs=1e-3
     )
     wrong = resistance(result, task, None, 2.0 / 3.0)[1]
-    assert wrong is not None and wrong[1] < 0.0
+    assert wrong[1] < 0.0
 
 
 def test_a_rolling_shutter_is_corrected_when_it_is_stated():

@@ -280,10 +280,3 @@ def test_a_file_of_the_user_is_never_replaced(server, tmp_path, name):
         and (tmp_path / name).read_text(encoding="utf-8") == "mine"
     )
     assert server.asked == []
-
-
-def test_a_folder_that_cannot_be_one_is_named(server, tmp_path):
-    (tmp_path / "file").write_text("mine", encoding="utf-8")
-    with pytest.raises(DatasetError, match="name another folder"):
-        fetch_inputs(tmp_path / "file", source=server.address)
-    assert server.asked == []

@@ -76,7 +76,7 @@ def test_the_view_is_that_of_the_first_frame():
 
 
 def test_a_film_on_disk_comes_with_its_exact_track(tmp_path, gauge):
-    words = "video render SlopeSlider-2-wood --out slide.mp4 fps=15 seconds=0.5"
+    words = "video render SlopeSlider-2-wood --out slide.mp4 --fps=15 --duration=0.5"
     outcome = gauge(*words.split())
     assert outcome.exit_code == 0, outcome.output
     head, *rows = (tmp_path / "slide.track.csv").read_text().splitlines()

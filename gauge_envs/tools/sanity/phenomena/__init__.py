@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.phenomena.base import Phenomenon
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
-GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
+GRAVITY_ID, CAPACITY_ID, CONTROL_ID = "gravity", "contact-capacity", "control-step"
 """Rows on what a target states, which need no rollout."""
 
 _TABLES = tomllib.loads(
@@ -26,6 +26,9 @@ _TABLES = tomllib.loads(
 
 ROBOT_IDS = tuple(_TABLES["robot"])
 """Rows on the target's own model: its rollout, and what it states."""
+
+STATED_IDS = (GRAVITY_ID, CAPACITY_ID, CONTROL_ID, *ROBOT_IDS)
+"""Rows that run none of the suite's experiments."""
 
 RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
 """Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
@@ -80,18 +83,23 @@ def selection(
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
-    patterns = [
-        part.strip() for text in only for part in text.split(",") if part.strip()
-    ]
     return _matching(
-        patterns,
+        patterns_of(only),
         (
-            GRAVITY_ID,
-            CAPACITY_ID,
-            *ROBOT_IDS,
+            *STATED_IDS,
             *_known(include_deformables=include_deformables),
         ),
     )
+
+
+def matches(name: str, only: Sequence[str]) -> bool:
+    """Return whether a name matches one of the patterns, also several in one text with commas."""
+    return any(fnmatchcase(name, pattern) for pattern in patterns_of(only))
+
+
+def patterns_of(only: Sequence[str]) -> list[str]:
+    """Return the patterns of texts, each of which may hold several with commas."""
+    return [part.strip() for text in only for part in text.split(",") if part.strip()]
 
 
 def _matching(patterns: Sequence[str], known: tuple[str, ...]) -> tuple[str, ...]:

@@ -1,8 +1,9 @@
 """Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import mujoco
@@ -15,6 +16,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import (
     Cause,
+    PartOutcome,
     PhenomenonResult,
     Reality,
     RealityKind,
@@ -27,9 +29,20 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
     geom_name,
     joints_of,
+    shortened,
     support_m,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    disable_bit,
+    enabling,
+    grasp_kinds,
+    random_poses,
+    switched_off,
+)
+
+WHOLE = "the robot"
+"""Part of a row that judges the robot as a whole."""
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
 
@@ -38,6 +51,21 @@ UNIT_ERRORS = {
     1e-3: "a mass in grams",
     1e6: "a mass in kt",
 }
+
+MASSLESS_KG = 1e-5
+"""Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
+
+UNIT_WITHIN = 35.0
+"""Factor within which a density in another unit is that of water."""
+
+SERVO_ERROR_RAD = 0.5
+"""Error at which a servo without a limit asks for its largest torque [rad]."""
+
+LEAST_RAD_PER_S2, FAIR_RAD_PER_S2 = 100.0, 1000.0
+"""Acceleration that the largest torque gives to the armature alone [rad/s^2]: least and middle of makers' models."""
+
+FEW_JOINTS = 3
+"""Driven hinges from which on a robot as a whole is judged."""
 
 FULL_ACTION_RAD_PER_S = 3.0
 """Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
@@ -49,23 +77,31 @@ class Finding:
 
     Attributes:
         value: The value; not finite for a motion that diverges.
+        parts: Value of each part that the row judges, by its name; empty for the robot as a whole.
         remark: Parts of the model that decide it.
         advice: What to change, in the words of a model.
         changes: The same, by names that `Robot.changed` knows.
         declined: Why it does not apply; empty when it does.
+        unmeasured: Why it applies and was not measured; empty when it was.
         advisory: Why it does not count; empty when it does.
     """
 
     value: float = 0.0
+    parts: Mapping[str, float] = field(default_factory=dict)
     remark: str = ""
     advice: str = ""
     changes: Settings = field(default_factory=dict)
     declined: str = ""
+    unmeasured: str = ""
     advisory: str = ""
 
 
 class NotApplicableError(Exception):
     """A row does not apply to a robot; the message is the reason."""
+
+
+class NotMeasuredError(Exception):
+    """A row applies to a robot and cannot be measured; the message is the reason."""
 
 
 ROWS: dict[str, Callable[[Robot], Finding]] = {}
@@ -83,6 +119,8 @@ def row(
                 return function(robot)
             except NotApplicableError as reason:
                 return Finding(declined=str(reason))
+            except NotMeasuredError as reason:
+                return Finding(unmeasured=str(reason))
 
         ROWS[name] = found
         return function
@@ -106,9 +144,9 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
     """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that."""
     known = facts("robot_rows")[name]
     (low, high), value = known["interval"], found.value
-    ratio = max(low / max(value, 1e-12), value / high) if np.isfinite(value) else np.inf
-    verdict = Verdict.of(ratio if ratio > 1.0 + 1e-9 else 1.0)
-    is_off = verdict is not Verdict.INSIDE and not found.declined
+    verdict = Verdict.of(_ratio(value, low, high))
+    missing = found.declined or found.unmeasured
+    is_off = verdict is not Verdict.INSIDE and not missing
     return PhenomenonResult(
         phenomenon=name,
         title=known["title"],
@@ -121,16 +159,35 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
             rationale=known["consequence"],
             limits=known["limits"],
         ),
-        configured=None if found.declined or not np.isfinite(value) else float(value),
-        verdict=Verdict.DECLINED if found.declined else verdict,
+        configured=None if missing or not np.isfinite(value) else float(value),
+        verdict=Verdict.DECLINED if missing else verdict,
         cause=Cause(settings=tuple(found.changes), line=found.advice)
         if found.advice and is_off
         else None,
-        remark=found.declined or found.remark,
+        remark=missing or found.remark,
         applies=not found.declined,
         consequence=known["consequence"] if is_off else "",
         advisory=found.advisory,
+        parts=()
+        if missing
+        else tuple(
+            PartOutcome(
+                name=part,
+                value=float(one) if np.isfinite(one) else None,
+                verdict=Verdict.of(_ratio(one, low, high)),
+                deviation=_ratio(one, low, high),
+            )
+            for part, one in (found.parts or {WHOLE: value}).items()
+        ),
     )
+
+
+def _ratio(value: float, low: float, high: float) -> float:
+    """Return the ratio by which a value is beyond its limits; 1 between them, infinite for another sign."""
+    if value < min(low, 0.0) or not np.isfinite(value):
+        return np.inf
+    ratio = float(max(low / max(value, 1e-12), value / high))
+    return ratio if ratio > 1.0 + 1e-9 else 1.0
 
 
 def body_name(robot: Robot, body: int) -> str:
@@ -144,6 +201,11 @@ def joint_name(robot: Robot, dof: int) -> str:
     return robot.model.joint(joint).name or f"joint {joint}"
 
 
+def by_joint(robot: Robot, values: Mapping[int, float]) -> dict[str, float]:
+    """Return values of degrees of freedom by the names of their joints."""
+    return {joint_name(robot, dof): float(value) for dof, value in values.items()}
+
+
 # --- masses ----------------------------------------------------------------------------------------------------------
 
 
@@ -152,7 +214,7 @@ def _extent(robot: Robot, body: int) -> Vector:
 
     Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
     """
-    model, geoms = robot.model, _geoms(robot, body)
+    model, geoms = robot.model, geoms_of(robot, body)
     if not geoms:
         return (np.nan,) * 3
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
@@ -184,31 +246,34 @@ def _density(robot: Robot) -> Finding:
         Finding(declined="the shape of no link is known"),
     )
     changes: dict[str, Any] = {}
+    densities: dict[str, float] = {}
     total_kg = float(model.body_mass[robot.bodies].sum())
     low, high = facts("robot_rows")["robot-density"]["interval"]
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
         geom_m3, hull_m3, _ = _extent(robot, body)
-        if not (mass_kg > 0.0 and geom_m3 > 0.0):
+        if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
             continue
         # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
         dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
         density = dense if dense < low else max(thin, low)
+        densities[body_name(robot, body)] = density
         ratio = max(low / dense, thin / high)
         factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
         remark = f"{body_name(robot, body)} with {mass_kg:.3g} kg of {total_kg:.3g} kg"
-        if ratio > 1.0:
+        is_unit = abs(np.log(1000.0 / density / factor)) < np.log(UNIT_WITHIN)
+        if ratio > 1.0 and is_unit:
             remark += f": {UNIT_ERRORS[factor]}?"
             changes[f"body_mass[{body}]"] = model.body_mass[body] * factor
             changes[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
         if found.declined or ratio > worst:
             worst = ratio
             links = f"{body_name(robot, body)} and links like it"
-            advice = (
-                f"multiply mass and inertia, or the density, of {links} by {factor:g}"
-            )
+            advice = f"give {links} the mass and inertia of the real part"
+            if is_unit:
+                advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
             found = Finding(value=density, remark=remark, advice=advice)
-    return replace(found, changes=changes)
+    return replace(found, changes=changes, parts=densities)
 
 
 @row("robot-bound")
@@ -235,17 +300,12 @@ def _bound(robot: Robot) -> Finding:
         float(stated_masses[is_raised].sum() / stated_masses.sum()) if raised else 0.0
     )
     names = ", ".join(body_name(robot, body) for body in raised[:3])
-    changes = {
-        f"{key}[{b}]": getattr(model, key)[b]
-        for b in robot.bodies
-        for key in ("body_mass", "body_inertia")
-    }
     remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
     return Finding(
         value=max(share, weight),
+        parts={body_name(robot, body): 1.0 for body in raised},
         remark=remark if raised else "",
         advice='<compiler boundmass="0" boundinertia="0"/>',
-        changes=changes,
     )
 
 
@@ -262,6 +322,10 @@ def _gravcomp(robot: Robot) -> Finding:
     names = ", ".join(body_name(robot, body) for body in lifted)
     return Finding(
         value=abs(share),
+        parts={
+            body_name(robot, body): abs(float(model.body_gravcomp[body]))
+            for body in lifted
+        },
         remark=names,
         advice=f'gravcomp="0" for {names}',
         changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
@@ -270,31 +334,42 @@ def _gravcomp(robot: Robot) -> Finding:
 
 @row("robot-inertia")
 def _inertia(robot: Robot) -> Finding:
-    findings = []
+    low, high = facts("robot_rows")["robot-inertia"]["interval"]
+    found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
+    shares: dict[str, float] = {}
     for body in robot.bodies:
         mass_kg, reach_m = float(robot.model.body_mass[body]), _extent(robot, body)[2]
-        if not (mass_kg > 0.0 and reach_m > 0.0):
+        if not (mass_kg > MASSLESS_KG and reach_m > 0.0):
             continue
         name, inertia = body_name(robot, body), robot.model.body_inertia[body]
         # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
         radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
-        share = (0.5 * reach_m / radius_m) ** 2
-        finding = Finding(
-            value=radius_m / reach_m,
-            remark=f"{name} of {mass_kg:.3g} kg: {radius_m:.3g} m of {reach_m:.3g} m",
-            advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
-            changes={f"body_inertia[{body}]": inertia * share},
-        )
-        findings.append(finding)
-    return largest(findings, "the shape of no link is known")
+        shares[name] = radius_m / reach_m
+        share = (0.5 * reach_m / max(radius_m, 1e-9)) ** 2
+        ratio = max(low * reach_m / max(radius_m, 1e-12), radius_m / reach_m / high)
+        if ratio > 1.0:
+            changes[f"body_inertia[{body}]"] = inertia * share
+        if ratio > worst:
+            worst = ratio
+            found = Finding(
+                value=radius_m / reach_m,
+                remark=f"{name} of {mass_kg:.3g} kg: {radius_m:.3g} m of {reach_m:.3g} m",
+                advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
+            )
+    return replace(found, changes=changes, parts=shares)
 
 
 # --- feet on the ground ----------------------------------------------------------------------------------------------
 
 
-def _limbs(robot: Robot) -> list[list[int]]:
-    """Return the bodies of each limb: those behind a body from which at least two limbs part."""
+def limbs_of(robot: Robot) -> list[list[int]]:
+    """Return the bodies of each limb: those behind a body from which at least two limbs part.
+
+    A rod whose end an equality holds closes a chain, and is no limb.
+    """
     model = robot.model
+    is_body = model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)
+    held = {*model.eq_obj1id[is_body].tolist(), *model.eq_obj2id[is_body].tolist()}
     children = {
         body: [b for b in robot.bodies if int(model.body_parentid[b]) == body]
         for body in robot.bodies
@@ -302,6 +377,8 @@ def _limbs(robot: Robot) -> list[list[int]]:
     parting = {body for body, several in children.items() if len(several) > 1}
     limbs = []
     for leaf in (body for body, several in children.items() if not several):
+        if leaf in held:
+            continue
         chain = [leaf]
         while (
             parent := int(model.body_parentid[chain[-1]])
@@ -315,19 +392,19 @@ def _limbs(robot: Robot) -> list[list[int]]:
 def _feet(robot: Robot) -> Finding:
     model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
-    geoms = [geom for body in robot.bodies for geom in _geoms(robot, body)]
+    geoms = [geom for body in robot.bodies for geom in geoms_of(robot, body)]
     lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in geoms}
     touching = {geom: low for geom, low in lows.items() if geom in standing.support_m}
     lowest, ground = min(lows.values()), min(touching.values())
     lame = []
-    for limb in _limbs(robot):
-        geoms = [geom for body in limb for geom in _geoms(robot, body)]
+    for limb in limbs_of(robot):
+        geoms = [geom for body in limb for geom in geoms_of(robot, body)]
         reach = min((lows[geom] for geom in geoms), default=np.inf)
         if (
             reach <= lowest + within
             and min(touching.get(geom, np.inf) for geom in geoms) > ground + within
         ):
-            lame.append(min(geoms, key=lambda geom: lows[geom]))
+            lame += [geom for geom in geoms if lows[geom] <= reach + within]
     if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
     floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
@@ -340,24 +417,74 @@ def _feet(robot: Robot) -> Finding:
         for geom in lame
         for key, other in offers.items()
     }
-    names = ", ".join(geom_name(robot.model, geom) for geom in lame)
+    names = ", ".join(shortened([geom_name(robot.model, geom) for geom in lame]))
     return Finding(
         value=float(len(lame)),
+        parts={geom_name(model, geom): 1.0 for geom in lame},
         remark=f"{names}: no partner on the ground" if lame else "",
         advice=f"contype and conaffinity of {names} that match the ground's",
         changes=changes,
     )
 
 
-def _geoms(robot: Robot, body: int) -> list[int]:
+def geoms_of(robot: Robot, body: int) -> list[int]:
+    """Return the geoms of a body."""
     first = int(robot.model.body_geomadr[body])
     return list(range(first, first + int(robot.model.body_geomnum[body])))
+
+
+def fingers(robot: Robot) -> list[int]:
+    """Return the bodies of the fingers of a robot on a fixed base: the last ones of limbs that part from one body."""
+    if robot.standing is not None:
+        return []
+    limbs = limbs_of(robot)
+    origins = [int(robot.model.body_parentid[limb[-1]]) for limb in limbs]
+    return [
+        limb[0]
+        for limb, origin in zip(limbs, origins, strict=True)
+        if origins.count(origin) > 1
+    ]
+
+
+def _finger_friction(robot: Robot) -> Finding:
+    """Return the least friction that a finger meets on what it can hold, or states where the model has no such body."""
+    model, tips = robot.model, {g for b in fingers(robot) for g in geoms_of(robot, b)}
+    if not tips:
+        return Finding(declined=f"{NOT_STANDING}, and none has fingers")
+    grips: dict[int, float] = {}
+    for number in np.flatnonzero(grasp_kinds(model, robot.pairs)).tolist():
+        condim, friction = robot.pairs.constants[number, :2]
+        for geom in tips & set(robot.pairs.geoms[number].tolist()):
+            met = float(friction) if condim > 1 else 0.0
+            grips[geom] = min(met, grips.get(geom, np.inf))
+    touching = tips & set(robot.pairs.geoms.ravel().tolist())
+    grips = grips or {geom: float(model.geom_friction[geom, 0]) for geom in touching}
+    if not grips:
+        return Finding(declined="no finger can touch anything")
+    slipperiest = min(grips, key=lambda geom: grips[geom])
+    slippery = [geom for geom, grip in grips.items() if grip < 0.1]
+    name = geom_name(model, slipperiest)
+    return Finding(
+        value=grips[slipperiest],
+        parts={geom_name(model, geom): grip for geom, grip in grips.items()},
+        remark=f"{name}, a finger",
+        advice=f'condim="4" friction="1 0.005 0.0001" priority="1" for {name} and pads like it',
+        changes={
+            f"geom_{key}[{geom}]": value
+            for geom in slippery
+            for key, value in (
+                ("condim", 4),
+                ("priority", 1),
+                ("friction", np.array([1.0, 0.005, 0.0001])),
+            )
+        },
+    )
 
 
 @row("robot-friction")
 def _friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
-        return Finding(declined=NOT_STANDING)
+        return _finger_friction(robot)
     constants = robot.pairs.constants
     grips = {
         row: 0.0 if constants[row, 0] == 1 else constants[row, 1]
@@ -384,6 +511,12 @@ def _friction(robot: Robot) -> Finding:
     )
     return Finding(
         value=float(grips[row]),
+        parts={
+            " with ".join(
+                geom_name(robot.model, int(g)) for g in robot.pairs.geoms[one]
+            ): float(grip)
+            for one, grip in grips.items()
+        },
         remark=f"{names}: {rule}"
         + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
         advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
@@ -396,6 +529,7 @@ def _floor_friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
         return Finding(declined=NOT_STANDING)
     model, found = robot.model, Finding(value=1.0)
+    ratios: dict[str, float] = {}
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {
@@ -411,7 +545,10 @@ def _floor_friction(robot: Robot) -> Finding:
             max(min(stated), 1e-3),
         )
         is_stated = abs(min(stated) - common) > 1e-9
-        if pair not in explicit and alike and is_stated and met / least > found.value:
+        if pair in explicit or not alike or not is_stated:
+            continue
+        ratios[" with ".join(geom_name(model, geom) for geom in pair)] = met / least
+        if met / least > found.value:
             geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
@@ -419,7 +556,7 @@ def _floor_friction(robot: Robot) -> Finding:
                 advice=f'priority="1" for {geom_name(robot.model, geom)}',
                 changes={f"geom_priority[{geom}]": 1},
             )
-    return found
+    return replace(found, parts=ratios)
 
 
 @row("floor-tilt")
@@ -457,16 +594,30 @@ def _floor_tilt(robot: Robot) -> Finding:
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
-    """Return the pose in which the robot stands, with the controls that hold it there."""
+    """Return the pose in which the robot works, with the controls that hold it there.
+
+    It is the pose in which it stands; of a fixed base the keyframe `home` or the first one, else that of the model.
+    Joints that the model puts outside their ranges are in the middle of these.
+    """
     model = robot.model if model is None else model
     data = mujoco.MjData(model)
     if robot.standing is not None:
         data.qpos[:] = robot.standing.stance.qpos
+    elif model.nkey:
+        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+        data.qpos[:] = model.key_qpos[max(home, 0)]
+    else:
+        positions = data.qpos[model.jnt_qposadr]
+        low, high = model.jnt_range.T
+        is_outside = (positions < low) | (positions > high)
+        is_outside &= joints_of(model, "HINGE", "SLIDE") & (model.jnt_limited != 0)
+        data.qpos[model.jnt_qposadr[is_outside]] = (0.5 * (low + high))[is_outside]
     mujoco.mj_forward(model, data)
-    servo = servos(model)
-    data.ctrl[servo] = np.where(
-        model.actuator_gainprm[servo, 0] != 0.0, data.actuator_length[servo], 0.0
-    )
+    # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
+    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+    bias = model.actuator_biasprm[servo]
+    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
+    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
     if robot.standing is not None and robot.standing.stance.ctrl is not None:
         data.ctrl[:] = robot.standing.stance.ctrl
     mujoco.mj_forward(model, data)
@@ -551,9 +702,7 @@ def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
     """Return a copy of a model with some features switched off."""
     bare = copy.copy(model)
     for feature in features:
-        bare.opt.disableflags |= int(
-            getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}")
-        )
+        bare.opt.disableflags |= disable_bit(feature)
     return bare
 
 
@@ -567,68 +716,51 @@ def _servo(robot: Robot) -> Finding:
     value = growth(robot, model)
     if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
         return Finding(value=value)
-    arrays = [
-        (key, a)
-        for key in ("gainprm", "biasprm")
-        for a in np.flatnonzero(servos(model))
-    ]
     is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option = {"integrator": "implicitfast"} if is_explicit else {}
-    for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
-        scaled = {
-            f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share
-            for key, a in arrays
-        }
-        if growth(robot, robot.changed(option | scaled)[0]) <= 1.0 + 1e-3:
-            texts = {
-                '<option integrator="implicitfast"/>': is_explicit,
-                f"kp and kv times {share:g}": share < 1.0,
-            }
-            advice = " and ".join(
-                text for text, is_needed in texts.items() if is_needed
-            )
-            remark = f"step {model.opt.timestep:g} s"
-            return Finding(
-                value=value, advice=advice, changes=option | scaled, remark=remark
-            )
+    option = '<option integrator="implicitfast"/>, ' if is_explicit else ""
     return Finding(
         value=value,
         remark=f"step {model.opt.timestep:g} s",
-        advice="a shorter step, or more armature",
+        advice=f"the armature of rotors and gears, {option}a shorter step, or smaller gains",
+    )
+
+
+@cache
+def largest_weights_nm(robot: Robot) -> FloatArray:
+    """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
+    poses = random_poses(robot.model, 64)
+    return np.max(
+        [np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0
     )
 
 
 @row("robot-torque")
 def _torque(robot: Robot) -> Finding:
-    if not robot.is_floating:
-        return Finding(declined=NOT_STANDING)
-    model, data, standing = robot.model, start(robot), standing_of(robot)
+    model = robot.model
     limits_nm = {dof: limit for dof, limit in driven_dofs(robot) if np.isfinite(limit)}
     if not limits_nm:
         return Finding(declined="no joint states the limit of its torque")
-    weights_nm = {dof: abs(float(data.qfrc_bias[dof])) for dof in limits_nm}
+    at_start = robot.is_floating
+    bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
+    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
     ratios = {
         dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
         for dof, limit in limits_nm.items()
     }
     weakest = min(ratios, key=lambda dof: ratios[dof])
-    # Twice what a foot carries, at the height of the robot.
-    load_n = (
-        float(model.body_mass[robot.bodies].sum())
-        * GRAVITY_M_PER_S2
-        / len(standing.feet)
-    )
-    fair_nm = 2.0 * load_n * standing.height_m
-    limited = np.flatnonzero(model.actuator_forcelimited).tolist()
+    fair_nm = 2.0 * weights_nm[weakest]
+    if robot.is_floating:
+        # Twice what a foot carries, at the height of the robot.
+        standing = standing_of(robot)
+        mass_kg = float(model.body_mass[robot.bodies].sum())
+        load_n = mass_kg * GRAVITY_M_PER_S2 / len(standing.feet)
+        fair_nm = 2.0 * load_n * standing.height_m
     joint = joint_name(robot, weakest)
     return Finding(
         value=ratios[weakest],
+        parts=by_joint(robot, ratios),
         remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
         advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
-        changes={
-            f"actuator_forcerange[{actuator}]": np.array([-fair_nm, fair_nm])
-            for actuator in limited
-        },
     )
 
 
@@ -637,6 +769,28 @@ def stiffness(model: mujoco.MjModel, dof: int) -> float:
     actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
     return float(
         -model.actuator_biasprm[actuators, 1] @ model.actuator_gear[actuators, 0] ** 2
+    )
+
+
+@row("robot-stiffness")
+def _stiffness(robot: Robot) -> Finding:
+    errors_mrad = {
+        dof: 1e3 * limit_nm / stiffness(robot.model, dof)
+        for dof, limit_nm in driven_dofs(robot)
+        if np.isfinite(limit_nm) and stiffness(robot.model, dof) > 0.0
+    }
+    if not errors_mrad:
+        return Finding(
+            declined="no joint has a servo and states the limit of its torque"
+        )
+    dof = min(errors_mrad, key=lambda one: errors_mrad[one])
+    name, gain = joint_name(robot, dof), stiffness(robot.model, dof)
+    return Finding(
+        value=errors_mrad[dof],
+        parts=by_joint(robot, errors_mrad),
+        remark=f"{name}: kp {gain:.3g} Nm/rad",
+        advice=f"kp of {name} and joints like it in Nm/rad, not per degree or in N mm: "
+        f"at most {gain * errors_mrad[dof] / 20.0:.3g}",
     )
 
 
@@ -673,22 +827,38 @@ def _delay(robot: Robot) -> Finding:
     )
 
 
+def loads_nm(robot: Robot) -> dict[int, float]:
+    """Return the largest torque of the motor of each driven hinge; without a limit that of its servo [Nm]."""
+    loads: dict[int, float] = {}
+    for dof, limit_nm in driven_dofs(robot):
+        if not np.isfinite(limit_nm):
+            limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
+        if limit_nm > 0.0:
+            loads[dof] = limit_nm
+    return loads
+
+
 def _drag(
     robot: Robot, name: str, share: Callable[[int, float], float], spare: float
 ) -> Finding:
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
-    standing_of(robot)
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
-    limits = {}
-    for dof, limit in driven_dofs(robot):
-        if not np.isfinite(limit):
-            # A servo without a limit: what an error of half a radian asks of it.
-            limit = 0.5 * stiffness(model, dof)
-        if limit > 0.0:
-            limits[dof] = limit
+    is_own = np.isin(model.dof_bodyid, robot.bodies)
+    feeding = np.flatnonzero(is_own & (values < 0.0)).tolist()
+    if feeding:
+        least = min(feeding, key=lambda dof: float(values[dof]))
+        several = f"{joint_name(robot, least)} and {len(feeding) - 1} more"
+        return Finding(
+            value=float(values[least]),
+            parts=by_joint(robot, {dof: values[dof] for dof in feeding}),
+            remark=f"negative {name} {values[least]:.3g} of {several}: it feeds the motion that it should brake",
+            advice=f"positive {name} for {several}",
+            changes={f"dof_{name}[{dof}]": -float(values[dof]) for dof in feeding},
+        )
+    limits = loads_nm(robot)
     if not limits:
         return Finding(
-            declined="no joint of a robot that stands states the limit of its torque"
+            declined="no joint states the limit of its torque, or has a servo"
         )
     fair = {
         d: float(values[d]) / max(spare * share(d, limit), 1.0)
@@ -697,6 +867,9 @@ def _drag(
     worst = max(limits, key=lambda dof: share(dof, limits[dof]))
     return Finding(
         value=share(worst, limits[worst]),
+        parts=by_joint(
+            robot, {dof: share(dof, limit) for dof, limit in limits.items()}
+        ),
         remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it',
         changes={
@@ -728,19 +901,99 @@ def _frictionloss(robot: Robot) -> Finding:
 
 @row("robot-armature")
 def _armature(robot: Robot) -> Finding:
-    standing_of(robot)
     model, data, found, changes = robot.model, start(robot), Finding(), {}
+    ratios: dict[int, float] = {}
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    for dof, _ in driven_dofs(robot):
+    for dof, limit_nm in driven_dofs(robot):
         armature = float(model.dof_armature[dof])
         limb = max(float(full[dof, dof]) - armature, 1e-9)
-        if armature / limb > 20.0:
-            changes[f"dof_armature[{dof}]"] = limb
+        # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
+        if not np.isfinite(limit_nm):
+            limit_nm = SERVO_ERROR_RAD * stiffness(model, dof)
+        if armature * LEAST_RAD_PER_S2 <= limit_nm:
+            continue
+        ratios[dof] = armature / limb
+        fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
+        if armature / limb > facts("robot_rows")["robot-armature"]["interval"][1]:
+            changes[f"dof_armature[{dof}]"] = fair
         if armature / limb > found.value:
             found = Finding(
                 value=armature / limb,
-                remark=f"{joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
-                advice=f'armature="{limb:.2g}" for {joint_name(robot, dof)} and joints like it',
+                remark=f"{joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2, {limit_nm:.3g} Nm",
+                advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',
             )
-    return replace(found, changes=changes)
+    return replace(found, changes=changes, parts=by_joint(robot, ratios))
+
+
+@row("robot-rotor")
+def _rotor(robot: Robot) -> Finding:
+    armatures = {
+        dof: float(robot.model.dof_armature[dof]) for dof, _ in driven_dofs(robot)
+    }
+    if not armatures:
+        return Finding(declined="no hinge of the robot is driven")
+    without_rotor = [dof for dof, armature in armatures.items() if armature <= 0.0]
+    stated = sorted(armature for armature in armatures.values() if armature > 0.0)
+    if not without_rotor:
+        return Finding(remark="all driven joints state one")
+    names = ", ".join(joint_name(robot, dof) for dof in without_rotor[:3])
+    several = f"{names}: {len(without_rotor)} of {len(armatures)} driven joints"
+    share = len(without_rotor) / len(armatures)
+    parts = by_joint(robot, dict.fromkeys(without_rotor, 1.0))
+    if not stated:
+        # Half of the makers' models state none at all.
+        return Finding(
+            value=share,
+            parts=parts,
+            remark=several,
+            advisory="no joint of the model states the inertia of its rotor",
+        )
+    least = stated[0]
+    return Finding(
+        value=share,
+        parts=parts,
+        remark=several,
+        advice=f'armature="{least:.2g}" for {names}, as other joints state it: rotor inertia times gear ratio squared',
+        changes={f"dof_armature[{dof}]": least for dof in without_rotor},
+    )
+
+
+@row("robot-range")
+def _range(robot: Robot) -> Finding:
+    model = robot.model
+    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    ranges_rad = [
+        float(np.ptp(model.jnt_range[joint]))
+        for joint in joints
+        if model.jnt_limited[joint]
+    ]
+    if len(ranges_rad) < FEW_JOINTS:
+        return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges have limits")
+    median_rad = float(np.median(ranges_rad))
+    is_small = median_rad < 1.0
+    unit = "radians read as degrees" if is_small else "degrees read as radians"
+    advice = '<compiler angle="radian"/>' if is_small else '<compiler angle="degree"/>'
+    low_rad, high_rad = facts("robot_rows")["robot-range"]["interval"]
+    is_off = not low_rad <= median_rad <= high_rad
+    return Finding(value=median_rad, remark=f"{unit}?" if is_off else "", advice=advice)
+
+
+@row("robot-unlimited")
+def _unlimited(robot: Robot) -> Finding:
+    model = robot.model
+    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    if len(joints) < FEW_JOINTS or (robot.foot_rows and not model.jnt_limited.any()):
+        return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges, or wheels")
+    off = switched_off(model, "constraint", "limit")
+    free = [joint for joint in joints if off or not model.jnt_limited[joint]]
+    names = ", ".join(model.joint(joint).name or f"joint {joint}" for joint in free[:3])
+    return Finding(
+        value=len(free) / len(joints),
+        parts={model.joint(joint).name or f"joint {joint}": 1.0 for joint in free},
+        remark=f"{names}: {len(free)} of {len(joints)} driven hinges" if free else "",
+        changes=dict.fromkeys(off, True),
+        advice=enabling(off)
+        if off
+        else f'the ranges of {names} and joints like it; a `range` counts with autolimits, or with limited="true"',
+    )

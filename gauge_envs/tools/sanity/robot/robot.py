@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -41,7 +41,23 @@ GEOM_FIELDS = {
 }
 """Attributes of a geom by the names of settings."""
 
+PAIRED = ("contact_solref", "contact_solimp")
+"""Settings that explicit pairs state instead of their geoms, in the same form."""
+
+COMPILER = {
+    "compiler_degree": "degree",
+    "compiler_boundmass": "boundmass",
+    "compiler_boundinertia": "boundinertia",
+}
+"""Attributes of the compiler by the names of changes; they need the model's file."""
+
 OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
+
+JOINT_TRANSMISSIONS = (
+    int(mujoco.mjtTrn.mjTRN_JOINT),
+    int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
+)
+"""Transmissions of actuators that act on a joint."""
 
 ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 """Name of a change of one row of an array of the model, as `geom_condim[3]`."""
@@ -73,19 +89,17 @@ class Robot:
 
     @cached_property
     def bodies(self) -> list[int]:
-        """Bodies of the robot that stands; without one, all bodies that move."""
-        roots = [
-            first_moving_body(self.model, body) for body in range(self.model.nbody)
-        ]
+        """Bodies of the robot that stands; without one, those that motors move, and without motors, all that move."""
+        model = self.model
+        roots = [first_moving_body(model, body) for body in range(model.nbody)]
         if self.standing is not None:
             return [
                 body for body, root in enumerate(roots) if root == self.standing.body
             ]
-        return [
-            body
-            for body in range(1, self.model.nbody)
-            if self.model.body_dofnum[roots[body]]
-        ]
+        moving = [b for b in range(1, model.nbody) if model.body_dofnum[roots[b]]]
+        arms = model.body_rootid[model.jnt_bodyid[joints_of_motors(model)]].tolist()
+        driven = [b for b in moving if int(model.body_rootid[b]) in arms]
+        return driven or moving
 
     @cached_property
     def foot_rows(self) -> list[int]:
@@ -170,7 +184,7 @@ class Robot:
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
         ground that states its own is changed too. A name such as `geom_condim[3]` changes a row of an array.
         """
-        model, stating = self._colliding(changes), {}
+        model, stating = self._compiled(changes), {}
         for name, value in changes.items():
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
@@ -185,50 +199,110 @@ class Robot:
                     if name not in ("contact_margin_m", "contact_gap_m")
                     else value / 2
                 )
+                self._change_pairs(model, name, value)
+            elif name in COMPILER or name.startswith(GEOM_MASS):
+                continue
             elif found := ELEMENT.fullmatch(name):
                 getattr(model, found[1])[int(found[2])] = value
             else:
-                _set_option(model, name, value)
+                set_option(model.opt, name, value)
         try:
             mujoco.mj_setConst(model, mujoco.MjData(model))
         except mujoco.FatalError as error:
             raise TargetError(f"the change needs the model's file: {error}") from None
         return model, {name: geoms for name, geoms in stating.items() if geoms}
 
-    def _colliding(self, changes: Settings) -> mujoco.MjModel:
-        """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
+    @cached_property
+    def explicit_ground_pairs(self) -> list[int]:
+        """Explicit pairs of geoms, one of which is of the ground."""
+        model, ground = self.model, ground_rows(self.pairs)
+        pairs = {tuple(sorted(pair)) for pair in self.pairs.geoms[ground].tolist()}
+        several = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+        return [n for n, pair in enumerate(several) if tuple(sorted(pair)) in pairs]
+
+    def _change_pairs(self, model: mujoco.MjModel, name: str, value: Any) -> None:
+        """Give explicit pairs with the ground the constants, which their geoms do not decide."""
+        if name in PAIRED:
+            array = getattr(model, f"pair_{GEOM_FIELDS[name]}")
+            array[self.explicit_ground_pairs] = value
+
+    def _compiled(self, changes: Settings) -> mujoco.MjModel:
+        """Return a copy of the model, compiled again where the compiler would read it otherwise."""
         found = {
             name: ELEMENT.fullmatch(name)
             for name in changes
-            if name.startswith("geom_con")
+            if name.startswith(("geom_con", GEOM_MASS, "jnt_limited"))
         }
-        if self.spec is None or not found:
+        compiler = {
+            COMPILER[name]: changes[name] for name in changes if name in COMPILER
+        }
+        if self.spec is None and compiler:
+            raise TargetError("the change needs the model's file")
+        if self.spec is None or not (found or compiler):
             return copy.copy(self.model)
         spec = self.spec.copy()
-        for geom, original in zip(spec.geoms, self.spec.geoms, strict=True):
-            for name, match in found.items():
-                if (
-                    match is not None
-                    and int(match[2]) == original.id
-                    and match[1] != "geom_condim"
-                ):
-                    setattr(geom, match[1].removeprefix("geom_"), changes[name])
-        return spec.compile()
+        for field, value in compiler.items():
+            setattr(spec.compiler, field, value)
+        for name, match in found.items():
+            if match is None or match[1] == "geom_condim":
+                continue
+            kind, field = ("geom", match[1].removeprefix("geom_"))
+            if match[1] == "jnt_limited":
+                # The compiler reads the range of a joint with limits alone in the unit of its angles.
+                kind, field = "joint", "limited"
+            several = (getattr(one, f"{kind}s") for one in (spec, self.spec))
+            for element, original in zip(*several, strict=True):
+                if int(match[2]) == original.id:
+                    setattr(element, field, int(changes[name]))
+        try:
+            return spec.compile()
+        except ValueError as error:
+            raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
 
 
-def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
-    """Set an option or a flag of a model by the name of this package's setting; others do not belong to models."""
-    option = model.opt
+GEOM_MASS = "geom_mass["
+"""Begin of the name of the mass of a geom, which the compiler adds to that of its body."""
+
+FEATURES = ("constraint", "frictionloss", "limit")
+"""Features that a model may switch off, and that no setting of the engine switches."""
+
+
+def disable_bit(feature: str) -> int:
+    """Return MuJoCo's bit that switches a feature off, as `limit`."""
+    return int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
+
+
+def switched_off(model: mujoco.MjModel, *features: str) -> list[str]:
+    """Return those of some features that a model switches off."""
+    return [one for one in features if model.opt.disableflags & disable_bit(one)]
+
+
+def enabling(features: Iterable[str]) -> str:
+    """Return the element of a model that switches features on."""
+    flags = " ".join(f'{one}="enable"' for one in features)
+    return f"<flag {flags}/>"
+
+
+def set_option(option: Any, name: str, value: Any) -> None:
+    """Set an option or a flag by the name of this package's setting; others do not belong to models.
+
+    Args:
+        option: Options of a compiled model, or of its spec.
+        name: Name of the setting.
+        value: Its new value.
+    """
     if name == "timestep_s":
         option.timestep = value
-    elif name == "gravity":
-        option.gravity[:] = value
+    elif name in ("gravity", "wind"):
+        getattr(option, name)[:] = value
+    elif name in ("density", "viscosity"):
+        setattr(option, name, value)
     elif name in OPTIONS:
         setattr(option, name, int(OPTIONS[name][value]))
     elif name in SAME_NAME_OPTIONS:
         setattr(option, name, value)
-    elif name in DISABLE_FLAGS:
-        bit = int(DISABLE_FLAGS[name])
+    elif name in DISABLE_FLAGS or name in FEATURES:
+        bit = disable_bit(name)
         option.disableflags = (
             option.disableflags & ~bit if value else option.disableflags | bit
         )
@@ -241,13 +315,17 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
+def joints_of_motors(model: mujoco.MjModel) -> NDArray[np.int_]:
+    """Return the joint of each actuator that acts on a joint."""
+    is_on_joint = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
+    joints: NDArray[np.int_] = model.actuator_trnid[is_on_joint, 0]
+    return joints
+
+
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
     roots = model.body_rootid
-    motors = model.actuator_trnid[
-        model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0
-    ]
-    driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
+    driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
     round_geoms = np.isin(

@@ -8,14 +8,18 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
+    SERVO_ERROR_RAD,
     Finding,
     NotApplicableError,
+    NotMeasuredError,
     body_name,
+    by_joint,
     driven_dofs,
     joint_name,
+    largest_weights_nm,
     row,
     servos,
     standing_of,
@@ -25,7 +29,7 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     without,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import first_moving_body
-from gauge_envs.tools.sanity.robot.robot import Robot, random_poses
+from gauge_envs.tools.sanity.robot.robot import Robot, enabling, switched_off
 
 HOLD_S, LATE_S = 2.0, 0.5
 """Time for which the robot is held [s], and its end, in which loads and torques are read."""
@@ -50,32 +54,34 @@ class HoldMotion:
 
     Attributes:
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
-        height_ratio: Height of its first body above the ground at the end, over that at the start.
+        height_ratio: Height of its first body above the ground at the end, over that at the start; NaN on a fixed base.
         load_shares: Share of the weight on each of its bodies that touch the ground, late in the motion.
-        saturation: Largest mean torque over its limit, late in the motion.
-        saturated_joint: Joint of that torque.
+        saturations: Mean torque over its limit of each driven degree of freedom, late in the motion.
         slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
+        pose_error_rad: Largest angle of a driven hinge from the pose at the end [rad].
     """
 
     diverged_s: float = np.inf
     height_ratio: float = 0.0
     load_shares: Mapping[int, float] = field(default_factory=dict)
-    saturation: float = 0.0
-    saturated_joint: str = ""
+    saturations: Mapping[int, float] = field(default_factory=dict)
     slip_mm_per_s: float = 0.0
+    pose_error_rad: float = 0.0
 
 
 @cache
 def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
-    """Simulate a robot whose controls hold the pose in which it stands.
+    """Simulate a robot whose controls hold the pose in which it works.
 
     Args:
-        robot: The robot, which stands.
+        robot: The robot.
         slope_deg: Slope of the ground along x, made by turning gravity [degrees].
     """
-    standing = standing_of(robot)
+    standing = robot.standing
     model = copy.copy(robot.model)
     data = start(robot, model)
+    hinges = [int(model.jnt_qposadr[model.dof_jntid[d]]) for d, _ in driven_dofs(robot)]
+    begin = data.qpos.copy()
     gravity_m_per_s2 = float(np.linalg.norm(model.opt.gravity))
     up = np.asarray(robot.up)
     if slope_deg:
@@ -86,10 +92,13 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         model.opt.gravity[:] = gravity_m_per_s2 * (
             np.sin(slope_rad) * along - np.cos(slope_rad) * up
         )
-    ground_m = min(float(point[2]) for point in standing.support_m.values())
-    start_height_m = float(data.xpos[standing.body] @ up) - ground_m
-    soles = [geoms[0] for geoms in standing.feet.values()]
-    soles_before_m = np.zeros(3)
+    soles: list[int] = []
+    ground_m, start_height_m = 0.0, np.nan
+    if standing is not None:
+        soles = [geoms[0] for geoms in standing.feet.values()]
+        ground_m = min(float(point[2]) for point in standing.support_m.values())
+        start_height_m = float(data.xpos[standing.body] @ up) - ground_m
+    soles_before_m = np.zeros((len(soles), 3))
     torques_nm = np.zeros(model.nv)
     loads_n: dict[int, float] = {}
     steps = max(1, round(HOLD_S / model.opt.timestep))
@@ -110,19 +119,25 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
                 loads_n[body] = loads_n.get(body, 0.0) + share * load_n
     limits_nm = torque_limits(model)
     is_limited = (limits_nm > 0.0) & np.isfinite(limits_nm)
-    saturations = np.divide(
-        torques_nm, limits_nm, out=np.zeros(model.nv), where=is_limited
-    )
-    dof = int(saturations.argmax()) if model.nv else 0
+    saturations = {
+        int(dof): float(torques_nm[dof] / limits_nm[dof])
+        for dof in np.flatnonzero(is_limited)
+    }
     weight_n = float(model.body_mass[robot.bodies].sum()) * gravity_m_per_s2
-    end_height_m = float(data.xpos[standing.body] @ up) - ground_m
-    slips_m = np.linalg.norm(data.geom_xpos[soles] - soles_before_m, axis=-1)
+    height_ratio, slip_m = np.nan, 0.0
+    if standing is not None:
+        end_height_m = float(data.xpos[standing.body] @ up) - ground_m
+        height_ratio = end_height_m / max(start_height_m, 1e-6)
+        slips_m = np.linalg.norm(data.geom_xpos[soles] - soles_before_m, axis=-1)
+        slip_m = float(slips_m.mean())
     return HoldMotion(
-        height_ratio=end_height_m / max(start_height_m, 1e-6),
+        height_ratio=height_ratio,
         load_shares={body: load_n / weight_n for body, load_n in loads_n.items()},
-        saturation=float(saturations[dof]),
-        saturated_joint=model.joint(int(model.dof_jntid[dof])).name,
-        slip_mm_per_s=1e3 * float(slips_m.mean()) / LATE_S,
+        saturations=saturations,
+        slip_mm_per_s=1e3 * slip_m / LATE_S,
+        pose_error_rad=float(
+            np.abs(data.qpos[hinges] - begin[hinges]).max(initial=0.0)
+        ),
     )
 
 
@@ -144,27 +159,25 @@ def _ground_loads_n(robot: Robot, data: mujoco.MjData) -> Iterator[tuple[int, fl
 
 
 def _finite_hold(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
-    """Return the motion of a robot that its servos hold; it does not apply without servos, or where it diverges."""
-    standing_of(robot)
+    """Return the motion of a robot that its servos hold; it does not apply without servos."""
     if not servos(robot.model).any():
         raise NotApplicableError(NO_SERVO)
     motion = hold_pose(robot, slope_deg)
     if np.isfinite(motion.diverged_s):
-        raise NotApplicableError(f"the state diverges at {motion.diverged_s:.3g} s")
+        raise NotMeasuredError(f"the state diverges at {motion.diverged_s:.3g} s")
     return motion
 
 
 def _advisory(robot: Robot) -> str:
-    count = 0 if robot.standing is None else len(robot.standing.feet)
-    return (
-        ""
-        if count >= LEAST_FEET
-        else f"a robot with {count} feet balances with a policy alone"
-    )
+    if robot.standing is None or len(robot.standing.feet) >= LEAST_FEET:
+        return ""
+    return f"a robot with {len(robot.standing.feet)} feet balances with a policy alone"
 
 
 @row("robot-holds")
 def _finite(robot: Robot) -> Finding:
+    if not robot.model.nv:
+        return Finding(declined="the model has no joint")
     diverged_s = hold_pose(robot).diverged_s
     if np.isinf(diverged_s):
         return Finding(value=1.0)
@@ -173,6 +186,7 @@ def _finite(robot: Robot) -> Finding:
 
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
+    standing_of(robot)
     return Finding(
         value=max(_finite_hold(robot).height_ratio, 1e-3), advisory=_advisory(robot)
     )
@@ -180,7 +194,8 @@ def _stands(robot: Robot) -> Finding:
 
 @row("robot-loads")
 def _loads(robot: Robot) -> Finding:
-    shares, feet = _finite_hold(robot).load_shares, set(standing_of(robot).feet)
+    feet = set(standing_of(robot).feet)
+    shares = _finite_hold(robot).load_shares
     idle = [body for body in feet if shares.get(body, 0.0) < 0.01]
     others = [
         body for body, share in shares.items() if body not in feet and share > 0.1
@@ -190,16 +205,23 @@ def _loads(robot: Robot) -> Finding:
         for body, share in sorted(shares.items())
     )
     return Finding(
-        value=float(len(idle) + len(others)), remark=text, advisory=_advisory(robot)
+        value=float(len(idle) + len(others)),
+        parts={body_name(robot, body): 1.0 for body in (*idle, *others)},
+        remark=text,
+        advisory=_advisory(robot),
     )
 
 
 @row("robot-saturation")
 def _saturation(robot: Robot) -> Finding:
-    motion = _finite_hold(robot)
+    saturations = by_joint(robot, _finite_hold(robot).saturations)
+    if not saturations:
+        return Finding(declined="no joint states the limit of its torque")
+    joint = max(saturations, key=lambda name: saturations[name])
     return Finding(
-        value=motion.saturation,
-        remark=motion.saturated_joint,
+        value=saturations[joint],
+        parts=saturations,
+        remark=joint,
         advisory=_advisory(robot),
     )
 
@@ -212,7 +234,7 @@ def _slip(robot: Robot) -> Finding:
     slope_deg = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
     motion = _finite_hold(robot, slope_deg)
     if not 0.7 < motion.height_ratio < 1.3:
-        return Finding(declined="the robot falls on the slope")
+        raise NotMeasuredError("the robot falls on the slope")
     return Finding(
         value=motion.slip_mm_per_s,
         remark=f"{slope_deg:.3g} degrees, friction {friction:.3g}",
@@ -221,33 +243,33 @@ def _slip(robot: Robot) -> Finding:
 
 @row("robot-overlap")
 def _overlap(robot: Robot) -> Finding:
-    standing_of(robot)
     model, data = robot.model, start(robot)
-    deepest_m, names = 0.0, ""
+    depths_mm: dict[str, float] = {}
     for number in range(data.ncon):
         contact = data.contact[number]
         pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         if (
             set(pair) <= set(robot.bodies)
             and contact.exclude == 0
-            and -contact.dist > deepest_m
+            and contact.dist < 0.0
         ):
-            deepest_m = -float(contact.dist)
-            names = " and ".join(body_name(robot, body) for body in pair)
+            parts = " and ".join(body_name(robot, body) for body in pair)
+            depth_mm = -1e3 * float(contact.dist)
+            depths_mm[parts] = max(depths_mm.get(parts, 0.0), depth_mm)
+    names = max(depths_mm, key=lambda pair: depths_mm[pair], default="")
     advice = f"exclude the pair {names}, or make its geoms smaller" if names else ""
-    return Finding(value=1e3 * deepest_m, remark=names, advice=advice)
+    return Finding(
+        value=depths_mm.get(names, 0.0), parts=depths_mm, remark=names, advice=advice
+    )
 
 
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
-    standing_of(robot)
     bare = without(
         robot.model,
         "contact",
         "actuation",
         "limit",
-        "frictionloss",
-        "damper",
         "equality",
     )
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
@@ -269,17 +291,8 @@ def _energy(robot: Robot) -> Finding:
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
 
-STEP_RAD, STEP_S, FAIR_S = 0.3, 0.2, 0.0075
-"""Step of a servo's command, the time for which it is watched, and the time of its half with changed gains."""
-
-
-@cache
-def _weights(robot: Robot) -> FloatArray:
-    """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
-    poses = random_poses(robot.model, 64)
-    return np.max(
-        [np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0
-    )
+STEP_RAD, STEP_S = 0.3, 1.0
+"""Step of a servo's command, and the time for which it is watched."""
 
 
 @row("robot-dry")
@@ -288,9 +301,9 @@ def _dry(robot: Robot) -> Finding:
         robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring"
     )
     bare.opt.density = bare.opt.viscosity = 0.0
-    data, loads, shares, losses = start(robot, bare), _weights(robot), {}, {}
+    data, loads, shares, losses = start(robot, bare), largest_weights_nm(robot), {}, {}
     data.qacc[:] = 0.0
-    for dof, _ in driven_dofs(robot):
+    for dof, limit_nm in driven_dofs(robot):
         torques = []
         for rate in (3.0, 6.0):
             data.qvel[:] = rate * (np.arange(bare.nv) == dof)
@@ -302,66 +315,82 @@ def _dry(robot: Robot) -> Finding:
         )
         shares[dof] = dry / max(dry + viscous, 1e-12)
         # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
-        losses[dof] = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
+        loss_nm = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
+        if not np.isfinite(limit_nm):
+            limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
+        # No gear loses more than a tenth of its motor's torque at rest.
+        losses[dof] = min(loss_nm, 0.1 * limit_nm)
     if not shares:
         return Finding(declined="no hinge of the robot is driven")
-    worst, few = (
-        min(shares, key=lambda dof: shares[dof]),
-        [dof for dof in shares if shares[dof] < 0.01],
-    )
-    name = joint_name(robot, worst)
-    bits = {
-        "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
-        "frictionloss": mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
-    }
-    off = "".join(
-        f'<flag {key}="enable"/> and '
-        for key, bit in bits.items()
-        if robot.model.opt.disableflags & bit
-    )
+    few = [dof for dof in shares if shares[dof] < 0.01]
+    model = robot.model
+    off = switched_off(model, "constraint", "frictionloss")
+    head = f"{enabling(off)} and " if off else ""
+    # Many makers state no dry friction at all, which is less than a wrong one.
+    stated = [dof for dof in few if off or model.dof_frictionloss[dof] > 0.0]
+    worst = min(stated or shares, key=lambda dof: shares[dof])
+    name, loss_nm = joint_name(robot, worst), float(model.dof_frictionloss[worst])
+    advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`'
+    if not off and loss_nm > losses[worst]:
+        # The soft constraint of a light joint never reaches its friction: it is a drag.
+        advice = f"the armature of {name}: so light, its frictionloss of {loss_nm:.2g} Nm acts as a viscous drag"
     return Finding(
         value=shares[worst],
+        parts=by_joint(robot, shares),
         remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
-        advice=f'{off}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`',
-        changes={f"dof_frictionloss[{dof}]": losses[dof] for dof in few},
+        advice=advice,
+        changes={
+            f"dof_frictionloss[{dof}]": losses[dof]
+            for dof in few
+            if losses[dof] > model.dof_frictionloss[dof]
+        },
+        advisory="" if stated or not few else "the joint states no dry friction",
     )
 
 
 @row("robot-lag")
 def _lag(robot: Robot) -> Finding:
-    model, found, changes = (
-        robot.model,
-        Finding(declined=f"{NO_SERVO}, or have no room for a step"),
-        {},
-    )
+    model = robot.model
+    low_ms, high_ms = facts("robot_rows")["robot-lag"]["interval"]
+    found, worst = Finding(declined=f"{NO_SERVO}, or have no room for a step"), 0.0
+    halves_ms: dict[int, float] = {}
     for dof, _ in driven_dofs(robot):
-        for actuator in np.flatnonzero(
-            servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
-        ):
-            half_s = _half_step_s(robot, int(actuator), dof)
-            scale = half_s / FAIR_S
-            if scale < 1.0:
-                changes[f"actuator_gainprm[{actuator}]"] = (
-                    model.actuator_gainprm[actuator] * scale**2
-                )
-                powers = np.array([0, 2, 1] + [0] * 7)
-                changes[f"actuator_biasprm[{actuator}]"] = (
-                    model.actuator_biasprm[actuator] * scale**powers
-                )
-            if 1e3 * half_s < (np.inf if found.declined else found.value):
-                gains, name = (
-                    f"kp times {scale**2:.2g} and kv times {scale:.2g}",
-                    joint_name(robot, dof),
-                )
-                advice = f"{gains} for {name} and servos like it, or their forcerange"
-                found = Finding(value=1e3 * half_s, remark=name, advice=advice)
-    return replace(found, changes=changes)
+        of_joint = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
+        for actuator in np.flatnonzero(of_joint):
+            half_ms = 1e3 * lone_half_step_s(robot, int(actuator), dof)
+            if np.isfinite(half_ms):
+                halves_ms[dof] = half_ms
+            ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
+            if not np.isfinite(half_ms) or ratio <= worst:
+                continue
+            worst, name = ratio, joint_name(robot, dof)
+            advice = "less damping or armature, kv in Nm s/rad, or more kp"
+            if half_ms < low_ms:
+                advice = "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
+            found = Finding(
+                value=half_ms,
+                remark=name,
+                advice=f"{advice}, for {name} and servos like it",
+            )
+    return replace(found, parts=by_joint(robot, halves_ms))
 
 
-def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
+@cache
+def _without_loads(robot: Robot) -> mujoco.MjModel:
+    """Return one copy of the model for the steps of all servos; meshes make copies slow."""
+    return without(robot.model, "contact", "gravity", "limit")
+
+
+@cache
+def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     """Return the time in which a servo covers half of a step while all else stays [s]; infinite without room for it."""
-    alone = without(robot.model, "contact", "gravity", "limit")
-    alone.dof_armature[np.arange(alone.nv) != dof] = 1e6
+    alone = _without_loads(robot)
+    # What a linkage couples to the joint moves with it.
+    of_joints = robot.model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    pairs = np.column_stack([alone.eq_obj1id, alone.eq_obj2id])[of_joints]
+    moving = pairs[(pairs == alone.dof_jntid[dof]).any(axis=1)]
+    moves = np.isin(alone.dof_jntid, [alone.dof_jntid[dof], *moving.ravel()])
+    alone.dof_armature[:] = np.where(moves, robot.model.dof_armature, 1e6)
     data, place = start(robot, alone), int(alone.jnt_qposadr[alone.dof_jntid[dof]])
     ratio = float(alone.actuator_biasprm[actuator, 1]) / float(
         alone.actuator_gainprm[actuator, 0] or np.nan
@@ -389,7 +418,7 @@ def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
     weights, gains = (
-        _weights(robot),
+        largest_weights_nm(robot),
         {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)},
     )
     sags = {
@@ -403,8 +432,13 @@ def _sag(robot: Robot) -> Finding:
     remark = (
         f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
     )
+    low_mrad, high_mrad = facts("robot_rows")["robot-sag"]["interval"]
     return Finding(
         value=sags[dof],
+        parts=by_joint(robot, sags),
         remark=remark,
-        advisory="a controller that knows its load does not sag",
+        advice=f"kp of {joint_name(robot, dof)} in Nm/rad, not per degree: times {sags[dof] / (0.3 * high_mrad):.2g}",
+        advisory="a controller that knows its load does not sag"
+        if sags[dof] < low_mrad
+        else "",
     )

@@ -10,12 +10,11 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gauge_envs.errors import TargetError
+from gauge_envs.errors import TargetError, needs_extra
 from gauge_envs.files import MEGABYTE, printable, read_regular
 from gauge_envs.tools.sanity.model import Settings
 
@@ -39,13 +38,19 @@ PLAIN = "tag:yaml.org,2002:"
 PYTHON = f"{PLAIN}python/"
 TUPLE, SLICE = f"{PYTHON}tuple", f"{PYTHON}object/apply:builtins.slice"
 
-_Loader: Any = type("_Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
-"""Loader of plain values and tuples, and of slices as None."""
 
-_Loader.add_constructor(
-    TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True))
-)
-_Loader.add_constructor(SLICE, lambda loader, node: None)
+@cache
+def _yaml() -> tuple[Any, Any]:
+    """Return PyYAML, and a loader of plain values and tuples, and of slices as None."""
+    with needs_extra("a YAML file", "sanity"):
+        import yaml
+    base = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    loader: Any = type("_Loader", (base,), {})
+    loader.add_constructor(
+        TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True))
+    )
+    loader.add_constructor(SLICE, lambda loader, node: None)
+    return yaml, loader
 
 
 def file_content(path: Path, most_bytes: int) -> bytes:
@@ -86,9 +91,10 @@ def yaml_document(content: bytes | str) -> Any:
     if len(raw) > MOST_YAML_BYTES:
         raise ValueError(f"it has {len(raw)} bytes, the limit is {MOST_YAML_BYTES}")
     text = raw.decode("utf-8")
+    yaml, loader = _yaml()
     try:
-        _check(yaml.parse(text, Loader=_Loader))
-        return yaml.load(text, Loader=_Loader)
+        _check(yaml.parse(text, Loader=loader))
+        return yaml.load(text, Loader=loader)
     except yaml.YAMLError as error:
         raise ValueError(
             f"it is no YAML: {printable(' '.join(str(error).split()))}"
@@ -102,6 +108,7 @@ def yaml_document(content: bytes | str) -> Any:
 
 def _check(events: Iterable[Any]) -> None:
     """Check the size, the depth and the tags of a document before its values are built."""
+    yaml, _ = _yaml()
     sizes: Counter[str] = Counter()
     open_values: list[tuple[str | None, int]] = []
     count = 0

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends import Simulation
-from gauge_envs.errors import TargetError
+from gauge_envs.errors import MissingExtraError, TargetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -19,12 +19,17 @@ from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Rea
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Settings
 """A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
 
+UNDECLARED = ("imageio", "packaging")
+"""Packages that Gymnasium's MuJoCo environments import without declaring them."""
+
 
 def _read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     suite_ids = {variant.name: variant.id for variant in variants()}
     try:
         env = gymnasium.make(suite_ids.get(name, name))
     except Exception as error:  # Other environments raise exceptions of any kind.
+        if isinstance(error, ImportError) and error.name in UNDECLARED:
+            raise MissingExtraError(name, "sanity", error) from error
         cause = " ".join(str(error).split())
         raise NotATargetError(
             f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})"

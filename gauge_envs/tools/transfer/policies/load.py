@@ -8,9 +8,10 @@ import weakref
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from gymnasium import spaces
+from gymnasium import Env, spaces
 from numpy.typing import NDArray
 
 from gauge_envs.errors import MissingExtraError, PolicyError
@@ -22,7 +23,7 @@ from gauge_envs.files import (
     read_regular,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control import ControlEnv, Policy
+from gauge_envs.tools.control import Policy
 from gauge_envs.tools.transfer.policies import onnx_child
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 
@@ -34,7 +35,7 @@ MOST_ONNX_CPU_S = 86400
 
 def load_policies(
     sources: Sequence[str],
-    env: ControlEnv,
+    env: Env[Any, Any],
     *,
     normalization: Sequence[Path] = (),
     trust: bool = False,
@@ -64,7 +65,7 @@ def load_policies(
 
 def load_policy(
     source: str,
-    env: ControlEnv,
+    env: Env[Any, Any],
     *,
     normalization: Path | None = None,
     trust: bool = False,
@@ -79,8 +80,17 @@ def load_policy(
         trust: Whether loading may run code: of a module, of the pickle in a file of `VecNormalize`, or of those in a
             Stable-Baselines3 file whose network cannot be built from its weights.
     """
-    (observation_size,) = env.observation_space.shape or ()
-    (action_size,) = env.action_space.shape or ()
+    spaces_of_env = (env.observation_space, env.action_space)
+    if any(
+        not isinstance(one, spaces.Box) or len(one.shape) != 1 for one in spaces_of_env
+    ):
+        raise PolicyError(
+            f"{source}: the environment has {env.observation_space} and {env.action_space}: a policy takes one vector "
+            "and returns one. Wrap it, as with gymnasium.wrappers.FlattenObservation"
+        )
+    observation_size, action_size = (
+        int((one.shape or (0,))[0]) for one in spaces_of_env
+    )
     suffix = Path(source).suffix.lower()
     if suffix == ".zip":
         policy = load_sb3(
@@ -205,7 +215,7 @@ def _onnx(file: Path, *, observation_size: int) -> Policy:
     return act
 
 
-def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
+def checked_policy(name: str, policy: Policy, env: Env[Any, Any]) -> Policy:
     """Return a policy whose actions are checked and clipped to the task's action space.
 
     It is called once, with an observation of zeros.

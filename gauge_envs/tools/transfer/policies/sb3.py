@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import MissingExtraError, PolicyError
+from gauge_envs.errors import PolicyError, needs_extra
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.control import Policy
 
@@ -121,10 +121,8 @@ def _from_weights(
     observation_size: int,
     action_size: int,
 ) -> Policy:
-    try:
+    with needs_extra("a policy of Stable-Baselines3", "rl"):
         import torch
-    except ImportError as error:
-        raise MissingExtraError("a policy of Stable-Baselines3", "rl", error) from error
     try:
         tensors = torch.load(io.BytesIO(weights), map_location="cpu", weights_only=True)
     except Exception as error:  # PyTorch raises errors of many kinds for damaged files.
@@ -255,10 +253,8 @@ def _linear(torch: Any, tensors: Mapping[str, Any], prefix: str) -> Any:
 
 def _with_sb3(file: Path, stated: Mapping[str, Any], observation_size: int) -> Policy:
     """Return the policy as Stable-Baselines3 loads it, which runs code of the file."""
-    try:
+    with needs_extra("a policy of Stable-Baselines3", "rl"):
         import stable_baselines3
-    except ImportError as error:
-        raise MissingExtraError("a policy of Stable-Baselines3", "rl", error) from error
     for name in ("PPO", "A2C", "SAC", "TD3", "DDPG"):
         try:
             model = getattr(stable_baselines3, name).load(file, device="cpu")

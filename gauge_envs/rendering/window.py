@@ -1,0 +1,152 @@
+"""A window on a scene that a person turns with the mouse."""
+
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gauge_envs.errors import RenderError
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View
+
+TURN_DEG = 180.0
+"""Angle by which a drag over the height of the window turns the scene [deg]."""
+STEEPEST_DEG = 89.0
+"""Largest elevation of the camera, up and down [deg]."""
+ZOOM_OF_NOTCH = 0.95
+"""Factor on the distance of the camera for a notch of the wheel."""
+REST_S = 0.005
+"""Longest time without a look at the mouse [s]."""
+
+
+class Window:
+    """A window with an OpenGL context; drag with left to turn, with right to move, and turn the wheel to zoom.
+
+    Closing it, or Escape, ends the drawing and not the simulation.
+
+    Args:
+        width: Width [pixels].
+        height: Height [pixels].
+        title: What its bar says.
+
+    Attributes:
+        is_open: Whether nobody has closed it.
+        camera: Camera that the mouse moves; None until a renderer sets it.
+
+    Raises:
+        RenderError: There is no display, or no package for windows.
+    """
+
+    def __init__(self, width: int, height: int, title: str) -> None:
+        try:
+            import glfw
+        except ImportError as error:
+            raise RenderError(
+                f"render_mode 'human' opens a window with the package glfw: {error}. Install it with pip install glfw, "
+                "or use render_mode='rgb_array'"
+            ) from error
+        self._glfw: Any = glfw
+        self.camera: mujoco.MjvCamera | None = None
+        self._handle = None
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            if glfw.init():
+                glfw.window_hint(glfw.SAMPLES, 4)
+                self._handle = glfw.create_window(width, height, title, None, None)
+        if not self._handle:
+            reasons = "; ".join(str(one.message) for one in caught)
+            raise RenderError(
+                f"render_mode 'human' found no display for its window: {reasons}. Without one, use "
+                "render_mode='rgb_array', or start the program with xvfb-run"
+            )
+        self.is_open = True
+        self._is_turned = False
+        self._next_s = 0.0
+        self._mouse = (0.0, 0.0)
+        self.make_current()
+        # The time between pictures is that of the frames, not that of the screen.
+        glfw.swap_interval(0)
+        glfw.set_cursor_pos_callback(self._handle, self._on_cursor)
+        glfw.set_scroll_callback(self._handle, self._on_wheel)
+        glfw.set_key_callback(self._handle, self._on_key)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of what is drawn [pixels]; a person can change them."""
+        width, height = self._glfw.get_framebuffer_size(self._handle)
+        return max(width, 1), max(height, 1)
+
+    def make_current(self) -> None:
+        """Let OpenGL draw here."""
+        self._glfw.make_context_current(self._handle)
+
+    def free(self) -> None:
+        """Keep the window: a renderer that ends leaves it to the next one. `close` ends it."""
+
+    def show(self, draw: Callable[[], None], *, interval_s: float) -> None:
+        """Show a picture, and wait until it is time for the next one; the mouse turns it meanwhile.
+
+        Args:
+            draw: Function that draws the scene.
+            interval_s: Least time between two pictures [s].
+        """
+        is_drawn = False
+        while self.is_open:
+            self._glfw.poll_events()
+            self.is_open = not self._glfw.window_should_close(self._handle)
+            if not self.is_open:
+                self._glfw.hide_window(self._handle)
+                return
+            if not is_drawn or self._is_turned:
+                is_drawn, self._is_turned = True, False
+                draw()
+                self._glfw.swap_buffers(self._handle)
+            left_s = self._next_s - time.perf_counter()
+            if left_s <= 0.0:
+                break
+            time.sleep(min(left_s, REST_S))
+        self._next_s = time.perf_counter() + interval_s
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._handle:
+            self._glfw.destroy_window(self._handle)
+            self._handle, self.is_open = None, False
+
+    def _on_cursor(self, handle: Any, x: float, y: float) -> None:
+        glfw = self._glfw
+        moved = np.subtract((x, y), self._mouse)
+        self._mouse = (x, y)
+        camera = self.camera
+        if camera is None:
+            return
+        right, down = moved / max(glfw.get_window_size(handle)[1], 1)
+        if glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
+            camera.azimuth -= TURN_DEG * right
+            elevation_deg = camera.elevation - TURN_DEG * down
+            camera.elevation = np.clip(elevation_deg, -STEEPEST_DEG, STEEPEST_DEG)
+        elif glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_RIGHT) == glfw.PRESS:
+            view = View(
+                target_m=tuple(camera.lookat.tolist()),
+                distance_m=camera.distance,
+                azimuth_deg=camera.azimuth,
+                elevation_deg=camera.elevation,
+            )
+            half_angle = np.radians(0.5 * FIELD_OF_VIEW_DEG)
+            height_m = 2.0 * camera.distance * np.tan(half_angle)
+            to_right, up, _ = view.axes
+            camera.lookat += height_m * (down * up - right * to_right)
+        else:
+            return
+        self._is_turned = True
+
+    def _on_wheel(self, _: Any, __: float, notches: float) -> None:
+        if self.camera is not None:
+            self.camera.distance *= ZOOM_OF_NOTCH**notches
+            self._is_turned = True
+
+    def _on_key(self, handle: Any, key: int, _: int, action: int, __: int) -> None:
+        if key == self._glfw.KEY_ESCAPE and action == self._glfw.PRESS:
+            self._glfw.set_window_should_close(handle, True)

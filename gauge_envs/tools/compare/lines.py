@@ -1,0 +1,190 @@
+"""What `gauge compare` prints with `--json`, a line each; `record` states which."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, TypedDict
+
+from gauge_envs.cli.schemas import Form
+from gauge_envs.evaluation.scatter import Scatter
+from gauge_envs.evaluation.verification import Verification
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.tools.compare.distance import Distance
+from gauge_envs.tools.compare.draws import ScoreSpread
+from gauge_envs.tools.compare.grades import (
+    ExperimentDifference,
+    Interval,
+    Mean,
+    PairComparison,
+)
+
+
+class RealFacts(TypedDict):
+    """Mean and standard deviation of real trials, as published."""
+
+    mean: float
+    std: float | None
+
+
+class Values(TypedDict):
+    """Value of each repeat; null for one without the metric."""
+
+    values: Sequence[float | None]
+
+
+SpreadFacts = Annotated[ScoreSpread, Form(more=Values)]
+
+
+class CellFacts(TypedDict):
+    """What a configuration gave in an experiment.
+
+    Attributes:
+        label: Name of the configuration in tables.
+        outcomes: How each repeat ended.
+        reasons: Why it was declined, failed or diverged.
+        seeds: Seed of each repeat.
+        raw: The metric in its unit.
+        normalized: The metric over that of real trials.
+        normalized_95: 95 % interval of the mean of it.
+        percentile: Percentage of real trials that are closer to their mean.
+        verification: Distance of each repeat from a law or a solved model.
+        also_verified: The same of further quantities, as the force of a rod; a list for each repeat.
+        scatter: Scatter of the repeats beside that of real trials.
+        wall_s_per_sim_s: Wall time over simulated time [s/s].
+        settings: Numerical settings of the engine.
+        versions: Versions of the packages.
+    """
+
+    label: str
+    outcomes: Sequence[str]
+    reasons: Sequence[str | None]
+    seeds: Sequence[int | None]
+    raw: SpreadFacts | None
+    normalized: SpreadFacts | None
+    normalized_95: Interval | None
+    percentile: float | None
+    verification: Sequence[Verification | None]
+    also_verified: Sequence[Sequence[Verification]]
+    scatter: Scatter | None
+    wall_s_per_sim_s: float | None
+    settings: Mapping[str, Any] | None
+    versions: Mapping[str, str] | None
+
+
+CellLine = Annotated[RunConfiguration, Form(more=CellFacts)]
+
+
+class Between(TypedDict):
+    """Names of the two configurations in tables."""
+
+    first: str
+    second: str
+
+
+DistanceFacts = Annotated[Distance, Form(without=("first", "second"), more=Between)]
+
+
+class ExperimentLine(TypedDict):
+    """The scores of an experiment by one metric.
+
+    Attributes:
+        record: `experiment`.
+        id: Gymnasium id.
+        grade: What the reference is.
+        withheld: Whether its band is withheld by default.
+        metric: Name of the metric; null without a score.
+        unit: Its unit.
+        real: Scores of real trials.
+        published: Published scores by engine.
+        configurations: What each configuration gave.
+        distances: Distances between trajectories of two configurations.
+        notes: What was left out.
+    """
+
+    record: Literal["experiment"]
+    id: str
+    grade: str
+    withheld: bool
+    metric: str | None
+    unit: str | None
+    real: RealFacts | None
+    published: Mapping[str, float | None] | None
+    configurations: Sequence[CellLine]
+    distances: Sequence[DistanceFacts]
+    notes: Sequence[str]
+
+
+class RankedFacts(TypedDict):
+    """Ranks of a configuration.
+
+    Attributes:
+        label: Name of the configuration in tables.
+        rank: Rank over the grade.
+        mean_rank: Mean of the ranks over the experiments that all have.
+        mean_rank_95: Its 95 % interval.
+        ranks: Rank in each experiment, by id.
+    """
+
+    label: str
+    rank: int | None
+    mean_rank: float | None
+    mean_rank_95: Interval | None
+    ranks: Mapping[str, Mean]
+
+
+class GradeFacts(TypedDict):
+    """A grade of reference.
+
+    Attributes:
+        grade: Its name.
+        withheld: Whether the bands are withheld by default.
+        constants: Constants that the configurations share.
+        ids: Experiments that count.
+    """
+
+    grade: str
+    withheld: bool
+    constants: str
+    ids: Sequence[str]
+
+
+class GradeLine(GradeFacts):
+    """Ranks within a grade.
+
+    Attributes:
+        record: `grade`.
+        configurations: Ranks of each configuration.
+        distinguishable: Numbers of distinguishable pairs, and of pairs, by experiment.
+    """
+
+    record: Literal["grade"]
+    configurations: Sequence[RankedFacts]
+    distinguishable: Mapping[str, tuple[int, int]]
+
+
+DifferenceFacts = Annotated[ExperimentDifference, Form(properties=("distinguishable",))]
+
+
+class PairFacts(GradeFacts, Between):
+    """Two configurations.
+
+    Attributes:
+        record: `pair`.
+        experiments: Difference in each experiment.
+        closer_in: Numbers of experiments in which the first, and in which the second is distinguishably closer.
+    """
+
+    record: Literal["pair"]
+    experiments: Sequence[DifferenceFacts]
+    closer_in: tuple[int, int]
+
+
+PairLine = Annotated[
+    PairComparison,
+    Form(
+        without=("first", "second", "experiments"),
+        properties=("distinguishable",),
+        more=PairFacts,
+    ),
+]
+
+CompareLine = ExperimentLine | GradeLine | PairLine
+"""The scores of each experiment, the ranks of each grade, then all pairs."""

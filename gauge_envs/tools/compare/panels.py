@@ -1,0 +1,712 @@
+"""Panels of the picture of one experiment: distance over time, coordinates, a map of all of them, and three moments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.pages.figures import REAL, legend_above, tidy_axis
+from gauge_envs.pages.svg import runs
+from gauge_envs.pages.text import quantity_text, short_id
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.result import Result
+from gauge_envs.scene import Markers
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.distance import distances_over_time
+from gauge_envs.tools.compare.yardstick import (
+    Yardstick,
+    coordinate_words,
+    is_aligned,
+    recorded_of,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import SubFigure
+
+
+ONE_SIGMA = "#c4c4c4"
+TWO_SIGMA = "#e3e3e3"
+HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
+DISTANCE_COLORS = "magma_r"
+"""Colours of distances, from light for none to dark: they print in grey and suit colour-blind readers."""
+
+MIN_RANGE = 0.02
+"""Smallest range of a panel without a band of real trials, relative to that of the widest panel of the experiment."""
+LOW_QUANTILE = 0.02
+"""Share of the distances that may be below a logarithmic axis: curves that cross have none at all."""
+LINEAR_RATIO = 20.0
+"""Largest distance over the largest spread that a linear axis shows: beyond it, the spread is a line on the axis."""
+MOST_SECONDS = 20.0
+"""Longest motion that is drawn whole [s]: in a longer one, swings of a second fill the panel."""
+WINDOW_S = 10.0
+"""Part of a longer motion that is drawn [s]."""
+MAX_ALIGNED = 2
+"""Largest number of configurations that are drawn as they ran beside their aligned curves."""
+MOST_MAP_LABELS = 16
+"""Largest number of rows of a map that are named."""
+TOP_SHARE = 99.5
+"""Percentage of the values of a map below the end of its colours: one diverged point must not hide all others."""
+LEAST_UPRIGHT = 0.1
+"""Share of the squared normals of faces that is level, from which on a sheet has a front."""
+LEAST_LOOSE = 10
+"""Number of markers without lines between them, from which on they show a shape."""
+MOMENTS = 3
+"""Number of moments that are drawn."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Results of one configuration in one experiment, and how they look."""
+
+    label: str
+    color: str
+    width: float
+    results: tuple[Result, ...]
+
+    @property
+    def legend(self) -> str:
+        """Entry of the legend."""
+        diverged, count = (
+            sum(result.diverged for result in self.results),
+            len(self.results),
+        )
+        if count == 1:
+            return f"{self.label}, diverged" if diverged else self.label
+        return f"{self.label}, {count} repeats" + (
+            f", {diverged} diverged" if diverged else ""
+        )
+
+    @property
+    def alpha(self) -> float:
+        """Opacity of a curve."""
+        return 1.0 if len(self.results) == 1 else 0.7
+
+    @property
+    def first(self) -> Result:
+        """Its first result, which stands for all in maps and moments."""
+        return self.results[0]
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """How its curves look."""
+        return {"color": self.color, "lw": self.width, "alpha": self.alpha}
+
+
+# --- distance over time ----------------------------------------------------------------------------------------------
+
+
+def draw_distances(axis: Axes, series: Sequence[Series], against: Yardstick) -> None:
+    """Draw the distance of each result at each frame, over what real trials or the solution leave open."""
+    if against.reference is None and not against.of_start:
+        _draw_apart(axis, series)
+    else:
+        aligned = any(is_aligned(result) for one in series for result in one.results)
+        _draw_spread(axis, against, aligned=aligned)
+        for one in series:
+            _draw_lengths(axis, one, against, several=len(series) > MAX_ALIGNED)
+    axis.set_ylabel(f"distance [{against.unit}]")
+    axis.set_xlabel("time [s]")
+    axis.set_xlim(0.0, against.end_s)
+    _scale_distances(axis, against)
+    tidy_axis(axis)
+    legend_above(axis)
+
+
+def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
+    """Draw the distances of real trials, or their spread or u of the solution, and that of a scene without motion."""
+    band = against.band
+    trials = against.trial_lengths(aligned=aligned)
+    if len(trials):
+        how = ", aligned too" if aligned else ""
+        mean = np.sqrt(np.nanmean(np.square(trials), axis=0))
+        axis.fill_between(
+            against.times_s,
+            mean,
+            0.0,
+            facecolor=ONE_SIGMA,
+            label=f"real trials from the mean of the others{how}: root mean square",
+            zorder=1,
+        )
+        for number, one in enumerate(trials):
+            label = None if number else "each real trial"
+            axis.plot(
+                against.times_s, one, color="#909090", lw=0.6, label=label, zorder=2
+            )
+    elif against.has_spread:
+        spread = against.lengths(against.spread)
+        shades = ((1.0, ONE_SIGMA, 1.1), (against.reach, TWO_SIGMA, 1.0))
+        for (reach, shade, order), name in zip(
+            shades, against.spread_words, strict=True
+        ):
+            axis.fill_between(
+                against.times_s,
+                reach * spread,
+                0.0,
+                facecolor=shade,
+                label=name,
+                zorder=order,
+            )
+    if not band.grade.is_solution:
+        return
+    start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
+    axis.plot(
+        against.times_s,
+        against.lengths(band.mean - start),
+        color=REAL,
+        lw=1.1,
+        ls="--",
+        label="a scene in which nothing moves",
+    )
+
+
+def _draw_lengths(
+    axis: Axes, one: Series, against: Yardstick, *, several: bool
+) -> None:
+    for number, result in enumerate(one.results):
+        aligned = is_aligned(result)
+        lengths = against.lengths(against.deviation(result, aligned=aligned))
+        offset_s = result.score.release_offset_s
+        text = one.legend
+        if aligned and offset_s is not None and len(one.results) == 1:
+            text += f", moved by {offset_s:+.3f} s to align the release"
+        axis.plot(
+            against.times_s,
+            lengths,
+            label=text if number == 0 else None,
+            zorder=4,
+            **one.line,
+        )
+        if aligned and len(one.results) == 1 and not several:
+            axis.plot(
+                against.times_s,
+                against.lengths(against.deviation(result, aligned=False)),
+                color=one.color,
+                lw=1.1,
+                ls=":",
+                label=f"{one.label}, as it ran",
+                zorder=3,
+            )
+
+
+def _draw_apart(axis: Axes, series: Sequence[Series]) -> None:
+    """Draw the distance of each configuration to the first, and that of the real trials to their mean."""
+    first = series[0]
+    for one in series[1:]:
+        label: str | None = one.legend
+        for times, distance in distances_over_time(first.results, one.results):
+            axis.plot(times, distance, label=label, **one.line)
+            label = None
+    baseline = published_baselines(short_id(first.first.id)).get("rmse")
+    if baseline is not None:
+        axis.axhline(
+            baseline.mean,
+            color=REAL,
+            lw=1.0,
+            ls="--",
+            label="published distance of real trials from their mean",
+        )
+
+
+def _scale_distances(axis: Axes, against: Yardstick) -> None:
+    """Choose a linear or a logarithmic axis, and its limits."""
+    drawn = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
+    values = np.concatenate([one.ravel() for one in drawn] or [np.zeros(1)])
+    values = values[np.isfinite(values) & (values > 0.0)]
+    top = float(values.max(initial=0.0))
+    spread = (
+        float(np.nanmax(against.lengths(against.spread), initial=0.0))
+        if against.has_spread
+        else 0.0
+    )
+    is_solution = against.band.grade.is_solution
+    if top <= 0.0 or not (is_solution or (spread and top > LINEAR_RATIO * spread)):
+        axis.set_ylim(bottom=0.0)
+        return
+    axis.set_yscale("log")
+    results = [
+        np.asarray(line.get_ydata(), dtype=float)
+        for line in axis.get_lines()
+        if line.get_color() != REAL
+    ]
+    errors = np.concatenate([one.ravel() for one in results] or [values])
+    errors = errors[np.isfinite(errors) & (errors > 0.0)]
+    lowest = float(np.quantile(errors, LOW_QUANTILE)) if len(errors) else top
+    axis.set_ylim(0.5 * min(lowest, spread or top), 2.0 * max(top, spread))
+
+
+# --- coordinates -----------------------------------------------------------------------------------------------------
+
+
+def draw_coordinates(
+    axes: Sequence[Axes],
+    columns: Sequence[int],
+    series: Sequence[Series],
+    against: Yardstick,
+    *,
+    shares: FloatArray,
+    small: bool = False,
+    is_difference: bool = False,
+) -> None:
+    """Draw coordinates over time, one in each panel, with the spread of the reference.
+
+    Args:
+        axes: One for each coordinate.
+        columns: Index of each coordinate.
+        series: The results.
+        against: What they are drawn against.
+        shares: Share of every coordinate in the squared distance, shape [C].
+        small: Whether the panels are small.
+        is_difference: Whether to draw the results minus the reference, where the curves lie on each other.
+    """
+    window = _window(series, against)
+    look: dict[str, Any] = {"window": window, "is_difference": is_difference}
+    for axis, column in zip(axes, columns, strict=True):
+        if not against.of_start:
+            _draw_mean(
+                axis,
+                against,
+                column,
+                marks=not small,
+                **look,
+            )
+        _draw_curves(axis, series, against, column, **look)
+        name = coordinate_words(against.band.coordinates[column])
+        title = f"{name} [{against.unit}]"
+        if shares.any() and len(shares) > 1:
+            title += f": {_share_text(shares[column])}"
+        size = 7 if small else 9
+        axis.set_title(title, loc="left", fontsize=size)
+        axis.tick_params(labelsize=size - 1)
+        axis.set_xlim(*window)
+        if not small:
+            axis.set_xlabel("time [s]", fontsize=size)
+        tidy_axis(axis)
+    # The band of real trials fills a panel; that of a solution may be narrower than rounding errors.
+    if not against.band.grade.is_real:
+        _widen(axes)
+
+
+def _share_text(share: float) -> str:
+    percent = 100.0 * share
+    return f"{percent:.0f} %" if percent >= 1.0 or percent == 0.0 else "below 1 %"
+
+
+def _window(series: Sequence[Series], against: Yardstick) -> tuple[float, float]:
+    """Return the times that are drawn: all, or of a long motion the part with the largest squared distance."""
+    if against.end_s <= MOST_SECONDS:
+        return 0.0, against.end_s
+    squares = np.zeros(len(against.times_s))
+    for one in series:
+        lengths = against.lengths(against.deviation(one.first, aligned=False))
+        squares += np.nan_to_num(np.square(lengths))
+    width = round(WINDOW_S * FRAME_RATE_HZ)
+    sums = np.convolve(squares, np.ones(width), mode="valid")
+    start_s = int(sums.argmax()) / FRAME_RATE_HZ
+    return start_s, start_s + WINDOW_S
+
+
+def _shown(times_s: FloatArray, window: tuple[float, float]) -> NDArray[np.bool_]:
+    """Return which times lie in a window, and the ones next to it."""
+    margin_s = 1.0 / FRAME_RATE_HZ
+    return (times_s >= window[0] - margin_s) & (times_s <= window[1] + margin_s)
+
+
+def _draw_mean(
+    axis: Axes,
+    against: Yardstick,
+    column: int,
+    *,
+    marks: bool,
+    window: tuple[float, float],
+    is_difference: bool,
+) -> None:
+    """Draw the mean and its spread; extrapolated parts are hatched and dotted."""
+    band = against.band
+    times, mean, sigma = (
+        against.times_s,
+        band.mean[:, column],
+        against.spread[:, column],
+    )
+    if is_difference:
+        mean = mean - mean
+    # What lies outside would set the limits of the axis.
+    is_shown = _shown(times, window)
+    is_real = band.grade.is_real
+    # Simulations lie on the line of a solution: wide and below them. A measured mean is dots, and above them.
+    width = 1.1 if is_real else 3.0
+    # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
+    segments = band.measured[:-1] & band.measured[1:]
+    inside = is_shown[:-1] & is_shown[1:]
+    for flags, style, hatch in ((segments, "-", {}), (~segments, ":", HATCH)):
+        for start, end in runs(flags & inside):
+            piece = slice(start, end + 1)
+            for reach, shade in ((against.reach, TWO_SIGMA), (1.0, ONE_SIGMA)):
+                low = mean[piece] - reach * sigma[piece]
+                high = mean[piece] + reach * sigma[piece]
+                axis.fill_between(
+                    times[piece], low, high, facecolor=shade, zorder=1, **hatch
+                )
+            axis.plot(
+                times[piece],
+                mean[piece],
+                color=REAL,
+                lw=width,
+                ls=style,
+                zorder=5 if is_real else 2,
+            )
+    if is_real and marks:
+        for flags, face in ((band.measured, REAL), (~band.measured, "white")):
+            flags = flags & is_shown
+            axis.plot(
+                times[flags],
+                mean[flags],
+                "o",
+                ms=3.0,
+                mew=0.8,
+                mec=REAL,
+                mfc=face,
+                zorder=6,
+            )
+
+
+def mean_legend(against: Yardstick) -> str:
+    """Return what the black curve and the shades of the panels of coordinates are."""
+    if against.of_start:
+        return ""
+    text = f"Black: {against.name}."
+    if against.has_spread:
+        narrow, wide = against.spread_words
+        text += f" Dark grey: {narrow}; light grey: {wide}."
+    known = np.isfinite(against.band.mean).any(axis=1)
+    if against.reference is not None and (~against.band.measured & known).any():
+        text += " Hatched and dotted: extrapolated, not measured."
+    return text
+
+
+def _draw_curves(
+    axis: Axes,
+    series: Sequence[Series],
+    against: Yardstick,
+    column: int,
+    *,
+    window: tuple[float, float],
+    is_difference: bool,
+) -> None:
+    def curve(result: Result, *, aligned: bool) -> tuple[FloatArray, FloatArray]:
+        if is_difference:
+            times, values = against.times_s, against.deviation(result, aligned=aligned)
+        else:
+            times, values = against.motion(result, aligned=aligned)
+        shown = _shown(times, window)
+        return times[shown], values[shown, column]
+
+    low, high = axis.get_ylim() if axis.has_data() else (np.inf, -np.inf)
+    for one in series:
+        for result in one.results:
+            aligned = is_aligned(result)
+            times, values = curve(result, aligned=aligned)
+            axis.plot(times, values, zorder=4, **one.line)
+            low, high = _span(low, high, values)
+            if aligned and len(one.results) == 1 and len(series) <= MAX_ALIGNED:
+                times, raw = curve(result, aligned=False)
+                look: dict[str, Any] = {"color": one.color, "lw": 1.1, "ls": ":"}
+                axis.plot(times, raw, zorder=3, **look)
+                low, high = _span(low, high, raw)
+    if not low < high:
+        middle = low if np.isfinite(low) else 0.0
+        low, high = middle - 1e-9, middle + 1e-9
+    margin = 0.04 * (high - low)
+    axis.set_ylim(low - margin, high + margin)
+
+
+def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return limits that include the values, at most ten times as wide: a diverged curve is cut."""
+    finite = values[np.isfinite(values)]
+    reach = 10.0 * (high - low) if high > low else np.inf
+    return (
+        max(min(low, float(finite.min(initial=np.inf))), low - reach),
+        min(max(high, float(finite.max(initial=-np.inf))), high + reach),
+    )
+
+
+def _widen(axes: Iterable[Axes]) -> None:
+    """Give each panel a share of the range of the widest one: rounding errors must not fill a panel."""
+    limits = [(axis, *axis.get_ylim()) for axis in axes]
+    least = MIN_RANGE * max(high - low for _, low, high in limits)
+    for axis, low, high in limits:
+        lacking = max(least - (high - low), 0.0)
+        axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
+
+
+# --- map of all points -----------------------------------------------------------------------------------------------
+
+
+def draw_maps(figure: SubFigure, series: Sequence[Series], against: Yardstick) -> None:
+    """Draw a map for each configuration: a row for each point or coordinate, time to the right, distance as colour."""
+    maps = [
+        against.per_point(against.deviation(one.first, aligned=is_aligned(one.first)))
+        for one in series
+    ]
+    finite = [sizes[np.isfinite(sizes)] for _, sizes in maps]
+    top = float(np.percentile(np.concatenate([*finite, [0.0]]), TOP_SHARE)) or 1e-9
+    axes = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
+    image: Any = None
+    for axis, one, (names, sizes) in zip(axes, series, maps, strict=True):
+        image = axis.imshow(
+            sizes.T,
+            aspect="auto",
+            interpolation="nearest",
+            cmap=DISTANCE_COLORS,
+            vmin=0.0,
+            vmax=top,
+            extent=(0.0, float(against.times_s[-1]), len(names) - 0.5, -0.5),
+        )
+        axis.set_xlim(0.0, against.end_s)
+        axis.set_xlabel("time [s]", fontsize=9)
+        axis.set_title(one.legend, loc="left", fontsize=9, color=one.color)
+        axis.tick_params(labelsize=8)
+        axis.set_facecolor("#f4f4f4")
+        step = -(-len(names) // MOST_MAP_LABELS)
+        axis.set_yticks(range(0, len(names), step), names[::step], fontsize=7)
+    bar = figure.colorbar(image, ax=list(axes), pad=0.01)
+    bar.set_label(f"distance [{against.unit}]", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+
+
+# --- moments ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Moments:
+    """Markers of one configuration and of the reference, and their distances.
+
+    Attributes:
+        one: The configuration.
+        markers: Their lines and faces.
+        places_mm: Simulated markers at the frames [mm], shape [frame_count, marker_count, 3].
+        reference_mm: The same of the reference, NaN where it is not known; None where it has no markers.
+        sizes: Distance of each marker, or of the area of each face, shape [frame_count, marker_count or face_count].
+        unit: Unit of `sizes`.
+    """
+
+    one: Series
+    markers: Markers
+    places_mm: FloatArray
+    reference_mm: FloatArray | None
+    sizes: FloatArray
+    unit: str
+
+    @property
+    def frames(self) -> tuple[int, ...]:
+        """Frames that are drawn: of the largest distance, the last one, and those at half and a quarter of the time."""
+        known = np.flatnonzero(np.isfinite(self.sizes).all(axis=1))
+        if not len(known):
+            return ()
+        largest = known[int(self.sizes[known].sum(axis=1).argmax())]
+        wanted = (largest, known[-1], known[len(known) // 2], known[len(known) // 4])
+        return tuple(sorted(list(dict.fromkeys(map(int, wanted)))[:MOMENTS]))
+
+
+def moments_of(
+    one: Series, against: Yardstick, markers: Markers | None
+) -> Moments | None:
+    """Return the markers of a configuration; None where they are not known or not compared."""
+    if markers is None:
+        return None
+    result, count = one.first, len(markers.positions_m)
+    # A few loose points in space show no shape.
+    if count < LEAST_LOOSE and not (markers.faces or markers.lines):
+        return None
+    names = tuple(f"marker-{index}" for index in range(count))
+    deviation = against.deviation(result, aligned=False)
+    if against.points == names:
+        places = _frames_of(*against.motion(result), len(deviation)).reshape(
+            -1, count, 3
+        )
+        reference = (
+            None if against.of_start else against.band.mean.reshape(-1, count, 3)
+        )
+        sizes = against.per_point(deviation)[1]
+    else:
+        found = recorded_of(result).markers_m()
+        if found is None or found.shape[1] != count:
+            return None
+        places = np.full((len(deviation), count, 3), np.nan)
+        places[: len(found)] = 1e3 * found[: len(places)]
+        reference, sizes = None, np.abs(deviation)
+        if sizes.shape[1] != len(markers.faces):
+            return None
+    return Moments(
+        one=one,
+        markers=markers,
+        places_mm=places,
+        reference_mm=reference,
+        sizes=sizes,
+        unit=against.unit,
+    )
+
+
+def _frames_of(times_s: FloatArray, values: FloatArray, count: int) -> FloatArray:
+    """Return values at the frames, shape [count, C]; NaN where they are not known."""
+    whole = np.full((count, values.shape[1]), np.nan)
+    numbers = np.rint(times_s * FRAME_RATE_HZ).astype(int)
+    hits = (np.abs(times_s - numbers / FRAME_RATE_HZ) < 1e-4) & (numbers < count)
+    whole[numbers[hits]] = values[hits]
+    return whole
+
+
+def draw_moments(
+    figure: SubFigure, every: Sequence[Moments], *, reference: str
+) -> None:
+    """Draw three moments of each configuration in a row, each beside the reference where its markers are known.
+
+    Args:
+        figure: Where to.
+        every: One for each row.
+        reference: Name of the reference.
+    """
+    has_reference = every[0].reference_mm is not None
+    columns = MOMENTS * (2 if has_reference else 1)
+    top = max(
+        float(np.nanmax(one.sizes[list(one.frames)], initial=0.0)) for one in every
+    )
+    grid = figure.add_gridspec(len(every), columns, wspace=0.0, hspace=0.0)
+    axes: list[Any] = []
+    drawn = None
+    for row, moments in enumerate(every):
+        shown = [moments.places_mm[list(moments.frames)]]
+        if moments.reference_mm is not None:
+            shown.append(moments.reference_mm[list(moments.frames)])
+        box = _box(np.concatenate(shown), moments.markers.faces)
+        for number, frame in enumerate(moments.frames):
+            time = f"{quantity_text(frame / FRAME_RATE_HZ)} s"
+            if moments.reference_mm is not None:
+                axis = figure.add_subplot(grid[row, 2 * number], projection="3d")
+                _draw_net(
+                    axis, moments.markers, moments.reference_mm[frame], color=REAL
+                )
+                _frame_space(axis, box, f"{time}: {reference}")
+                axes.append(axis)
+            place = (2 * number + 1) if has_reference else number
+            axis = figure.add_subplot(grid[row, place], projection="3d")
+            if moments.reference_mm is not None:
+                # A simulation lies on the reference, also where it is behind it.
+                axis.computed_zorder = False
+                _draw_net(
+                    axis, moments.markers, moments.reference_mm[frame], color="#b0b0b0"
+                )
+            drawn = _draw_sizes(axis, moments, frame, top or 1e-9)
+            _frame_space(
+                axis,
+                box,
+                moments.one.label if has_reference else f"{time}: {moments.one.label}",
+                color=moments.one.color,
+            )
+            axes.append(axis)
+    if drawn is not None:
+        bar = figure.colorbar(drawn, ax=axes, pad=0.01, shrink=0.8)
+        what = "distance" if every[0].unit == "mm" else "difference of area"
+        bar.set_label(f"{what} [{every[0].unit}]", fontsize=9)
+        bar.ax.tick_params(labelsize=8)
+
+
+def _edges(markers: Markers) -> Iterator[tuple[int, int]]:
+    """Yield the lines between markers, and the sides of their faces."""
+    sides = [
+        (face[one], face[(one + 1) % 3]) for face in markers.faces for one in range(3)
+    ]
+    yield from dict.fromkeys(
+        (min(pair), max(pair)) for pair in (*markers.lines, *sides)
+    )
+
+
+def _draw_net(axis: Any, markers: Markers, places: FloatArray, *, color: str) -> None:
+    """Draw markers and the lines between them."""
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+
+    lines = [places[list(pair)] for pair in _edges(markers)]
+    if lines:
+        axis.add_collection3d(Line3DCollection(lines, colors=color, linewidths=0.6))
+    axis.scatter(*places.T, s=3.0, color=color, depthshade=False)
+
+
+def _draw_sizes(axis: Any, moments: Moments, frame: int, top: float) -> Any:
+    """Draw markers, or faces, with their distances as colour; return what has the colours."""
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+
+    places, sizes = moments.places_mm[frame], moments.sizes[frame]
+    look = {"cmap": DISTANCE_COLORS}
+    if len(sizes) == len(places) and len(sizes) != len(moments.markers.faces):
+        _draw_net(axis, moments.markers, places, color="#606060")
+        return axis.scatter(
+            *places.T,
+            c=sizes,
+            s=22.0,
+            vmin=0.0,
+            vmax=top,
+            depthshade=False,
+            edgecolors="#606060",
+            linewidths=0.4,
+            zorder=5,
+            **look,
+        )
+    faces = Poly3DCollection(
+        places[np.array(moments.markers.faces)],
+        array=sizes,
+        edgecolors="#606060",
+        linewidths=0.5,
+        zorder=5,
+        **look,
+    )
+    faces.set_clim(0.0, top)
+    axis.add_collection3d(faces)
+    return faces
+
+
+def _box(
+    places: FloatArray, faces: Sequence[tuple[int, int, int]]
+) -> tuple[FloatArray, float, float]:
+    """Return the middle, half the width of a cube around places, and direction [degrees] that they are wide from.
+
+    Args:
+        places: Markers at the moments, shape [moment_count, marker_count, 3].
+        faces: Triangles of markers; empty for markers in lines.
+    """
+    every = places.reshape(-1, 3)
+    every = every[np.isfinite(every).all(axis=1)]
+    low, high = every.min(axis=0), every.max(axis=0)
+    away = np.linalg.eigh(np.cov(every[:, :2].T))[1][:, 0]
+    if faces:
+        corners = places[:, np.array(faces)].reshape(-1, 3, 3)
+        corners = corners[np.isfinite(corners).all(axis=(1, 2))]
+        sides = corners[:, 1:] - corners[:, :1]
+        normals = np.cross(sides[:, 0], sides[:, 1])
+        turned = normals[:, :2].T @ normals[:, :2]
+        upright = np.trace(turned) / np.square(normals).sum()
+        # Of a level sheet, no side is its front.
+        if upright > LEAST_UPRIGHT:
+            away = np.linalg.eigh(turned)[1][:, -1]
+    toward = float(np.degrees(np.arctan2(away[1], away[0])))
+    return 0.5 * (low + high), 0.5 * float((high - low).max()), toward
+
+
+def _frame_space(
+    axis: Any, box: tuple[FloatArray, float, float], title: str, color: str = REAL
+) -> None:
+    """Show a cube of space without its axes."""
+    middle, half, toward = box
+    for limit, center in zip(
+        (axis.set_xlim, axis.set_ylim, axis.set_zlim), middle, strict=True
+    ):
+        limit(center - half, center + half)
+    axis.set_proj_type("ortho")
+    axis.view_init(elev=20.0, azim=toward + 25.0)
+    axis.set_box_aspect((1.0, 1.0, 1.0), zoom=1.1)
+    axis.set_axis_off()
+    axis.set_title(title, fontsize=8, color=color, pad=0.0)

@@ -1,0 +1,320 @@
+"""What the results of one experiment are drawn against: real trials, a solution, another engine, or their start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.deviation import trial_distances
+from gauge_envs.evaluation.verification import (
+    COVERAGE_FACTOR,
+    MARKER_AXES,
+    drawn_spread,
+    point_lengths,
+)
+from gauge_envs.pages.results import ALIGNED
+from gauge_envs.references.bands import Band, SigmaSource
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.distance import recorded_frames
+
+SPREADS = {
+    SigmaSource.TRIALS: "scatter of the real trials (1 standard deviation)",
+    SigmaSource.BASELINE: "published scatter of real trials (1 standard deviation)",
+    SigmaSource.MEASUREMENT: "uncertainty of the measurement (1 standard deviation)",
+}
+"""What is shaded about a real mean, by its source."""
+KINDS = {
+    "face": "area of face",
+    "face_area": "area of face",
+    "curvature": "curvature at marker",
+    "line_curvature": "bend at inner marker",
+}
+"""Kinds of coordinates in words."""
+ROUNDING_SHARE = 1e-7
+"""Deviation, over the range of a motion, below which only rounding is seen."""
+VISIBLE_SHARE = 0.05
+"""Largest deviation, over the range of a motion, below which two curves of it lie on each other."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Yardstick:
+    """What results are drawn against.
+
+    Attributes:
+        name: Its name in words, as `the mean of 20 real trials`.
+        band: Mean and spread in the coordinates that are compared. Its grade is `none` for another engine or the start.
+        reference: Reference of the score; None without one. Its `points`, if any, are `band`.
+        of_start: Whether it is the start of each result itself.
+    """
+
+    name: str
+    band: Band
+    reference: Band | None
+    of_start: bool = False
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Names of the markers or bodies whose x, y and z are compared, in order; empty for other coordinates."""
+        return point_names(self.band.coordinates)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the compared coordinates."""
+        return self.band.unit
+
+    @property
+    def has_spread(self) -> bool:
+        """Whether it says how far real trials are apart, or what its solution leaves open."""
+        return self.reference is not None and not self.reference.is_exact
+
+    @property
+    def spread(self) -> FloatArray:
+        """Scatter of real trials or u of the solution, shape [frame_count, C]; 0 without one."""
+        return drawn_spread(self.band)
+
+    @property
+    def reach(self) -> float:
+        """What a shaded area ends at, in units of `spread`: two standard deviations, or the end of 95 % of u."""
+        return COVERAGE_FACTOR if self.band.grade.is_solution else 2.0
+
+    def trial_lengths(self, *, aligned: bool) -> FloatArray:
+        """Return the distance of each real trial from the mean of the others, shape [trial_count, frame_count].
+
+        It is NaN where one is not known, and empty without trials.
+
+        Args:
+            aligned: Whether each is aligned to the release of the others.
+        """
+        found = None if self.reference is None else trial_distances(self.reference)
+        if found is None:
+            return np.zeros((0, len(self.band.mean)))
+        every = found.aligned_deviations if aligned else found.deviations
+        return np.array([self.lengths(one) for one in every])
+
+    @property
+    def spread_words(self) -> tuple[str, str]:
+        """Names of the spread, and of what the wider shaded area ends at."""
+        if self.band.grade.is_solution:
+            return (
+                "u: uncertainty of the solution",
+                f"up to {self.reach} u no difference is seen",
+            )
+        return SPREADS[self.band.sigma_source], "twice that"
+
+    @property
+    def end_s(self) -> float:
+        """Last time at which it is known [s]."""
+        known = np.flatnonzero(np.isfinite(self.band.mean).any(axis=1))
+        last = int(known[-1]) if len(known) else 0
+        return max(last / FRAME_RATE_HZ, 1e-3)
+
+    @property
+    def times_s(self) -> FloatArray:
+        """Times of the frames [s]."""
+        return np.arange(len(self.band.mean)) / FRAME_RATE_HZ
+
+    def lengths(self, values: FloatArray) -> FloatArray:
+        """Return the length of values at each frame, as scores count it, shape [frame_count]."""
+        if self.reference is None and not self.of_start:
+            return np.asarray(np.linalg.norm(values, axis=1))
+        if self.reference is None and self.points:
+            return np.asarray(np.linalg.norm(values, axis=1)) / np.sqrt(
+                len(self.points)
+            )
+        return point_lengths(values, self.band)
+
+    def motion(
+        self, result: Result, *, aligned: bool = False
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and the compared coordinates, shape [sample_count, C].
+
+        Args:
+            result: A result of the experiment.
+            aligned: Whether to shift it by its release offset, if it has one.
+
+        Returns:
+            Markers at the frames, where these are compared, else all samples of g(t). Both are empty where markers are
+            compared and not recorded.
+        """
+        recorded = recorded_of(result)
+        if self.reference is not None and self.band is not self.reference:
+            markers = recorded.markers_m()
+            width = len(self.band.coordinates)
+            if markers is None or 3 * markers.shape[1] != width:
+                return np.zeros(0), np.zeros((0, width))
+            return np.arange(len(markers)) / FRAME_RATE_HZ, 1e3 * markers.reshape(
+                len(markers), -1
+            )
+        if self.reference is None and recorded.coordinates != [*self.band.coordinates]:
+            return np.zeros(0), np.zeros((0, len(self.band.coordinates)))
+        offset_s = result.score.release_offset_s if aligned else None
+        times_s, samples = recorded.arrays(later=offset_s is not None)
+        values = samples if self.reference is None else self.band.project(samples)
+        if offset_s is None:
+            return times_s, values
+        shown_s = np.array(recorded.times_s)
+        moved = [np.interp(shown_s - offset_s, times_s, column) for column in values.T]
+        return shown_s, np.column_stack(moved)
+
+    def deviation(self, result: Result, *, aligned: bool) -> FloatArray:
+        """Return a result minus the yardstick at each frame, shape [frame_count, C]; NaN where one is not known.
+
+        Args:
+            result: A result of the experiment.
+            aligned: Whether to shift it by its release offset, if it has one.
+        """
+        times_s, values = self.motion(result, aligned=aligned)
+        mean = self.band.mean
+        whole = np.full(mean.shape, np.nan)
+        # A trajectory of a file may have the frames alone.
+        numbers, rows = recorded_frames(times_s, values)
+        inside = numbers < len(whole)
+        whole[numbers[inside]] = rows[inside]
+        return whole - (whole[:1] if self.of_start else mean)
+
+    def per_point(self, deviation: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+        """Return names and sizes of the rows of a map: distances of points, or sizes of single coordinates.
+
+        Args:
+            deviation: Values, shape [frame_count, C].
+
+        Returns:
+            Names, and sizes of shape [frame_count, point_count].
+        """
+        if not self.points:
+            names = tuple(coordinate_words(name) for name in self.band.coordinates)
+            return names, np.abs(deviation)
+        sizes = np.linalg.norm(
+            deviation.reshape(len(deviation), -1, MARKER_AXES), axis=2
+        )
+        return tuple(coordinate_words(name) for name in self.points), sizes
+
+    def is_close(
+        self, deviations: Sequence[FloatArray], columns: Sequence[int]
+    ) -> bool:
+        """Return whether curves of results would lie on that of the yardstick, so that differences say more.
+
+        Args:
+            deviations: Deviation of each result, shape [frame_count, C].
+            columns: Indices of the coordinates that are drawn.
+        """
+        if self.of_start:
+            return False
+        largest = [np.abs(one[:, columns]) for one in deviations]
+        away = max((float(np.nanmax(one, initial=0.0)) for one in largest), default=0.0)
+        drawn = self.band.mean[:, columns]
+        spans = np.nanmax(drawn, axis=0) - np.nanmin(drawn, axis=0)
+        spread = float(np.nanmax(self.spread[:, columns], initial=0.0))
+        span = float(spans.max())
+        return away > ROUNDING_SHARE * span and max(away, spread) < VISIBLE_SHARE * span
+
+    def shares(self, deviations: Sequence[FloatArray]) -> FloatArray:
+        """Return the share of each coordinate in the squared distance, mean over results, shape [C].
+
+        It is the share in the motion of the reference where no result is away from it.
+        """
+        squares = [np.nansum(np.square(one), axis=0) for one in deviations]
+        known = [one / one.sum() for one in squares if 0.0 < one.sum() < np.inf]
+        if known:
+            return np.asarray(np.mean(known, axis=0))
+        mean = self.band.mean
+        moved = np.nansum(
+            np.square(mean - mean[np.isfinite(mean).any(axis=1).argmax()]), axis=0
+        )
+        return np.asarray(moved / (moved.sum() or 1.0))
+
+
+def choose_yardstick(
+    results: Sequence[Result], band: Band | None, *, names: Sequence[str]
+) -> Yardstick:
+    """Return what results of one experiment are drawn against.
+
+    Args:
+        results: First result of each configuration, one or more.
+        band: Reference of the experiment, if it has one.
+        names: Label of each configuration.
+    """
+    if band is not None:
+        return Yardstick(
+            name=_band_words(band), band=band.points or band, reference=band
+        )
+    first = recorded_of(results[0])
+    numbers, rows = recorded_frames(*first.arrays())
+    mean = np.full(
+        (int(numbers[-1]) + 1 if len(numbers) else 1, len(first.coordinates)), np.nan
+    )
+    mean[numbers] = rows
+    plain = Band(
+        grade=BandGrade.NONE,
+        unit=first.unit,
+        coordinates=tuple(first.coordinates),
+        projection=np.eye(mean.shape[1]),
+        mean=mean,
+        sigma=np.zeros_like(mean),
+        measured=np.isfinite(mean).all(axis=1),
+        trial_count=None,
+        source="",
+        normalized_by_baseline=False,
+    )
+    # Without a reference, how far the engines are apart is all there is to see.
+    if len(results) > 1:
+        return Yardstick(name=names[0], band=plain, reference=None)
+    return Yardstick(name="the start", band=plain, reference=None, of_start=True)
+
+
+def is_aligned(result: Result) -> bool:
+    """Return whether the score that reports show first is that of the result after release alignment."""
+    return result.score.primary == ALIGNED.key
+
+
+def recorded_of(result: Result) -> RecordedTrajectory:
+    """Return the trajectory of a result that ran."""
+    if result.trajectory is None:
+        raise ShapeError(
+            f"{result.id} did not run, there is nothing to draw: {result.error}"
+        )
+    return result.trajectory
+
+
+def points_words(points: Sequence[str]) -> str:
+    """Return how many points there are, as `63 markers`."""
+    stems = {name.rpartition("-")[0] for name in points}
+    return f"{len(points)} {f'{stems.pop()}s' if len(stems) == 1 else 'bodies'}"
+
+
+def point_names(coordinates: Sequence[str]) -> tuple[str, ...]:
+    """Return the points whose x, y and z the coordinates are, as `marker-0`; empty for others, and for one point."""
+    stems = [name.rpartition(".")[0] for name in coordinates[::MARKER_AXES]]
+    expected = [f"{stem}.{axis}" for stem in stems for axis in "xyz"]
+    is_of_points = all(stems) and list(coordinates) == expected
+    return tuple(stems) if is_of_points and len(stems) > 1 else ()
+
+
+def coordinate_words(name: str) -> str:
+    """Return the name of a coordinate as people write it: `marker 3, z` for `marker-3.z`."""
+    stem, dot, axis = name.rpartition(".")
+    plain = (
+        (stem or name).replace("face_area", "face").replace("line_curvature", "bend")
+    )
+    text = plain.replace("_", " ").replace("-", " ")
+    return f"{text}, {axis}" if dot else text
+
+
+def _band_words(band: Band) -> str:
+    if band.grade is BandGrade.LAW:
+        return "the law"
+    if band.grade is BandGrade.MODEL:
+        return "the solved scene"
+    if band.grade is BandGrade.RECORDING:
+        return "the one recorded real trial"
+    if band.trial_count is None:
+        return "the mean of real trials"
+    if band.trial_count == 1:
+        return "the real trial"
+    return f"the mean of {band.trial_count} real trials"

@@ -1,0 +1,69 @@
+"""What `gauge backend check` and its lists print with `--json`, a line each."""
+
+from collections.abc import Mapping
+from typing import Annotated, NotRequired, TypedDict
+
+from gauge_envs.cli.schemas import Form
+from gauge_envs.tools.conformance.model import CheckResult
+
+
+class BackendLine(TypedDict):
+    """An installed engine.
+
+    Attributes:
+        name: Its name.
+        versions: Versions of its packages; empty if it cannot be used.
+        error: Why it cannot be used.
+    """
+
+    name: str
+    versions: Mapping[str, str]
+    error: str | None
+
+
+class CheckTexts(TypedDict):
+    """What a check is about.
+
+    Attributes:
+        title: Subject of the check.
+        measures: The measured quantity and the method.
+        law: Formula of the expected value.
+        source: Origin of the law.
+        unit: Unit of the measured value; 1 for a pure number.
+    """
+
+    title: str
+    measures: str
+    law: str
+    source: str
+    unit: str
+
+
+class CheckLine(CheckTexts):
+    """A check.
+
+    Attributes:
+        id: Its name.
+        scene: The scene that is built.
+    """
+
+    id: str
+    scene: str
+
+
+class FindingTexts(CheckTexts):
+    """What a result is of.
+
+    Attributes:
+        rationale: Reason for the width.
+        configuration: Solver or preset of the engine; absent where only engines are checked.
+    """
+
+    rationale: str
+    configuration: NotRequired[str]
+
+
+FindingLine = Annotated[
+    CheckResult, Form(without=("of",), properties=("check",), more=FindingTexts)
+]
+"""Result of one check on one engine."""

@@ -1,0 +1,112 @@
+"""What `gauge data import` and `gauge list references` print with `--json`, a line each."""
+
+from collections.abc import Sequence
+from typing import TypedDict
+
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.imported import DriverRecord
+from gauge_envs.tools.dataset.findings import ImportFinding
+
+
+class BaselineLine(TypedDict):
+    """Baseline of one metric: mean and standard deviation of imported trials and of the paper.
+
+    Attributes:
+        metric: Name of the metric.
+        unit: Its unit.
+        own_mean: Mean of the imported trials.
+        own_std: Their standard deviation.
+        own_trial_count: Their number.
+        published_mean: Mean of the paper.
+        published_std: Standard deviation of the paper.
+        difference: Own over published mean, minus 1.
+        flagged: Whether they differ by more than 5 %.
+    """
+
+    metric: str
+    unit: str
+    own_mean: float | None
+    own_std: float | None
+    own_trial_count: int
+    published_mean: float | None
+    published_std: float | None
+    difference: float | None
+    flagged: bool
+
+
+class ImportedLine(TypedDict):
+    """Outcome of the import of one experiment.
+
+    Attributes:
+        id: Gymnasium id.
+        imported: Whether enough trials could be used.
+        trials: Number of trials of the band.
+        left_out: Number of files that were left out.
+        frames: Number of frames.
+        revision: Revision of the dataset.
+        sha256: Hash of the trials.
+        baselines: Own and published baselines.
+        drivers: Recorded drivers.
+    """
+
+    id: str
+    imported: bool
+    trials: int
+    left_out: int
+    frames: int | None
+    revision: str | None
+    sha256: str | None
+    baselines: Sequence[BaselineLine]
+    drivers: Sequence[DriverRecord]
+
+
+class FindingLine(TypedDict):
+    """Something that is wrong with a file."""
+
+    finding: ImportFinding
+
+
+ImportLine = ImportedLine | FindingLine
+"""First each experiment, then each finding."""
+
+
+class StatusDriver(TypedDict):
+    """A driven body, where its motion is from, and the record of an imported motion."""
+
+    body: str
+    provenance: str
+    recorded: DriverRecord | None
+
+
+class StatusBaseline(TypedDict):
+    """Mean and standard deviation of a metric: own of the trials of the band, and published."""
+
+    metric: str
+    own_mean: float | None
+    own_std: float | None
+    published_mean: float | None
+    published_std: float | None
+
+
+class StatusLine(TypedDict):
+    """Reference and drivers of an experiment.
+
+    Attributes:
+        id: Gymnasium id.
+        grade: What the reference is.
+        imported: Whether trials were imported.
+        trials: Number of trials of the reference.
+        revision: Revision of the dataset that was imported.
+        is_current: Whether the task file is unchanged since the import; null without one.
+        drivers: Driven bodies.
+        baselines: Baselines of the metrics.
+    """
+
+    id: str
+    grade: BandGrade
+    imported: bool
+    trials: int | None
+    revision: str | None
+    is_current: bool | None
+    drivers: Sequence[StatusDriver]
+    baselines: Sequence[StatusBaseline]

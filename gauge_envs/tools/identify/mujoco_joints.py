@@ -1,0 +1,476 @@
+"""Joints of an MJCF model in plain MuJoCo: simulated with other numbers, and replayed with lines that were pasted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from scipy.interpolate import CubicSpline
+
+from gauge_envs.errors import AssetError, ParameterError
+from gauge_envs.files import child_refusal
+from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.hinged import joint_sign, parent_hinges
+from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, SERVO, Terms
+from gauge_envs.tools.mjcf import PROBE
+
+if TYPE_CHECKING:
+    from gauge_envs.scene import Scene
+
+STEP_S = 0.002
+"""Step of a scene that states none [s], which is MuJoCo's default."""
+STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""Impedance of dry friction: with MuJoCo's own a joint that friction holds creeps."""
+SHORT_S = 0.001
+"""Time constant of dry friction [s]; MuJoCo makes it two steps at least."""
+OPTIONS = ("timestep_s", "integrator")
+"""Settings that replace those of a model."""
+ELEMENTS = {"frictionloss": "frictionloss", "damping": "damping", "armature": "armature",
+            "solimpfriction": "solimp_friction", "solreffriction": "solref_friction"}  # fmt: skip
+"""Attributes of `<joint>` that lines may set, and their fields in an `MjsJoint`."""
+
+JOINT = mujoco.mjtTrn.mjTRN_JOINT
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+@dataclass(frozen=True, eq=False)
+class ModelJoints:
+    """Joints of a model, whose numbers change.
+
+    Attributes:
+        spec: The model, with these joints alone, no keyframe, and no actuator at the joints.
+        joints: Names of the joints, in the order of the logs.
+        signs: -1 where the log counts an angle the other way, shape [J].
+        stated: Numbers that the model states, by joint.
+        has_servos: Whether the logs command angles; False for torques and free swings.
+    """
+
+    spec: mujoco.MjSpec
+    joints: tuple[str, ...]
+    signs: FloatArray
+    stated: Sequence[Terms]
+    has_servos: bool
+    name: str = "mujoco"
+
+    @property
+    def timestep_s(self) -> float:
+        """Step of the model [s]."""
+        return float(self.spec.option.timestep)
+
+    def with_step(self, step_s: float) -> ModelJoints:
+        """Return the same joints in a model of another step [s]."""
+        spec = self.spec.copy()
+        spec.option.timestep = step_s
+        return replace(self, spec=spec)
+
+    @cached_property
+    def _motored(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """A compiled model with a motor at each joint, and its state."""
+        spec = self.spec.copy()
+        for joint, numbers in zip(self.joints, self.stated, strict=True):
+            motor = spec.add_actuator(name=motor_name(joint), target=joint)
+            motor.trntype = JOINT
+            if self.has_servos:
+                motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            if limit := numbers[LIMIT]:
+                motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+                motor.forcerange = [-limit, limit]
+            field = spec.joint(joint)
+            field.solimp_friction = STIFF_IMPEDANCE
+            field.solref_friction = [SHORT_S, 1.0]
+        model = spec.compile()
+        return model, mujoco.MjData(model)
+
+    def size(self) -> tuple[float, float]:
+        """Return the largest inertia about a joint [kg m^2], and the largest torque that its weight can have [N m]."""
+        model, data = self._motored
+        start_at(model, data, self, np.zeros(len(self.joints)))
+        mujoco.mj_forward(model, data)
+        sizes = []
+        for joint in map(data.joint, self.joints):
+            dof = int(model.joint(joint.id).dofadr[0])
+            turned, momentum = np.zeros((2, model.nv))
+            turned[dof] = 1.0
+            mujoco.mj_mulM(model, data, momentum, turned)
+            body = int(model.jnt_bodyid[joint.id])
+            arm_m = float(np.linalg.norm(data.subtree_com[body] - joint.xanchor))
+            weight = float(model.body_subtreemass[body]) * arm_m
+            sizes.append(
+                (
+                    float(momentum[dof] - model.dof_armature[dof]),
+                    weight * float(np.linalg.norm(model.opt.gravity)),
+                )
+            )
+        return max(one for one, _ in sizes), max(one for _, one in sizes)
+
+    def angles(
+        self, log: Log, terms: Sequence[Terms], start: tuple[FloatArray, FloatArray]
+    ) -> FloatArray:
+        """Return the angles of the joints at the times of a log [rad], shape [N, J]; see `rig.Machine`."""
+        model, data = self._motored
+        self._set(model, data, terms)
+        start_at(model, data, self, *start)
+        count = math.ceil(log.duration_s / self.timestep_s) + 2
+        state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, state, STATE)
+        control = np.zeros((1, count, model.nu))
+        driven = [model.actuator(motor_name(one)).id for one in self.joints]
+        for place, motor in enumerate(driven):
+            delay_s = float(
+                (self.stated[place] | terms[place]).get("delay_s", 0.0)  # type: ignore[operator]
+            )
+            values = _controls(log, place, delay_s, count, self.timestep_s)
+            control[0, :, motor] = self.signs[place] * values
+        states, _ = rollout.rollout(model, data, state[None], control)
+        if any(warning.number for warning in data.warning):
+            raise DivergedError(f"{log.name}: plain MuJoCo diverges")
+        # A state begins with its time, and the positions follow.
+        columns = [1 + int(model.joint(one).qposadr[0]) for one in self.joints]
+        moved = np.vstack([state[columns], states[0][:, columns]]) * self.signs
+        times_s = np.arange(count + 1) * self.timestep_s
+        return np.asarray(CubicSpline(times_s, moved)(log.times_s - log.times_s[0]))
+
+    def _set(
+        self, model: mujoco.MjModel, data: mujoco.MjData, terms: Sequence[Terms]
+    ) -> None:
+        """Write numbers of joints into a compiled model; those that are not given are what the model states."""
+        for joint, stated, given in zip(self.joints, self.stated, terms, strict=True):
+            numbers = {**stated, **given}
+            dof = int(model.joint(joint).dofadr[0])
+            motor = model.actuator(motor_name(joint)).id
+            model.dof_frictionloss[dof] = numbers[DYNAMICS[0]]
+            model.dof_damping[dof, ...] = numbers[DYNAMICS[1]]
+            model.dof_armature[dof] = numbers[DYNAMICS[2]]
+            if self.has_servos:
+                kp, kv = numbers[SERVO[0]], numbers[SERVO[1]]
+                model.actuator_gainprm[motor, 0] = kp
+                model.actuator_biasprm[motor, 1:3] = -kp, -kv
+        # The softness of dry friction is in proportion to the inertia that a joint has at rest.
+        mujoco.mj_setConst(model, data)
+
+    def replayed(self, lines: str, logs: Sequence[Log]) -> dict[str, FloatArray]:
+        """Return the root mean square errors of logs in the model with pasted lines [rad], shape [J] each.
+
+        Each log runs as a whole from its recorded angles and rates, and a command stays until the next one.
+
+        Args:
+            lines: Elements `<joint>` and `<position>`; comments are skipped.
+            logs: The logs.
+        """
+        model = self._pasted(lines)
+        data = mujoco.MjData(model)
+        placed = [int(model.joint(one).qposadr[0]) for one in self.joints]
+        motors = {
+            model.actuator(index).id: self.joints.index(model.joint(joint).name)
+            for index, joint in enumerate(model.actuator_trnid[:, 0].tolist())
+            if model.actuator_trntype[index] == JOINT
+            and model.joint(joint).name in self.joints
+        }
+        errors = {}
+        for log in logs:
+            assert log.command_rad is not None
+            start_at(model, data, self, *log.start())
+            for motor, joint in motors.items():
+                data.ctrl[motor] = self.signs[joint] * log.command_rad[0, joint]
+                if model.actuator_history[motor, 0]:
+                    _fill_history(model, data, motor)
+            # A time in a log is no multiple of a step: the state nearest to it counts.
+            steps = np.rint((log.times_s - log.times_s[0]) / model.opt.timestep)
+            simulated = np.zeros_like(log.position_rad)
+            for row, count in enumerate(np.diff(steps, prepend=0.0).astype(int)):
+                if count:
+                    mujoco.mj_step(model, data, nstep=count)
+                simulated[row] = data.qpos[placed] * self.signs
+                for motor, joint in motors.items():
+                    data.ctrl[motor] = self.signs[joint] * log.command_rad[row, joint]
+            if any(warning.number for warning in data.warning):
+                raise DivergedError(f"{log.name}: the pasted lines diverge in MuJoCo")
+            errors[log.name] = np.sqrt(
+                ((simulated - log.position_rad) ** 2).mean(axis=0)
+            )
+        return errors
+
+    def _pasted(self, lines: str) -> mujoco.MjModel:
+        spec = self.spec.copy()
+        for element in ElementTree.fromstring(f"<mujoco>{lines}</mujoco>"):
+            values = dict(element.attrib)
+            if element.tag == "joint":
+                joint = spec.joint(values.pop("name"))
+                for name, text in values.items():
+                    _write(joint, ELEMENTS[name], text)
+            elif element.tag == "position":
+                motor = spec.add_actuator(target=values["joint"], trntype=JOINT)
+                motor.set_to_position(kp=float(values["kp"]), kv=float(values["kv"]))
+                for name in {"delay", "nsample", "interp", "forcerange"} & {*values}:
+                    _write(motor, name, values[name])
+                if "forcerange" in values:
+                    motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        return spec.compile()
+
+
+def motor_name(joint: str) -> str:
+    """Return the name of the motor of a joint."""
+    return f"{joint}/log"
+
+
+def start_at(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    machine: ModelJoints,
+    angles: FloatArray,
+    rates: FloatArray | None = None,
+) -> None:
+    """Put the joints at angles [rad] and rates [rad/s]."""
+    mujoco.mj_resetData(model, data)
+    for place, name in enumerate(machine.joints):
+        joint = model.joint(name)
+        data.qpos[joint.qposadr] = machine.signs[place] * angles[place]
+        if rates is not None:
+            data.qvel[joint.dofadr] = machine.signs[place] * rates[place]
+
+
+def _controls(
+    log: Log, joint: int, delay_s: float, count: int, step_s: float
+) -> FloatArray:
+    """Return what a motor gets in each step, shape [count].
+
+    A commanded angle stays until the next one. Each step gets its mean over the step, which is what MuJoCo's linear
+    `interp` makes of a delay that is no multiple of the step. A torque was measured, and is a line between samples.
+    """
+    times_s = log.times_s - log.times_s[0]
+    edges_s = np.arange(count + 1) * step_s - delay_s
+    if log.torque_n_m is not None:
+        return np.interp(edges_s[:-1], times_s, log.torque_n_m[:, joint])
+    if log.command_rad is None:
+        return np.zeros(count)
+    values = log.command_rad[:, joint]
+    areas = np.concatenate([[0.0], np.cumsum(values[:-1] * np.diff(times_s))])
+    integral = np.interp(edges_s, times_s, areas)
+    integral += values[0] * np.minimum(edges_s, 0.0)
+    integral += values[-1] * np.maximum(edges_s - times_s[-1], 0.0)
+    return np.asarray(np.diff(integral) / step_s)
+
+
+def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, motor: int) -> None:
+    """Let the command that a motor has now be its command since long ago."""
+    count = int(model.actuator_history[motor, 0])
+    times_s = (np.arange(count) - count) * model.opt.timestep
+    mujoco.mj_initCtrlHistory(
+        model, data, motor, times_s, np.full(count, data.ctrl[motor])
+    )
+
+
+def _write(element: Any, name: str, text: str) -> None:
+    """Write an attribute of MJCF into a field of an `MjSpec`."""
+    if name == "interp":
+        element.interp = ("zoh", "linear", "cubic").index(text)
+        return
+    numbers = [float(one) for one in text.split()]
+    before = getattr(element, name)
+    if isinstance(before, int):
+        setattr(element, name, int(numbers[0]))
+    elif np.ndim(before) == 0:
+        setattr(element, name, numbers[0])
+    else:
+        before[: len(numbers)] = numbers
+
+
+# --- where the joints come from --------------------------------------------------------------------------------------
+
+
+def read_mjcf(path: Path) -> mujoco.MjSpec:
+    """Return the model of an MJCF file."""
+    if not path.is_file():
+        raise AssetError(path, "", "there is no such file")
+    if refusal := child_refusal(PROBE, str(path)):
+        raise AssetError(path, "", f"{refusal}: simplify the model")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise AssetError(path, "", f"MuJoCo cannot load it: {reason}") from None
+    return spec
+
+
+def joints_of_model(
+    spec: mujoco.MjSpec, log: Log, settings: Mapping[str, Any]
+) -> ModelJoints:
+    """Return the joints of a model that a log moves: those of its names, or all hinges.
+
+    Raises:
+        ParameterError: The log has other joints than the model, or a setting is unknown.
+    """
+    model = spec.compile()
+    hinges = [
+        model.joint(index).name
+        for index in range(model.njnt)
+        if model.jnt_type[index] == mujoco.mjtJoint.mjJNT_HINGE
+    ]
+    if strange := [one for one in log.joints if one not in hinges]:
+        raise ParameterError(
+            f"{log.name} names the joint {strange[0]}, and the model has the hinges {', '.join(hinges) or 'none'}: "
+            "rename the columns of the log as the joints of the model"
+        )
+    names = log.joints or hinges
+    if log.position_rad.shape[1] != len(names):
+        raise ParameterError(
+            f"{log.name} has {log.position_rad.shape[1]} joints without names, and the model {len(hinges)} hinges: "
+            "name the columns as joints of the model, as position_rad.elbow"
+        )
+    changed = _without_motors(spec.copy(), names, settings)
+    _weld(changed, model, names)
+    return ModelJoints(
+        spec=changed,
+        joints=tuple(names),
+        signs=np.ones(len(names)),
+        stated=[_stated(model, one) for one in names],
+        has_servos=log.command_rad is not None,
+    )
+
+
+def joints_of_scene(
+    scene: Scene, spec: mujoco.MjSpec, log: Log, stated: Sequence[Terms], *, keep: bool
+) -> ModelJoints:
+    """Return the hinges of a scene in the model that the engine builds of it.
+
+    Args:
+        scene: The scene, with each hinge at angle 0.
+        spec: Its model; a joint has the name of the body that it moves.
+        log: A log of its hinges, of which the joints get the names.
+        stated: Numbers that the scene states, by hinge.
+        keep: Whether step and integrator are those of `spec`; else they are what users' models mostly have.
+    """
+    children = {
+        id(hinge): name
+        for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
+    }
+    bodies = [getattr(one, "body", "") or children[id(one)] for one in scene.hinges]
+    usual = {} if keep else {"timestep_s": STEP_S, "integrator": "implicitfast"}
+    changed = _without_motors(spec.copy(), bodies, usual)
+    names = joint_names(log, len(bodies))
+    for body, name in zip(bodies, names, strict=True):
+        changed.joint(body).name = name
+    return ModelJoints(
+        spec=changed,
+        joints=names,
+        signs=np.array(
+            [joint_sign(*pair) for pair in zip(scene.hinges, bodies, strict=True)]
+        ),
+        stated=stated,
+        has_servos=log.command_rad is not None,
+    )
+
+
+def joint_names(log: Log, count: int) -> tuple[str, ...]:
+    """Return the names of joints in a log, or their numbers."""
+    return log.joints or tuple(f"joint_{number}" for number in range(count))
+
+
+def _without_motors(
+    spec: mujoco.MjSpec, names: Sequence[str], settings: Mapping[str, Any]
+) -> mujoco.MjSpec:
+    for key in list(spec.keys):
+        spec.delete(key)
+    for motor in list(spec.actuators):
+        if motor.trntype == JOINT and motor.target in names:
+            spec.delete(motor)
+    for name, value in settings.items():
+        if name not in OPTIONS:
+            raise ParameterError(
+                f"--set {name}: an MJCF takes {' and '.join(OPTIONS)}, and states all else itself"
+            )
+        if name == "timestep_s":
+            spec.option.timestep = float(value)
+            continue
+        kinds = {
+            one.removeprefix("mjINT_").lower(): kind
+            for one, kind in mujoco.mjtIntegrator.__members__.items()
+        }
+        if str(value).lower() not in kinds:
+            raise ParameterError(
+                f"--set integrator={value}: known are {', '.join(kinds)}"
+            )
+        spec.option.integrator = kinds[str(value).lower()]
+    return spec
+
+
+def _weld(spec: mujoco.MjSpec, model: mujoco.MjModel, names: Sequence[str]) -> None:
+    """Remove all joints but the named ones; bodies stay where the first keyframe has them, or the model without one.
+
+    Args:
+        spec: The model to change.
+        model: The same, compiled before any change.
+        names: Names of the joints that stay.
+
+    Raises:
+        ParameterError: A body that would have to be turned is placed by a `<frame>`.
+    """
+    # A joint without a name has its number.
+    removed = [one for one in range(model.njnt) if model.joint(one).name not in names]
+    if not removed:
+        return
+    pose = np.array(model.key_qpos[0] if model.nkey else model.qpos0)
+    for name in names:
+        address = model.joint(name).qposadr
+        pose[address] = model.qpos0[address]
+    data = mujoco.MjData(model)
+    data.qpos[:] = pose
+    mujoco.mj_kinematics(model, data)
+    if not np.array_equal(pose, model.qpos0):
+        for index in {int(model.jnt_bodyid[one]) for one in removed}:
+            body, parent = spec.bodies[index], int(model.body_parentid[index])
+            if body.frame is not None and body.frame.name != "":
+                raise ParameterError(
+                    f"body {body.name!r} lies in a <frame>: its joint is not in the log and cannot keep the keyframe's "
+                    "angle. Remove the keyframe or the frame"
+                )
+            back, place, turn = np.zeros(4), np.zeros(3), np.zeros(4)
+            mujoco.mju_negQuat(back, data.xquat[parent])
+            mujoco.mju_rotVecQuat(place, data.xpos[index] - data.xpos[parent], back)
+            mujoco.mju_mulQuat(turn, back, data.xquat[index])
+            body.pos, body.quat = place, turn
+            body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    wrapped = mujoco.mjtWrap.mjWRAP_JOINT
+    for tendon in reversed(range(model.ntendon)):
+        first = int(model.tendon_adr[tendon])
+        rows = range(first, first + int(model.tendon_num[tendon]))
+        if any(
+            model.wrap_type[row] == wrapped and model.wrap_objid[row] in removed
+            for row in rows
+        ):
+            spec.delete(spec.tendons[tendon])  # fmt: skip
+    for one in reversed(removed):
+        spec.delete(spec.joints[one])
+
+
+def _stated(model: mujoco.MjModel, name: str) -> dict[str, float]:
+    """Return the numbers that a model states for a joint."""
+    joint = model.joint(name)
+    dof = int(joint.dofadr[0])
+    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT), 0.0)
+    numbers[DYNAMICS[0]] = float(model.dof_frictionloss[dof])
+    numbers[DYNAMICS[1]] = float(np.ravel(model.dof_damping[dof])[0])
+    numbers[DYNAMICS[2]] = float(model.dof_armature[dof])
+    for motor in range(model.nu):
+        is_of_joint = model.actuator_trntype[motor] == JOINT
+        if not is_of_joint or model.actuator_trnid[motor, 0] != joint.id:
+            continue
+        # A torque is the force times the gear, and an angle times the gear is what the motor sees.
+        gear = float(model.actuator_gear[motor, 0])
+        kp, kv = (-float(one) for one in model.actuator_biasprm[motor, 1:3])
+        numbers[SERVO[0]], numbers[SERVO[1]] = kp * gear**2, kv * gear**2
+        if model.actuator_forcelimited[motor]:
+            limit = float(model.actuator_forcerange[motor, 1])
+            numbers[LIMIT] = limit * abs(gear)
+    return numbers

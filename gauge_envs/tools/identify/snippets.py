@@ -1,0 +1,80 @@
+"""Identified numbers of joints in the language of each engine."""
+
+import math
+import tomllib
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from string import Formatter
+
+
+def snippet_lines(
+    engine: str,
+    names: Sequence[str],
+    joints: Sequence[Mapping[str, float]],
+    left_out: Sequence[Collection[str]],
+    marked: Sequence[Mapping[str, str]],
+    timestep_s: float,
+) -> str:
+    """Return the numbers of joints in the language of an engine, and in comments those that no line of it sets.
+
+    Args:
+        engine: Name of the engine.
+        names: Names of the joints.
+        joints: All numbers of each joint, by name.
+        left_out: Names of those of each joint without which the joint moves as well; no attribute states them.
+        marked: Names of undetermined numbers of each joint, with the reason.
+        timestep_s: Step of the simulation in which the numbers were found [s].
+    """
+    engines = tomllib.loads(
+        (Path(__file__).parent / "snippets.toml").read_text(encoding="utf-8")
+    )
+    comment = engines["comments"].get(engine, "# {}")
+    lines = [
+        comment.format(text.format(timestep_s=f"{timestep_s:.6g}"))
+        for text in engines["first"].get(engine, ())
+    ]
+    for number, (name, terms, gone, unsure) in enumerate(
+        zip(names, joints, left_out, marked, strict=True)
+    ):
+        said: set[str] = set(gone)
+        values = {
+            **{one: f"{value:.5g}" for one, value in terms.items()},
+            "joint": str(number),
+            "name": name,
+            "delay_samples": str(math.ceil(terms["delay_s"] / timestep_s) + 2),
+        }
+        for one in engines.get(engine, ()):
+            needs = one.get("needs", ())
+            is_refused = any(map(terms.get, one.get("without", ())))
+            if is_refused or not all(
+                terms[term] and term not in gone for term in needs
+            ):
+                continue
+            line = one["line"]
+            for option in one.get("options", ()):
+                used = set(_fields(option)) & set(terms)
+                if not used & set(gone) and all(terms[term] for term in used):
+                    line = line.replace("/>", option + "/>")
+            lines.append(line.format_map(values))
+            said |= set(_fields(line))
+        # An engine whose lines name no joint counts them.
+        label = name if engine in engines["first"] else f"joint {number}, {name}"
+        lines += [
+            comment.format(
+                f"{label}: {term} is not determined ({reason}), "
+                + ("left out" if term in gone else "pasted all the same")
+            )
+            for term, reason in unsure.items()
+        ]
+        lines += [
+            comment.format(
+                f"{label}: {term} = {values[term]}, which no line above sets: apply it in your controller"
+            )
+            for term, value in terms.items()
+            if value and term not in said
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _fields(line: str) -> list[str]:
+    return [name for _, name, _, _ in Formatter().parse(line) if name]

@@ -1,0 +1,821 @@
+"""Find changes of a robot's model that mend its rows, and for which the robot itself is the better.
+
+Rows are mended one after the other, causes before their effects. For each row, changes are tried in a fixed order: the
+physical cause, then the solver, then the gains. One is accepted if the row is mended, the robot still holds its pose,
+its servos are no slower, and no other row is worse.
+"""
+
+import copy
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gauge_envs.errors import TargetError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model import PhenomenonResult, Settings, Verdict
+from gauge_envs.tools.sanity.phenomena.base import facts
+from gauge_envs.tools.sanity.robot.mended_model import (
+    class_words,
+    element_names,
+    listed,
+)
+from gauge_envs.tools.sanity.robot.model_rows import (
+    FAIR_RAD_PER_S2,
+    LEAST_RAD_PER_S2,
+    SERVO_ERROR_RAD,
+    driven_dofs,
+    judged_row,
+    largest_weights_nm,
+    loads_nm,
+    servos,
+    start,
+    stiffness,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot, enabling, switched_off
+from gauge_envs.tools.sanity.robot.rollout import (
+    STEP_RAD,
+    STEP_S,
+    hold_pose,
+    lone_half_step_s,
+)
+from gauge_envs.tools.sanity.robot.rows import ROWS
+
+ORDER = (
+    *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
+    *("robot-inertia", "robot-gravcomp", "robot-medium"),
+    *("robot-range", "robot-unlimited", "robot-mirror", "robot-overlap"),
+    *("robot-stops", "robot-coupling"),
+    *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
+    *("floor-tilt", "robot-level", "robot-balance"),
+    *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),
+    *("robot-damping", "robot-frictionloss", "robot-servo", "robot-sag", "robot-lag"),
+    *("robot-dry", "robot-holds", "robot-stands", "robot-loads"),
+    *("robot-saturation", "robot-slip", "robot-energy"),
+)
+"""Rows in the order in which they are mended, and those that a change must not make worse.
+
+The scale and the delay of actions are not of the model.
+"""
+
+OF_BODIES = frozenset(
+    {
+        *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
+        *("robot-inertia", "robot-gravcomp", "robot-overlap", "robot-torsion"),
+        *("robot-feet", "robot-friction", "robot-floor-friction", "floor-tilt"),
+    }
+)
+"""Rows that joints, actuators and options do not change."""
+
+WITHOUT_TOP = frozenset({"robot-dry", "robot-torque", "robot-stiffness", "robot-holds"})
+"""Rows whose upper limit is none: more is no worse."""
+
+HALF_USED = 0.5
+"""Share of a limit up to which a row may change."""
+
+AFTER_A_FALL = frozenset(
+    {"robot-stands", "robot-loads", "robot-saturation", "robot-slip", "robot-lag"}
+)
+"""Rows that a robot shows only once it stands, or stays finite."""
+
+STATED_ANYWAY = {"robot-floor-friction": "robot-friction"}
+"""Rows that change because a row is mended: the friction that the model states is met at last."""
+
+WORSE = 1.1
+"""Growth of an error, a time or the used share of a limit that counts as worse."""
+
+FAIR_STEP_S = 0.14
+"""Half of a step of 0.3 rad in the slowest servo of makers' models [s]; a faster step is no merit."""
+
+FAIR_POSE_RAD = 0.1
+"""Error of a held pose that is no merit to fall below: servos of makers' models sag by up to 97 mrad [rad]."""
+
+LARGEST_SAG_RAD = 0.15
+"""Largest angle by which the weight may deflect a servo whose gain is scaled [rad]."""
+
+STEADY_GROWTH = 1.001
+"""Growth of a small motion in one step below which a servo counts as stable while gains are scaled."""
+
+PER_DEGREE = float(np.degrees(1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remedy:
+    """A change of the model that may mend a row.
+
+    Attributes:
+        text: The change in the words of a model.
+        changes: The same, by names that `Robot.changed` knows.
+        scales_gains: Whether it makes servos weaker or stronger at will, so that they must hold what they held.
+    """
+
+    text: str
+    changes: Settings
+    scales_gains: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """What became of a remedy.
+
+    Attributes:
+        row: Row that it was to mend.
+        remedy: The remedy.
+        refusal: Why it is none, with the values that were measured; empty for an accepted one.
+    """
+
+    row: str
+    remedy: Remedy
+    refusal: str = ""
+
+    @property
+    def line(self) -> str:
+        """The remedy, and how far it came."""
+        return f"{self.remedy.text} for {self.row}: {self.refusal or 'mends it'}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remedies:
+    """All remedies of a robot.
+
+    Attributes:
+        robot: The robot with all accepted changes.
+        attempts: All attempts in the order in which they were made.
+    """
+
+    robot: Robot
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """All accepted changes."""
+        found: dict[str, Any] = {}
+        for one in self.attempts:
+            if not one.refusal:
+                found |= one.remedy.changes
+        return found
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """All accepted changes in words."""
+        texts = (one.remedy.text for one in self.attempts if not one.refusal)
+        return tuple(dict.fromkeys(texts))
+
+
+def find_remedies(robot: Robot, flags: Collection[str]) -> Remedies:
+    """Return changes that mend flagged rows of a robot, as measured after each was applied.
+
+    Args:
+        robot: The robot.
+        flags: Flagged rows; rows without a remedy are left out.
+    """
+    now, attempts = Behaviour(robot), []
+    for name in ORDER:
+        if name not in flags or not now.row(name).is_flag:
+            continue
+        if name == "robot-size":
+            # Nothing else can be judged before the unit of lengths is right.
+            break
+        for remedy in REMEDIES.get(name, _stated(name))(now.robot):
+            after, refusal = _tried(now, remedy, name)
+            attempts.append(Attempt(row=name, remedy=remedy, refusal=refusal))
+            if after is not None:
+                now = after
+                break
+    return Remedies(robot=now.robot, attempts=tuple(attempts))
+
+
+# --- whether a robot is better ---------------------------------------------------------------------------------------
+
+
+class Behaviour:
+    """What a robot does, measured when it is asked for.
+
+    Attributes:
+        robot: The robot.
+    """
+
+    def __init__(
+        self, robot: Robot, known: Mapping[str, PhenomenonResult] | None = None
+    ) -> None:
+        self.robot = robot
+        self._rows = dict(known or {})
+        self._steps_s: dict[int, float] = {}
+
+    def row(self, name: str) -> PhenomenonResult:
+        """Return a row of the robot."""
+        if name not in self._rows:
+            self._rows[name] = judged_row(name, ROWS[name](self.robot))
+        return self._rows[name]
+
+    def rows_of(self, names: Collection[str]) -> dict[str, PhenomenonResult]:
+        """Return the rows with these names that were measured so far."""
+        return {name: row for name, row in self._rows.items() if name in names}
+
+    @cached_property
+    def is_held(self) -> bool:
+        """Whether servos hold the robot, so that it has a pose."""
+        has_feet = self.robot.standing is not None
+        few = has_feet and len(self.robot.standing.feet) < 3  # type: ignore[union-attr]
+        return bool(servos(self.robot.model).any()) and not few
+
+    @cached_property
+    def pose_error_rad(self) -> float:
+        """Largest angle by which a driven hinge is off its command after 2 s [rad]; infinite if the state diverges."""
+        motion = hold_pose(self.robot)
+        return motion.pose_error_rad if np.isinf(motion.diverged_s) else np.inf
+
+    def step_s(self, actuator: int) -> float:
+        """Return the time in which a servo covers half of a step of 0.3 rad in the whole robot [s]."""
+        if actuator not in self._steps_s:
+            self._steps_s[actuator] = half_step_s(self.robot, actuator)
+        return self._steps_s[actuator]
+
+
+def half_step_s(robot: Robot, actuator: int) -> float:
+    """Return the time in which a servo covers half of a step of 0.3 rad while the others hold [s].
+
+    A robot that floats is left without gravity and contact. It is infinite where the servo does not get there in 1 s,
+    and NaN where its joint or its command has no room for the step.
+    """
+    model = copy.copy(robot.model)
+    if robot.is_floating:
+        bits = (
+            mujoco.mjtDisableBit.mjDSBL_GRAVITY,
+            mujoco.mjtDisableBit.mjDSBL_CONTACT,
+        )
+        model.opt.disableflags |= sum(map(int, bits))
+    data = start(robot, model)
+    joint = int(model.actuator_trnid[actuator, 0])
+    place = int(model.jnt_qposadr[joint])
+    gain, bias = (
+        model.actuator_gainprm[actuator, 0],
+        model.actuator_biasprm[actuator, 1],
+    )
+    per_rad = (
+        -float(bias) * float(model.actuator_gear[actuator, 0]) / float(gain or np.nan)
+    )
+    begin, command = float(data.qpos[place]), float(data.ctrl[actuator])
+    for sign in (1.0, -1.0):
+        goal, ctrl = begin + sign * STEP_RAD, command + sign * STEP_RAD * per_rad
+        low, high = model.jnt_range[joint]
+        has_room = not model.jnt_limited[joint] or low <= goal <= high
+        low, high = model.actuator_ctrlrange[actuator]
+        if has_room and (
+            not model.actuator_ctrllimited[actuator] or low <= ctrl <= high
+        ):
+            break
+    else:
+        return np.nan
+    data.ctrl[actuator] = ctrl
+    while data.time < STEP_S:
+        mujoco.mj_step(model, data)
+        if sign * (data.qpos[place] - begin) >= 0.5 * STEP_RAD:
+            return float(data.time)
+    return np.inf
+
+
+def _tried(
+    before: Behaviour, remedy: Remedy, name: str
+) -> tuple[Behaviour | None, str]:
+    """Return the behaviour after a remedy that is accepted, or why it is not."""
+    try:
+        model, _ = before.robot.changed(remedy.changes)
+    except TargetError as error:
+        return None, str(error)
+    fields = {key.partition("_")[0] for key in remedy.changes}
+    kept = OF_BODIES if not fields & {"body", "geom", "compiler"} else frozenset()
+    after = Behaviour(_with_model(before.robot, model, fields), before.rows_of(kept))
+    mended = after.row(name)
+    if mended.verdict is not Verdict.INSIDE:
+        return None, f"{_change_text(before, after, name)}, not inside"
+    refusal = harm(before, after, remedy, name)
+    return (None, refusal) if refusal else (after, "")
+
+
+def _with_model(robot: Robot, model: mujoco.MjModel, fields: Collection[str]) -> Robot:
+    """Return a robot with a changed model; geoms that collide otherwise are read again."""
+    changed = replace(robot, model=model)
+    if "geom" not in fields:
+        return changed
+    from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+
+    read = mujoco_configuration(model, name="", source="", spec=robot.spec).robot
+    assert read is not None
+    return replace(
+        read, pair=robot.pair, action_rad=robot.action_rad, delay_s=robot.delay_s
+    )
+
+
+def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") -> str:
+    """Return what is worse for a robot after a change, with both values; empty when nothing is.
+
+    Args:
+        before: Its behaviour before.
+        after: Its behaviour after.
+        remedy: The change.
+        name: Row that is mended.
+    """
+    for other in ORDER:
+        if other in (name, STATED_ANYWAY.get(name)):
+            continue
+        if _is_worse(before.row(other), after.row(other)):
+            return f"{other} gets worse, {_change_text(before, after, other)}"
+    if before.is_held:
+        least = 0.0 if remedy.scales_gains else FAIR_POSE_RAD
+        was, now = before.pose_error_rad, after.pose_error_rad
+        if now > max(WORSE * was + 1e-3, least):
+            return f"it holds its pose within {1e3 * now:.3g} mrad instead of {1e3 * was:.3g}"
+    for actuator in _position_servos(before.robot):
+        was, now = before.step_s(actuator), after.step_s(actuator)
+        if now > max(WORSE * was, FAIR_STEP_S) and not np.isnan(was):
+            (servo,) = element_names(before.robot, "actuator", [actuator])
+            return f"{servo} takes {1e3 * now:.3g} ms to half a step instead of {1e3 * was:.3g}"
+    return ""
+
+
+def _is_worse(before: PhenomenonResult, after: PhenomenonResult) -> bool:
+    """Return whether a row is worse: out of its limits, farther out, or nearer to them in the half next to them."""
+    if Verdict.DECLINED in (before.verdict, after.verdict) or after.advisory:
+        is_shown = after.phenomenon in AFTER_A_FALL
+        return before.verdict is Verdict.DECLINED and after.is_flag and not is_shown
+    was, now = _strain(before), _strain(after)
+    if not after.verdict.is_off and now <= HALF_USED:
+        return False
+    return now > WORSE * was or (after.verdict.is_off and not before.verdict.is_off)
+
+
+def _strain(row: PhenomenonResult) -> float:
+    """Return the share of its limit that a row uses, more than 1 outside; infinite where it has no value."""
+    if row.configured is None:
+        return np.inf
+    low, high = facts("robot_rows")[row.phenomenon]["interval"]
+    value = row.configured
+    if value < min(low, 0.0):
+        return np.inf
+    below = low / max(value, 1e-12)
+    return below if row.phenomenon in WITHOUT_TOP else max(below, value / high)
+
+
+def _change_text(before: Behaviour, after: Behaviour, name: str) -> str:
+    """Return the values of a row before and after a change."""
+    unit = facts("robot_rows")[name]["unit"]
+    values = (before.row(name).configured, after.row(name).configured)
+    was, now = ("none" if value is None else f"{value:.3g}" for value in values)
+    return f"{was} to {now}{'' if unit == '1' else f' {unit}'}"
+
+
+# --- what the robot is made of ---------------------------------------------------------------------------------------
+
+
+def _position_servos(robot: Robot) -> list[int]:
+    """Return servos on hinges of the robot."""
+    model, dofs = robot.model, {dof for dof, _ in driven_dofs(robot)}
+    joints = {int(model.dof_jntid[dof]) for dof in dofs}
+    is_hinge = joints_of(model, "HINGE")
+    return [
+        int(actuator)
+        for actuator in np.flatnonzero(servos(model))
+        if (joint := int(model.actuator_trnid[actuator, 0])) in joints
+        and is_hinge[joint]
+    ]
+
+
+def _dof(robot: Robot, actuator: int) -> int:
+    return int(robot.model.jnt_dofadr[robot.model.actuator_trnid[actuator, 0]])
+
+
+def weights_nm(robot: Robot) -> FloatArray:
+    """Return what each degree of freedom must hold of the robot's weight [Nm], shape [nv].
+
+    On a fixed base it is the largest torque of gravity in random poses. Of a robot that stands, each foot carries the
+    same share of the weight.
+    """
+    if not robot.is_floating:
+        return largest_weights_nm(robot)
+    standing, model, data = robot.standing, robot.model, start(robot)
+    assert standing is not None
+    mass_kg = float(model.body_mass[robot.bodies].sum())
+    load_n = mass_kg * GRAVITY_M_PER_S2 / len(standing.feet) * np.asarray(robot.up)
+    held = data.qfrc_bias - data.qfrc_gravcomp
+    for geoms in standing.feet.values():
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacGeom(model, data, jacobian, None, geoms[0])
+        held = held - jacobian.T @ load_n
+    return np.abs(held)
+
+
+# --- remedies of each row --------------------------------------------------------------------------------------------
+
+Finder = Callable[[Robot], Iterator[Remedy]]
+
+REMEDIES: dict[str, Finder] = {}
+"""Function that yields the remedies of a row, the preferred ones first."""
+
+
+def remedies_of(*names: str) -> Callable[[Finder], Finder]:
+    """Return a decorator that adds the remedies of rows."""
+
+    def add(function: Finder) -> Finder:
+        for name in names:
+            REMEDIES[name] = function
+        return function
+
+    return add
+
+
+def _stated(name: str) -> Finder:
+    """Return the remedy that a row states itself."""
+
+    def found(robot: Robot) -> Iterator[Remedy]:
+        finding = ROWS[name](robot)
+        if finding.changes:
+            yield Remedy(text=finding.advice, changes=dict(finding.changes))
+
+    return found
+
+
+def _elements(robot: Robot, changes: Settings) -> Iterator[Remedy]:
+    """Yield a remedy in the words of the model's classes, unless it changes nothing."""
+    if changes:
+        yield Remedy(text=class_words(robot, changes), changes=changes)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2g}")
+
+
+def _from_others(
+    values: Mapping[int, float], limits: Mapping[int, float], wrong: Collection[int]
+) -> dict[int, float]:
+    """Return for each wrong joint the value of the right one whose largest torque is nearest; empty without one."""
+    right = [dof for dof in values if dof not in wrong]
+    if not right:
+        return {}
+    return {
+        dof: values[min(right, key=lambda one: abs(np.log(limits[one] / limits[dof])))]
+        for dof in wrong
+    }
+
+
+@remedies_of("robot-range")
+def _range(robot: Robot) -> Iterator[Remedy]:
+    if robot.spec is None:
+        return
+    is_degree = bool(robot.spec.compiler.degree)
+    word = "radian" if is_degree else "degree"
+    yield Remedy(
+        text=f'<compiler angle="{word}"/>',
+        changes={"compiler_degree": not is_degree},
+    )
+
+
+@remedies_of("robot-unlimited")
+def _unlimited(robot: Robot) -> Iterator[Remedy]:
+    model = robot.model
+    yield from _stated("robot-unlimited")(robot)
+    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    stated = [
+        j for j in joints if not model.jnt_limited[j] and np.ptp(model.jnt_range[j])
+    ]
+    if stated:
+        yield Remedy(
+            text=f'limited="true" for {listed(element_names(robot, "joint", stated))}, which state a range',
+            changes={f"jnt_limited[{joint}]": 1 for joint in stated},
+        )
+
+
+@remedies_of("robot-bound")
+def _bound(robot: Robot) -> Iterator[Remedy]:
+    yield Remedy(
+        text='<compiler boundmass="0" boundinertia="0"/>',
+        changes={"compiler_boundmass": 0.0, "compiler_boundinertia": 0.0},
+    )
+
+
+@remedies_of("robot-torque")
+def _torque(robot: Robot) -> Iterator[Remedy]:
+    yield from _gears(robot)
+    model = robot.model
+    limited = [a for a in _motors(robot) if model.actuator_forcelimited[a]]
+    weights, limits = weights_nm(robot), dict(driven_dofs(robot))
+    # In kN m, servos would ask for their largest torque at errors that joints have.
+    if all(
+        1e3 * limits[dof] <= SERVO_ERROR_RAD * stiffness(model, dof)
+        for dof in {_dof(robot, actuator) for actuator in limited}
+    ):
+        yield from _elements(
+            robot,
+            {
+                f"actuator_forcerange[{a}]": 1e3 * model.actuator_forcerange[a]
+                for a in limited
+            },
+        )
+    changes, leg_nm = {}, 0.0
+    if robot.is_floating and robot.standing is not None:
+        # Twice what a foot carries, at the height of the robot.
+        mass_kg = float(model.body_mass[robot.bodies].sum())
+        load_n = mass_kg * GRAVITY_M_PER_S2 / len(robot.standing.feet)
+        leg_nm = 2.0 * load_n * robot.standing.height_m
+    for actuator in limited:
+        dof = _dof(robot, actuator)
+        loss_nm, drag_nm = (
+            float(model.dof_frictionloss[dof]),
+            6.0 * float(model.dof_damping[dof]),
+        )
+        fair_nm = 2.0 * float(weights[dof]) + max(10.0 * loss_nm, drag_nm)
+        fair_nm = _rounded(max(fair_nm, leg_nm))
+        if fair_nm > limits[dof]:
+            fair = fair_nm / abs(float(model.actuator_gear[actuator, 0]) or 1.0)
+            changes[f"actuator_forcerange[{actuator}]"] = np.array([-fair, fair])
+    yield from _elements(robot, changes)
+
+
+def _gears(robot: Robot) -> Iterator[Remedy]:
+    """Yield the gear ratio 1 for actuators that state less, which makes a motor weaker."""
+    gears = {a: float(robot.model.actuator_gear[a, 0]) for a in _motors(robot)}
+    ones = {
+        a: np.sign(g) * np.eye(6)[0] for a, g in gears.items() if 0.0 < abs(g) < 1.0
+    }
+    yield from _elements(robot, {f"actuator_gear[{a}]": one for a, one in ones.items()})
+
+
+def _motors(robot: Robot) -> list[int]:
+    """Return actuators on hinges that count as driven."""
+    model = robot.model
+    joints = {int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)}
+    return [a for a in range(model.nu) if int(model.actuator_trnid[a, 0]) in joints]
+
+
+@remedies_of("robot-rotor")
+def _rotor(robot: Robot) -> Iterator[Remedy]:
+    limits = loads_nm(robot)
+    armatures = {dof: float(robot.model.dof_armature[dof]) for dof in limits}
+    bare = [dof for dof, armature in armatures.items() if armature <= 0.0]
+    found = _from_others(armatures, limits, bare)
+    yield from _elements(robot, {f"dof_armature[{d}]": v for d, v in found.items()})
+    yield from _rotors(robot)
+
+
+def _rotors(robot: Robot) -> Iterator[Remedy]:
+    """Yield armatures for all joints that state none: what the motor accelerates by 1000 and by 300 rad/s^2."""
+    limits = loads_nm(robot)
+    for rate in (FAIR_RAD_PER_S2, 300.0):
+        yield from _elements(
+            robot,
+            {
+                f"dof_armature[{dof}]": _rounded(limit_nm / rate)
+                for dof, limit_nm in limits.items()
+                if robot.model.dof_armature[dof] <= 0.0
+            },
+        )
+
+
+@remedies_of("robot-armature")
+def _armature(robot: Robot) -> Iterator[Remedy]:
+    limits, changes = loads_nm(robot), dict(ROWS["robot-armature"](robot).changes)
+    wrong = [dof for dof in limits if f"dof_armature[{dof}]" in changes]
+    armatures = {dof: float(robot.model.dof_armature[dof]) for dof in limits}
+    others = _from_others(
+        {d: a for d, a in armatures.items() if a > 0.0 or d in wrong}, limits, wrong
+    )
+    yield from _elements(robot, {f"dof_armature[{d}]": v for d, v in others.items()})
+    small = {dof: 1e-4 * armatures[dof] for dof in limits}
+    rates = [limits[dof] / small[dof] for dof in wrong]
+    if LEAST_RAD_PER_S2 < np.median(rates) < 3.0 * FAIR_RAD_PER_S2:
+        # Catalogues of motors state kg cm^2.
+        yield from _elements(
+            robot, {f"dof_armature[{dof}]": value for dof, value in small.items()}
+        )
+    yield from _elements(
+        robot, {name: _rounded(float(value)) for name, value in changes.items()}
+    )
+
+
+@remedies_of("robot-damping")
+def _damping(robot: Robot) -> Iterator[Remedy]:
+    damping = robot.model.dof_damping
+    negative = [dof for dof, _ in driven_dofs(robot) if damping[dof] < 0.0]
+    if negative:
+        yield from _elements(
+            robot, {f"dof_damping[{dof}]": -float(damping[dof]) for dof in negative}
+        )
+        yield from _elements(robot, {f"dof_damping[{dof}]": 0.0 for dof in negative})
+        return
+    yield from _drag(robot, "damping", (PER_DEGREE, 1e3))
+
+
+@remedies_of("robot-frictionloss")
+def _frictionloss(robot: Robot) -> Iterator[Remedy]:
+    yield from _drag(robot, "frictionloss", (100.0, 1e3))
+
+
+def _drag(robot: Robot, name: str, units: Sequence[float]) -> Iterator[Remedy]:
+    """Yield less drag: the share of the torque that other joints lose, another unit, or what the row states."""
+    row, limits = f"robot-{name}", loads_nm(robot)
+    values = getattr(robot.model, f"dof_{name}")
+    changes = dict(ROWS[row](robot).changes)
+    wrong = [dof for dof in limits if f"dof_{name}[{dof}]" in changes]
+    shares = {dof: float(values[dof]) / limits[dof] for dof in limits}
+    right = [shares[dof] for dof in limits if dof not in wrong and shares[dof] > 0.0]
+    if right:
+        share = float(np.median(right))
+        yield from _elements(
+            robot,
+            {f"dof_{name}[{dof}]": _rounded(share * limits[dof]) for dof in wrong},
+        )
+    for unit in units:
+        yield from _elements(
+            robot,
+            {f"dof_{name}[{dof}]": _rounded(values[dof] / unit) for dof in wrong},
+        )
+    yield from _elements(
+        robot, {key: _rounded(float(value)) for key, value in changes.items()}
+    )
+
+
+@remedies_of("robot-dry")
+def _dry(robot: Robot) -> Iterator[Remedy]:
+    off = switched_off(robot.model, "constraint", "frictionloss")
+    switched = dict.fromkeys(off, True)
+    if off:
+        yield Remedy(text=enabling(off), changes=switched)
+    yield from _rotor(robot)
+    for one in _elements(robot, dict(ROWS["robot-dry"](robot).changes)):
+        text = f"{enabling(off)} and {one.text}" if off else one.text
+        yield replace(one, text=text, changes=switched | dict(one.changes))
+
+
+# --- servos ----------------------------------------------------------------------------------------------------------
+
+
+def gains(
+    robot: Robot, actuators: Sequence[int], *, kp: float = 1.0, kv: float = 1.0
+) -> Remedy:
+    """Return servos with other gains.
+
+    Args:
+        robot: The robot.
+        actuators: Its servos.
+        kp: Factor of the stiffness.
+        kv: Factor of the damping of the servo.
+    """
+    model, changes = robot.model, {}
+    factors = np.array([kp, kp, kv] + [1.0] * (model.actuator_biasprm.shape[1] - 3))
+    for a in actuators:
+        gain = model.actuator_gainprm[a].copy()
+        gain[0] *= kp
+        changes[f"actuator_gainprm[{a}]"] = gain
+        changes[f"actuator_biasprm[{a}]"] = model.actuator_biasprm[a] * factors
+    parts = [f"{n} times {v:.3g}" for n, v in (("kp", kp), ("kv", kv)) if v != 1.0]
+    if kp == kv:
+        parts = [f"kp and kv times {kp:.3g}"]
+    every = set(actuators) == set(np.flatnonzero(servos(model)).tolist())
+    where = (
+        "all servos" if every else listed(element_names(robot, "actuator", actuators))
+    )
+    return Remedy(text=f"{' and '.join(parts)} for {where}", changes=changes)
+
+
+def _bears(robot: Robot, actuators: Sequence[int], scale: float) -> bool:
+    """Return whether servos with a scaled stiffness still hold the robot's weight."""
+    weights = weights_nm(robot)
+    dofs = {_dof(robot, actuator) for actuator in actuators}
+    return all(
+        scale * stiffness(robot.model, dof) * LARGEST_SAG_RAD >= weights[dof]
+        for dof in dofs
+    )
+
+
+def _scaled(
+    robot: Robot, actuators: Sequence[int], shares: Sequence[float], power: float
+) -> Iterator[Remedy]:
+    """Yield smaller gains that still hold the robot's weight; kv is scaled by a power of the factor of kp."""
+    for share in shares:
+        if _bears(robot, actuators, share):
+            remedy = gains(robot, actuators, kp=share, kv=share**power)
+            yield replace(remedy, scales_gains=True)
+
+
+@remedies_of("robot-stiffness")
+def _stiff(robot: Robot) -> Iterator[Remedy]:
+    low_mrad = facts("robot_rows")["robot-stiffness"]["interval"][0]
+    limits = dict(driven_dofs(robot))
+    stiff = [
+        a
+        for a in _position_servos(robot)
+        if 1e3 * limits[_dof(robot, a)]
+        < low_mrad * stiffness(robot.model, _dof(robot, a))
+    ]
+    yield from _units(robot, stiff)
+    yield from _units(robot, _position_servos(robot))
+    yield from _scaled(robot, stiff, SHARES, 0.5)
+
+
+def _units(robot: Robot, actuators: Sequence[int]) -> Iterator[Remedy]:
+    """Yield gains that were meant per degree or in N mm."""
+    for unit in (PER_DEGREE, 1e3) if actuators else ():
+        if _bears(robot, actuators, 1.0 / unit):
+            yield gains(robot, actuators, kp=1.0 / unit)
+            yield gains(robot, actuators, kp=1.0 / unit, kv=1.0 / unit)
+
+
+SHARES = (0.5, 0.25, 0.1, 0.05, 0.02, 0.01)
+"""Factors of gains that are tried, the largest first."""
+
+
+def _integrator(robot: Robot) -> dict[str, Any]:
+    implicit = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    is_explicit = robot.model.opt.integrator != implicit
+    return {"integrator": "implicitfast"} if is_explicit else {}
+
+
+def _solver(robot: Robot) -> Iterator[Remedy]:
+    """Yield the implicit integrator, then shorter steps with it."""
+    option = _integrator(robot)
+    text = 'integrator="implicitfast"' if option else ""
+    if option:
+        yield Remedy(text=f"<option {text}/>", changes=option)
+    step_s = float(robot.model.opt.timestep)
+    for shorter_s in (0.01, 0.005, 0.002, 0.001):
+        if 0.1 * step_s <= shorter_s < step_s:
+            words = f'timestep="{shorter_s:g}" {text}'.strip()
+            yield Remedy(
+                text=f"<option {words}/>", changes={"timestep_s": shorter_s} | option
+            )
+
+
+@remedies_of(
+    *("robot-holds", "robot-stands", "robot-loads", "robot-energy", "robot-slip")
+)
+def _of_solver(robot: Robot) -> Iterator[Remedy]:
+    yield from _solver(robot)
+
+
+@remedies_of("robot-servo")
+def _servo(robot: Robot) -> Iterator[Remedy]:
+    if judged_row("robot-stiffness", ROWS["robot-stiffness"](robot)).is_flag:
+        yield from _stiff(robot)
+    yield from _rotor(robot)
+    yield from _solver(robot)
+    option = _integrator(robot)
+    for one in _scaled(robot, _position_servos(robot), SHARES, 1.0):
+        text = (
+            f'<option integrator="implicitfast"/> and {one.text}'
+            if option
+            else one.text
+        )
+        yield replace(one, text=text, changes=option | dict(one.changes))
+
+
+@remedies_of("robot-sag")
+def _sag(robot: Robot) -> Iterator[Remedy]:
+    high_mrad = facts("robot_rows")["robot-sag"]["interval"][1]
+    weights = largest_weights_nm(robot)
+    sags_mrad = {
+        a: 1e3 * float(weights[_dof(robot, a)]) / stiffness(robot.model, _dof(robot, a))
+        for a in _position_servos(robot)
+    }
+    soft = [a for a, sag_mrad in sags_mrad.items() if sag_mrad > high_mrad]
+    if not soft:
+        return
+    yield from _gears(robot)
+    every = _position_servos(robot)
+    for several in (every, soft) if len(soft) < len(every) else (every,):
+        yield gains(robot, several, kp=PER_DEGREE)
+        yield gains(robot, several, kp=PER_DEGREE, kv=PER_DEGREE)
+    scale = _rounded(max(sags_mrad[a] for a in soft) / (0.3 * high_mrad))
+    for kv in (1.0, _rounded(scale**0.5), scale):
+        yield gains(robot, soft, kp=scale, kv=kv)
+
+
+@remedies_of("robot-lag")
+def _lag(robot: Robot) -> Iterator[Remedy]:
+    low_ms, high_ms = facts("robot_rows")["robot-lag"]["interval"]
+    alone_ms = {
+        a: 1e3 * lone_half_step_s(robot, a, _dof(robot, a))
+        for a in _position_servos(robot)
+    }
+    fast = [a for a, half_ms in alone_ms.items() if half_ms < low_ms]
+    slow = [a for a, half_ms in alone_ms.items() if high_ms < half_ms < np.inf]
+    if fast:
+        yield from _rotor(robot)
+        yield from _units(robot, fast)
+        scale = min(alone_ms[a] for a in fast) / (1.5 * low_ms)
+        shares = [_rounded(scale**2), *SHARES]
+        yield from _scaled(robot, fast, shares, 0.5)
+    if slow:
+        for unit in (PER_DEGREE, 1e3):
+            yield gains(robot, slow, kv=1.0 / unit)
+        for dof in (_dof(robot, a) for a in slow[:1]):
+            drag = float(robot.model.dof_damping[dof])
+            if drag > 0.0:
+                yield from _drag(robot, "damping", (PER_DEGREE,))
+        scale = _rounded(max(alone_ms[a] for a in slow) / (0.3 * high_ms))
+        yield gains(robot, slow, kv=_rounded(1.0 / scale))
+        yield gains(robot, slow, kp=scale)

@@ -1,0 +1,515 @@
+"""Judge the robot as a whole: its size and medium, what its stops and couplings hold, and how it stands on its feet."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from gauge_envs.backends.mujoco.model_settings import COLUMNS
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.phenomena.base import facts
+from gauge_envs.tools.sanity.robot.model_rows import (
+    Finding,
+    NotApplicableError,
+    body_name,
+    by_joint,
+    driven_dofs,
+    fingers,
+    geoms_of,
+    joint_name,
+    limbs_of,
+    row,
+    standing_of,
+    start,
+    without,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    first_moving_body,
+    geom_name,
+    joints_of,
+    support_m,
+)
+from gauge_envs.tools.sanity.robot.robot import Robot, joints_of_motors
+
+SIGNS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+"""Signs of the corners of a box, shape [8, 3]."""
+
+SAME_PLACE = 0.3
+"""Overlap of the boxes around two sets of geoms, over the box around both, from which on they show the same part."""
+
+VISCOUS_LENGTH_M = 0.1
+"""Size of a link, by which the viscosity of a medium becomes a pressure at 1 m/s [m]."""
+
+MOST_GIVE = 1.0
+"""Largest displacement at which a stop or a coupling is tried [rad or m]."""
+
+GIVE_STEPS = 14
+"""Number of halvings in which the displacement under a load is found, to less than 0.1 mrad."""
+
+STOP_RAD_PER_S2 = 100.0
+"""Acceleration that a stop takes up at most: that of a strong motor [rad/s^2]."""
+
+LYING_SHARE = 0.2
+"""Height of the centre of mass over the size of a robot below which it lies; 0.5 of a standing one."""
+
+SAME_LEG_M = 0.01
+"""Distance of a joint from the mirror image of another one up to which they are a pair [m]."""
+
+
+# --- size, mass, medium ----------------------------------------------------------------------------------------------
+
+
+def _size_m(robot: Robot) -> float:
+    """Return the diagonal of the box around a robot [m]; 0 without one."""
+    model, data = robot.model, start(robot)
+    points = [data.xpos[robot.bodies]]
+    for body in robot.bodies:
+        for geom in geoms_of(robot, body):
+            turn = data.geom_xmat[geom].reshape(3, 3)
+            box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
+            points.append(data.geom_xpos[geom] + box @ turn.T)
+    every = np.vstack(points)
+    return float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0
+
+
+@row("robot-size")
+def _size(robot: Robot) -> Finding:
+    if not robot.bodies:
+        return Finding(declined="the model has no robot")
+    model, size_m = robot.model, _size_m(robot)
+    mass_kg = float(model.body_mass[robot.bodies].sum())
+    unit = "millimetres" if size_m > 1.0 else "kilometres"
+    return Finding(
+        value=size_m,
+        remark=f"{mass_kg:.3g} kg",
+        advice=f"lengths in metres, not in {unit}: `pos`, `size`, `fromto` and the `scale` of meshes",
+    )
+
+
+@row("robot-visual-mass")
+def _visual_mass(robot: Robot) -> Finding:
+    spec, model = robot.spec, robot.model
+    if spec is None or not robot.bodies:
+        return Finding(declined="the geoms that give a body its mass are not known")
+    can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    in_pairs = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    bare = spec.copy()
+    drawn: dict[int, list[int]] = {}
+    for body in robot.bodies:
+        geoms = geoms_of(robot, body)
+        solid = [geom for geom in geoms if can_collide[geom] or geom in in_pairs]
+        visual = [geom for geom in geoms if geom not in solid]
+        if solid and visual and _overlap(model, solid, visual) > SAME_PLACE:
+            drawn[body] = visual
+    numbers = {geom for geoms in drawn.values() for geom in geoms}
+    for geom, original in zip(bare.geoms, spec.geoms, strict=True):
+        if original.id in numbers:
+            geom.mass = 0.0
+    try:
+        with warnings.catch_warnings():
+            # What the compiler warns of was said as the model was read.
+            warnings.simplefilter("ignore")
+            masses = bare.compile().body_mass
+    except ValueError:
+        return Finding(declined="bodies have the mass of their visual geoms alone")
+    extra_kg = {
+        body: float(model.body_mass[body] - masses[body])
+        for body in drawn
+        if model.body_mass[body] - masses[body] > 1e-6 and masses[body] > 0.0
+    }
+    total_kg = float(model.body_mass[robot.bodies].sum())
+    names = ", ".join(body_name(robot, body) for body in list(extra_kg)[:3])
+    stated_kg = total_kg - sum(extra_kg.values())
+    return Finding(
+        value=sum(extra_kg.values()) / stated_kg,
+        parts={body_name(robot, body): kg / stated_kg for body, kg in extra_kg.items()},
+        remark=f"{total_kg:.3g} kg for {stated_kg:.3g} kg, in {names}"
+        if extra_kg
+        else "",
+        advice='mass="0" for visual geoms, or <compiler inertiagrouprange> of the others',
+        changes={
+            f"geom_mass[{geom}]": 0.0 for body in extra_kg for geom in drawn[body]
+        },
+    )
+
+
+def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> float:
+    """Return the volume that the boxes around two sets of geoms of a body share, over that of the box around both."""
+    boxes = []
+    for geoms in (first, second):
+        corners = []
+        for geom in geoms:
+            turn = np.zeros(9)
+            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+            box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
+            corners.append(model.geom_pos[geom] + box @ turn.reshape(3, 3).T)
+        every = np.vstack(corners)
+        boxes.append((every.min(axis=0), every.max(axis=0)))
+    (low, high), (other_low, other_high) = boxes
+    shared = np.clip(np.minimum(high, other_high) - np.maximum(low, other_low), 0, None)
+    around = np.maximum(high, other_high) - np.minimum(low, other_low)
+    return float(shared.prod() / max(around.prod(), 1e-18))
+
+
+@row("robot-medium")
+def _medium(robot: Robot) -> Finding:
+    model, option = robot.model, robot.model.opt
+    wind = float(np.linalg.norm(option.wind))
+    pressure_pa = 0.5 * float(option.density) * (1.0 + wind) ** 2
+    pressure_pa += float(option.viscosity) / VISCOUS_LENGTH_M
+    root = first_moving_body(model, robot.bodies[0]) if robot.bodies else 0
+    first = int(model.body_jntadr[root])
+    joints = set(range(first, first + int(model.body_jntnum[root])))
+    is_fixed = bool(joints & set(joints_of_motors(model).tolist()))
+    swims = robot.standing is None and not is_fixed
+    medium = f"density {option.density:g} kg/m^3, viscosity {option.viscosity:g} Pa s"
+    return Finding(
+        value=pressure_pa,
+        remark=f"{medium}, wind {wind:g} m/s" if pressure_pa else "",
+        advice='<option density="0" viscosity="0" wind="0 0 0"/>, or those of air: 1.2 and 0.000018',
+        changes={"density": 0.0, "viscosity": 0.0, "wind": np.zeros(3)},
+        advisory="a robot that neither stands nor is driven from a fixed base swims or flies"
+        if swims
+        else "",
+    )
+
+
+@row("robot-torsion")
+def _torsion(robot: Robot) -> Finding:
+    model, pairs = robot.model, robot.pairs
+    rows = robot.foot_rows
+    if not rows:
+        tips = {geom for body in fingers(robot) for geom in geoms_of(robot, body)}
+        touching = [bool(tips & set(two)) for two in pairs.geoms.tolist()]
+        rows = np.flatnonzero(touching).tolist()
+    if not rows:
+        return Finding(declined="no foot and no finger of the robot can touch")
+    _, largest = facts("robot_rows")["robot-torsion"]["interval"]
+    levers: dict[str, float] = {}
+    changes: dict[str, FloatArray] = {}
+    worst, found = -1.0, Finding()
+    for number in rows:
+        condim = int(pairs.constants[number, 0])
+        friction = pairs.constants[number, COLUMNS["friction"]]
+        torsion_m = float(friction[2]) if condim >= 4 else 0.0
+        rolling_m = float(friction[3:].max()) if condim >= 6 else 0.0
+        two = pairs.geoms[number].tolist()
+        parts = [geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies]
+        reach_m = min(float(model.geom_rbound[geom]) or np.inf for geom in parts or two)
+        lever = max(torsion_m, rolling_m) / max(reach_m, 1e-6)
+        names = " with ".join(geom_name(model, geom) for geom in two)
+        levers[names] = lever
+        if lever > largest:
+            # The larger friction of two geoms counts.
+            fair = np.array([friction[0], 0.005, 0.0001])
+            changes |= {f"geom_friction[{geom}]": fair for geom in two}
+        if lever > worst:
+            worst = lever
+            kind = "torsional" if torsion_m >= rolling_m else "rolling"
+            found = Finding(
+                value=lever,
+                parts=levers,
+                remark=f"{names}: {kind} friction {max(torsion_m, rolling_m):g} m on {1e3 * reach_m:.3g} mm",
+                advice=f'friction="{friction[0]:g} 0.005 0.0001" for {names}'
+                + (" and pairs like it" if len(rows) > 1 else ""),
+            )
+    return replace(found, changes=changes)
+
+
+# --- stops and couplings ---------------------------------------------------------------------------------------------
+
+
+def give(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    moved: Callable[[float], None],
+    dof: int,
+    load: float,
+) -> float:
+    """Return the displacement at which the constraints of a model at rest hold a load, at most 1 rad or m.
+
+    Args:
+        model: The model.
+        data: Its data, whose positions change.
+        moved: Sets the positions to a displacement [rad or m].
+        dof: Degree of freedom on which the load acts.
+        load: The load [Nm or N].
+    """
+    low, high = 0.0, MOST_GIVE
+    for _ in range(GIVE_STEPS):
+        middle = 0.5 * (low + high)
+        moved(middle)
+        data.qvel[:], data.qacc[:] = 0.0, 0.0
+        mujoco.mj_inverse(model, data)
+        is_held = abs(float(data.qfrc_constraint[dof])) >= load
+        low, high = (low, middle) if is_held else (middle, high)
+    return high
+
+
+@row("robot-stops")
+def _stops(robot: Robot) -> Finding:
+    model = without(robot.model, "contact", "equality", "frictionloss")
+    # A disabled limit is another row.
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    data, gives_mrad, changes = start(robot, model), {}, {}
+    begin = data.qpos.copy()
+    for dof, limit_nm in driven_dofs(robot):
+        joint = int(model.dof_jntid[dof])
+        low, high = model.jnt_range[joint]
+        if not model.jnt_limited[joint] or not low < high:
+            continue
+        place = int(model.jnt_qposadr[joint])
+
+        def beyond(angle: float, place: int = place, high: float = high) -> None:
+            data.qpos[:] = begin
+            data.qpos[place] = high + angle
+
+        load_nm = STOP_RAD_PER_S2 / max(float(model.dof_invweight0[dof]), 1e-9)
+        gives_mrad[dof] = 1e3 * give(model, data, beyond, dof, min(load_nm, limit_nm))
+        if gives_mrad[dof] > facts("robot_rows")["robot-stops"]["interval"][1]:
+            changes[f"jnt_solref[{joint}]"] = np.array([0.02, 1.0])
+            changes[f"jnt_solimp[{joint}]"] = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
+    if not gives_mrad:
+        return Finding(declined="no driven hinge has a limit")
+    dof = max(gives_mrad, key=lambda one: gives_mrad[one])
+    name, joint = joint_name(robot, dof), int(model.dof_jntid[dof])
+    return Finding(
+        value=gives_mrad[dof],
+        parts=by_joint(robot, gives_mrad),
+        remark=f"{name}: solreflimit {_numbers(model.jnt_solref[joint])}, "
+        f"solimplimit {_numbers(model.jnt_solimp[joint])}",
+        advice=f'solreflimit="0.02 1" solimplimit="0.9 0.95 0.001" for {name} and joints like it',
+        changes=changes,
+    )
+
+
+def _numbers(values: FloatArray) -> str:
+    return " ".join(f"{value:g}" for value in values)
+
+
+@row("robot-coupling")
+def _coupling(robot: Robot) -> Finding:
+    model = without(robot.model, "contact", "limit", "frictionloss")
+    is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    couplings = [
+        number
+        for number in np.flatnonzero(is_joint).tolist()
+        if model.eq_obj2id[number] >= 0
+        and int(model.jnt_bodyid[model.eq_obj1id[number]]) in robot.bodies
+    ]
+    data, gives, changes = start(robot, model), {}, {}
+    begin, forces = data.qpos.copy(), _motor_forces(model, data)
+    for number in couplings:
+        joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        dofs = [int(model.jnt_dofadr[one]) for one in (joint, other)]
+        load = max(float(forces[dof]) for dof in dofs)
+        place, lead = int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[other])
+        if load <= 0.0 or not data.eq_active[number]:
+            continue
+        coefficients = model.eq_data[number, :5]
+        lead_from = begin[lead] - model.qpos0[lead]
+        coupled = float(model.qpos0[place] + np.polyval(coefficients[::-1], lead_from))
+
+        def apart(distance: float, place: int = place, at: float = coupled) -> None:
+            data.qpos[:] = begin
+            data.qpos[place] = at + distance
+
+        span = float(np.ptp(model.jnt_range[joint])) or 1.0
+        name = model.joint(joint).name or f"joint {joint}"
+        gives[name] = give(model, data, apart, dofs[0], load) / span
+        if gives[name] > facts("robot_rows")["robot-coupling"]["interval"][1]:
+            changes[f"eq_solref[{number}]"] = np.array([0.005, 1.0])
+            changes[f"eq_solimp[{number}]"] = np.array([0.95, 0.99, 0.001, 0.5, 2.0])
+    if not gives:
+        return Finding(
+            declined="no equality couples a joint to one that a motor drives"
+        )
+    name = max(gives, key=lambda one: gives[one])
+    return Finding(
+        value=gives[name],
+        parts=gives,
+        remark=name,
+        advice=f'solref="0.005 1" solimp="0.95 0.99 0.001" for the equality of {name}',
+        changes=changes,
+    )
+
+
+def _motor_forces(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return the largest force of all motors on each degree of freedom, through joints and tendons [Nm or N]."""
+    mujoco.mj_forward(model, data)
+    moments = np.zeros((model.nu, model.nv))
+    rows = (data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    if model.nu:
+        mujoco.mju_sparse2dense(moments, data.actuator_moment.ravel(), *rows)
+    largest = np.abs(model.actuator_forcerange).max(axis=1, initial=0.0)
+    spans = np.abs(model.actuator_ctrlrange).max(axis=1, initial=0.0)
+    unlimited = np.abs(model.actuator_gainprm[:, 0]) * np.where(spans, spans, 1.0)
+    is_limited = model.actuator_forcelimited != 0
+    return np.abs(moments).T @ np.where(is_limited, largest, unlimited)
+
+
+# --- statics of two feet ---------------------------------------------------------------------------------------------
+
+
+def _two_feet(robot: Robot) -> list[list[int]]:
+    """Return the limbs of a robot that stands on two feet, each from its foot upwards; one that lost its foot has two.
+
+    The limbs have as many bodies and part from the same body, side by side along the axis of a joint of theirs.
+    """
+    standing = standing_of(robot)
+    limbs = limbs_of(robot)
+    feet = [limb for limb in limbs if set(limb) & set(standing.feet)]
+    if len(feet) > 2 or not feet:
+        raise NotApplicableError("the robot does not stand on two feet")
+
+    def origin(limb: list[int]) -> tuple[int, int]:
+        return int(robot.model.body_parentid[limb[-1]]), len(limb)
+
+    alike = [limb for limb in limbs if origin(limb) == origin(feet[0])]
+    if len(alike) != 2:
+        raise NotApplicableError("the robot does not stand on two like legs")
+    data = start(robot)
+    places = data.xpos[[int(limb[-1]) for limb in alike]]
+    apart_m = places[1] - places[0]
+    distance_m = float(np.linalg.norm(apart_m))
+    on_limb = np.isin(robot.model.jnt_bodyid, alike[0]) & joints_of(
+        robot.model, "HINGE"
+    )
+    along_m = np.abs(data.xaxis[on_limb] @ apart_m).max(initial=0.0)
+    if distance_m > SAME_LEG_M and along_m < 0.5 * distance_m:
+        raise NotApplicableError("one of the two legs stands behind the other")
+    ground_m = min(float(point[2]) for point in standing.support_m.values())
+    if standing_centre(robot, data)[2] - ground_m < LYING_SHARE * _size_m(robot):
+        raise NotApplicableError("the robot lies in its initial pose")
+    return alike
+
+
+@row("robot-level")
+def _level(robot: Robot) -> Finding:
+    model, standing = robot.model, standing_of(robot)
+    heights_mm = {}
+    for limb in _two_feet(robot):
+        geoms = [geom for body in limb for geom in geoms_of(robot, body)]
+        touching = [geom for geom in geoms if geom in standing.support_m]
+        lows = [float(support_m(model, standing.stance, geom)[2]) for geom in touching]
+        if not lows:
+            return Finding(declined="a foot cannot touch the ground")
+        heights_mm[limb[0]] = 1e3 * min(lows)
+    lower, upper = sorted(heights_mm, key=lambda body: heights_mm[body])
+    apart_mm = heights_mm[upper] - heights_mm[lower]
+    names = f"{body_name(robot, upper)} above {body_name(robot, lower)}"
+    return Finding(
+        value=apart_mm / (1e3 * standing.height_m),
+        remark=f"{names} by {apart_mm:.3g} mm in the {standing.stance.label}",
+        advice=f"the same lengths, axes and angles in both legs: {names}",
+    )
+
+
+@row("robot-balance")
+def _balance(robot: Robot) -> Finding:
+    standing = standing_of(robot)
+    _two_feet(robot)
+    data = start(robot)
+    points = []
+    ground = min(float(point[2]) for point in standing.support_m.values())
+    for geoms in standing.feet.values():
+        for geom in geoms:
+            points.append(_sole_points(robot, geom, ground))
+    centre = standing_centre(robot, data)
+    soles = np.vstack(points)[:, :2]
+    outside_m = outside(soles, centre[:2])
+    height_m = max(float(centre[2]) - ground, 1e-3)
+    return Finding(
+        value=float(np.degrees(np.arctan2(outside_m, height_m))),
+        remark=f"centre of mass {1e3 * outside_m:.3g} mm outside the feet, {1e3 * height_m:.3g} mm above the ground",
+        advice=f"knees that bend the right way, and a pose ({standing.stance.label}) over the feet",
+    )
+
+
+def standing_centre(robot: Robot, data: mujoco.MjData) -> FloatArray:
+    """Return the centre of mass of a robot in the frame with z up in which it stands [m], shape [3]."""
+    standing = standing_of(robot)
+    mass = robot.model.body_mass[robot.bodies]
+    centre = mass @ data.xipos[robot.bodies] / mass.sum()
+    geom = next(iter(standing.support_m))
+    here = standing.stance.positions_m[geom]
+    turn = standing.stance.rotations[geom].as_matrix()
+    local = data.geom_xmat[geom].reshape(3, 3).T @ (centre - data.geom_xpos[geom])
+    stands: FloatArray = here + turn @ local
+    return stands
+
+
+def _sole_points(robot: Robot, geom: int, ground_m: float) -> FloatArray:
+    """Return corners of the box of a geom that lie low, in the frame with z up [m], shape [count, 3]."""
+    model, stance = robot.model, standing_of(robot).stance
+    box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
+    corners = stance.positions_m[geom] + stance.rotations[geom].apply(box)
+    low = corners[:, 2] <= ground_m + 0.05 * standing_of(robot).height_m
+    points: FloatArray = corners[low] if low.any() else corners
+    return points
+
+
+def outside(points: FloatArray, place: FloatArray) -> float:
+    """Return the distance of a place from the hull of points in a plane [m]; 0 inside.
+
+    Args:
+        points: The points [m], shape [count, 2].
+        place: The place [m], shape [2].
+    """
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return float(np.linalg.norm(points - place, axis=1).min())
+    if (hull.equations[:, :2] @ place + hull.equations[:, 2] <= 0.0).all():
+        return 0.0
+    first, second = points[hull.simplices[:, 0]], points[hull.simplices[:, 1]]
+    along = second - first
+    share = ((place - first) * along).sum(axis=1) / (along**2).sum(axis=1)
+    nearest = first + np.clip(share, 0.0, 1.0)[:, None] * along
+    return float(np.linalg.norm(nearest - place, axis=1).min())
+
+
+@row("robot-mirror")
+def _mirror(robot: Robot) -> Finding:
+    model, standing = robot.model, standing_of(robot)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    root = standing.body
+    frame = data.xmat[root].reshape(3, 3)
+    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    joints = [joint for joint in joints if model.jnt_limited[joint]]
+    anchors = {j: (data.xanchor[j] - data.xpos[root]) @ frame for j in joints}
+    axes = {j: data.xaxis[j] @ frame for j in joints}
+    ranges = {j: model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]] for j in joints}
+    best: dict[int, float] = {}
+    for across in (1, 0):
+        flip = np.ones(3)
+        flip[across] = -1.0
+        differences: dict[int, float] = {}
+        for joint in joints:
+            if anchors[joint][across] <= SAME_LEG_M:
+                continue
+            for other in joints:
+                # The mirror image of an axis of rotation is turned once more.
+                along = float(-flip * axes[joint] @ axes[other])
+                away = np.linalg.norm(flip * anchors[joint] - anchors[other])
+                if away > SAME_LEG_M or abs(along) < 0.99:
+                    continue
+                same = ranges[joint] if along > 0.0 else -ranges[joint][::-1]
+                apart = float(np.abs(same - ranges[other]).max())
+                differences[other] = min(apart, differences.get(other, np.inf))
+        if len(differences) > len(best):
+            best = differences
+    if not best:
+        return Finding(declined="no two driven hinges with limits mirror each other")
+    joint = max(best, key=lambda one: best[one])
+    name = model.joint(joint).name or f"joint {joint}"
+    return Finding(
+        value=best[joint],
+        parts={model.joint(one).name or f"joint {one}": best[one] for one in best},
+        remark=f"{name}, of {len(best)} pairs",
+        advice=f"the axis and range of {name} as on the other side: which way does it bend?",
+    )

@@ -1,0 +1,35 @@
+"""What `gauge sweep` prints with `--json`, a line each."""
+
+from typing import TypedDict
+
+from gauge_envs.tools.run import RunLine
+
+
+class PlanLine(TypedDict):
+    """Episodes of an engine and an experiment that a plan has, with `--dry-run`.
+
+    Attributes:
+        backend: Name of the engine.
+        experiment: Name of the experiment.
+        runs: Number of combinations.
+        episodes: Number of episodes.
+        declined: Number of episodes that the engine cannot run.
+        reason: Why it cannot.
+        left: Number of episodes that are not done.
+        engine_s: Estimated time of the engine for them [s].
+        unknown: Number of episodes without an estimate.
+    """
+
+    backend: str
+    experiment: str
+    runs: int
+    episodes: int
+    declined: int
+    reason: str | None
+    left: int
+    engine_s: float | None
+    unknown: int
+
+
+SweepLine = RunLine | PlanLine
+"""A result, or a line of the plan."""

@@ -1,0 +1,221 @@
+"""Every output with `--json` has a schema, and follows it; `tests/json_lines.py` checks those of all other tests."""
+
+import json
+import shlex
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypedDict
+
+import numpy as np
+import pytest
+from json_lines import check_lines, validator
+from slide import SLIDE, write_csv
+
+from gauge_envs.cli.app import load_command
+from gauge_envs.cli.output import json_text
+from gauge_envs.cli.schemas import output_schema, schema_names, schema_of
+from gauge_envs.registry import instruments_by
+from scripts.build_schemas import LEDGER, current, not_raised
+
+KINDS = [f"list {kind}" for kind in instruments_by("listings")]
+
+HERE = {
+    "list": "list SlopeSlider-2-wood FoamBending-soft",
+    "show": "show RopeWinding-rubber",
+    "run": "run SlopeSlider-2-wood FoamBending-soft -p effective",
+    "score": "score slide.csv --id SlopeSlider-2-wood",
+    "recipe fabrics": "recipe fabrics",
+    "sanity": "sanity mujoco:out_of_box --only gravity,slide-wood",
+    "backend check": "backend check mujoco --only slide-straight",
+    **{name: name for name in KINDS},
+}
+"""A command for each schema that is cheap to check here."""
+
+ELSEWHERE = {
+    "compare": "tools/compare/test_comparison.py",
+    "diagnose": "tools/diagnose/test_error_budget.py",
+    "sweep": "tools/sweep/test_cli_sweep.py",
+    "recipe": "tools/recipes/test_recipe_requests.py",
+    "recipe joint": "tools/video/test_video_phone_films.py",
+    "transfer": "tools/transfer/test_transfer.py",
+    "transfer settings": "tools/transfer/test_settings_replay.py",
+    "transfer envelope": "tools/transfer/test_envelope.py",
+    "data import": "tools/dataset/test_dataset_damage.py",
+    "video score": "tools/video/test_video_score.py",
+    "leaderboard check": "tools/leaderboard/test_cli_leaderboard.py",
+    "leaderboard table": "tools/leaderboard/test_cli_leaderboard.py",
+}
+"""File with tests that run the command with `--json` in this process."""
+
+
+def test_every_command_with_json_has_a_schema():
+    formatted = {
+        name
+        for name in instruments_by("commands")
+        if any("--format" in one.opts for one in load_command(name).params)
+    }
+    assert {*formatted, *KINDS, "result-file"} == set(schema_names())
+    assert {*HERE, *ELSEWHERE, "result-file"} == set(schema_names())
+    for file in ELSEWHERE.values():
+        text = (Path(__file__).parents[1] / file).read_text(encoding="utf-8")
+        assert "--json" in text or "check_lines(" in text
+
+
+@pytest.mark.usefixtures("rigid_only")
+@pytest.mark.parametrize("command", HERE.values())
+def test_an_output_follows_its_schema(gauge, tmp_path, command):
+    write_csv(tmp_path / "slide.csv", SLIDE)
+    assert gauge(*shlex.split(command), "--json").stdout.startswith("{")
+
+
+def test_a_result_file_follows_its_schema(gauge, tmp_path):
+    gauge("run", "SlopeSlider-2-wood", "--out", tmp_path)
+    (file,) = tmp_path.glob("*.json")
+    check_lines("result-file", file.read_text(encoding="utf-8"))
+
+
+# --- what a schema refuses ---
+
+
+@pytest.fixture
+def row(gauge) -> Any:
+    return json.loads(gauge("list", "SlopeSlider-2-wood", "--json").stdout)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"colour": "red"},
+        {"id": None},
+        {"grade": "good"},
+        {"frames": "twenty"},
+        {"frames": 1.5},
+        {"backends": ["mujoco"]},
+        {"backends": {"mujoco": [1]}},
+    ],
+)
+def test_a_wrong_value_is_refused(row, change):
+    check_lines("list", json.dumps(row))
+    with pytest.raises(AssertionError, match="list: "):
+        check_lines("list", json.dumps(row | change))
+
+
+def test_a_missing_and_a_renamed_key_are_refused(row):
+    renamed = {"name" if key == "id" else key: value for key, value in row.items()}
+    del row["grade"]
+    for wrong in (row, renamed):
+        with pytest.raises(AssertionError, match="list: "):
+            check_lines("list", json.dumps(wrong))
+
+
+def test_nan_is_refused():
+    with pytest.raises(AssertionError, match="NaN is no JSON"):
+        check_lines("list", '{"frames": NaN}')
+
+
+def test_no_object_of_a_schema_takes_further_keys():
+    def objects(schema):
+        if isinstance(schema, dict):
+            yield from [schema] if "properties" in schema else []
+            for one in schema.values():
+                yield from objects(one)
+        elif isinstance(schema, list):
+            for one in schema:
+                yield from objects(one)
+
+    count = 0
+    for name in schema_names():
+        validator(name)
+        for one in objects(output_schema(name)):
+            assert one.get("additionalProperties") is False
+            count += 1
+    assert count > 100
+
+
+# --- types ---
+
+
+class Part(TypedDict):
+    """A part.
+
+    Attributes:
+        size: Its size [m].
+    """
+
+    size: float
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A whole."""
+
+    parts: tuple[Part, ...]
+    ends: tuple[float, int] | None
+    name: str | None = None
+
+
+def test_a_schema_follows_from_a_type():
+    schema = schema_of(Whole)
+    part, whole = schema["$defs"]["Part"], schema["$defs"]["Whole"]
+    assert part["properties"]["size"] == {
+        "type": ["number", "null"],
+        "description": "Its size [m].",
+    }
+    assert whole["required"] == ["parts", "ends", "name"]
+    assert whole["properties"]["name"] == {"type": ["string", "null"]}
+    assert whole["properties"]["parts"]["items"] == {"$ref": "#/$defs/Part"}
+    assert whole["properties"]["ends"]["anyOf"][0]["minItems"] == 2
+    for refused in (bytes, set[complex], complex):
+        with pytest.raises(TypeError, match="no JSON Schema"):
+            schema_of(refused)
+
+
+def test_json_takes_every_number():
+    values = {
+        "array": np.array([[1.0, np.nan], [np.inf, 2.0]]),
+        "number": np.float32("inf"),
+        "count": np.int64(3),
+        "truth": np.True_,
+        "text": "Würfel\ud800\x1b",
+        "nested": [{"deep": (np.float64("nan"), None)}],
+    }
+    text = json_text([deepcopy(values)])
+    assert json.loads(text, parse_constant=pytest.fail) == {
+        "array": [[1.0, None], [None, 2.0]],
+        "number": None,
+        "count": 3,
+        "truth": True,
+        "text": "Würfel\ud800\x1b",
+        "nested": [{"deep": [None, None]}],
+    }
+    assert text.isascii()
+
+
+# --- the command and versions ---
+
+
+def test_the_command_prints_the_schema(gauge):
+    listed = gauge("list", "schemas", "list", "--json").stdout
+    assert json.loads(listed) == {"name": "list", "version": 2}
+    shown = json.loads(gauge("show", "backend check", "--schema").stdout)
+    assert shown == output_schema("backend check")
+    assert shown["$id"] == "urn:gauge-envs:backend-check:1"
+    refused = gauge("show", "lst", "--schema")
+    assert (refused.exit_code, refused.stdout) == (2, "")
+    assert "did you mean list?" in refused.stderr
+
+
+def test_a_schema_changes_only_with_its_version():
+    stated, found = json.loads(LEDGER.read_text(encoding="utf-8")), current()
+    assert not_raised(stated, found) == [], "raise `version` in the instrument.toml"
+    assert stated == found, "run `python -m scripts build schemas`"
+
+
+def test_a_change_without_a_raise_is_found():
+    found = current()
+    version = found["run"]["version"]
+    earlier = {"run": {"version": version, "digest": "0"}}
+    raised = {"run": {"version": version + 1, "digest": "1"}}
+    assert not_raised(earlier, found) == ["run"]
+    assert not_raised(earlier, found | raised) == []

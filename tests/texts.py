@@ -1,0 +1,12 @@
+"""Files whose text a test changes."""
+
+
+def changed_text(path, *replacements, to=None, count=1):
+    """Replace texts of a file, each of which must be in it; return the file, or the copy that holds the result."""
+    text = path.read_text(encoding="utf-8")
+    for old, new in replacements:
+        assert old in text, old
+        text = text.replace(old, new, count)
+    target = path if to is None else to
+    target.write_text(text, encoding="utf-8")
+    return target

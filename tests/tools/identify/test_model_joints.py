@@ -1,0 +1,164 @@
+"""Servo logs in MJCF models: logs from plain MuJoCo at a quarter of the step, and from closed forms."""
+
+import re
+
+import mujoco
+import numpy as np
+import pytest
+
+from gauge_envs.backends import backend
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.identify import Log, identify, read_log, read_mjcf
+from gauge_envs.tools.identify.baselines import baselines, lagged
+from gauge_envs.tools.identify.mujoco_joints import joints_of_model
+
+ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
+  <SHOULDER/><inertial pos="0 0 -.1" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>
+  <body pos="0 0 -.2"><JOINT/><inertial pos="0 0 -.1" mass=".3" diaginertia="2e-3 2e-3 2e-3"/></body>
+</body></worldbody>{rest}</mujoco>"""
+TRUTH = (
+    '<joint name="elbow" axis="0 1 0" frictionloss="0.05" '
+    'solimpfriction="0.9999 0.9999 0.001" solreffriction="0.001 1"/>'
+)
+SHOULDER = '<joint name="shoulder" axis="0 1 0"/>'
+KP, KV, DELAY_S, NOISE_RAD = 6.0, 0.25, 0.03, 5e-4
+STEP_S = 0.002
+NAMES = ("dry_friction_n_m", "armature_kg_m2", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")  # fmt: skip
+
+
+def arm(elbow="", *, step=STEP_S, rest="", shoulder=SHOULDER):
+    """The model; without a shoulder, its link is fixed."""
+    joint = elbow or '<joint name="elbow" axis="0 1 0"/>'
+    xml = ARM.format(step=step, rest=rest).replace("<SHOULDER/>", shoulder)
+    return xml.replace("<JOINT/>", joint)
+
+
+def played(xml, command, times_s):
+    """Angles of the elbow while the shoulder stays, in plain MuJoCo; `command` is a function of time."""
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    place = model.joint("elbow").qposadr
+    angles = []
+    done = 0
+    for until_s in times_s:
+        while done < round(until_s / model.opt.timestep):
+            data.ctrl[0] = command(done * model.opt.timestep)
+            mujoco.mj_step(model, data)
+            done += 1
+        angles.append(float(data.qpos[place][0]))
+    return np.array(angles)
+
+
+def servo_log(name, seed):
+    """A log of random steps of the elbow, which starts at rest and hangs."""
+    random = np.random.default_rng(seed)
+    times_s = np.arange(400) * 0.02
+    steps = np.repeat(random.uniform(-0.6, 0.6, 20), 20)
+    steps[:20] = 0.0
+
+    def held(time_s):
+        row = np.searchsorted(times_s, time_s - DELAY_S + 1e-9, side="right") - 1
+        return steps[max(row, 0)]
+
+    servo = f'<position joint="elbow" kp="{KP}" kv="{KV}"/>'
+    rest = f"<actuator>{servo}</actuator>"
+    xml = arm(TRUTH, step=0.0005, rest=rest, shoulder="")
+    angles = played(xml, held, times_s) + NOISE_RAD * random.standard_normal(400)
+    return Log(name, times_s, angles[:, None], steps[:, None], joints=("elbow",))
+
+
+@pytest.fixture(scope="module")
+def found():
+    model = mujoco.MjSpec.from_string(arm())
+    held_out = servo_log("other", 2)
+    logs = [servo_log("one", 1)]
+    return identify(backend("mujoco"), model, logs, NAMES, held_out=[held_out])
+
+
+def test_the_numbers_of_one_joint_of_an_arm_are_found(found):
+    values = {one.name: one for one in found.settings}
+    truth = dict(zip(NAMES, (0.05, 0.0, KP, KV, DELAY_S), strict=True))
+    for name in ("dry_friction_n_m", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s"):
+        assert values[name].pasted == pytest.approx(truth[name], rel=0.06), name
+    assert values["kp_n_m_per_rad"].unknown == ""
+    assert found.held_out_rad["other"][0] < 2.0 * NOISE_RAD
+
+
+def test_what_is_not_determined_is_marked_and_left_out(found):
+    armature = next(one for one in found.settings if one.name == "armature_kg_m2")
+    assert armature.unknown and armature.pasted is None
+    assert 'joint name="elbow"' in found.lines
+    assert 'armature="' not in found.lines
+    assert re.search("<!-- elbow: armature_kg_m2 is not determined .*, left out", found.lines)  # fmt: skip
+
+
+def test_the_printed_error_is_that_of_the_pasted_lines(found):
+    """The lines go into the file as a user pastes them, and the shoulder is held."""
+    joint, servo = [one for one in found.lines.splitlines() if "<!--" not in one]
+    log = servo_log("other", 2)
+    rest = f"<actuator>{servo}</actuator>"
+    xml = arm(joint.replace("<joint", '<joint axis="0 1 0"'), rest=rest, shoulder="")
+    assert log.command_rad is not None
+    commands = log.command_rad[:, 0]
+
+    def held(time_s):
+        return commands[int(np.searchsorted(log.times_s, time_s + 1e-9, "right")) - 1]
+
+    measured = log.position_rad[:, 0]
+    error = np.sqrt(((played(xml, held, log.times_s) - measured) ** 2).mean())
+    # The replay starts at the measured angle and rate, this one at rest at 0.
+    assert found.held_out_rad["other"][0] == pytest.approx(error, rel=0.02)
+
+
+def test_plain_laws_are_beside_the_errors(found):
+    command, lag = found.plain_rad["other"][:, 0]
+    assert found.held_out_rad["other"][0] < 0.2 * lag < 0.2 * command
+
+
+def test_a_lag_is_found_by_its_five_numbers():
+    """Of a log that this law made, a lag leaves the noise, which is none."""
+    times_s = np.arange(600) * 0.02
+    command = np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 20), 30)
+    # First order: after a step the rest is exp(-t / constant), less the play on the side it came from.
+    angle = lagged(times_s, command, 0.0, (0.9, 0.1, 0.04, 0.1, 0.02))
+    after = times_s[89] - times_s[60] - 0.04
+    target = 0.9 * command[60] + 0.1
+    side = np.sign(target - angle[61])
+    rest = (target - side * 0.02 - angle[62]) * np.exp(-after / 0.1)
+    assert angle[89] == pytest.approx(target - side * 0.02 - rest, abs=1e-9)
+    log = Log("lag", times_s, angle[:, None], command[:, None])
+    errors = baselines([log], [])["lag"][:, 0]
+    assert errors[0] > 0.1
+    assert errors[1] < 0.02
+
+
+def test_joints_without_a_log_keep_the_angles_of_the_keyframe(tmp_path):
+    key = '<keyframe><key qpos="0.4 0"/></keyframe>'
+    (tmp_path / "arm.xml").write_text(arm(rest=key))
+    log = servo_log("one", 1)
+    machine = joints_of_model(read_mjcf(tmp_path / "arm.xml"), log, {})
+    model = machine.spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert model.njnt == 1
+    turned = [-0.2 * np.sin(0.4), 0.0, -0.2 * np.cos(0.4)]
+    assert data.joint("elbow").xanchor == pytest.approx(turned)
+
+
+def test_a_log_of_another_robot_is_refused():
+    log = servo_log("one", 1)
+    strange = Log("one", log.times_s, log.position_rad, log.command_rad, joints=("wrist",))  # fmt: skip
+    model = mujoco.MjSpec.from_string(arm())
+    with pytest.raises(ParameterError, match="wrist, and the model has the hinges shoulder, elbow"):  # fmt: skip
+        identify(backend("mujoco"), model, [strange], NAMES)
+    nameless = Log("one", log.times_s, log.position_rad, log.command_rad)
+    with pytest.raises(ParameterError, match="1 joints without names, and the model 2"):
+        identify(backend("mujoco"), model, [nameless], NAMES)
+
+
+def test_an_npz_log_names_its_joints(tmp_path):
+    times_s = np.arange(30) / 50
+    angles = np.zeros((30, 2))
+    file = tmp_path / "log.npz"
+    np.savez(file, time_s=times_s, position_rad=angles, joints=["a", "b"])
+    assert read_log(file).joints == ("a", "b")

@@ -1,0 +1,115 @@
+"""Cures of an arm, judged by plain MuJoCo: it holds its pose, steps no slower, and resists a push.
+
+Cures of other robots are written, and read again.
+"""
+
+import xml.etree.ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+from arm_faults import LATER, MISTAKES, good_xml
+from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
+
+from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
+from gauge_envs.tools.sanity.robot.mended_model import mended_xml
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.remedies import ORDER, find_remedies
+from gauge_envs.tools.sanity.robot.rows import ROWS
+from gauge_envs.tools.sanity.stacks import dialect
+from gauge_envs.tools.sanity.target_checks import target_rows
+
+NO_REMEDY = {"limits of the wrist alone"}
+"""Mistakes that took away what no check can know."""
+
+
+def read(xml):
+    spec = mujoco.MjSpec.from_string(xml)
+    return mujoco_configuration(
+        spec.compile(), name="arm.xml", source="test", spec=spec
+    )
+
+
+def flags_of(configuration):
+    rows = target_rows(configuration, dialect("mjcf"), ROBOT_IDS)
+    return {row.phenomenon for row in rows if row.is_flag}
+
+
+def shown(model):
+    """Return the error of the held pose, its change by a push [rad], and the slowest half of a step [s]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    start = data.qpos.copy()
+    mujoco.mj_step(model, data, round(2.0 / model.opt.timestep))
+    held = data.qpos.copy()
+    data.qfrc_applied[:] = 2.0
+    mujoco.mj_step(model, data, round(1.0 / model.opt.timestep))
+    pushed = np.abs(data.qpos - held).max()
+    halves_s = []
+    for servo in range(model.nu):
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        data.ctrl[servo] += 0.3
+        while data.qpos[servo] - start[servo] < 0.15 and data.time < 1.0:
+            mujoco.mj_step(model, data)
+        halves_s.append(data.time)
+    return np.abs(held - start).max(), pushed, max(halves_s)
+
+
+@pytest.mark.parametrize("name", sorted({*MISTAKES, *LATER} - NO_REMEDY))
+def test_an_arm_is_the_better_for_its_cure(name, tmp_path):
+    change, _ = (MISTAKES | LATER)[name]
+    before = read(change(good_xml()))
+    found = find_remedies(before.robot, flags_of(before))
+    assert found.texts
+    text = mended_xml(before.robot, found.changes, found.texts, tmp_path)
+    after = read(text)
+    assert flags_of(after) == set()
+    assert sum(one.tag is ET.Comment for one in _with_comments(text)) > 1
+    pose_rad, push_rad, half_s = shown(after.robot.model)
+    assert pose_rad < 0.1 and push_rad < 0.1 and half_s < 0.2
+
+
+def _with_comments(text):
+    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    return ET.fromstring(text, parser=parser).iter()
+
+
+BY_HAND = {"robot-size", "robot-balance", "robot-level", "robot-mirror"}
+"""Rows that no change of a number mends for certain: the shape or the unit of the whole robot is wrong."""
+
+ALL = MORE_MISTAKES | MORE_LATER
+FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
+LAG_IS_LEFT = {"hand, armature in g cm^2"}
+"""Mistakes after whose cure another row is still flagged."""
+
+
+def test_every_row_on_a_model_has_its_place_in_the_order():
+    assert set(ROWS) - set(ORDER) == {"robot-action", "robot-delay"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in FIRST else [pytest.mark.slow])
+        for name in ALL
+    ],
+)
+def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
+    change, row = ALL[name]
+    before = read(change(GOOD[name.partition(",")[0]]()))
+    found = find_remedies(before.robot, flags_of(before))
+    if not found.texts:
+        assert row in BY_HAND
+        return
+    after = read(mended_xml(before.robot, found.changes, found.texts, tmp_path))
+    assert row not in flags_of(after)
+    assert flags_of(after) == set() or name in LAG_IS_LEFT | {
+        other for other in ALL if ALL[other][1] in BY_HAND
+    }
+
+
+def test_nothing_is_tried_on_a_robot_in_another_unit_of_length():
+    change, _ = ALL["arm, lengths in millimetres"]
+    before = read(change(GOOD["arm"]()))
+    assert len(flags_of(before)) > 1
+    assert find_remedies(before.robot, flags_of(before)).attempts == ()

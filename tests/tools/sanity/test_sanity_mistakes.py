@@ -1,0 +1,93 @@
+"""Planted mistakes in an arm, a quadruped, a biped and a hand are named, and the robots without one have no flag."""
+
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from more_faults import GOOD, LATER, MISTAKES, biped_xml
+
+from gauge_envs.tools.sanity.model import Verdict
+from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.whole_rows import outside
+from gauge_envs.tools.sanity.target_checks import robot_row
+
+UNNAMED = 1 / 20
+"""Largest share of mistakes whose row is not flagged."""
+
+
+def robot_of(xml):
+    spec = mujoco.MjSpec.from_string(xml)
+    found = mujoco_configuration(spec.compile(), name="robot", source="test", spec=spec)
+    return found.robot
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_robot_without_a_mistake_has_no_flag(name):
+    robot = robot_of(GOOD[name]())
+    rows = [robot_row(one, robot) for one in ROBOT_IDS]
+    assert [(row.phenomenon, row.configured) for row in rows if row.is_flag] == []
+
+
+@pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
+def test_mistakes_are_named(mistakes):
+    unnamed = []
+    for name, (change, expected) in mistakes.items():
+        text = GOOD[name.partition(",")[0]]()
+        changed = change(text)
+        assert changed != text, name
+        row = robot_row(expected, robot_of(changed))
+        if not (row.is_flag and row.cause is not None and row.consequence):
+            unnamed.append((name, expected, row.configured, row.remark))
+    assert len(unnamed) <= UNNAMED * len(mistakes), unnamed
+
+
+@pytest.mark.parametrize(
+    ("place", "distance"),
+    [((0.5, 0.5), 0.0), ((2.0, 0.5), 1.0), ((-3.0, -4.0), 5.0), ((0.5, 1.25), 0.25)],
+)
+def test_the_distance_outside_a_hull_is_that_to_its_edge(place, distance):
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [0.5, 0.5]])
+    assert outside(square, np.array(place)) == pytest.approx(distance, abs=1e-12)
+
+
+def test_a_stop_yields_by_the_law_of_its_softness():
+    """At rest the angle is (1 - d) a T^2 for a time constant T, a damping ratio of 1 and a constant impedance d."""
+    for time_constant_s, impedance in ((0.02, 0.95), (0.1, 0.9)):
+        stop = f'solreflimit="{time_constant_s} 1" solimplimit="{impedance} {impedance} 0.001"'
+        xml = f"""<mujoco><worldbody><body><joint name="j" range="-1 1" {stop}/>
+          <geom size=".1" pos=".1 0 0" mass="1"/></body></worldbody>
+          <actuator><motor joint="j" ctrlrange="-50 50"/></actuator></mujoco>"""
+        found = robot_row(
+            "robot-stops",
+            robot_of(
+                xml.replace("<worldbody>", '<compiler angle="radian"/><worldbody>')
+            ),
+        )
+        angle_rad = (1.0 - impedance) * 100.0 * time_constant_s**2
+        assert found.configured == pytest.approx(1e3 * angle_rad, abs=0.1)
+
+
+def test_the_centre_of_mass_of_a_biped_is_judged_by_its_lean():
+    robot = robot_of(
+        biped_xml().replace('type="box" pos="0 0 .2"', 'type="box" pos=".5 0 .2"')
+    )
+    data = mujoco.MjData(robot.model)
+    mujoco.mj_resetDataKeyframe(robot.model, data, 0)
+    mujoco.mj_forward(robot.model, data)
+    centre = data.subtree_com[robot.model.body("torso").id]
+    toes = data.geom("left_foot").xpos[0] + 0.11
+    lean_deg = np.degrees(np.arctan2(centre[0] - toes, centre[2]))
+    assert robot_row("robot-balance", robot).configured == pytest.approx(
+        lean_deg, abs=0.1
+    )
+
+
+@pytest.mark.parametrize("name", ["half_cheetah.xml", "humanoidstandup.xml"])
+def test_legs_one_behind_the_other_and_a_lying_robot_are_no_biped(name):
+    file = Path(gymnasium.__file__).parent / "envs/mujoco/assets" / name
+    robot = robot_of(file.read_text(encoding="utf-8"))
+    for row in ("robot-level", "robot-balance"):
+        assert robot_row(row, robot).verdict is Verdict.DECLINED
