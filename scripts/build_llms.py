@@ -5,6 +5,7 @@ The format is that of https://llmstxt.org: a title, a summary, and lists of link
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -37,15 +38,26 @@ def links() -> Iterator[str]:
     """Yield the lines of the lists, in the order of the table of contents."""
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     for caption, names in TREE.findall(index):
-        pages = [DOCS / f"{name}.md" for name in names.split() if "*" not in name]
-        known = [page for page in pages if page.is_file() and _is_page(page)]
+        pages = [
+            _source(name)
+            for name in names.split()
+            if name[0].isalpha() and "*" not in name
+        ]
+        known = [page for page in pages if _is_page(page)]
         if known:
             yield f"\n## {caption}\n"
         for page in known:
             text = page.read_text(encoding="utf-8")
             title, _, below = text[text.index("# ") + 2 :].partition("\n")
-            name = page.relative_to(DOCS).as_posix()
+            name = os.path.relpath(page, DOCS)
             yield f"- [{MARKS.sub('', title)}]({name}): {first_sentence(below)}"
+
+
+def _source(name: str) -> Path:
+    """Return the file of a page: the site copies the notes of studies, and a checkout may hold no copy."""
+    if name == "studies/index":
+        return ROOT / "studies" / "README.md"
+    return DOCS / f"{name}.md"
 
 
 def _is_page(page: Path) -> bool:
