@@ -436,7 +436,8 @@ def test_a_missing_engine_names_its_extra(name, monkeypatch):
 
 
 @pytest.mark.slow
-def test_closed_simulations_free_their_memory(engine):
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_simulations_that_nobody_uses_free_their_memory(engine, is_closed):
     resource = pytest.importorskip("resource")
     scene = load_experiment(SLIDE).scene
 
@@ -445,8 +446,9 @@ def test_closed_simulations_free_their_memory(engine):
             simulation = engine.build(scene)
             simulation.advance(INTERVAL_S)
             simulation.reset(0)
-            simulation.close()
-            simulation.close()
+            if is_closed:
+                simulation.close()
+                simulation.close()
         gc.collect()
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 

@@ -6,6 +6,7 @@ The import of PyBullet discards its messages, which would mix with the output of
 import ctypes
 import os
 import sys
+import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -155,6 +156,9 @@ class BulletWorld:
             raise BackendError(
                 "PyBullet opens no further world in this process: close simulations that are not used"
             )
+        # Bullet keeps a world, some 30 MB, until it is disconnected: also where nobody calls `close`.
+        self._disconnect = weakref.finalize(self, _disconnect, self.client)
+        self._disconnect.atexit = False
         self.handles: dict[str, Handle] = {}
         self.copies: dict[str, list[Handle]] = {}
         self.folder = Path()
@@ -167,10 +171,8 @@ class BulletWorld:
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""
-        if self.client >= 0:
-            with silent():
-                self.call("disconnect")
-            self.client = -1
+        self._disconnect()
+        self.client = -1
 
     def shape(self, shape: Shape, offset_m: NDArray[np.float64], frame: Frame) -> int:
         """Return a collision shape whose body frame lies at a place [m] in a frame along the principal axes."""
@@ -352,6 +354,11 @@ class BulletWorld:
                 )
             else:
                 self.call("setJointMotorControl2", body, row, **motor)
+
+
+def _disconnect(client: int) -> None:
+    with silent():
+        pybullet.disconnect(physicsClientId=client)
 
 
 def _object_lines(pieces: Sequence[NDArray[np.float64]]) -> Iterator[str]:
