@@ -9,7 +9,7 @@ from gauge_envs.envs.env import GaugeEnv
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
-    """Score each episode against reality when it ends.
+    """Score each episode when it ends.
 
     Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a grade
     and no metric, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.

@@ -20,6 +20,7 @@ class ExperimentFacts(TypedDict):
         observable: What g(t) is.
         frames: Number of frames of 1/30 s.
         grade: What the reference is; see docs/scores.md.
+        tells: Changes of the scene that the reference tells.
     """
 
     id: str
@@ -28,6 +29,7 @@ class ExperimentFacts(TypedDict):
     observable: str
     frames: int
     grade: BandGrade
+    tells: Sequence[str]
 
 
 class ListLine(ExperimentFacts):

@@ -26,7 +26,12 @@ from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.user_data import BUNDLED_DATA
-from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result import (
+    MARKER_DECIMALS,
+    Outcome,
+    RecordedTrajectory,
+    Result,
+)
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -49,6 +54,10 @@ COPY_OF_MOTION = 1e-3
 SCORE_TOLERANCE = 1e-6
 """Largest difference of a stated score, relative and absolute. Last digits depend on the processor, and the fit of the
 release time ends within 1e-7 s. No table shows so many digits."""
+
+MARKER_TOLERANCE_MM = 10.0**-MARKER_DECIMALS
+"""Largest difference of a distance of markers [mm]. A file rounds each coordinate by at most half of it, and so the
+distance by at most sqrt(3) / 2 of it (triangle inequality)."""
 
 WRITTEN_ANEW = ("budget", "explained", "sensitivities")
 """Keys that are written anew without a comparison, as all intervals `*_95`: they depend on sensitivities that
@@ -316,29 +325,37 @@ def differing_scores(result: Result, computed: Score) -> Iterator[tuple[str, str
         # Files of earlier versions have no distance from a solution.
         if key == VERIFICATION and theirs[key] is None:
             continue
-        for place, said, given in _differences(f"score.{key}", theirs[key], value):
+        has_markers = result.trajectory is not None and result.trajectory.markers_mm
+        tolerance = (
+            MARKER_TOLERANCE_MM
+            if key == VERIFICATION and has_markers
+            else SCORE_TOLERANCE
+        )
+        for place, said, given in _differences(
+            f"score.{key}", theirs[key], value, tolerance
+        ):
             yield (
                 place,
                 f"the file states {_text(said)}, its trajectory gives {_text(given)}",
             )
 
 
-def _differences(place: str, said: Any, given: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield place and both values of each difference in two JSON values."""
+def _differences(
+    place: str, said: Any, given: Any, tolerance: float
+) -> Iterator[tuple[str, Any, Any]]:
+    """Yield place and both values of each difference in two JSON values, above a tolerance of numbers."""
     if (
         isinstance(said, dict)
         and isinstance(given, dict)
         and said.keys() == given.keys()
     ):
         for key in given:
-            yield from _differences(f"{place}.{key}", said[key], given[key])
+            yield from _differences(f"{place}.{key}", said[key], given[key], tolerance)
     elif isinstance(said, list) and isinstance(given, list) and len(said) == len(given):
         for number, (one, other) in enumerate(zip(said, given, strict=True)):
-            yield from _differences(f"{place}.{number}", one, other)
+            yield from _differences(f"{place}.{number}", one, other, tolerance)
     elif _are_numbers(said, given):
-        if not math.isclose(
-            said, given, rel_tol=SCORE_TOLERANCE, abs_tol=SCORE_TOLERANCE
-        ):
+        if not math.isclose(said, given, rel_tol=SCORE_TOLERANCE, abs_tol=tolerance):
             yield place, said, given
     elif said != given:
         yield place, said, given

@@ -84,7 +84,7 @@ def run(
     ),
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Run experiments, score them against reality, and write a result file for each.
+    """Run experiments, score each against its reference, and write a result file for each.
 
     The pattern '*' is all. Engines of other packages always run in another process. Exit code 1 when an
     episode failed or diverged, or when an experiment given by its id was declined. Experiments of a pattern may be

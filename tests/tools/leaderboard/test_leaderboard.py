@@ -20,14 +20,15 @@ from scipy.interpolate import CubicSpline
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, RecordedTrajectory
+from gauge_envs.runs.result import MARKER_DECIMALS, Outcome, RecordedTrajectory
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.leaderboard import check_leaderboard
+from gauge_envs.tools.leaderboard import check_leaderboard, false_scores
 from gauge_envs.tools.leaderboard.archive import archived_files
 from gauge_envs.tools.leaderboard.reruns import rerun, rerun_sample
 from gauge_envs.tools.leaderboard.submission import installed_package
@@ -342,6 +343,45 @@ def test_a_fault_of_a_submission_is_found_and_nothing_else(honest, tmp_path, app
         faults = texts(check).replace(str(tmp_path / str(number)), "FOLDER")
         lines.append(f"=== {name} ===\n{faults}")
     approved("leaderboard/faults", stable("\n".join(lines)))
+
+
+def test_a_score_of_markers_is_that_of_the_rounded_ones_in_its_file(honest, tmp_path):
+    """A file rounds markers; a distance that rounding does not explain is still found."""
+    experiment = load_experiment("FoamBending-soft")
+    band = reference_band(experiment)
+    count = experiment.frame_count
+    times_s = np.arange((count - 1) * SAMPLES_PER_FRAME + 1) / (
+        SAMPLES_PER_FRAME * FRAME_RATE_HZ
+    )
+    values = np.full((len(times_s), len(experiment.coordinates)), 250.0)
+    # Rounding takes the last digit away from every coordinate alike.
+    known_mm = np.nan_to_num(band.points.mean).round(MARKER_DECIMALS) + 0.30004
+    markers_m = 1e-3 * known_mm.reshape(count, -1, 3)
+    made = load_result(result_of(submission(honest)))
+    score = score_trajectory(
+        experiment,
+        band,
+        times_s=times_s,
+        values=values,
+        markers_m=markers_m,
+        backend="mujoco",
+        is_checked=True,
+    )
+    trajectory = RecordedTrajectory.of(experiment, times_s, values, markers_m)
+    result = replace(
+        made,
+        id=experiment.id,
+        revision=experiment.revision,
+        score=score,
+        trajectory=trajectory,
+        deformation=None,
+    )
+    file = tmp_path / "result.json"
+    write_result(result, file)
+    assert not false_scores(load_result(file))
+    edit(file, set_value("score.verification.distance", 0.9))
+    (fault,) = false_scores(load_result(file))
+    assert fault.startswith("score.verification.distance: the file states 0.9")
 
 
 def test_scores_of_another_version_of_gauge_envs_are_computed_anew(board):
