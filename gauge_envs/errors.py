@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from enum import StrEnum
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -157,9 +158,14 @@ class VideoError(GaugeError, ValueError):
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a sentence that offers the known names nearest to an unknown one, or some of all."""
     names = sorted(known)
+    matches = [n for n in names if fnmatchcase(n, name)]
+    if matches:
+        return f"one name is expected, as {matches[0]}, and no pattern"
     heads = {f"{n.partition('-')[0]}-*" for n in names} if "*" in name else ()
-    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(
-        name, [*names, *heads], n=3, cutoff=0.5
+    near = (
+        [n for n in names if n.casefold() == name.casefold()]
+        or [n for n in names if n.startswith(name)][:6]
+        or get_close_matches(name, [*names, *heads], n=3, cutoff=0.5)
     )
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return (

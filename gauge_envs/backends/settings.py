@@ -116,7 +116,7 @@ def resolve_settings(
     """
     if not isinstance(changes, Mapping | None):
         raise ParameterError(
-            f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 0.0005}}"
+            f"{engine} settings {changes!r}: expected a mapping, as {{'timestep_s': 1 / 1800}}"
         )
     values = dict(changes or {})
     name = values.pop("preset", None) or preset
@@ -139,9 +139,10 @@ def resolve_settings(
     steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         text = f"1/{1.0 / interval:.6g}" if interval < 1.0 else f"{interval:.6g}"
+        nearest_rate_hz = math.ceil(steps) / interval
         raise ParameterError(
             f"{engine} setting 'timestep_s': drive_interval_s, {text} s, is {steps:.6g} steps, not a whole number: "
-            "choose a timestep_s that divides it"
+            f"choose a timestep_s that divides it, as 1/{nearest_rate_hz:.6g}"
         )
     return settings
 

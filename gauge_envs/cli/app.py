@@ -204,7 +204,11 @@ class _Root(_Group):
         first = args[0].partition("=")[0] if args else ""
         known = {option for one in self.get_params(ctx) for option in one.opts}
         if first.startswith("-") and first not in known and not ctx.resilient_parsing:
-            ctx.fail(f"{first} comes behind a command, as in gauge run {first}")
+            ctx.fail(
+                f"There is no gauge {first}: write gauge --version"
+                if first in ("-V", "-v")
+                else f"No such option: {first}; options of a command come behind it, as in gauge run ID --seed 1"
+            )
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:

@@ -203,7 +203,7 @@ Settings = Annotated[
         metavar=ASSIGNED,
         rich_help_panel=NUMERICS,
         show_default="those of the engine",
-        help="Setting of the engine, as timestep_s=0.0005 or timestep_s=1/1800.",
+        help="Setting of the engine, as timestep_s=1/1800.",
     ),
 ]
 
@@ -329,10 +329,21 @@ Form = Annotated[
 ]
 
 
-def target(text: str, *, show_default: bool | str = True) -> Any:
+STDOUT = "-"
+"""Path that stands for stdout, in the metavar of an option that takes it."""
+
+
+def target(
+    text: str, *, metavar: str | None = None, show_default: bool | str = True
+) -> Any:
     """Return the option `--out`: a folder or a file, or several files of different suffixes."""
     return typer.Option(
-        "--out", "-o", rich_help_panel=OUTPUT, help=text, show_default=show_default
+        "--out",
+        "-o",
+        metavar=metavar,
+        rich_help_panel=OUTPUT,
+        help=text,
+        show_default=show_default,
     )
 
 
@@ -401,10 +412,13 @@ def assigned(option: str, texts: Sequence[str]) -> dict[str, str]:
 
 
 def value_of(text: str) -> Any:
-    """Return the value of a JSON text or of a fraction, or the text itself if it is neither."""
+    """Return the value of a JSON text, of a fraction, or of numbers with commas; or the text itself."""
     fraction = [_number(part) for part in text.split("/")]
     if len(fraction) == 2 and fraction[0] is not None and fraction[1]:
         return fraction[0] / fraction[1]
+    numbers = [_number(part.strip()) for part in text.split(",")]
+    if len(numbers) > 1 and None not in numbers:
+        return numbers
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -426,7 +440,7 @@ def parsed_parameters(texts: Sequence[str] | None) -> str | dict[str, Any] | Non
 
 
 def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
-    """Return settings such as `timestep_s=0.0005` as a dictionary; None for no settings."""
+    """Return settings such as `timestep_s=1/1800` as a dictionary; None for no settings."""
     found = assigned("--set", changes or ())
     return {name: value_of(value) for name, value in found.items()} or None
 

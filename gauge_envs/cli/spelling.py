@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.cli.arguments import split_values
+from gauge_envs.cli.arguments import OUTPUT, PER_ENGINE, STDOUT, split_values
 from gauge_envs.errors import ParameterError, nearest
 
 RENAMED = {
@@ -32,6 +32,15 @@ RENAMED = {
 
 DETAIL = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 """A word NAME=VALUE, as earlier versions had them. A file of such a name is written as ./NAME=VALUE."""
+
+
+LISTED = ("ID", "KIND or PATTERN", "NAME", "PATTERN")
+"""Metavars of arguments that are lists of names, not of paths."""
+
+
+def _names(text: str) -> list[str]:
+    """Return the names of a word, which commas separate; the settings behind an engine belong to it."""
+    return [text] if Path(text).exists() else split_values(text, PER_ENGINE)
 
 
 def longest(param: Any) -> str:
@@ -87,6 +96,9 @@ def checked_values(
     for one in params:
         value = values.get(one.name)
         if one.param_type_name == "argument":
+            if one.nargs == -1 and one.metavar in LISTED:
+                value = [part for text in value or () for part in _names(text)]
+                found[one.name] = value
             # An argument that was not given is None or, in some versions of click, a mark of its own.
             if isinstance(value, str):
                 words.append(value)
@@ -104,6 +116,14 @@ def checked_values(
         if any(isinstance(text, str) and not text.strip() for text in texts):
             raise ParameterError(
                 f"{option} has an empty value: state it or leave it out"
+            )
+        if (
+            one.rich_help_panel == OUTPUT
+            and STDOUT in texts
+            and STDOUT not in (one.metavar or "")
+        ):
+            raise ParameterError(
+                f"{option} {STDOUT}: expected a path; stdout has what --format says"
             )
     for word in words:
         _check_word(params, word)

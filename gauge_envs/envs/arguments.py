@@ -79,7 +79,8 @@ class EnvArguments:
                 "a Variant or its name, as 'SlopeSlider-2-wood'",
             ),
             ("backend", str, "the name of a backend, as 'mujoco'"),
-            ("settings", (Mapping, type(None)), "a mapping, as {'timestep_s': 0.0005}"),
+            ("settings", (Mapping, type(None)), "a mapping, as {'timestep_s': 1 / 1800}"),
+            ("use_withheld", bool, "True or False"),
             ("asset", (str, PathLike, type(None)), "the path of a file"),
         )
         for name, types, text in expected:
@@ -285,6 +286,10 @@ class Starts:
             options: Options of the reset.
             seeded: Whether it has a seed.
         """
+        if not isinstance(options, Mapping | None):
+            raise ParameterError(
+                f"options of reset are {options!r}, expected a mapping, as {{'jitter': True}}"
+            )
         if options is not None or seeded:
             self._options = dict(options or {})
         return jitter_option(self._experiment, self._options, self._scatter)

@@ -183,6 +183,10 @@ class SceneBuilder:
             self.gravity_m_per_s2 = float(value)
             return
         if name == AIR:
+            if not any(one in self.spec.cloths for one in self.present):
+                raise ParameterError(
+                    f"{self.variant.name}: override {key!r} would change nothing: air acts on cloth, and the scene has none"
+                )
             air = [one.name for one in fields(Air)]
             if constant not in air:
                 raise ParameterError(
@@ -551,9 +555,11 @@ class SceneBuilder:
 
 
 def _has_dimensions(value: Any, dimensions: int) -> bool:
-    """Return whether a value is a number, or a list of so many dimensions of numbers."""
+    """Return whether a value is a number, three of them, or a list of three of them each, for 0, 1 or 2 dimensions."""
     if dimensions == 0:
         return isinstance(value, int | float) and not isinstance(value, bool)
-    return isinstance(value, list | tuple) and all(
-        _has_dimensions(one, dimensions - 1) for one in value
+    return (
+        isinstance(value, list | tuple)
+        and (dimensions > 1 or len(value) == 3)
+        and all(_has_dimensions(one, dimensions - 1) for one in value)
     )

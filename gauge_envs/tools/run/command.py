@@ -105,13 +105,15 @@ def run(
     scatter = arguments.parsed_jitter(jitter)
     if repeats == 1 and scatter is not None and not any(scatter.to_dict().values()):
         scatter = None
+    constants = arguments.parsed_parameters(parameters) or "calibrated"
+    settings = arguments.parsed_settings(changes)
     subjects = {pattern: matching_subjects(pattern) for pattern in ids}
     requests = [
         RunRequest(
             subject,
             backend=engine,
-            parameters=arguments.parsed_parameters(parameters) or "calibrated",
-            settings=arguments.parsed_settings(changes),
+            parameters=constants,
+            settings=settings,
             asset=asset,
             uncertainty=uncertainty,
             **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),

@@ -320,7 +320,9 @@ def sanity_probe(
     out: Annotated[
         Path | None,
         arguments.target(
-            "File to write, as gauge_probe.py; - is stdout.", show_default="stdout"
+            "File to write, as gauge_probe.py; - is stdout.",
+            metavar=f"PATH|{arguments.STDOUT}",
+            show_default="stdout",
         ),
     ] = None,
 ) -> None:
@@ -332,7 +334,7 @@ def sanity_probe(
     from gauge_envs.pages.document import save_file
 
     program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
-    if out is None or str(out) == "-":
+    if out is None or str(out) == arguments.STDOUT:
         echo(program, nl=False)
     else:
         message(save_file(out, program))

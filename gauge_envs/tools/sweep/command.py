@@ -92,7 +92,7 @@ def sweep(
         _option(
             "--set",
             arguments.NUMERICS,
-            "Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50.",
+            "Values of a setting, as timestep_s=1/1800,1/3600 or mujoco.iterations=10,50.",
             "those of the engine",
             metavar=arguments.ASSIGNED,
         ),
