@@ -5,7 +5,6 @@ physical cause, then the solver, then the gains. One is accepted if the row is m
 its servos are no slower, and no other row is worse.
 """
 
-import copy
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,7 +36,12 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     stiffness,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot, enabling, switched_off
+from gauge_envs.tools.sanity.robot.robot import (
+    GEOM_FIELDS,
+    Robot,
+    enabling,
+    switched_off,
+)
 from gauge_envs.tools.sanity.robot.rollout import (
     STEP_RAD,
     STEP_S,
@@ -71,6 +75,16 @@ OF_BODIES = frozenset(
     }
 )
 """Rows that joints, actuators and options do not change."""
+
+OF_CONTACTS = frozenset(
+    {
+        *("robot-holds", "robot-stands", "robot-loads", "robot-saturation"),
+        *("robot-slip", "robot-overlap", "robot-torsion", "robot-friction"),
+    }
+)
+"""Rows that constants of contacts, and the options that only contacts read, change."""
+
+CONTACT_OPTIONS = frozenset({"cone", "impratio", *GEOM_FIELDS})
 
 WITHOUT_TOP = frozenset({"robot-dry", "robot-torque", "robot-stiffness", "robot-holds"})
 """Rows whose upper limit is none: more is no worse."""
@@ -200,11 +214,9 @@ class Behaviour:
         robot: The robot.
     """
 
-    def __init__(
-        self, robot: Robot, known: Mapping[str, PhenomenonResult] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._rows = dict(known or {})
+        self._rows: dict[str, PhenomenonResult] = {}
         self._steps_s: dict[int, float] = {}
 
     def row(self, name: str) -> PhenomenonResult:
@@ -212,10 +224,6 @@ class Behaviour:
         if name not in self._rows:
             self._rows[name] = judged_row(name, ROWS[name](self.robot))
         return self._rows[name]
-
-    def rows_of(self, names: Collection[str]) -> dict[str, PhenomenonResult]:
-        """Return the rows with these names that were measured so far."""
-        return {name: row for name, row in self._rows.items() if name in names}
 
     @cached_property
     def is_held(self) -> bool:
@@ -243,13 +251,8 @@ def half_step_s(robot: Robot, actuator: int) -> float:
     A robot that floats is left without gravity and contact. It is infinite where the servo does not get there in 1 s,
     and NaN where its joint or its command has no room for the step.
     """
-    model = copy.copy(robot.model)
-    if robot.is_floating:
-        bits = (
-            mujoco.mjtDisableBit.mjDSBL_GRAVITY,
-            mujoco.mjtDisableBit.mjDSBL_CONTACT,
-        )
-        model.opt.disableflags |= sum(map(int, bits))
+    features = ("gravity", "contact") if robot.is_floating else ()
+    model = robot.without(*features)
     data = start(robot, model)
     joint = int(model.actuator_trnid[actuator, 0])
     place = int(model.jnt_qposadr[joint])
@@ -288,14 +291,29 @@ def _tried(
         model, _ = before.robot.changed(remedy.changes)
     except TargetError as error:
         return None, str(error)
-    fields = {key.partition("_")[0] for key in remedy.changes}
-    kept = OF_BODIES if not fields & {"body", "geom", "compiler"} else frozenset()
-    after = Behaviour(_with_model(before.robot, model, fields), before.rows_of(kept))
+    after = Behaviour(_with_model(before.robot, model, _fields(remedy.changes)))
+    keep_unconcerned(before.robot, after.robot, remedy.changes)
     mended = after.row(name)
     if mended.verdict is not Verdict.INSIDE:
         return None, f"{_change_text(before, after, name)}, not inside"
     refusal = harm(before, after, remedy, name)
     return (None, refusal) if refusal else (after, "")
+
+
+def _fields(changes: Settings) -> set[str]:
+    """Return what changes are made to: the first words of their names, such as `geom`."""
+    return {name.partition("_")[0] for name in changes}
+
+
+def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:
+    """Give a changed robot the rows that were measured before, and that the changes do not concern."""
+    names = frozenset(ROWS)
+    if changes and set(changes) <= CONTACT_OPTIONS:
+        names -= OF_CONTACTS
+    elif changes:
+        is_of_bodies = _fields(changes) & {"body", "geom", "compiler"}
+        names = frozenset() if is_of_bodies else OF_BODIES
+    after.known.update({n: before.known[n] for n in names if n in before.known})
 
 
 def _with_model(robot: Robot, model: mujoco.MjModel, fields: Collection[str]) -> Robot:

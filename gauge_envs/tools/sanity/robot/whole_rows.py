@@ -24,7 +24,6 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     row,
     standing_of,
     start,
-    without,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
@@ -251,7 +250,7 @@ def give(
 
 @row("robot-stops")
 def _stops(robot: Robot) -> Finding:
-    model = without(robot.model, "contact", "equality", "frictionloss")
+    model = robot.without("contact", "equality", "frictionloss")
     # A disabled limit is another row.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     data, gives_mrad, changes = start(robot, model), {}, {}
@@ -292,7 +291,7 @@ def _numbers(values: FloatArray) -> str:
 
 @row("robot-coupling")
 def _coupling(robot: Robot) -> Finding:
-    model = without(robot.model, "contact", "limit", "frictionloss")
+    model = robot.without("contact", "limit", "frictionloss")
     is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     couplings = [
         number
