@@ -79,6 +79,7 @@ def find_cure(
         fixed |= remedied.changes
         texts |= dict.fromkeys(remedied.texts)
         tried += [one.line for one in remedied.attempts if one.refusal]
+        tried += [f"{name}: {reason}" for name, reason in remedied.unmended.items()]
     several = [*proposed, *_of_causes(rows, dialect)]
     candidates = [{**one, **fixed} for one in several]
     if fixed:
