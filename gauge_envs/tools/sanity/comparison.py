@@ -8,6 +8,7 @@ Example:
 """
 
 import math
+import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
@@ -60,6 +61,13 @@ ROBOT_RATIO = 0.05
 
 ROBOT_LEAST = 0.01
 """The same in widths of the row's interval, for rows whose interval begins at 0."""
+
+SIMPLE_EXPRESSION = re.compile(
+    r"(?:[\w.|\[\]-]|\.\*|\((?:[\w.|\[\]-]|\.\*)*\)(?![*+?{]))*"
+)
+"""Expressions of joint names without nested repetition, as `.*_(hip|knee)_joint`."""
+
+MOST_STARS = 4
 
 NO_MODEL = "the target's own model is not read"
 
@@ -171,7 +179,7 @@ class Comparison:
         }
         values: dict[str, Any] = json_ready(asdict(replace(self, **bare)))
         for name in bare:
-            del values[name]["robot"]
+            del values[name]["robot"], values[name]["stated"]
         return values
 
 
@@ -406,9 +414,7 @@ def _quantity_rows(
     targets: Sequence[TrainingConfiguration], names: Sequence[str]
 ) -> list[ChangeRow]:
     """Return the rows on what both models state of each link, joint and motor."""
-    known = [
-        None if target.robot is None else quantities(target.robot) for target in targets
-    ]
+    known = _known_quantities(targets)
     rows = []
     for name in names:
         quantity = QUANTITIES[name]
@@ -420,13 +426,57 @@ def _quantity_rows(
             quantity.least,
             [NO_MODEL if one is None else "" for one in known],
         )
-        if None not in known:
+        stating = [one is not None and name in one for one in known]
+        if all(stating):
             trained, deployed = (one[name] for one in known if one is not None)
             row = _parts_row(row, trained, deployed, quantity.ratio)
         elif known == [None, None]:
             row = _not_compared(row, [NO_MODEL])
+        elif None not in known:
+            row = _not_compared(row, ["a file without a model does not state it"])
         rows.append(row)
     return rows
+
+
+def _known_quantities(
+    targets: Sequence[TrainingConfiguration],
+) -> list[dict[str, dict[str, float]] | None]:
+    """Return what both targets state of their parts; expressions get the names of joints of the other's model."""
+    known = [
+        None if target.robot is None else quantities(target.robot) for target in targets
+    ]
+    joints = next((list(one["damping"]) for one in known if one is not None), None)
+    return [
+        {name: _of_names(several, joints) for name, several in target.stated.items()}
+        if one is None and target.stated
+        else one
+        for one, target in zip(known, targets, strict=True)
+    ]
+
+
+def _of_names(
+    values: Mapping[str, float], joints: Sequence[str] | None
+) -> dict[str, float]:
+    """Return values by the names of joints that regular expressions match; by the expressions without names."""
+    if joints is None:
+        return dict(values)
+    return {
+        joint: value
+        for expression, value in values.items()
+        for joint in joints
+        if _matches(expression, joint)
+    }
+
+
+def _matches(expression: str, joint: str) -> bool:
+    """Return whether an expression of Isaac Lab matches a name; those that could take long are plain names."""
+    is_simple = SIMPLE_EXPRESSION.fullmatch(expression) is not None
+    if not is_simple or expression.count("*") > MOST_STARS:
+        return expression == joint
+    try:
+        return re.fullmatch(expression, joint) is not None
+    except re.error:
+        return False
 
 
 def _parts_row(

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -71,12 +72,14 @@ def find_cure(
         key: value for _, several in fixes.values() for key, value in several.items()
     }
     tried: list[str] = []
-    harm_of = None
+    harm_of: _Judge | None = None
+    apply: Callable[[Settings], Applied] = partial(applied, configuration)
     if configuration.robot is not None and configuration.backend == "mujoco":
-        remedied, harm_of = _remedied(configuration, fixed, counted)
+        remedied, apply, harm_of = _remedied(configuration, fixed, counted)
         fixed |= remedied.changes
         texts |= dict.fromkeys(remedied.texts)
         tried += [one.line for one in remedied.attempts if one.refusal]
+        tried += [f"{name}: {reason}" for name, reason in remedied.unmended.items()]
     several = [*proposed, *_of_causes(rows, dialect)]
     candidates = [{**one, **fixed} for one in several]
     if fixed:
@@ -91,10 +94,10 @@ def find_cure(
         name: outcome_of(configuration, name) for name in counted if counted[name]
     }
     flags = [name for name, one in before.items() if one[0] is not Verdict.INSIDE]
-    cures: list[Cure] = []
+    mending: list[Cure] = []
     for changes in candidates:
         try:
-            cured, geoms_by_setting = applied(configuration, changes)
+            cured, geoms_by_setting = apply(changes)
         except GaugeError as error:
             tried.append(f"{dialect.paste_text(changes)}: {error}")
             continue
@@ -105,6 +108,17 @@ def find_cure(
             came = (_came(name, before[name][1], after[name][1]) for name in flags)
             tried.append(f"{pasted}: {', '.join(came)}")
             continue
+        cure = Cure(
+            changes=changes,
+            line=f"{pasted}: {_effect(flags, mended, engine)}",
+            flag_count=len(flags),
+            mended_count=len(mended),
+        )
+        mending.append(cure)
+    # Of equal cures, the one with fewer changes is preferred, then the first.
+    mending.sort(key=lambda one: (-one.mended_count, len(one.changes)))
+    for cure in mending:
+        cured, _ = apply(cure.changes)
         new_flags = [
             name
             for name, is_flag in counted.items()
@@ -112,37 +126,32 @@ def find_cure(
         ]
         harm = ", ".join(f"{name} is flagged" for name in new_flags)
         if not harm and harm_of is not None:
-            harm = harm_of(cured, changes)
-        if harm:
-            tried.append(f"{pasted}: {_effect(flags, mended, engine)}, but {harm}")
-            continue
-        cure = Cure(
-            changes=changes,
-            line=f"{pasted}: {_effect(flags, mended, engine)}",
-            flag_count=len(flags),
-            mended_count=len(mended),
-        )
-        cures.append(cure)
-        if len(mended) == len(flags):
-            break
-    # Of equal cures, the first is the preferred one.
-    best = max(
-        cures, key=lambda one: (one.mended_count, -len(one.changes)), default=None
-    )
-    return best, tuple(tried)
+            harm = harm_of(cured, cure.changes)
+        if not harm:
+            return cure, tuple(tried)
+        tried.append(f"{cure.line}, but {harm}")
+    return None, tuple(tried)
+
+
+Applied = tuple[TrainingConfiguration, dict[str, list[str]]]
+"""What `applied` returns."""
+
+_Judge = Callable[[TrainingConfiguration, Settings], str]
+"""Function of a changed configuration and all its changes that says what is worse; empty when nothing is."""
 
 
 def _remedied(
     configuration: TrainingConfiguration,
     fixed: Settings,
     counted: Mapping[str, bool],
-) -> tuple[Remedies, Callable[[TrainingConfiguration, Settings], str]]:
-    """Return remedies of the target's own robot, and a function that says what a further change does to it."""
+) -> tuple[Remedies, Callable[[Settings], Applied], _Judge]:
+    """Return remedies of the target's own robot, `applied` that keeps rows, and a judge of further changes."""
     from gauge_envs.tools.sanity.robot.remedies import (
         Behaviour,
         Remedy,
         find_remedies,
         harm,
+        keep_unconcerned,
     )
 
     robot = configuration.robot
@@ -154,12 +163,19 @@ def _remedied(
     before = Behaviour(found.robot)
     known = set(fixed) | set(found.changes)
 
+    def apply(changes: Settings) -> Applied:
+        cured, geoms = applied(configuration, changes)
+        further = {key: changes[key] for key in set(changes) - known - set(LIMITS)}
+        if cured.robot is not None:
+            keep_unconcerned(found.robot, cured.robot, further)
+        return cured, geoms
+
     def harm_of(cured: TrainingConfiguration, changes: Settings) -> str:
         if set(changes) <= known or cured.robot is None:
             return ""
         return harm(before, Behaviour(cured.robot), Remedy(text="", changes=changes))
 
-    return found, harm_of
+    return found, apply, harm_of
 
 
 def _of_causes(
@@ -184,9 +200,7 @@ def _came(name: str, before: float | None, after: float | None) -> str:
     return f"{name} {was} to {now}"
 
 
-def applied(
-    configuration: TrainingConfiguration, changes: Settings
-) -> tuple[TrainingConfiguration, dict[str, list[str]]]:
+def applied(configuration: TrainingConfiguration, changes: Settings) -> Applied:
     """Return the configuration that is read back with changes, and what the default of all does not reach, in words.
 
     Args:
@@ -421,7 +435,10 @@ def candidates_of(
             for few in FEW_ITERATIONS
         ]
         least = found[0]
-    found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
+    mending = list(_greedy(flagged, (), dialect, named))
+    if mending and _new_flags(others, mending[-1]):
+        mending = list(_greedy(flagged, others, dialect, named))
+    found += [{**least, **one} for one in mending]
     if recommended := _recommended(configuration):
         # Of many, the last one is tried too.
         found = [*found[: MOST_CANDIDATES - 1], recommended]

@@ -11,7 +11,7 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
 )
 
-Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
+Configuration = Annotated[TrainingConfiguration, Form(without=("robot", "stated"))]
 
 
 class PhenomenonLine(TypedDict):

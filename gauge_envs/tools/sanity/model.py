@@ -233,6 +233,7 @@ class TrainingConfiguration:
         capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
         trains_on: Engine that the target trains on where it differs from `backend`, as `mujoco_warp`; empty otherwise.
         robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
+        stated: What a target without a model states of its joints: value by quantity and regular expression of names.
     """
 
     name: str
@@ -253,6 +254,7 @@ class TrainingConfiguration:
     capacity: ContactCapacity | None = None
     trains_on: str = ""
     robot: Any = field(default=None, compare=False)
+    stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
         """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
@@ -580,7 +582,7 @@ class Report:
         """Return all attributes, JSON-ready."""
         bare = replace(self, configuration=replace(self.configuration, robot=None))
         values: dict[str, Any] = json_ready(asdict(bare))
-        del values["configuration"]["robot"]
+        del values["configuration"]["robot"], values["configuration"]["stated"]
         return values | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 
+import mujoco
 import pytest
 import yaml
 from places import ROOT
@@ -14,7 +15,7 @@ from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity import Verdict, check, configuration
-from gauge_envs.tools.sanity.comparison import Change, compare
+from gauge_envs.tools.sanity.comparison import Change, _matches, compare
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.phenomena import phenomenon, rigid
@@ -460,3 +461,46 @@ def test_the_examples_hold_what_isaac_lab_writes():
             assert part == whole, key
 
     assert_inside(example, DUMPED, "")
+
+
+def test_gains_of_two_runs_are_compared_by_the_expressions_of_their_joints():
+    stiffer = read(scene__robot__actuators__feet__stiffness=40.0)
+    same = compare(read(), read(), only=["kp", "kv", "motor-limit", "pose"])
+    assert {row.change for row in same.rows if row.id != "step"} == {Change.NONE}
+    (row,) = compare(read(), stiffer, only=["kp"]).changed
+    assert (row.id, row.change) == ("kp", Change.LARGE)
+    assert {part.name for part in row.parts} == {
+        ".*_ankle_pitch_joint",
+        ".*_ankle_roll_joint",
+    }
+    assert (row.trained, row.deployed) == (20.0, 40.0)
+
+
+def test_gains_of_a_run_are_compared_with_a_model_by_the_names_of_its_joints():
+    joints = ("left_hip_yaw_joint", "left_ankle_roll_joint")
+    bodies = "".join(
+        f'<body name="{name}_link"><joint name="{name}" armature="0.01"/><geom size=".1"/>'
+        for name in joints
+    )
+    servos = "".join(
+        f'<position joint="{name}" kp="{kp}" kv="{kv}" forcerange="-{limit} {limit}"/>'
+        for name, kp, kv, limit in zip(
+            joints, (150, 40), (5, 2), (300, 20), strict=True
+        )
+    )
+    xml = f"""<mujoco><worldbody>{bodies}{"</body>" * len(joints)}</worldbody>
+      <actuator>{servos}</actuator></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    found = compare(read(), model, only=["kp", "kv", "armature", "motor-limit", "mass"])
+    rows = {row.id: row for row in found.rows}
+    assert [part.name for part in rows["kp"].parts] == ["left_ankle_roll_joint"]
+    assert (rows["kp"].trained, rows["kp"].deployed) == (20.0, 40.0)
+    assert {rows[name].change for name in ("kv", "armature", "motor-limit")} == {
+        Change.NONE
+    }
+    assert rows["mass"].change is Change.NEITHER
+
+
+@pytest.mark.parametrize("expression", ["(a+)+b", "(.*)*b", "((", ".*" * 30])
+def test_an_expression_that_could_take_long_is_a_name(expression):
+    assert not _matches(expression, "a" * 60)

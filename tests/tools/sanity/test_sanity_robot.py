@@ -166,7 +166,7 @@ def test_the_growth_of_a_servo_is_its_eigenvalue_and_motion_grows_with_it(
     expected = np.abs(
         np.linalg.eigvals([[1.0 + step * speed[0], step * speed[1]], speed])
     ).max()
-    assert growth(robot, robot.model) == pytest.approx(expected, rel=1e-6)
+    assert growth(robot) == pytest.approx(expected, rel=1e-6)
     data = mujoco.MjData(robot.model)
     data.qpos[0] = 1e-6
     reach = []

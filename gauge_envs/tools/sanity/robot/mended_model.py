@@ -102,6 +102,8 @@ def _words(
     """Yield one line for each class whose elements all change, then the other elements by name."""
     kind, field, text = key
     attribute = field.replace("_", "")
+    if (kind, field) == ("equality", "data"):
+        attribute, text = "polycoef", " ".join(text.split()[:5])
     left = list(several)
     for name, members in _classes(robot, kind, field, several):
         tag = f' class="{name}"' if name != "main" else ""

@@ -1,9 +1,7 @@
 """Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
 
-import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import mujoco
@@ -34,9 +32,9 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    disable_bit,
     enabling,
     grasp_kinds,
+    once,
     random_poses,
     switched_off,
 )
@@ -114,13 +112,19 @@ def row(
     """Return a decorator that adds the function of a row."""
 
     def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
-        def found(robot: Robot) -> Finding:
+        def measured(robot: Robot) -> Finding:
             try:
                 return function(robot)
             except NotApplicableError as reason:
                 return Finding(declined=str(reason))
             except NotMeasuredError as reason:
                 return Finding(unmeasured=str(reason))
+
+        def found(robot: Robot) -> Finding:
+            if name not in robot.known:
+                robot.known[name] = measured(robot)
+            known: Finding = robot.known[name]
+            return known
 
         ROWS[name] = found
         return function
@@ -670,12 +674,12 @@ def driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
             yield dof, float(limit)
 
 
-def growth(robot: Robot, model: mujoco.MjModel) -> float:
+def growth(robot: Robot) -> float:
     """Return the largest ratio by which a small motion about the pose grows in one step, without contact and gravity.
 
     It is the spectral radius of the engine's own step: gains, damping, inertia, step and integrator together.
     """
-    free = without(model, "contact", "gravity", "limit", "frictionloss")
+    free = robot.without("contact", "gravity", "limit", "frictionloss")
     data, nv = start(robot, free), free.nv
     base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
 
@@ -698,14 +702,6 @@ def growth(robot: Robot, model: mujoco.MjModel) -> float:
     )
 
 
-def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
-    """Return a copy of a model with some features switched off."""
-    bare = copy.copy(model)
-    for feature in features:
-        bare.opt.disableflags |= disable_bit(feature)
-    return bare
-
-
 @row("robot-servo")
 def _servo(robot: Robot) -> Finding:
     model = robot.model
@@ -713,7 +709,7 @@ def _servo(robot: Robot) -> Finding:
         servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()
     ):
         return Finding(declined="no joint has a servo, damping or stiffness")
-    value = growth(robot, model)
+    value = growth(robot)
     if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
         return Finding(value=value)
     is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -725,7 +721,7 @@ def _servo(robot: Robot) -> Finding:
     )
 
 
-@cache
+@once
 def largest_weights_nm(robot: Robot) -> FloatArray:
     """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
     poses = random_poses(robot.model, 64)

@@ -5,10 +5,10 @@ physical cause, then the solver, then the gains. One is accepted if the row is m
 its servos are no slower, and no other row is worse.
 """
 
-import copy
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 from typing import Any
 
 import mujoco
@@ -37,7 +37,13 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     stiffness,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot, enabling, switched_off
+from gauge_envs.tools.sanity.robot.robot import (
+    ELEMENT,
+    GEOM_FIELDS,
+    Robot,
+    enabling,
+    switched_off,
+)
 from gauge_envs.tools.sanity.robot.rollout import (
     STEP_RAD,
     STEP_S,
@@ -45,6 +51,7 @@ from gauge_envs.tools.sanity.robot.rollout import (
     lone_half_step_s,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
+from gauge_envs.tools.sanity.robot.whole_rows import mirror_pairs
 
 ORDER = (
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
@@ -71,6 +78,16 @@ OF_BODIES = frozenset(
     }
 )
 """Rows that joints, actuators and options do not change."""
+
+OF_CONTACTS = frozenset(
+    {
+        *("robot-holds", "robot-stands", "robot-loads", "robot-saturation"),
+        *("robot-slip", "robot-overlap", "robot-torsion", "robot-friction"),
+    }
+)
+"""Rows that constants of contacts, and the options that only contacts read, change."""
+
+CONTACT_OPTIONS = frozenset({"cone", "impratio", *GEOM_FIELDS})
 
 WITHOUT_TOP = frozenset({"robot-dry", "robot-torque", "robot-stiffness", "robot-holds"})
 """Rows whose upper limit is none: more is no worse."""
@@ -112,11 +129,13 @@ class Remedy:
         text: The change in the words of a model.
         changes: The same, by names that `Robot.changed` knows.
         scales_gains: Whether it makes servos weaker or stronger at will, so that they must hold what they held.
+        rival: Remedy of which the model does not say whether it is the right one instead; None without one.
     """
 
     text: str
     changes: Settings
     scales_gains: bool = False
+    rival: "Remedy | None" = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,10 +165,12 @@ class Remedies:
     Attributes:
         robot: The robot with all accepted changes.
         attempts: All attempts in the order in which they were made.
+        unmended: Why each row that is left has no remedy, by its id.
     """
 
     robot: Robot
     attempts: tuple[Attempt, ...]
+    unmended: Mapping[str, str]
 
     @property
     def changes(self) -> dict[str, Any]:
@@ -174,20 +195,27 @@ def find_remedies(robot: Robot, flags: Collection[str]) -> Remedies:
         robot: The robot.
         flags: Flagged rows; rows without a remedy are left out.
     """
-    now, attempts = Behaviour(robot), []
+    now, attempts, unmended = Behaviour(robot), [], []
     for name in ORDER:
         if name not in flags or not now.row(name).is_flag:
             continue
         if name == "robot-size":
             # Nothing else can be judged before the unit of lengths is right.
+            unmended.append(name)
             break
         for remedy in REMEDIES.get(name, _stated(name))(now.robot):
             after, refusal = _tried(now, remedy, name)
+            rival = remedy.rival
+            if after is not None and rival and _tried(now, rival, name)[0]:
+                after, refusal = None, f"and so does {rival.text}"
             attempts.append(Attempt(row=name, remedy=remedy, refusal=refusal))
             if after is not None:
                 now = after
                 break
-    return Remedies(robot=now.robot, attempts=tuple(attempts))
+        else:
+            unmended.append(name)
+    reasons = {name: NO_REMEDY.get(name, NO_NUMBER) for name in unmended}
+    return Remedies(robot=now.robot, attempts=tuple(attempts), unmended=reasons)
 
 
 # --- whether a robot is better ---------------------------------------------------------------------------------------
@@ -200,11 +228,9 @@ class Behaviour:
         robot: The robot.
     """
 
-    def __init__(
-        self, robot: Robot, known: Mapping[str, PhenomenonResult] | None = None
-    ) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._rows = dict(known or {})
+        self._rows: dict[str, PhenomenonResult] = {}
         self._steps_s: dict[int, float] = {}
 
     def row(self, name: str) -> PhenomenonResult:
@@ -212,10 +238,6 @@ class Behaviour:
         if name not in self._rows:
             self._rows[name] = judged_row(name, ROWS[name](self.robot))
         return self._rows[name]
-
-    def rows_of(self, names: Collection[str]) -> dict[str, PhenomenonResult]:
-        """Return the rows with these names that were measured so far."""
-        return {name: row for name, row in self._rows.items() if name in names}
 
     @cached_property
     def is_held(self) -> bool:
@@ -243,13 +265,8 @@ def half_step_s(robot: Robot, actuator: int) -> float:
     A robot that floats is left without gravity and contact. It is infinite where the servo does not get there in 1 s,
     and NaN where its joint or its command has no room for the step.
     """
-    model = copy.copy(robot.model)
-    if robot.is_floating:
-        bits = (
-            mujoco.mjtDisableBit.mjDSBL_GRAVITY,
-            mujoco.mjtDisableBit.mjDSBL_CONTACT,
-        )
-        model.opt.disableflags |= sum(map(int, bits))
+    features = ("gravity", "contact") if robot.is_floating else ()
+    model = robot.without(*features)
     data = start(robot, model)
     joint = int(model.actuator_trnid[actuator, 0])
     place = int(model.jnt_qposadr[joint])
@@ -288,14 +305,29 @@ def _tried(
         model, _ = before.robot.changed(remedy.changes)
     except TargetError as error:
         return None, str(error)
-    fields = {key.partition("_")[0] for key in remedy.changes}
-    kept = OF_BODIES if not fields & {"body", "geom", "compiler"} else frozenset()
-    after = Behaviour(_with_model(before.robot, model, fields), before.rows_of(kept))
+    after = Behaviour(_with_model(before.robot, model, _fields(remedy.changes)))
+    keep_unconcerned(before.robot, after.robot, remedy.changes)
     mended = after.row(name)
     if mended.verdict is not Verdict.INSIDE:
         return None, f"{_change_text(before, after, name)}, not inside"
     refusal = harm(before, after, remedy, name)
     return (None, refusal) if refusal else (after, "")
+
+
+def _fields(changes: Settings) -> set[str]:
+    """Return what changes are made to: the first words of their names, such as `geom`."""
+    return {name.partition("_")[0] for name in changes}
+
+
+def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:
+    """Give a changed robot the rows that were measured before, and that the changes do not concern."""
+    names = frozenset(ROWS)
+    if changes and set(changes) <= CONTACT_OPTIONS:
+        names -= OF_CONTACTS
+    elif changes:
+        is_of_bodies = _fields(changes) & {"body", "geom", "compiler"}
+        names = frozenset() if is_of_bodies else OF_BODIES
+    after.known.update({n: before.known[n] for n in names if n in before.known})
 
 
 def _with_model(robot: Robot, model: mujoco.MjModel, fields: Collection[str]) -> Robot:
@@ -473,6 +505,53 @@ def _range(robot: Robot) -> Iterator[Remedy]:
         text=f'<compiler angle="{word}"/>',
         changes={"compiler_degree": not is_degree},
     )
+
+
+NO_REMEDY: Mapping[str, str] = {
+    "robot-size": "lengths stand in every pos, size, fromto and mesh: scale them in the file; the rest is judged then",
+    "robot-balance": "masses, axes or the pose can be wrong, and the model does not say which",
+    "robot-level": "either leg can be the wrong one, and the model does not say which",
+    "robot-unlimited": "a joint without a range turns as far as the real one, which the model does not say",
+}
+"""Why no change of a number mends a row for certain, of rows that may have no remedy."""
+
+NO_NUMBER = "no change of a number mends it without harm"
+"""The reason for any other row whose remedies fail."""
+
+
+@remedies_of("robot-mirror")
+def _mirror(robot: Robot) -> Iterator[Remedy]:
+    """Yield the axis, then the range, of each of two sides, unless that of the other one does as well."""
+    model = robot.model
+    high = facts("robot_rows")["robot-mirror"]["interval"][1]
+    pairs = [pair for pair in mirror_pairs(robot) if pair.apart_rad > high]
+    for field in ("jnt_axis", "jnt_range"):
+        sides: list[Remedy] = []
+        for several in zip(*[(one.joint, one.other) for one in pairs], strict=True):
+            of_side = dict(zip(several, pairs, strict=True))
+            changes = {
+                f"{field}[{joint}]": -model.jnt_axis[joint]
+                if field == "jnt_axis"
+                else pair.range_of(joint) + model.qpos0[model.jnt_qposadr[joint]]
+                for joint, pair in of_side.items()
+            }
+            sides.append(Remedy(text=class_words(robot, changes), changes=changes))
+        for one, rival in permutations(sides, 2):
+            yield replace(one, rival=rival)
+
+
+@remedies_of("robot-coupling")
+def _coupling(robot: Robot) -> Iterator[Remedy]:
+    """Yield what the row states: another zero, or a stiffer coupling; then the other direction."""
+    changes = dict(ROWS["robot-coupling"](robot).changes)
+    yield from _elements(robot, changes)
+    turned: dict[str, Any] = {}
+    for name in changes:
+        found = ELEMENT.fullmatch(name)
+        if found is not None and found[1] == "eq_data":
+            turned[name] = np.array(robot.model.eq_data[int(found[2])])
+            turned[name][1] *= -1.0
+    yield from _elements(robot, turned)
 
 
 @remedies_of("robot-unlimited")

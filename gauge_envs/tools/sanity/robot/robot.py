@@ -2,10 +2,10 @@
 
 import copy
 import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
@@ -76,6 +76,7 @@ class Robot:
         pair: Names of two geoms whose constants count; None for all on the ground.
         action_rad: Angle by which an action of 1 moves the target of a servo [rad]; None when the task states none.
         delay_s: Longest delay between an observation and the torque that answers it [s]; None when not stated.
+        known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
     """
 
     model: mujoco.MjModel
@@ -86,6 +87,26 @@ class Robot:
     pair: tuple[str, str] | None = None
     action_rad: float | None = None
     delay_s: float | None = None
+    known: dict[Any, Any] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def _trial_model(self) -> mujoco.MjModel:
+        return copy.copy(self.model)
+
+    def without(self, *features: str) -> mujoco.MjModel:
+        """Return a copy of the model with some features switched off, valid until the next call.
+
+        Options and armatures of the copy may be changed. There is one copy, as meshes make copies slow.
+        """
+        model, option = self._trial_model, self._trial_model.opt
+        for name in ("gravity", "wind"):
+            getattr(option, name)[:] = getattr(self.model.opt, name)
+        for name in ("density", "viscosity", "disableflags", "enableflags"):
+            setattr(option, name, getattr(self.model.opt, name))
+        for feature in features:
+            option.disableflags |= disable_bit(feature)
+        model.dof_armature[:] = self.model.dof_armature
+        return model
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -241,23 +262,43 @@ class Robot:
         if self.spec is None or not (found or compiler):
             return copy.copy(self.model)
         spec = self.spec.copy()
-        for field, value in compiler.items():
-            setattr(spec.compiler, field, value)
+        for attribute, value in compiler.items():
+            setattr(spec.compiler, attribute, value)
         for name, match in found.items():
             if match is None or match[1] == "geom_condim":
                 continue
-            kind, field = ("geom", match[1].removeprefix("geom_"))
+            kind, attribute = ("geom", match[1].removeprefix("geom_"))
             if match[1] == "jnt_limited":
                 # The compiler reads the range of a joint with limits alone in the unit of its angles.
-                kind, field = "joint", "limited"
+                kind, attribute = "joint", "limited"
             several = (getattr(one, f"{kind}s") for one in (spec, self.spec))
             for element, original in zip(*several, strict=True):
                 if int(match[2]) == original.id:
-                    setattr(element, field, int(changes[name]))
+                    setattr(element, attribute, int(changes[name]))
         try:
             return spec.compile()
         except ValueError as error:
             raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def once(
+    function: Callable[Concatenate[Robot, P], T],
+) -> Callable[Concatenate[Robot, P], T]:
+    """Return a function that measures a robot once, and remembers what it found as long as the robot is there."""
+
+    @wraps(function)
+    def remembered(robot: Robot, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        key = (function, *args, *kwargs.items())
+        if key not in robot.known:
+            robot.known[key] = function(robot, *args, **kwargs)
+        found: T = robot.known[key]
+        return found
+
+    return remembered
 
 
 GEOM_MASS = "geom_mass["

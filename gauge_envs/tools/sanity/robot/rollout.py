@@ -1,9 +1,7 @@
 """Run the target's own robot in its own settings: held where it stands, moving freely, and joint by joint."""
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import mujoco
 import numpy as np
@@ -26,10 +24,9 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     start,
     stiffness,
     torque_limits,
-    without,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import first_moving_body
-from gauge_envs.tools.sanity.robot.robot import Robot, enabling, switched_off
+from gauge_envs.tools.sanity.robot.robot import Robot, enabling, once, switched_off
 
 HOLD_S, LATE_S = 2.0, 0.5
 """Time for which the robot is held [s], and its end, in which loads and torques are read."""
@@ -69,7 +66,7 @@ class HoldMotion:
     pose_error_rad: float = 0.0
 
 
-@cache
+@once
 def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     """Simulate a robot whose controls hold the pose in which it works.
 
@@ -78,7 +75,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         slope_deg: Slope of the ground along x, made by turning gravity [degrees].
     """
     standing = robot.standing
-    model = copy.copy(robot.model)
+    model = robot.without()
     data = start(robot, model)
     hinges = [int(model.jnt_qposadr[model.dof_jntid[d]]) for d, _ in driven_dofs(robot)]
     begin = data.qpos.copy()
@@ -265,13 +262,7 @@ def _overlap(robot: Robot) -> Finding:
 
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
-    bare = without(
-        robot.model,
-        "contact",
-        "actuation",
-        "limit",
-        "equality",
-    )
+    bare = robot.without("contact", "actuation", "limit", "equality")
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data, values = start(robot, bare), []
     moving = slice(6 if robot.is_floating else 0, None)
@@ -297,11 +288,12 @@ STEP_RAD, STEP_S = 0.3, 1.0
 
 @row("robot-dry")
 def _dry(robot: Robot) -> Finding:
-    bare = without(
-        robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring"
+    loads = largest_weights_nm(robot)
+    bare = robot.without(
+        "contact", "gravity", "limit", "equality", "actuation", "spring"
     )
     bare.opt.density = bare.opt.viscosity = 0.0
-    data, loads, shares, losses = start(robot, bare), largest_weights_nm(robot), {}, {}
+    data, shares, losses = start(robot, bare), {}, {}
     data.qacc[:] = 0.0
     for dof, limit_nm in driven_dofs(robot):
         torques = []
@@ -375,16 +367,10 @@ def _lag(robot: Robot) -> Finding:
     return replace(found, parts=by_joint(robot, halves_ms))
 
 
-@cache
-def _without_loads(robot: Robot) -> mujoco.MjModel:
-    """Return one copy of the model for the steps of all servos; meshes make copies slow."""
-    return without(robot.model, "contact", "gravity", "limit")
-
-
-@cache
+@once
 def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     """Return the time in which a servo covers half of a step while all else stays [s]; infinite without room for it."""
-    alone = _without_loads(robot)
+    alone = robot.without("contact", "gravity", "limit")
     # What a linkage couples to the joint moves with it.
     of_joints = robot.model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     pairs = np.column_stack([alone.eq_obj1id, alone.eq_obj2id])[of_joints]

@@ -1,8 +1,8 @@
 """Judge the robot as a whole: its size and medium, what its stops and couplings hold, and how it stands on its feet."""
 
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -24,7 +24,6 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     row,
     standing_of,
     start,
-    without,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
@@ -251,7 +250,7 @@ def give(
 
 @row("robot-stops")
 def _stops(robot: Robot) -> Finding:
-    model = without(robot.model, "contact", "equality", "frictionloss")
+    model = robot.without("contact", "equality", "frictionloss")
     # A disabled limit is another row.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     data, gives_mrad, changes = start(robot, model), {}, {}
@@ -292,7 +291,7 @@ def _numbers(values: FloatArray) -> str:
 
 @row("robot-coupling")
 def _coupling(robot: Robot) -> Finding:
-    model = without(robot.model, "contact", "limit", "frictionloss")
+    model = robot.without("contact", "limit", "frictionloss")
     is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     couplings = [
         number
@@ -302,6 +301,9 @@ def _coupling(robot: Robot) -> Finding:
     ]
     data, gives, changes = start(robot, model), {}, {}
     begin, forces = data.qpos.copy(), _motor_forces(model, data)
+    zeros: dict[str, float] = {}
+    zero_changes: dict[str, FloatArray] = {}
+    largest = facts("robot_rows")["robot-coupling"]["interval"][1]
     for number in couplings:
         joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
         dofs = [int(model.jnt_dofadr[one]) for one in (joint, other)]
@@ -309,9 +311,7 @@ def _coupling(robot: Robot) -> Finding:
         place, lead = int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[other])
         if load <= 0.0 or not data.eq_active[number]:
             continue
-        coefficients = model.eq_data[number, :5]
-        lead_from = begin[lead] - model.qpos0[lead]
-        coupled = float(model.qpos0[place] + np.polyval(coefficients[::-1], lead_from))
+        coupled = _coupled(model, number, float(begin[lead]))
 
         def apart(distance: float, place: int = place, at: float = coupled) -> None:
             data.qpos[:] = begin
@@ -320,9 +320,25 @@ def _coupling(robot: Robot) -> Finding:
         span = float(np.ptp(model.jnt_range[joint])) or 1.0
         name = model.joint(joint).name or f"joint {joint}"
         gives[name] = give(model, data, apart, dofs[0], load) / span
-        if gives[name] > facts("robot_rows")["robot-coupling"]["interval"][1]:
+        if gives[name] > largest:
             changes[f"eq_solref[{number}]"] = np.array([0.005, 1.0])
             changes[f"eq_solimp[{number}]"] = np.array([0.95, 0.99, 0.001, 0.5, 2.0])
+        off = _off(model, number, float(begin[place]), float(begin[lead]))
+        if abs(off) / span > largest:
+            wrong_zero = np.array(model.eq_data[number])
+            wrong_zero[0] -= off
+            zeros[f"{name} from its coupled place"] = abs(off) / span
+            zero_changes[f"eq_data[{number}]"] = wrong_zero
+    if zeros:
+        name = max(zeros, key=lambda one: zeros[one])
+        return Finding(
+            value=zeros[name],
+            parts=gives | zeros,
+            remark=name,
+            advice="a zero of the coupling (`polycoef`, `offset` of a mimic) with which both joints are in their "
+            "ranges, and together where the robot starts",
+            changes=zero_changes,
+        )
     if not gives:
         return Finding(
             declined="no equality couples a joint to one that a motor drives"
@@ -335,6 +351,38 @@ def _coupling(robot: Robot) -> Finding:
         advice=f'solref="0.005 1" solimp="0.95 0.99 0.001" for the equality of {name}',
         changes=changes,
     )
+
+
+def _coupled(model: mujoco.MjModel, number: int, lead: float) -> float:
+    """Return the place to which an equality couples a joint while the other one is at a place [rad or m]."""
+    joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+    zero, lead_zero = model.qpos0[model.jnt_qposadr[[joint, other]]]
+    coefficients = model.eq_data[number, :5]
+    return float(zero + np.polyval(coefficients[::-1], lead - lead_zero))
+
+
+def _off(model: mujoco.MjModel, number: int, place: float, lead: float) -> float:
+    """Return the distance of a coupling from the place of its joint, or by how far it leaves the joint's range.
+
+    Args:
+        model: The model.
+        number: The equality.
+        place: Place of the coupled joint at the start [rad or m].
+        lead: Place of the joint that it follows [rad or m].
+
+    Returns:
+        The larger one [rad or m].
+    """
+    joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+    apart = _coupled(model, number, lead) - place
+    if not (model.jnt_limited[joint] and model.jnt_limited[other]):
+        return apart
+    low, high = model.jnt_range[joint]
+    ends = [_coupled(model, number, float(end)) for end in model.jnt_range[other]]
+    # A joint that leaves its range on one side, and does not reach the other side, has another zero.
+    beyond = [max(ends) - high, min(ends) - low]
+    shift = min(beyond, key=abs) if beyond[0] * beyond[1] > 0.0 else 0.0
+    return max(apart, shift, key=abs)
 
 
 def _motor_forces(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
@@ -472,8 +520,38 @@ def outside(points: FloatArray, place: FloatArray) -> float:
     return float(np.linalg.norm(nearest - place, axis=1).min())
 
 
-@row("robot-mirror")
-def _mirror(robot: Robot) -> Finding:
+@dataclass(frozen=True, kw_only=True)
+class MirrorPair:
+    """Two driven hinges of which one is the mirror image of the other.
+
+    Attributes:
+        joint: Joint of one side.
+        other: That of the other side.
+        ranges_rad: Range of each, from the pose of the model [rad], shape [2].
+        is_turned: Whether the axis of one is the mirror image of that of the other, turned round.
+    """
+
+    joint: int
+    other: int
+    ranges_rad: Mapping[int, FloatArray]
+    is_turned: bool
+
+    @property
+    def apart_rad(self) -> float:
+        """Largest difference of a limit from that of the other side [rad]."""
+        return float(
+            np.abs(self.range_of(self.other) - self.ranges_rad[self.other]).max()
+        )
+
+    def range_of(self, joint: int) -> FloatArray:
+        """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
+        (other,) = {self.joint, self.other} - {joint}
+        mirrored: FloatArray = self.ranges_rad[other]
+        return -mirrored[::-1] if self.is_turned else mirrored
+
+
+def mirror_pairs(robot: Robot) -> list[MirrorPair]:
+    """Return the driven hinges with limits whose mirror image in the robot's own plane is another one."""
     model, standing = robot.model, standing_of(robot)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -484,11 +562,11 @@ def _mirror(robot: Robot) -> Finding:
     anchors = {j: (data.xanchor[j] - data.xpos[root]) @ frame for j in joints}
     axes = {j: data.xaxis[j] @ frame for j in joints}
     ranges = {j: model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]] for j in joints}
-    best: dict[int, float] = {}
+    best: dict[int, MirrorPair] = {}
     for across in (1, 0):
         flip = np.ones(3)
         flip[across] = -1.0
-        differences: dict[int, float] = {}
+        found: dict[int, MirrorPair] = {}
         for joint in joints:
             if anchors[joint][across] <= SAME_LEG_M:
                 continue
@@ -498,18 +576,32 @@ def _mirror(robot: Robot) -> Finding:
                 away = np.linalg.norm(flip * anchors[joint] - anchors[other])
                 if away > SAME_LEG_M or abs(along) < 0.99:
                     continue
-                same = ranges[joint] if along > 0.0 else -ranges[joint][::-1]
-                apart = float(np.abs(same - ranges[other]).max())
-                differences[other] = min(apart, differences.get(other, np.inf))
-        if len(differences) > len(best):
-            best = differences
-    if not best:
+                pair = MirrorPair(
+                    joint=joint,
+                    other=other,
+                    ranges_rad={one: ranges[one] for one in (joint, other)},
+                    is_turned=along < 0.0,
+                )
+                if other not in found or pair.apart_rad < found[other].apart_rad:
+                    found[other] = pair
+        if len(found) > len(best):
+            best = found
+    return list(best.values())
+
+
+@row("robot-mirror")
+def _mirror(robot: Robot) -> Finding:
+    model, pairs = robot.model, mirror_pairs(robot)
+    if not pairs:
         return Finding(declined="no two driven hinges with limits mirror each other")
-    joint = max(best, key=lambda one: best[one])
-    name = model.joint(joint).name or f"joint {joint}"
+    parts = {
+        model.joint(one.other).name or f"joint {one.other}": one.apart_rad
+        for one in pairs
+    }
+    name = max(parts, key=lambda one: parts[one])
     return Finding(
-        value=best[joint],
-        parts={model.joint(one).name or f"joint {one}": best[one] for one in best},
-        remark=f"{name}, of {len(best)} pairs",
+        value=parts[name],
+        parts=parts,
+        remark=f"{name}, of {len(pairs)} pairs",
         advice=f"the axis and range of {name} as on the other side: which way does it bend?",
     )

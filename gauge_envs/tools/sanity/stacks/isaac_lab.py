@@ -5,7 +5,7 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,6 +142,14 @@ PHYSX = {"isaac_lab": "sim.physx", "isaac_lab_3": "sim.physics"}
 
 DIALECTS = tuple(_dialect(name, place) for name, place in PHYSX.items())
 
+ACTUATOR_KEYS = {
+    "kp": ("stiffness",),
+    "kv": ("damping",),
+    "armature": ("armature",),
+    "motor-limit": ("effort_limit_sim", "effort_limit"),
+}
+"""Keys of an actuator by the id of the quantity, the one that counts first."""
+
 RUN_FILES = ("params/env.yaml", ".hydra/config.yaml")
 """Files in the folder of a training run."""
 
@@ -214,7 +222,7 @@ def isaac_lab_configuration(
     robot = _robot(table)
     _take_actor(physx, robot, dialect, values)
     ground, foot = _materials(table, sim, robot, values)
-    return values.configuration(
+    read = values.configuration(
         table,
         name=name,
         source=source,
@@ -223,6 +231,47 @@ def isaac_lab_configuration(
         foot_contact=combined(ground, foot),
         inapplicable=_inapplicable(table, physx, ground, foot),
     )
+    return replace(read, stated={} if robot is None else _stated(robot))
+
+
+# --- joints ----------------------------------------------------------------------------------------------------------
+
+
+def _stated(robot: Table) -> dict[str, dict[str, float]]:
+    """Return gains and limits of the actuators and the initial pose, by quantity and expression of joint names."""
+    found: dict[str, dict[str, float]] = {name: {} for name in ACTUATOR_KEYS}
+    actuators = robot.part("actuators")
+    for group in map(actuators.table, actuators.values):
+        if group is None:
+            continue
+        joints = group.value("joint_names_expr") or []
+        joints = [joints] if isinstance(joints, str) else joints
+        for name, keys in ACTUATOR_KEYS.items():
+            key = next((one for one in keys if one in group), None)
+            if key is not None:
+                found[name] |= _by_joint(group, key, joints)
+    if "init_state.joint_pos" in robot:
+        found["pose"] = _by_joint(robot, "init_state.joint_pos", [])
+    return found
+
+
+def _by_joint(table: Table, key: str, expressions: Sequence[str]) -> dict[str, float]:
+    """Return a number for each expression; a table has its own ones. Names may hold dots, which keys may not."""
+    value = table.value(key)
+    if not isinstance(value, Mapping):
+        number = table.number(key)
+        return {} if number is None else dict.fromkeys(map(str, expressions), number)
+    several = {
+        name: Table(
+            {"value": one}, source=table.source, path=f"{table.name(key)}.{name}"
+        )
+        for name, one in value.items()
+    }
+    return {
+        str(name): number
+        for name, one in several.items()
+        if (number := one.number("value")) is not None
+    }
 
 
 # --- solver ----------------------------------------------------------------------------------------------------------
