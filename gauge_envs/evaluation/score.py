@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -390,9 +391,14 @@ class Score:
             pydantic.ValidationError: A value has the wrong type.
         """
         known = {f.name for f in fields(cls)}
-        return TypeAdapter(cls).validate_python(
+        return _format().validate_python(
             {key: value for key, value in values.items() if key in known}
         )
+
+
+@cache
+def _format() -> TypeAdapter[Score]:
+    return TypeAdapter(Score)
 
 
 def score_trajectory(

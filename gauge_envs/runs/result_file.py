@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -97,6 +98,11 @@ def load_result(file: Path) -> Result:
     return parse_result(text, str(file))
 
 
+@cache
+def _format() -> TypeAdapter[Result]:
+    return TypeAdapter(Result)
+
+
 def parse_result(text: bytes, name: str) -> Result:
     """Return the result that the content of a result file states.
 
@@ -123,7 +129,7 @@ def parse_result(text: bytes, name: str) -> Result:
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")
-        result = TypeAdapter(Result).validate_python(content)
+        result = _format().validate_python(content)
         _check(result)
     except ValidationError as error:
         place, reason = first_fault(error)
