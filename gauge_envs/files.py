@@ -362,7 +362,9 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [json_ready(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic):
-        return json_ready(value.tolist())
+        is_number = value.dtype.kind in "biuf"
+        plain = value.tolist()
+        return plain if is_number and np.isfinite(value).all() else json_ready(plain)
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

@@ -13,6 +13,7 @@ import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +218,7 @@ def _tasks(families: Iterable[str], root: Path) -> Iterator[tuple[str, Path]]:
     if BENCHMARK in chosen:
         chosen |= {variant.family for variant in variants()}
     for file in sorted((root / "tasks").glob("*.toml")):
-        family = tomllib.loads(file.read_text(encoding="utf-8"))["family"]
+        family = _table(file.read_text(encoding="utf-8"))["family"]
         if "*" in chosen or family in chosen:
             yield family, file
 
@@ -232,8 +233,12 @@ def _constants(folder: str, root: Path, of: Mapping[str, str] | None = None) -> 
     return Input(f"constants of {folder}", _digest(sorted(found)), of or {})
 
 
-def constants(text: str, *, texts: bool = False) -> dict[str, str]:
-    """Return the numbers of names, fields and defaults in a module; with texts all names in capitals."""
+@cache
+def constants(text: str, *, texts: bool = False) -> Mapping[str, str]:
+    """Return the numbers of names, fields and defaults in a module; with texts all names in capitals.
+
+    Rows share most modules, so that each text is parsed once.
+    """
     found: dict[str, str] = {}
 
     def keep(name: str, value: ast.expr | None, *, always: bool = False) -> None:
@@ -267,7 +272,7 @@ def _has_number(value: ast.expr) -> bool:
 
 def task_digest(file: Path) -> str:
     """Return the digest of the numbers of a task file."""
-    return _digest(numbers(tomllib.loads(file.read_text(encoding="utf-8"))))
+    return _digest(numbers(_table(file.read_text(encoding="utf-8"))))
 
 
 def references_digest(family: str, scoring: Path) -> str:
@@ -278,11 +283,17 @@ def references_digest(family: str, scoring: Path) -> str:
         for file in sorted((scoring / folder).glob(f"{family}-*"))
         if file.suffix in (".csv", ".npz", ".toml")
     }
-    laws = tomllib.loads((scoring / "bands" / "laws.toml").read_text(encoding="utf-8"))
+    laws = _table((scoring / "bands" / "laws.toml").read_text(encoding="utf-8"))
     found["laws"] = [
         numbers(law) for law in laws["law"] if law["variants"].startswith(family)
     ]
     return _digest(found)
+
+
+@cache
+def _table(text: str) -> Mapping[str, Any]:
+    """Return the contents of a TOML file, of which rows share most."""
+    return tomllib.loads(text)
 
 
 def numbers(value: Any) -> Any:
@@ -297,7 +308,7 @@ def _content(file: Path) -> Any:
         is_builder = file.parent.name == "scripts"
         return constants(file.read_text(encoding="utf-8"), texts=is_builder)
     if file.suffix == ".toml":
-        return numbers(tomllib.loads(file.read_text(encoding="utf-8")))
+        return numbers(_table(file.read_text(encoding="utf-8")))
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 

@@ -28,7 +28,7 @@ from scripts.lowest_versions import PYPROJECT, constraints
 ROOT = PYPROJECT.parent
 EXTRAS = ("plot", "sanity", "usd")
 """Extras that the tests below need; what works without them is the matter of `tests/test_core_alone.py`."""
-TEST_TOOLS = ("hypothesis", "jsonschema", "pytest", "pytest-xdist")
+TEST_TOOLS = ("hypothesis", "jsonschema", "pytest")
 COPIED = (
     "benchmarks",
     "docs",
@@ -225,8 +225,12 @@ def _test(
     checkout.mkdir()
     for name in COPIED:
         source = ROOT / name
-        copy = shutil.copytree if source.is_dir() else shutil.copy
-        copy(source, checkout / name)
+        if source.is_dir():
+            # Tests that run beside this one write bytecode.
+            ignored = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(source, checkout / name, ignore=ignored)
+        else:
+            shutil.copy(source, checkout / name)
     installed_s = time.perf_counter() - start
     print(
         f"{entry}: installed in {installed_s:.0f} s; {_versions(commands / 'python')}",
@@ -273,7 +277,7 @@ def _test(
 
 def _pytest(commands: Path, tests: Sequence[str], checkout: Path) -> int:
     # The command `pytest`, unlike `python -m pytest`, leaves the working directory out of the path.
-    command = [str(commands / "pytest"), "-n", "2", *tests]
+    command = [str(commands / "pytest"), *tests]
     return subprocess.run(
         command, cwd=checkout, check=False, env=_variables()
     ).returncode

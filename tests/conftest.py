@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
+# Before NumPy is imported, which reads it then: threads of linear algebra wait for one another in a loop.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import gc
 import itertools
-import os
 import subprocess
 import sys
 import tempfile
@@ -41,9 +45,8 @@ def pytest_addoption(parser):
 def pytest_configure():
     """Set what the tests and the programs that they start have in common.
 
-    Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
-    the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
-    kept, also where the environment forbids it: hundreds of processes import the package.
+    Nobody's imported data takes part, also while tests are collected. Bytecode is kept, also where the environment
+    forbids it: hundreds of processes import the package.
     Examples of properties are the same on every machine, and none has a time limit.
     There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
@@ -52,7 +55,6 @@ def pytest_configure():
     mujoco.set_mju_user_warning(lambda text: None)
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     if find_spec("hypothesis"):
         from hypothesis import settings
 

@@ -9,7 +9,7 @@ their angles, and their motors by their commands.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -316,8 +316,12 @@ class SingleShots:
             if trial not in self.copies
         )
 
+    # `_read` keeps all instances.
+    @lru_cache(maxsize=16)  # noqa: B019
     def shot(self, trial: int, body: str | None = None) -> SingleShot:
         """Return one trial of one body.
+
+        Each body of a chain needs those before it, so that the last ones are kept; their arrays are read-only.
 
         Args:
             trial: Number of the trial.
@@ -332,9 +336,14 @@ class SingleShots:
         place = next(
             (place for place, one in enumerate(hung) if one.body == body), None
         )
-        if place is None:
-            return self._posed(trial)
-        return self._hanging(self.shot(trial, hung[place].on), place)
+        found = (
+            self._posed(trial)
+            if place is None
+            else self._hanging(self.shot(trial, hung[place].on), place)
+        )
+        for array in (found.times_s, found.positions_m, found.quaternions):
+            array.flags.writeable = False
+        return found
 
     def _posed(self, trial: int) -> SingleShot:
         if not 0 <= trial < len(self):

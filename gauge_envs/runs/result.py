@@ -100,7 +100,7 @@ class RecordedTrajectory:
                 times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6
             )
         )
-        rows = json_ready(samples.tolist())
+        rows = json_ready(np.asarray(samples))
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
@@ -146,9 +146,9 @@ MARKER_DECIMALS = 4
 """Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
 
 
-def _rounded_mm(markers_m: NDArray[np.float64] | None) -> list[list[float]]:
+def _rounded_mm(markers_m: NDArray[np.float64] | None) -> NDArray[np.float64]:
     rows = 1e3 * np.asarray(markers_m)
-    return np.round(rows.reshape(len(rows), -1), MARKER_DECIMALS).tolist()
+    return np.round(rows.reshape(len(rows), -1), MARKER_DECIMALS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,7 +254,7 @@ WRENCH_DECIMALS = 7
 """Digits of a wrench [N, N m] in a file: a millionth of the weight of a cloth."""
 
 
-def _rounded_n(wrenches: NDArray[np.float64] | None) -> list[list[float]]:
+def _rounded_n(wrenches: NDArray[np.float64] | None) -> NDArray[np.float64]:
     if wrenches is None or not np.isfinite(wrenches).any():
-        return []
-    return np.round(wrenches.reshape(len(wrenches), -1), WRENCH_DECIMALS).tolist()
+        return np.empty(0)
+    return np.round(wrenches.reshape(len(wrenches), -1), WRENCH_DECIMALS)
