@@ -592,6 +592,8 @@ class Feature(StrEnum):
     """`JointDynamics.dry_friction_n_m`."""
     VISCOUS_FRICTION = "viscous joint friction"
     """`JointDynamics.viscous_friction_n_m_s_per_rad`."""
+    QUADRATIC_FRICTION = "quadratic joint friction"
+    """`JointDynamics.quadratic_friction_n_m_s2_per_rad2`."""
     ARMATURE = "armature"
     """`JointDynamics.armature_kg_m2`."""
     BACKLASH = "backlash"
@@ -863,6 +865,10 @@ def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
             Feature.VISCOUS_FRICTION: (
                 hinge.dynamics.viscous_friction_n_m_s_per_rad,
                 "viscous friction",
+            ),
+            Feature.QUADRATIC_FRICTION: (
+                hinge.dynamics.quadratic_friction_n_m_s2_per_rad2,
+                "quadratic friction",
             ),
             Feature.ARMATURE: (hinge.dynamics.armature_kg_m2, "armature"),
             Feature.BACKLASH: (hinge.dynamics.backlash_rad, "backlash"),

@@ -179,6 +179,20 @@ def put(engine: str, target: Any, **values: Any) -> None:
     check_kept(engine, values, target)
 
 
+def with_drive_interval(
+    settings: Mapping[str, Any], longest_s: float
+) -> dict[str, Any]:
+    """Return settings that drive in the longest multiple of their step up to a length [s], or in single steps.
+
+    Settings without a step that an engine takes are unchanged.
+    """
+    step_s = settings.get("timestep_s")
+    if not isinstance(step_s, int | float) or not 1e-8 <= step_s <= 60.0:
+        return dict(settings)
+    steps = max(1, math.floor(longest_s / step_s + 1e-6))
+    return {**settings, "drive_interval_s": step_s * steps}
+
+
 def check_drive_interval(settings: Mapping[str, Any]) -> None:
     """Raise an error if the drive interval of settings is not that of environments, 1/180 s.
 

@@ -320,6 +320,7 @@ class JointConstants(FileModel):
     viscous_friction_n_m_s_per_rad: NonNegative | None = None
     armature_kg_m2: NonNegative | None = None
     backlash_rad: NonNegative | None = None
+    quadratic_friction_n_m_s2_per_rad2: NonNegative | None = None
     kp_n_m_per_rad: Positive | None = None
     kv_n_m_s_per_rad: NonNegative | None = None
     torque_limit_n_m: Positive | None = None

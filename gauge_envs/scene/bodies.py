@@ -139,6 +139,7 @@ class JointDynamics:
         armature_kg_m2: Inertia of a rotor, times its gear ratio squared, which turns with the joint [kg m^2].
         backlash_rad: Play between the rotor, which needs an armature, and what it turns [rad]. It starts in its middle
             and ends in two stops of any restitution. Friction and motor act on the rotor; a servo measures its angle.
+        quadratic_friction_n_m_s2_per_rad2: Torque per squared rate, as of air, that opposes it [N m s^2/rad^2].
     """
 
     dry_friction_n_m: NonNegative = 0.0
@@ -146,6 +147,7 @@ class JointDynamics:
     armature_kg_m2: NonNegative = 0.0
     # Hashes and prints of joints without play stay.
     backlash_rad: NonNegative = field(default=0.0, repr=False)
+    quadratic_friction_n_m_s2_per_rad2: NonNegative = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
         if self.backlash_rad and not self.armature_kg_m2:

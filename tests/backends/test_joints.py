@@ -139,3 +139,42 @@ def test_several_worlds_and_a_restored_one_move_as_one_does(name):
             [states[world] for states in together], [*early, *late], atol=1e-5
         )
     worlds.close()
+
+
+@on_every_engine
+def test_a_bar_coasts_with_quadratic_friction_as_its_closed_form(name):
+    """Without gravity I rate' = -c rate |rate|, so that rate = r / (1 + c r t / I).
+
+    A motor that cancels the dry friction of the turning bar leaves the drag alone.
+    """
+    pytest.importorskip(ENGINES[name])
+    rate, drag, seconds = 6.0, 1e-3, 0.2
+    bar = replace(
+        box("bar", (0.0, 0.0, 1.0), (0.2, 0.02, 0.03), mass_kg=0.3),
+        angular_velocity_rad_per_s=(0.0, rate, 0.0),
+    )
+    friction = JointDynamics(quadratic_friction_n_m_s2_per_rad2=drag)
+    hinge = Hinge(
+        body="bar", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0), dynamics=friction
+    )
+    scene = Scene(
+        bodies=(bar,), joints=(hinge,), duration_s=seconds, gravity_m_per_s2=0.0
+    )
+    engine = backend(name)
+    if Feature.QUADRATIC_FRICTION not in engine.features:
+        assert "quadratic friction" in scene_support(engine, scene).missing[0]
+        return
+    inertia = float(box_inertia_kg_m2(bar)[1])
+    for motor, dry in ((None, 0.0), (TorqueMotor(command=STEP), 0.03)):
+        joint = replace(
+            hinge, motor=motor, dynamics=replace(friction, dry_friction_n_m=dry)
+        )
+        moving = replace(scene, joints=(joint,))
+        simulation = engine.build(moving)
+        simulation.reset(0)
+        rollout = record(simulation, moving, seconds)
+        simulation.close()
+        expected = rate / (1.0 + drag * rate * rollout.times_s / inertia)
+        assert rollout.angular_velocity("bar")[:, 1] == pytest.approx(
+            expected, rel=0.004
+        )

@@ -37,7 +37,7 @@ class BackendGenesis(BundledBackend):
         "a string is a spring that this package computes",
         "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
-    features = frozenset(Feature) - {Feature.AIR}
+    features = frozenset(Feature) - {Feature.AIR, Feature.QUADRATIC_FRICTION}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(pbd_constants)

@@ -349,7 +349,11 @@ def _add_hinge(
         pos=body.pose.to_body(np.asarray(hinge.anchor_m)),
         axis=body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True),
         frictionloss=hinge.dynamics.dry_friction_n_m,
-        damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
+        damping=[
+            hinge.dynamics.viscous_friction_n_m_s_per_rad,
+            hinge.dynamics.quadratic_friction_n_m_s2_per_rad2,
+            0.0,
+        ],
         armature=hinge.dynamics.armature_kg_m2,
     )
     if hinge.dynamics.dry_friction_n_m:

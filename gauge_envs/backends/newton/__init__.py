@@ -56,7 +56,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = frozenset(Feature) - {Feature.AIR}
+    features = frozenset(Feature) - {Feature.AIR, Feature.QUADRATIC_FRICTION}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True

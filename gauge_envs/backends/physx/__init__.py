@@ -47,6 +47,7 @@ class BackendPhysX(BundledBackend):
         Feature.BODY_HINGES,
         Feature.STATED_INERTIA,
         Feature.BACKLASH,
+        Feature.QUADRATIC_FRICTION,
     }
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 

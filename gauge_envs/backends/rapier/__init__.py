@@ -45,6 +45,7 @@ class BackendRapier(BundledBackend):
         Feature.BODY_HINGES,
         Feature.STATED_INERTIA,
         Feature.BACKLASH,
+        Feature.QUADRATIC_FRICTION,
     }
     worlds_mix_constants = True
 

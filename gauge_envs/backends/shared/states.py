@@ -209,12 +209,15 @@ class StateOrigin:
                 for at, touch in enumerate(one.contacts)
             )
             turned = [values for values in resists if any(values[1:])]
-            plays = [
-                (at, play)
-                for at, hinge in enumerate(one.hinges)
-                if (play := hinge.dynamics.backlash_rad)
-            ]
-            few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays)
+            plays, drags = (
+                [
+                    (at, term)
+                    for at, hinge in enumerate(one.hinges)
+                    if (term := getattr(hinge.dynamics, name))
+                ]
+                for name in ("backlash_rad", "quadratic_friction_n_m_s2_per_rad2")
+            )
+            few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays, drags)
             self._hash = hashlib.sha256(
                 "".join(map(repr, (parts, *filter(None, few)))).encode()
             ).hexdigest()

@@ -24,10 +24,12 @@ from scipy.special import expit
 from scipy.stats import t as student
 
 from gauge_envs.backends.base import Backend, scene_support
+from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.baselines import baselines
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.mujoco_joints import (
@@ -649,12 +651,13 @@ def _machine(
         raise UnsupportedSceneError(
             f"backend {engine.name!r}: {'; '.join(support.missing)}"
         )
-    if engine.name != "mujoco" or log.command_rad is None:
+    if engine.name != "mujoco":
         return known
-    simulation = engine.build(built, settings or None)
+    given = with_drive_interval(settings, DRIVE_INTERVAL_S)
+    simulation = engine.build(built, given or None)
     try:
         spec = simulation.spec  # type: ignore[attr-defined]
-        return joints_of_scene(scene, spec, log, known.stated, keep=bool(settings))
+        return joints_of_scene(scene, spec, log, known.stated, settings)
     finally:
         simulation.close()
 

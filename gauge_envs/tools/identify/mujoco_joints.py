@@ -40,6 +40,7 @@ ELEMENTS = {"frictionloss": "frictionloss", "damping": "damping", "armature": "a
 """Attributes of `<joint>` that lines may set, and their fields in an `MjsJoint`."""
 
 JOINT = mujoco.mjtTrn.mjTRN_JOINT
+RK4 = mujoco.mjtIntegrator.mjINT_RK4
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -120,6 +121,10 @@ class ModelJoints:
         model, data = self._motored
         self._set(model, data, terms)
         start_at(model, data, self, *start)
+        if not self.has_servos and model.opt.integrator != RK4:
+            # These integrators hold rates half a step before the angles; then they are of second order.
+            mujoco.mj_forward(model, data)
+            data.qvel -= 0.5 * self.timestep_s * data.qacc
         count = math.ceil(log.duration_s / self.timestep_s) + 2
         state = np.zeros(mujoco.mj_stateSize(model, STATE))
         mujoco.mj_getState(model, data, state, STATE)
@@ -132,7 +137,7 @@ class ModelJoints:
             values = _controls(log, place, delay_s, count, self.timestep_s)
             control[0, :, motor] = self.signs[place] * values
         states, _ = rollout.rollout(model, data, state[None], control)
-        if any(warning.number for warning in data.warning):
+        if np.any(data.warning.number):
             raise DivergedError(f"{log.name}: plain MuJoCo diverges")
         # A state begins with its time, and the positions follow.
         columns = [1 + int(model.joint(one).qposadr[0]) for one in self.joints]
@@ -340,7 +345,11 @@ def joints_of_model(
 
 
 def joints_of_scene(
-    scene: Scene, spec: mujoco.MjSpec, log: Log, stated: Sequence[Terms], *, keep: bool
+    scene: Scene,
+    spec: mujoco.MjSpec,
+    log: Log,
+    stated: Sequence[Terms],
+    settings: Mapping[str, Any],
 ) -> ModelJoints:
     """Return the hinges of a scene in the model that the engine builds of it.
 
@@ -349,14 +358,17 @@ def joints_of_scene(
         spec: Its model; a joint has the name of the body that it moves.
         log: A log of its hinges, of which the joints get the names.
         stated: Numbers that the scene states, by hinge.
-        keep: Whether step and integrator are those of `spec`; else they are what users' models mostly have.
+        settings: Those with which `spec` was built. Unless they state step or integrator, these are what users' models
+            mostly have.
     """
     children = {
         id(hinge): name
         for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
     }
     bodies = [getattr(one, "body", "") or children[id(one)] for one in scene.hinges]
-    usual = {} if keep else {"timestep_s": STEP_S, "integrator": "implicitfast"}
+    usual: dict[str, Any] = {}
+    if not {"preset", "integrator"} & set(settings):
+        usual = {"timestep_s": settings.get("timestep_s", STEP_S), "integrator": "implicitfast"}  # fmt: skip
     changed = _without_motors(spec.copy(), bodies, usual)
     names = joint_names(log, len(bodies))
     for body, name in zip(bodies, names, strict=True):

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend
+from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import (
@@ -34,6 +35,7 @@ from gauge_envs.scene.hinged import (
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.logs import Log
 
 DYNAMICS = tuple(
@@ -105,8 +107,8 @@ class SceneJoints:
     @property
     def timestep_s(self) -> float:
         """Step of the simulation [s]."""
-        built = self.engine.build(self.scene, self.settings)
-        return float(built.settings["timestep_s"])
+        given = with_drive_interval(self.settings, DRIVE_INTERVAL_S)
+        return float(self.engine.build(self.scene, given).settings["timestep_s"])
 
     def with_step(self, step_s: float) -> Self:
         """Return the same joints with another step [s]."""
@@ -302,10 +304,13 @@ def simulated(
     """
     moving = posed(replace(scene, duration_s=log.duration_s), *start)
     moving = with_terms(moving, terms, log, start[0])
-    simulation = engine.build(moving, settings)
+    given = with_drive_interval(settings or {}, DRIVE_INTERVAL_S)
+    simulation = engine.build(moving, given)
+    interval_s = float(simulation.settings.get("drive_interval_s", DRIVE_INTERVAL_S))
     try:
         simulation.reset(0)
-        rollout = record(simulation, moving, log.duration_s + 0.02)
+        longest_s = log.duration_s + max(0.02, interval_s)
+        rollout = record(simulation, moving, longest_s, interval_s=interval_s)
     finally:
         simulation.close()
     angles = start[0] + np.stack(

@@ -520,6 +520,10 @@ def _hinge(
         and same_or(
             float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad
         ),
+        quadratic_friction_n_m_s2_per_rad2=same_or(
+            float(model.dof_dampingpoly[joint.dofadr[0], 0]),
+            stated.quadratic_friction_n_m_s2_per_rad2,
+        ),
     )
     if isinstance(motor, Servo):
         actuator = model.actuator(body)

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import floor
 from typing import Any
 
 from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
+from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -135,24 +135,13 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
     try:
         return backend.build(
             scenario.scene_with(settings),
-            {**scene_settings, **_with_interval(settings, scenario.interval_s)},
+            {**scene_settings, **with_drive_interval(settings, scenario.interval_s)},
         )
     except ParameterError as error:
         raise DeclinedError((str(error),)) from error
     # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.
     except Exception as error:
         raise DeclinedError((f"{type(error).__name__}: {error}",)) from error
-
-
-def _with_interval(settings: Settings, longest_s: float) -> dict[str, Any]:
-    """Return settings with the drive interval for their step; unchanged without a step that an engine takes."""
-    step = settings.get("timestep_s")
-    if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
-        return dict(settings)
-    return {
-        **settings,
-        "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6)),
-    }
 
 
 def check_settings(name: str, settings: Settings) -> None:
@@ -170,5 +159,5 @@ def check_settings(name: str, settings: Settings) -> None:
 def _build_once(name: str, settings: Settings) -> None:
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
     backend(name).build(
-        load_experiment(TRIAL_VARIANT).scene, _with_interval(settings, 0.0)
+        load_experiment(TRIAL_VARIANT).scene, with_drive_interval(settings, 0.0)
     ).close()

@@ -45,6 +45,7 @@ DYNAMICS = {
     "viscous_friction_n_m_s_per_rad": "mjc:damping",
     "armature_kg_m2": "mjc:armature",
     "backlash_rad": "gauge:backlash_rad",
+    "quadratic_friction_n_m_s2_per_rad2": "gauge:quadratic_friction",
 }
 """Attributes of MuJoCo's schema, doubles per radian, or of this package, by field of `JointDynamics`."""
 

@@ -108,6 +108,30 @@ def test_friction_is_found_on_each_engine(engine):
         assert half < 0.15 * truth[one.name], one
 
 
+@pytest.mark.parametrize(
+    ("engine", "step_s"),
+    [
+        *(("mujoco", step_s) for step_s in (0.0005, 0.002, 0.005, 0.02)),
+        pytest.param("pybullet", 0.005, marks=pytest.mark.slow),
+    ],
+)
+def test_every_step_of_a_training_stack_is_taken(engine, step_s):
+    """A small swing decays as the linear oscillator does; steps of 1 to 20 ms are no part of 1/180 s."""
+    pytest.importorskip(MODULES.get(engine, engine))
+    inertia = INERTIA_KG_M2 + MASS_KG * LENGTH_M**2
+    viscous = 0.01
+    decay = 0.5 * viscous / inertia
+    frequency = np.sqrt(MASS_KG * G * LENGTH_M / inertia - decay**2)
+    times_s = np.arange(0.0, 1.5, 0.01)
+    angles = 0.05 * np.exp(-decay * times_s) * np.cos(frequency * times_s)
+    log = Log("swing", times_s, angles[:, None])
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    found = identify(
+        backend(engine), scene, [log], [VISCOUS], settings={"timestep_s": step_s}
+    )
+    assert found.settings[0].value == pytest.approx(viscous, rel=0.03)
+
+
 @pytest.mark.slow
 def test_a_viscous_joint_does_not_fit_as_a_dry_one():
     (error,) = found_in(
