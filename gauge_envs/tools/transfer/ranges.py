@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 from pydantic import PositiveInt, TypeAdapter
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import TaskExperiment
@@ -95,6 +95,11 @@ class JustifiedRange:
         """Name for tables, as `cube.friction`."""
         return f"{self.part}.{self.constant}"
 
+    @property
+    def middle(self) -> float:
+        """Centre of the range."""
+        return 0.5 * (self.low + self.high)
+
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
@@ -153,7 +158,7 @@ def measured_constants() -> Mapping[str, Mapping[str, Measured]]:
 def covering(mean: float, std: float, count: int) -> tuple[float, float]:
     """Return the ends of the interval that covers 95 % of further trials, from those of `count` trials."""
     half = (
-        float(student.ppf(0.5 + 0.5 * LEVEL, count - 1))
+        float(stdtrit(count - 1, 0.5 + 0.5 * LEVEL))
         * std
         * math.sqrt(1.0 + 1.0 / count)
     )
@@ -347,7 +352,7 @@ def _friction(
         )
     known = input_uncertainties().friction
     count = len(known.relative) - 1
-    half = float(student.ppf(0.5 + 0.5 * LEVEL, count)) * known.relative["other"]
+    half = float(stdtrit(count, 0.5 + 0.5 * LEVEL)) * known.relative["other"]
     return JustifiedRange(
         part=part, constant="friction", low=one.value * (1.0 - half), high=one.value * (1.0 + half), unit="1",
         scatter=Scatter.PAIRS, count=count, inside=LEVEL,
@@ -378,9 +383,9 @@ def _joint(experiment: TaskExperiment, constant: str) -> JustifiedRange | LeftOu
 def _start(experiment: TaskExperiment) -> JustifiedRange | LeftOut:
     if experiment.variant.family == "BouncingBall":
         height = _trials("ball", "position_m", DROPS, "", "start_height_m")
-        mean = 0.5 * (height.low + height.high)
+        half = 0.5 * (height.high - height.low)
         return replace(
-            height, low=height.low - mean, high=height.high - mean, operation="add",
+            height, low=-half, high=half, operation="add",
             source=f"{height.source}; along z, horizontal places are not known",
         )  # fmt: skip
     if (experiment.variant.family, experiment.variant.subtask) == ("SlopeSlider", "2"):
