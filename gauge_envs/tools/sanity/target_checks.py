@@ -25,10 +25,12 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena import (
     CAPACITY_ID,
     CONTROL_ID,
+    FRICTION_RANGE_ID,
     GRAVITY_ID,
     ROBOT_IDS,
 )
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
+from gauge_envs.tools.transfer import friction_of_materials, slides_of_one_pair
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.robot import Robot
@@ -85,7 +87,31 @@ CONTROL_ROW = PhenomenonResult(
 )
 """Time of one action of the policy."""
 
-TARGET_ROWS = (GRAVITY_ROW, CAPACITY_ROW, CONTROL_ROW)
+_MATERIALS = friction_of_materials()
+_LEAST_PAIR = min(
+    slides_of_one_pair(), key=lambda one: (one.high - one.low) / one.middle
+)
+LEAST_SCATTER = 0.5 * (_LEAST_PAIR.high - _LEAST_PAIR.low) / _LEAST_PAIR.middle
+"""Half-width over centre of the friction of single slides, of the measured pair that scatters least."""
+
+RANGE_ROW = PhenomenonResult(
+    phenomenon=FRICTION_RANGE_ID,
+    title="range from which training draws the friction of a foot",
+    unit="1",
+    reality=Reality(
+        kind=RealityKind.MEASURED,
+        value=_MATERIALS.middle,
+        tolerance=0.5 * (_MATERIALS.high - _MATERIALS.low),
+        source=f"n = {_MATERIALS.count}, {_MATERIALS.source}; least width: n = {_LEAST_PAIR.count}, "
+        f"{_LEAST_PAIR.part}, {_LEAST_PAIR.source}",
+        rationale="no pair outside was measured, and single slides of one pair scatter by the least width",
+        limits=f"in {_MATERIALS.low:.2g} to {_MATERIALS.high:.2g}, {100 * LEAST_SCATTER:.1f} % or more to each side",
+    ),
+    verdict=Verdict.INSIDE,
+)
+"""Ends of the range against the pairs of materials that were measured; its width against the scatter of one pair."""
+
+TARGET_ROWS = (GRAVITY_ROW, CAPACITY_ROW, CONTROL_ROW, RANGE_ROW)
 
 LEAST_TILT_DEG = 0.1
 """Smallest tilt that is reported [degrees]."""
@@ -103,6 +129,8 @@ def target_rows(
         rows.append(capacity_row(configuration, dialect))
     if CONTROL_ID in chosen:
         rows.append(control_row(configuration))
+    if FRICTION_RANGE_ID in chosen:
+        rows.append(friction_range_row(configuration))
     named = [name for name in ROBOT_IDS if name in chosen]
     return rows + [robot_row(name, configuration.robot) for name in named]
 
@@ -228,6 +256,54 @@ def control_row(configuration: TrainingConfiguration) -> PhenomenonResult:
         if verdict.is_off
         else "",
     )
+
+
+# --- range of friction -----------------------------------------------------------------------------------------------
+
+
+def friction_range_row(configuration: TrainingConfiguration) -> PhenomenonResult:
+    """Return the row on the range of a foot's friction; it does not apply where training draws none."""
+    foot = configuration.foot_contact
+    drawn = [
+        (low, high)
+        for low, high in (() if foot is None else (foot.static_friction, foot.friction))
+        if low < high
+    ]
+    if not drawn:
+        return _declined(RANGE_ROW, "the target draws no friction from a range")
+    findings = [(*_range_finding(low, high), low, high) for low, high in drawn]
+    verdict, remark, low, high = max(findings, key=lambda one: one[0].is_off)
+    return replace(
+        RANGE_ROW,
+        configured=0.5 * (low + high),
+        verdict=verdict,
+        remark=remark,
+        consequence="The policy trains for floors that nobody measured, or for one alone."
+        if verdict.is_off
+        else "",
+    )
+
+
+def _range_finding(low: float, high: float) -> tuple[Verdict, str]:
+    """Return the verdict on a range of friction, and why."""
+    least, most = _MATERIALS.low, _MATERIALS.high
+    shown, known = f"{low:.3g} to {high:.3g}", f"{least:.2g} to {most:.2g}"
+    center = 0.5 * (low + high)
+    pairs = f"{known} of {_MATERIALS.count} measured pairs"
+    if not least <= center <= most:
+        deviation = abs(center - RANGE_ROW.reality.value) / RANGE_ROW.reality.tolerance
+        return (
+            Verdict.of(deviation),
+            f"{shown} is off centre: {center:.3g} is outside {pairs}",
+        )
+    if low < least or high > most:
+        return Verdict.VISIBLE, f"{shown} is too wide: it leaves {pairs}"
+    if 0.5 * (high - low) < LEAST_SCATTER * center:
+        return Verdict.VISIBLE, (
+            f"{shown} is too narrow: single slides of one pair scatter by {100 * LEAST_SCATTER:.1f} % to each side "
+            f"({_LEAST_PAIR.part}, n = {_LEAST_PAIR.count})"
+        )
+    return Verdict.INSIDE, f"{shown}, inside {pairs}"
 
 
 # --- memory for contacts ---------------------------------------------------------------------------------------------

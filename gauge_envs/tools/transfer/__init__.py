@@ -1,1 +1,21 @@
-"""Replay policies elsewhere, and show what uncertain inputs do to a reward."""
+"""Replay policies elsewhere; show what uncertain inputs do to a reward; and which ranges of constants data justify."""
+
+from typing import TYPE_CHECKING
+
+from gauge_envs.registry import door
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.transfer.ranges import (
+        Justified as Justified,
+        JustifiedRange as JustifiedRange,
+        LeftOut as LeftOut,
+        friction_of_materials as friction_of_materials,
+        justified_ranges as justified_ranges,
+        slides_of_one_pair as slides_of_one_pair,
+    )
+    from gauge_envs.tools.transfer.stack_files import (
+        stack_file as stack_file,
+        subject_ranges as subject_ranges,
+    )
+else:
+    __getattr__, __all__ = door(__name__)

@@ -1,11 +1,11 @@
-"""`gauge transfer`, `gauge transfer settings` and `gauge transfer envelope`."""
+"""`gauge transfer` and the commands below it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 LAW_FRACTION = 0.95
 """Share of the limit that the policy of a law uses."""
+
+Stack = Literal["mjlab", "isaaclab", "playground", "maniskill", "mujoco", "gymnasium"]
 
 DEFAULT_ENGINES = ("mujoco", "newton")
 
@@ -302,6 +304,90 @@ def _assigned(texts: Sequence[str]) -> dict[str, str]:
     if wrong := ["".join(pair) for pair in pairs if "" in pair]:
         raise ParameterError(f"{wrong[0]}: expected NAME=VALUE, as impratio=10")
     return {name: value for name, _, value in pairs}
+
+
+def transfer_randomize(
+    subject: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUBJECT", help="Id; or a robot as MJCF or URDF, .xml or .urdf."
+        ),
+    ],
+    stack: Annotated[
+        Stack | None,
+        typer.Option(
+            "--for",
+            rich_help_panel=arguments.OUTPUT,
+            show_default="none: ranges alone",
+            help="Training stack of which a file is written.",
+        ),
+    ] = None,
+    like: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ID",
+            rich_help_panel=arguments.SCENE,
+            help="Id with the same pair of materials or the same servo as the robot, as ServoArm-so101.",
+        ),
+    ] = None,
+    payload: Annotated[
+        list[float] | None,
+        typer.Option(
+            rich_help_panel=arguments.SCENE,
+            show_default="none",
+            help="Smallest and largest mass that --body carries, as 0,0.5 [kg].",
+        ),
+    ] = None,
+    body: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            rich_help_panel=arguments.SCENE,
+            help="Body with the payload.",
+        ),
+    ] = "",
+    out: Annotated[
+        Path | None,
+        arguments.target(
+            "File to write, .py.", show_default="randomized_STACK.py with --for"
+        ),
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> None:
+    """Give ranges for domain randomization that data justify, as a file of a training stack.
+
+    Each range states its source and how often it was measured; what was not measured is left out.
+    """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.transfer.stack_files import (
+        for_stack,
+        stack_file,
+        subject_ranges,
+    )
+    from gauge_envs.tools.transfer.words import ranges_document
+
+    if out is not None and stack is None:
+        raise ParameterError(f"--out {out} needs the stack: add --for mujoco")
+    if body and payload is None:
+        raise ParameterError(f"--body {body} needs --payload, as 0,0.5")
+    if payload is not None and len(payload) != 2:
+        raise ParameterError(
+            "--payload takes the smallest and the largest mass, as 0,0.5"
+        )
+    found = subject_ranges(
+        subject,
+        like=like or (),
+        payload_kg=None if payload is None else (payload[0], payload[1]),
+        body=body,
+    )
+    files: dict[str, Path] = {}
+    text = ""
+    if stack is not None:
+        files = arguments.by_suffix([out or Path(f"randomized_{stack}.py")], ".py")
+        text = stack_file(found, stack)
+        found = for_stack(found, stack)
+    writers = {".py": lambda file: save_file(file, text)}
+    print_document(ranges_document(found), form, files=files, writers=writers)
 
 
 def transfer_envelope(

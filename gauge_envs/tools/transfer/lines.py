@@ -1,4 +1,4 @@
-"""What `gauge transfer`, `gauge transfer settings` and `gauge transfer envelope` print with `--json`, a line each."""
+"""What `gauge transfer` and the commands below it print with `--json`, a line each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Annotated, Literal, TypedDict
 from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.transfer.envelope import EnvelopeReport
 from gauge_envs.tools.transfer.policy_replays import ReplayWorld
+from gauge_envs.tools.transfer.ranges import JustifiedRange, LeftOut
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
 from gauge_envs.tools.transfer.transfer import Estimate, WorldTransfer
 
@@ -75,3 +76,33 @@ class SettingsLine(SettingsReport):
     """
 
     verdict: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeLine(JustifiedRange):
+    """A range that data justify.
+
+    Attributes:
+        kind: `range`.
+        subject: Id or robot file.
+    """
+
+    kind: Literal["range"]
+    subject: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOutLine(LeftOut):
+    """A constant without a range.
+
+    Attributes:
+        kind: `left_out`.
+        subject: Id or robot file.
+    """
+
+    kind: Literal["left_out"]
+    subject: str
+
+
+RandomizeLine = RangeLine | LeftOutLine
+"""First each range, then what has none."""

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.pages.document import Document, Paragraph
+from gauge_envs.pages.document import Document, Paragraph, Part
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted, value_text, with_unit
 from gauge_envs.tools.transfer.envelope import Envelope, EnvelopeReport, is_constant
+from gauge_envs.tools.transfer.ranges import Justified
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
+from gauge_envs.tools.transfer.stack_files import evidence
 from gauge_envs.tools.transfer.transfer import (
     FALL_SHARE,
     Estimate,
@@ -196,6 +198,55 @@ def settings_document(report: SettingsReport) -> Document:
     return Document(
         parts=parts, rows=[dataclasses.asdict(report) | {"verdict": verdict}]
     )
+
+
+# --- ranges ---
+
+
+def ranges_document(found: Justified) -> Document:
+    """Return a row for each range, and one for each constant without; the JSON rows are the same."""
+    ranges = Table(
+        columns=(
+            Column("name", "constant"),
+            Column("ends", "range", is_number=True),
+            Column("unit", "unit"),
+            Column("evidence", "from"),
+            Column("source", "source", place=Place.BELOW),
+        ),
+        rows=[
+            {
+                "name": one.name,
+                "ends": ("times " if one.operation == "scale" else "plus " if one.operation == "add" else "")
+                + f"{one.low:.4g} to {one.high:.4g}",
+                "unit": one.unit,
+                "evidence": evidence(one),
+                "source": one.source,
+            }
+            for one in found.ranges
+        ],
+    )  # fmt: skip
+    left_out = Table(
+        columns=(
+            Column("name", "left out"),
+            Column("reason", "because", place=Place.BELOW),
+        ),
+        rows=found.left_out,
+    )
+    tables = [table for table in (ranges, left_out) if table.rows]
+    parts: list[Part] = [part for table in tables for part in (table, Paragraph(""))]
+    parts.append(
+        Paragraph(
+            f"{counted(len(found.ranges), 'range')}, {len(found.left_out)} left out. Draw uniformly; each joint apart."
+        )
+    )
+    rows = [
+        {"kind": "range", "subject": found.subject, **dataclasses.asdict(one)}
+        for one in found.ranges
+    ] + [
+        {"kind": "left_out", "subject": found.subject, **dataclasses.asdict(one)}
+        for one in found.left_out
+    ]
+    return Document(parts=tuple(parts), rows=rows)
 
 
 # --- envelopes ---

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
 GRAVITY_ID, CAPACITY_ID, CONTROL_ID = "gravity", "contact-capacity", "control-step"
+FRICTION_RANGE_ID = "friction-range"
 """Rows on what a target states, which need no rollout."""
 
 _TABLES = tomllib.loads(
@@ -27,7 +28,7 @@ _TABLES = tomllib.loads(
 ROBOT_IDS = tuple(_TABLES["robot"])
 """Rows on the target's own model: its rollout, and what it states."""
 
-STATED_IDS = (GRAVITY_ID, CAPACITY_ID, CONTROL_ID, *ROBOT_IDS)
+STATED_IDS = (GRAVITY_ID, CAPACITY_ID, CONTROL_ID, FRICTION_RANGE_ID, *ROBOT_IDS)
 """Rows that run none of the suite's experiments."""
 
 RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
