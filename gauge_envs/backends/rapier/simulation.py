@@ -44,19 +44,23 @@ class _SceneWorld(PlacedWorld):
             scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True)
             for one in self._turned
         ]
-        self._commands: list[float] = []
+        self.commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
 
     def hold(
-        self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]
+        self,
+        world: rapier.PhysicsWorld,
+        motions: dict[str, DrivenMotion],
+        commands: Sequence[float] = (),
     ) -> None:
-        """Read and drive the bodies of a Rapier world from now on."""
+        """Read, drive and command the bodies of a Rapier world from now on."""
         self._holder, bodies = world, world.rigid_bodies
         self._bodies = {
             name: bodies[handle] for name, (handle, _) in self._layout.items()
         }
         self.motions = dict(motions)
+        self.commands = list(commands)
 
     def release(self) -> None:
         """Hold no body any more."""
@@ -91,8 +95,8 @@ class _SceneWorld(PlacedWorld):
 
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
-        self._commands = values.tolist()
-        for one, value in zip(self._turned, self._commands, strict=False):
+        self.commands = values.tolist()
+        for one, value in zip(self._turned, self.commands, strict=False):
             if one.is_drive:
                 chain, link, _ = link_of(self._holder, self._layout[one.body][0])
                 kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
@@ -102,7 +106,7 @@ class _SceneWorld(PlacedWorld):
         """Return the torques on bodies in the next step of drag, and of the motors that are none of Rapier's."""
         found = []
         for one, axis, value in zip(
-            self._turned, self._axes, padded(self._commands, self._turned), strict=True
+            self._turned, self._axes, padded(self.commands, self._turned), strict=True
         ):
             drag = one.hinge.dynamics.quadratic_friction_n_m_s2_per_rad2
             if one.is_drive and not drag:
@@ -227,16 +231,23 @@ class SimulationRapier(_SceneWorld, Simulation):
         _advance(self._world, (self,), seconds, self._timestep_s)
 
     def state(self) -> Snapshot:
-        """Return a snapshot of the world and the motions of driven bodies, with their origin."""
-        return self._origin.state((self._world.snapshot(), dict(self.motions)))
+        """Return a snapshot of the world, the motions of driven bodies and the commands of motors, with their origin."""
+        return self._origin.state(
+            (self._world.snapshot(), dict(self.motions), list(self.commands))
+        )
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
         self._continue_from(*self._origin.values(state))
 
-    def _continue_from(self, world: bytes, motions: dict[str, DrivenMotion]) -> None:
+    def _continue_from(
+        self,
+        world: bytes,
+        motions: dict[str, DrivenMotion],
+        commands: Sequence[float] = (),
+    ) -> None:
         self._world = _restored(world, self._threads)
-        self.hold(self._world, motions)
+        self.hold(self._world, motions, commands)
 
     def close(self) -> None:
         """Free the world."""

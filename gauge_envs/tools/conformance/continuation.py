@@ -14,7 +14,7 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import Box, Cylinder, Hinge, Pose, Scene
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
-from gauge_envs.tools.conformance.contract import BOUNCES, bounces
+from gauge_envs.tools.conformance.contract import BOUNCES, bounces, one_sign
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, push, strip_on_rod
 from gauge_envs.tools.conformance.model import EXACT, Check, Measurement
 
@@ -68,7 +68,8 @@ def continuation_differences(
                 np.array(simulation.nodes(one.name)).ravel()
                 for one in scene.deformables
             ]
-            rows.append(np.concatenate([states_now(simulation, names).ravel(), *nodes]))
+            states = one_sign(states_now(simulation, names))
+            rows.append(np.concatenate([states.ravel(), *nodes]))
         return np.array(rows)
 
     with closing(lab.build(scene)) as simulation, closing(lab.build(scene)) as other:

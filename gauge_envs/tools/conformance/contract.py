@@ -1,11 +1,13 @@
 """Conventions of the contract: finite states, units, frames, order, time, reset and repeatability."""
 
 from contextlib import closing
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import (
     DeclinedError,
     NotFiniteError,
@@ -158,9 +160,24 @@ def _as_built(lab: Lab) -> _Built:
         )
 
 
+def one_sign(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return states, shape [..., 13], whose quaternions have one of the two signs of a rotation.
+
+    Its largest component, of nearly equal ones the first, is positive.
+    """
+    states = np.array(states)
+    quaternions = states[..., 3:7]
+    sizes = np.abs(quaternions)
+    near = sizes > sizes.max(axis=-1, keepdims=True) - 1e-3
+    first = np.take_along_axis(quaternions, near.argmax(axis=-1)[..., None], axis=-1)
+    states[..., 3:7] *= np.where(first < 0.0, -1.0, 1.0)
+    return states
+
+
 @_as_built.check("order-of-names", tolerance=EXACT)
 def _order_of_names(built: _Built) -> Measurement:
-    return Measurement(measured=float(np.abs(built.states - built.backward).max()))
+    apart = one_sign(built.states) - one_sign(built.backward)
+    return Measurement(measured=float(np.abs(apart).max()))
 
 
 @_as_built.check("start-position")
@@ -310,13 +327,92 @@ def _sample_positions(lab: Lab) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(read[0] - read[1]).max()))
 
 
+# --- what is returned and reported ------------------------------------------------------------------------------------
+
+
+def _new_arrays(lab: Lab, scene: Scene) -> Measurement:
+    """Measure by how much arrays that were returned before change as the simulation goes on."""
+    names = [one.name for one in scene.bodies]
+    with closing(lab.build(scene)) as simulation:
+        simulation.reset(0)
+        given = [simulation.body_states(names)]
+        given += [simulation.nodes(one.name) for one in scene.deformables]
+        kept = [np.array(one) for one in given]
+        for _ in range(3):
+            simulation.advance(SAMPLE_INTERVAL_S)
+            simulation.body_states(names)
+            for one in scene.deformables:
+                simulation.nodes(one.name)
+        changed = [
+            np.abs(one - old).max() for one, old in zip(given, kept, strict=True)
+        ]
+    return Measurement(measured=float(max(changed)))
+
+
+@Check("new-arrays", scene=BOUNCES)
+def _new_arrays_rigid(lab: Lab) -> Measurement:
+    return _new_arrays(lab, bounces(lab))
+
+
+@Check("cloth-new-arrays", scene=STRIP_ON_ROD)
+def _new_arrays_cloth(lab: Lab) -> Measurement:
+    return _new_arrays(lab, strip_on_rod())
+
+
+SETTING_STEPS_S = (1 / 360, 1 / 900)
+
+
+@Check("settings-step", scene=BOUNCES, tolerance=COUNT)
+def _settings_step(lab: Lab) -> Measurement:
+    wrong, ends = [], []
+    scene = bounces(lab)
+    names = [one.name for one in scene.bodies]
+    for step_s in SETTING_STEPS_S:
+        with closing(lab.build(scene, timestep_s=step_s)) as simulation:
+            told_s = float(simulation.settings["timestep_s"])
+            if abs(told_s / step_s - 1.0) > 1e-9:
+                wrong.append(f"asked for {step_s:.6g} s, settings state {told_s:.6g} s")
+            ends.append(record(simulation, scene, 0.3).states)
+    if all(np.array_equal(ends[0][name], ends[1][name]) for name in names):
+        wrong.append(
+            "two steps give the same motion: the step is not that of the settings"
+        )
+    return Measurement(measured=len(wrong), hint="; ".join(wrong))
+
+
+@Check("two-at-once", scene=BOUNCES)
+def _two_at_once(lab: Lab) -> Measurement:
+    scene = bounces(lab)
+    other = replace(scene, gravity_m_per_s2=1.62)
+    alone = lab.rollout(scene, 0.3)
+    paths = DriverPaths(scene, 0.3)
+    names = [one.name for one in scene.bodies]
+    with closing(lab.build(scene)) as first, closing(lab.build(other)) as second:
+        first.reset(0)
+        second.reset(0)
+        apart = 0.0
+        for index in range(round(0.3 / SAMPLE_INTERVAL_S)):
+            for simulation in (second, first):
+                paths.advance(simulation, index)
+            expected = np.array([alone.states[name][index + 1] for name in names])
+            now = states_now(first, names)
+            apart = max(apart, float(np.abs(one_sign(now) - one_sign(expected)).max()))
+    hint = (
+        "simulations share constants or state: gravity, contacts, or time"
+        if apart
+        else ""
+    )
+    return Measurement(measured=apart, hint=hint)
+
+
 # --- repeatability ---------------------------------------------------------------------------------------------------
 
 
 def _difference(first: Rollout, second: Rollout) -> float:
     """Return the largest difference between two rollouts of one scene in any number."""
     states = [
-        np.abs(first.states[name] - second.states[name]).max() for name in first.states
+        np.abs(one_sign(first.states[name]) - one_sign(second.states[name])).max()
+        for name in first.states
     ]
     nodes = [
         np.abs(first.nodes_m[name] - second.nodes_m[name]).max()
@@ -360,7 +456,10 @@ def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
 def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
     first, second = (rollout.cut(0.0, 0.0) for rollout in pair)
     apart = np.abs(
-        [states[0] - second.states[name][0] for name, states in first.states.items()]
+        [
+            one_sign(states[0]) - one_sign(second.states[name][0])
+            for name, states in first.states.items()
+        ]
     )
     hint = "reset does not restore all positions" if apart[:, :7].any() else ""
     if apart.any() and not hint:

@@ -15,9 +15,11 @@ from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
+    Compound,
     ConvexUnion,
     Cylinder,
     Hinge,
+    Part,
     Pose,
     Scene,
     Shape,
@@ -51,6 +53,21 @@ LOPSIDED = ConvexUnion(
 )
 """Four pieces of different volume about a corner, with the body origin at that corner."""
 
+COMPOUND = Compound(
+    parts=(
+        Part(
+            shape=Box(size_m=(0.09, 0.03, 0.02)),
+            pose=Pose.from_euler_deg((0.05, 0.0, 0.0), (0.0, 20.0, 30.0)),
+        ),
+        Part(
+            shape=Cylinder(radius_m=0.015, length_m=0.05),
+            pose=Pose.from_euler_deg((0.0, 0.04, 0.0), (70.0, 0.0, 0.0)),
+        ),
+        Part(shape=Sphere(radius_m=0.02), pose=Pose(position_m=(0.0, 0.0, 0.05))),
+    )
+)
+"""Three solids apart from each other, with the body origin outside of their centre of mass."""
+
 WRONG_UNIONS = {
     "the convex hull of all pieces": ConvexUnion(
         pieces_m=(tuple(vector(corner) for corner in LOPSIDED.corners_m),)
@@ -75,6 +92,7 @@ SHAPES: dict[str, Shape] = {
     "sphere": Sphere(radius_m=0.03),
     "cylinder": Cylinder(radius_m=0.02, length_m=0.09),
     "union": LOPSIDED,
+    "compound": COMPOUND,
 }
 MASS_KG = 0.4
 EULER_DEG = (50.0, -20.0, 70.0)
@@ -132,7 +150,7 @@ def _push(lab: Lab, shape: Shape) -> _Push:
         states = states_now(simulation, names)
     twists = states[:, 7:].copy()
     # The reported velocity is that of the body origin.
-    arm = turned @ centre_m
+    arm = Rotation.from_quat(states[:, 3:7], scalar_first=True).apply(centre_m)
     twists[:, :3] += np.cross(twists[:, 3:], arm)
     return _Push(inertia, centre_m, wrenches, twists)
 
@@ -177,6 +195,12 @@ def _force_hint(measured: float) -> str:
     return f"it accelerates as if its mass were {1.0 / measured:.3g} times that of the scene"
 
 
+@PUSHES["compound"].check("wrench-centre-compound")
+def _wrench_centre_compound(found: _Push) -> Measurement:
+    spin = np.linalg.norm(found.twists[:3, 3:], axis=1).max()
+    return Measurement(measured=0.5 * SECONDS * float(np.degrees(spin)))
+
+
 @PUSHES["union"].check("wrench-centre")
 def _wrench_centre(found: _Push) -> Measurement:
     angle = (
@@ -205,7 +229,10 @@ def _centre_hint(found: _Push) -> str:
 
 
 def _inertia_check(kind: str) -> None:
-    title = {"union": "solid of four pieces"}.get(kind, kind)
+    title = {
+        "union": "solid of four pieces",
+        "compound": "compound of a box, a cylinder and a sphere",
+    }.get(kind, kind)
 
     @PUSHES[kind].check(
         f"inertia-{kind}",
@@ -301,8 +328,21 @@ def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
     return f", as if its {what} were {found} mm instead of {expected} mm"
 
 
+def _centre_check(kind: str) -> None:
+    @PUSHES[kind].check(f"centre-{kind}")
+    def measure(found: _Push) -> Measurement:
+        speeds, spins = found.twists[3:, :3], found.twists[3:, 3:]
+        # A body turns about its centre of mass, so the expected place of it moves by the error across the axis.
+        off_m = np.linalg.norm(speeds, axis=1) / np.linalg.norm(spins, axis=1)
+        worst_mm = 1e3 * float(off_m.max())
+        hint = f"under a torque it turns about a point {worst_mm:.3g} mm from where its centre of mass should be"
+        return Measurement(measured=worst_mm, hint=hint)
+
+
 for _kind in SHAPES:
     _inertia_check(_kind)
+for _kind in ("compound", "union"):
+    _centre_check(_kind)
 
 
 @Check("wrench-reset")

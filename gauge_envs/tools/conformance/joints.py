@@ -11,6 +11,7 @@ on the bar, as of a servo with an encoder on its output, reverses a torque with 
 then h = J b / 2 (I + J) behind the mean angle, whose acceleration is a constant +-a: the period is 4 h / (lead a).
 """
 
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -21,9 +22,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import argrelmax
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends import Simulation
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s
 from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.runs.rollout import Rollout, states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     BodyHinge,
@@ -38,7 +40,7 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.parts import body, box_inertia_kg_m2, ramp
-from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
 Array = NDArray[np.float64]
@@ -271,6 +273,77 @@ def _joint_servo(rollout: Rollout) -> Measurement:
 def _joint_limit(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
     return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
+
+
+@rollout_of(
+    "the same servo, whose command steps by -2 rad",
+    _scene(_bar(), seconds=0.8, motor=_servo(-2.0, torque_limit_n_m=LIMIT_N_M)),
+).check("joint-limit-back")
+def _joint_limit_back(rollout: Rollout) -> Measurement:
+    measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
+    return Measurement(measured=measured, expected=-LIMIT_N_M / INERTIA)
+
+
+@Check("wrench-hinged")
+def _wrench_hinged(lab: Lab) -> Measurement:
+    bars = _bar("pushed"), _bar("turned")
+    side = np.cross(AXIS, [0.0, 0.0, -1.0])
+    wrenches = {
+        "pushed": [*(TORQUE_N_M / CENTRE_M * side), 0.0, 0.0, 0.0],
+        "turned": [0.0, 0.0, 0.0, *(-TORQUE_N_M * AXIS)],
+    }
+    seconds = 18 * DRIVE_INTERVAL_S
+    with closing(lab.build(_scene(*bars, seconds=1.0))) as simulation:
+        simulation.reset(0)
+        for name, wrench in wrenches.items():
+            push(simulation, name, wrench)
+        for _ in range(18):
+            simulation.advance(DRIVE_INTERVAL_S)
+        rates = states_now(simulation, list(wrenches))[:, 10:] @ AXIS
+    pushed, turned = (rates * [1.0, -1.0] * INERTIA / TORQUE_N_M / seconds).tolist()
+    hint = f"a force gives {pushed:.4g}, a torque {turned:.4g} times the angular acceleration that it should"
+    worst = max(pushed, turned, key=lambda ratio: abs(ratio - 1.0))
+    return Measurement(measured=worst, expected=1.0, hint=hint)
+
+
+def _commanded(lab: Lab) -> tuple[Simulation, Callable[[], Array]]:
+    """Return a bar with a torque motor, and a function that advances by 0.1 s and returns the state, shape [13]."""
+    simulation = lab.build(
+        _scene(_bar(), seconds=2.0, motor=TorqueMotor(command=_stays(TORQUE_N_M)))
+    )
+    simulation.reset(0)
+
+    def later() -> Array:
+        simulation.advance(18 * DRIVE_INTERVAL_S)
+        return states_now(simulation, ["bar"])[0]
+
+    return simulation, later
+
+
+@Check("reset-command")
+def _reset_command(lab: Lab) -> Measurement:
+    simulation, later = _commanded(lab)
+    with closing(simulation):
+        fresh = later()
+        simulation.reset(0)
+        simulation.command(np.array([TORQUE_N_M]))
+        later()
+        simulation.reset(0)
+        return Measurement(measured=float(np.abs(later() - fresh).max()))
+
+
+@Check("restore-command")
+def _restore_command(lab: Lab) -> Measurement:
+    simulation, later = _commanded(lab)
+    with closing(simulation):
+        simulation.command(np.array([TORQUE_N_M]))
+        later()
+        saved = simulation.state()
+        expected = later()
+        simulation.command(np.array([-TORQUE_N_M]))
+        later()
+        simulation.restore(saved)
+        return Measurement(measured=float(np.abs(later() - expected).max()))
 
 
 @rollout_of(

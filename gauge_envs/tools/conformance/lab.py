@@ -65,8 +65,12 @@ class Lab:
             Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]
         ] = {}
 
-    def build(self, scene: Scene) -> Simulation:
+    def build(self, scene: Scene, **changes: Any) -> Simulation:
         """Build a scene; close the simulation after use.
+
+        Args:
+            scene: The scene.
+            changes: Settings that replace those of the lab.
 
         Raises:
             DeclinedError: The backend reports that it cannot build the scene, or not with the given settings.
@@ -78,12 +82,15 @@ class Lab:
         if not support:
             raise DeclinedError(support.missing)
         try:
-            simulation = self.backend.build(scene, self._settings)
+            settings = {**(self._settings or {}), **changes} or None
+            simulation = self.backend.build(scene, settings)
             check_drive_interval(simulation.settings)
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
             if self._settings and isinstance(error, UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is no fault of the backend.
+                raise DeclinedError((str(error),)) from error
+            if changes and isinstance(error, ParameterError):
                 raise DeclinedError((str(error),)) from error
             if self._settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error

@@ -37,6 +37,7 @@ FAMILIES = (
     "joints",
     "driven",
     "grasp",
+    "rich",
     "cloth",
     "air",
     "soft",

@@ -1,0 +1,366 @@
+"""Rates of generated faults that the checks catch and name, on random samples of seen and held-out classes.
+
+    python -m studies.planted_faults.random_faults checks --count 60            runs checks; goes on where it stopped
+    python -m studies.planted_faults.random_faults ids                          what each survivor changes in the suite
+    python -m studies.planted_faults.random_faults rates                        the table of the page
+
+`random_faults.csv` has a row for each fault. A class (`tests/mutations/generated.py`) is drawn first, then one of its
+faults that changes a scene of the suite or of the checks, or a call. The first check that fails on the fault, but not on
+the healthy engine, is kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import re
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.backends import backend
+from gauge_envs.errors import GaugeError
+from gauge_envs.evaluation.power import reference_power
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.scene import (
+    Box,
+    Capsule,
+    Compound,
+    Motion,
+    Part,
+    Pose,
+    RigidBody,
+    Scene,
+)
+from gauge_envs.scene.geometry import Ellipsoid
+from gauge_envs.tools.conformance import checks, run_checks
+from scripts import build_power
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from mutations import FAILS_ITSELF, Mutant
+from mutations.generated import Generated, generated
+
+TABLE = Path(__file__).with_name("random_faults.csv")
+COLUMNS = (
+    "fault",
+    "set",
+    "part",
+    "checks",
+    "caught_by",
+    "named",
+    "diagnosis",
+    "cpu_s",
+    "change_u",
+    "id",
+)
+SEED = 58
+SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-|^restore-benchmark-soft$")
+"""Checks of scenes with deformable bodies."""
+
+
+def _rows() -> dict[str, dict[str, str]]:
+    if not TABLE.is_file():
+        return {}
+    with TABLE.open(encoding="utf-8") as text:
+        return {row["fault"]: row for row in csv.DictReader(text)}
+
+
+def _write(rows: dict[str, dict[str, Any]]) -> None:
+    with TABLE.open("w", newline="", encoding="utf-8") as text:
+        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows.values())
+
+
+def _compound() -> Scene:
+    """Return a scene with the parts of the contract that no id of the suite has."""
+    parts = (
+        Part(
+            shape=Box(size_m=(0.05, 0.03, 0.02)), pose=Pose(position_m=(0.03, 0.0, 0.0))
+        ),
+        Part(
+            shape=Capsule(radius_m=0.01, length_m=0.04),
+            pose=Pose(position_m=(0.0, 0.02, 0.01)),
+        ),
+        Part(
+            shape=Ellipsoid(radii_m=(0.02, 0.01, 0.015)),
+            pose=Pose(position_m=(0.0, 0.0, 0.03)),
+        ),
+    )
+    one = RigidBody(
+        name="one",
+        shape=Compound(parts=parts),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0.0, 0.0, 1.0)),
+        mass_kg=0.3,
+    )
+    return Scene(bodies=(one,), duration_s=0.5)
+
+
+def _scenes() -> dict[str, Scene]:
+    return {one.name: load_experiment(one.name).scene for one in variants()} | {
+        "": _compound()
+    }
+
+
+def _changes_a_scene(one: Generated, scenes: dict[str, Scene]) -> bool:
+    """Return whether a fault is planted anywhere: a change of a call always is."""
+    if one.quantity[0].islower() or one.kind == "threshold":
+        return True
+    if one.fault.simulation.__name__ != "Passed":
+        return True
+    return any(one.fault.scene(scene) != scene for scene in scenes.values())
+
+
+def sample(count: int) -> dict[str, list[Generated]]:
+    """Return faults of `count` random classes each, seen and held out."""
+    draw = np.random.default_rng(SEED)
+    classes: dict[tuple[str, str], list[Generated]] = {}
+    for one in generated().values():
+        classes.setdefault((one.quantity, one.kind), []).append(one)
+    scenes = _scenes()
+    found: dict[str, list[Generated]] = {"seen": [], "held out": []}
+    for number in draw.permutation(len(classes)):
+        faults = list(classes.values())[number]
+        chosen = found["held out" if faults[0].is_held_out else "seen"]
+        order = draw.permutation(len(faults))
+        if len(chosen) < count:
+            planted = (faults[index] for index in order)
+            chosen += [one for one in planted if _changes_a_scene(one, scenes)][:1]
+    return found
+
+
+def _wanted(one: Generated, name: str) -> bool:
+    """Return whether a check can show a fault: scenes of the other kind of bodies are left out."""
+    return bool(SOFT.search(name)) == one.is_deformable
+
+
+class _Healthy:
+    """Values of the checks that the healthy engine fails itself."""
+
+    def __init__(self) -> None:
+        self.measured = {
+            one.check: one.measured
+            for one in run_checks("mujoco", only=[*FAILS_ITSELF["mujoco"]])
+        }
+
+    def explains(self, result: Any) -> bool:
+        """Return whether the healthy engine fails as a result does."""
+        value = self.measured.get(result.check)
+        return (
+            value is not None
+            and result.measured is not None
+            and abs(result.measured - value) <= (result.width or 0.0)
+        )
+
+
+def _first_failure(one: Generated, names: list[str], healthy: _Healthy) -> Any:
+    mutant = Mutant(backend("mujoco"), one.fault)
+    return next(
+        (
+            result
+            for result in run_checks(mutant, only=names)
+            if result.is_bad and not healthy.explains(result)
+        ),
+        None,
+    )
+
+
+def run_sample(count: int, sets: list[str]) -> None:
+    """Run the checks that a row lacks on each fault of a sample."""
+    rows: dict[str, dict[str, Any]] = dict(_rows())
+    healthy = _Healthy()
+    every = [one.id for one in checks()]
+    for label, faults in sample(count).items():
+        for one in faults if label in sets else []:
+            row = rows.get(one.id)
+            ran = set(row["checks"].split()) if row else set()
+            names = [name for name in every if _wanted(one, name) and name not in ran]
+            if not names or (row and row["caught_by"]):
+                continue
+            started = time.process_time()
+            result = _first_failure(one, names, healthy)
+            spent = (
+                time.process_time() - started + (float(row["cpu_s"]) if row else 0.0)
+            )
+            diagnosis = " ".join(result.diagnosis.split()) if result else ""
+            rows[one.id] = {
+                "fault": one.id,
+                "set": label,
+                "part": "deformable" if one.is_deformable else "rigid",
+                "checks": "" if result else " ".join(sorted(ran | set(names))),
+                "caught_by": result.check if result else "",
+                "named": int(bool(re.search(one.fault.says, diagnosis, re.IGNORECASE)))
+                if result
+                else "",
+                "diagnosis": diagnosis[:300],
+                "cpu_s": f"{spent:.1f}",
+                "change_u": row["change_u"] if row else "",
+                "id": row["id"] if row else "",
+            }
+            _write(rows)
+            if label == "seen":
+                print(
+                    one.id,
+                    "|",
+                    result.check if result else "-",
+                    "|",
+                    diagnosis[:80],
+                    flush=True,
+                )
+
+
+# --- what survivors change in the suite --------------------------------------------------------------------------------
+
+
+def _ids_of(one: Generated, most: int) -> Iterator[str]:
+    """Yield ids that may show a fault, one for each experiment, those of few bodies first."""
+    seen = set()
+    for name, scene in sorted(
+        _scenes().items(),
+        key=lambda item: (bool(item[1].deformables), len(item[1].bodies)),
+    ):
+        if (
+            not name
+            or name.split("-")[0] in seen
+            or reference_band(load_experiment(name)) is None
+        ):
+            continue
+        calls = {"drive": scene.drivers, "command": scene.motors, "wrench": ()}
+        owner = one.quantity.split(".")[0]
+        if owner in calls:
+            shows = bool(calls[owner])
+        elif one.quantity[0].islower():
+            shows = bool(scene.deformables) == one.is_deformable
+        elif one.kind == "threshold":
+            shows = owner in repr(scene) or owner == "Scene"
+        else:
+            shows = one.fault.scene(scene) != scene
+        if shows:
+            seen.add(name.split("-")[0])
+            yield name
+        if len(seen) >= most:
+            return
+
+
+def _change_u(one: Generated, name: str) -> float:
+    """Return how far a fault moves what the reference of an id compares, over the reference's uncertainty."""
+    experiment = load_experiment(name)
+    band = reference_band(experiment)
+    assert band is not None, name
+    is_aligned = (
+        band.grade.is_real and experiment.trial is None and not experiment.scene.drivers
+    )
+    found = reference_power(experiment, band)
+    assert found is not None, name
+    nominal = build_power.motion(
+        experiment, experiment.scene, last_frame=experiment.frame_count
+    )
+    healthy = build_power.backend_for
+    build_power.backend_for = lambda *_: Mutant(backend("mujoco"), one.fault)  # type: ignore[assignment]
+    try:
+        changed = build_power.motion(
+            experiment, experiment.scene, last_frame=experiment.frame_count
+        )
+    except GaugeError:
+        return np.inf
+    finally:
+        build_power.backend_for = healthy
+    return (
+        build_power.distance(band, nominal, changed, is_aligned=is_aligned)
+        / found.scale
+    )
+
+
+def run_ids(most: int) -> None:
+    """Measure what each survivor changes in the suite, until one id shows more than its uncertainty."""
+    rows: dict[str, dict[str, Any]] = dict(_rows())
+    faults = generated()
+    for name, row in rows.items():
+        if row["caught_by"] or row["id"]:
+            continue
+        best, where = 0.0, "none"
+        for id in _ids_of(faults[name], most):
+            size = _change_u(faults[name], id)
+            if size > best or where == "none":
+                best, where = size, id
+            if best > 1.0:
+                break
+        row["change_u"], row["id"] = f"{best:.3g}", where
+        _write(rows)
+        print(name, row["change_u"], where, flush=True)
+
+
+# --- rates ---------------------------------------------------------------------------------------------------------------
+
+
+def wilson(found: int, count: int) -> tuple[float, float]:
+    """Return Wilson's 95 % interval of a rate."""
+    z, p = 1.96, found / count
+    middle = (p + z**2 / (2 * count)) / (1 + z**2 / count)
+    half = z / (1 + z**2 / count) * np.sqrt(p * (1 - p) / count + z**2 / (4 * count**2))
+    return middle - half, middle + half
+
+
+def _share(found: int, count: int) -> str:
+    low, high = wilson(found, count)
+    return f"{found} of {count}, {100 * found / count:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def rates() -> Iterator[list[str]]:
+    """Yield a row for each set and part: faults, equivalent ones, caught and named of the others."""
+    for label in ("seen", "held out"):
+        for part in ("rigid", "deformable", "all"):
+            rows = [
+                row
+                for row in _rows().values()
+                if row["set"] == label and part in (row["part"], "all")
+            ]
+            if not rows:
+                continue
+            equivalent = [
+                row
+                for row in rows
+                if not row["caught_by"]
+                and row["id"]
+                and float(row["change_u"]) <= 1.0
+                and row["id"] != "none"
+            ]
+            count = len(rows) - len(equivalent)
+            caught = sum(bool(row["caught_by"]) for row in rows)
+            named = sum(row["named"] == "1" for row in rows)
+            yield [
+                label,
+                part,
+                str(len(rows)),
+                str(len(equivalent)),
+                _share(caught, count),
+                _share(named, count),
+            ]
+
+
+def main() -> None:
+    """Run a part of the study."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("what", choices=("checks", "ids", "rates"))
+    parser.add_argument("--count", type=int, default=60)
+    parser.add_argument("--most", type=int, default=4)
+    parser.add_argument("--set", action="append", choices=("seen", "held out"))
+    arguments = parser.parse_args()
+    if arguments.what == "checks":
+        run_sample(arguments.count, arguments.set or ["seen", "held out"])
+    elif arguments.what == "ids":
+        run_ids(arguments.most)
+    else:
+        for row in rates():
+            print(" | ".join(row))
+
+
+if __name__ == "__main__":
+    main()
