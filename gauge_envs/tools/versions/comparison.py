@@ -135,7 +135,7 @@ class Bench:
         )
         return Observed(side, _words(out), probes)
 
-    def kept(self, rows: Arrays) -> Path:
+    def kept(self, rows: dict[str, Any]) -> Path:
         """Write states to a file."""
         self._jobs += 1
         file = self._folder / f"states{self._jobs}.npz"
@@ -148,7 +148,8 @@ class Bench:
             python = str(made_environment(side.requirement, self._say).python)
         self._jobs += 1
         out = self._folder / f"job{self._jobs}"
-        whole = {"model": str(self.model.resolve()), "settings": side.settings} | job
+        whole: dict[str, Any] = {"model": str(self.model.resolve()), **job}
+        whole["settings"] = side.settings
         file = Path(f"{out}.job.json")
         file.write_text(json.dumps(whole | {"out": str(out)}), encoding="utf-8")
         environment = os.environ | {"OMP_NUM_THREADS": "1"}
@@ -255,8 +256,8 @@ def check_same_shape(bench: Bench, one: Observed, two: Observed) -> None:
         counts.append(", ".join(f"{key} {side.words[key]}" for key in SHAPE))
     if counts[0] != counts[1]:
         raise VersionsError(
-            f"{bench.model}: {one.side.title} compiles {counts[0]}; {two.side.title} compiles {counts[1]}. No state fits "
-            "both."
+            f"{bench.model}: {one.side.title} compiles {counts[0]}; {two.side.title} compiles {counts[1]}. "
+            "No state fits both."
         )
 
 
@@ -309,9 +310,7 @@ class Gap:
     @property
     def is_identical(self) -> bool:
         """Whether both sides computed the same bits."""
-        return all(
-            np.array_equal(self.before[name], self.after[name]) for name in BITS
-        )
+        return all(np.array_equal(self.before[name], self.after[name]) for name in BITS)
 
 
 BITS = ("qacc", "step_acc", "constraint", "contact_dist", "contact_pair")
@@ -471,9 +470,7 @@ def _ruling(
     for own, other, side in ((0, 1, sides[0]), (1, 0, sides[1])):
         if worst[other] > max(limit, LAW_RATIO * worst[own]):
             right = side.title
-    return Ruling(
-        law=law, before=worst[0], after=worst[1], states=states, right=right
-    )
+    return Ruling(law=law, before=worst[0], after=worst[1], states=states, right=right)
 
 
 def _worst_states(visits: Sequence[Visit]) -> dict[str, NDArray[Any]] | None:
@@ -486,7 +483,9 @@ def _worst_states(visits: Sequence[Visit]) -> dict[str, NDArray[Any]] | None:
     if not chosen:
         return None
     return {
-        name: np.array([visits[which].states[name][index] for _, which, index in chosen])
+        name: np.array(
+            [visits[which].states[name][index] for _, which, index in chosen]
+        )
         for name in visits[0].states
     }
 
@@ -494,7 +493,7 @@ def _worst_states(visits: Sequence[Visit]) -> dict[str, NDArray[Any]] | None:
 def _solver_ruling(
     bench: Bench,
     sides: Sequence[Side],
-    states: Arrays,
+    states: dict[str, Any],
     pool: ThreadPoolExecutor,
 ) -> Ruling:
     """Return by how much each side misses the solution of its own equations."""
@@ -503,7 +502,8 @@ def _solver_ruling(
     for side in sides:
         jobs.append(replace(side, settings={**side.settings, **EXACT}))
     plain = [
-        observed.probes[0] for observed in pool.map(lambda one: bench.probe(one, [file]), jobs)
+        observed.probes[0]
+        for observed in pool.map(lambda one: bench.probe(one, [file]), jobs)
     ]
     worst = []
     for given, solved in ((plain[0], plain[2]), (plain[1], plain[3])):
@@ -544,7 +544,9 @@ def _field_change(
             field=name, where="", count=1, before=before[name], after=after[name]
         )
     if one.dtype.kind == "f" or two.dtype.kind == "f":
-        differs = ~np.isclose(one, two, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True)
+        differs = ~np.isclose(
+            one, two, rtol=FIELD_TOLERANCE, atol=1e-12, equal_nan=True
+        )
         size = np.abs(np.subtract(one, two, dtype=float))
     else:
         differs = one != two
@@ -552,20 +554,24 @@ def _field_change(
     if not np.any(differs):
         return None
     if name.startswith("opt.") or one.ndim == 0:
-        where, count, row = "", 1, ...
+        where, count, values = "", 1, (one, two)
     else:
         rows = np.any(differs.reshape(len(one), -1), axis=1)
-        at = int(np.argmax(np.max(np.where(differs, size, -1.0).reshape(len(one), -1), axis=1)))
+        at = int(
+            np.argmax(
+                np.max(np.where(differs, size, -1.0).reshape(len(one), -1), axis=1)
+            )
+        )
         kind = next((kind for kind in words["owners"] if name.startswith(kind)), "")
         owners = words["names"].get(words["owners"].get(kind, ""), [])
         where = owners[at] if len(owners) == len(one) else f"row {at}"
-        count, row = int(np.sum(rows)), at
+        count, values = int(np.sum(rows)), (one[at], two[at])
     return FieldChange(
         field=name,
         where=where,
         count=count,
-        before=one[row].tolist(),
-        after=two[row].tolist(),
+        before=values[0].tolist(),
+        after=values[1].tolist(),
     )
 
 
@@ -578,7 +584,10 @@ def _pair_changes(visits: Sequence[Visit]) -> tuple[PairChange, ...]:
     for which, visit in enumerate(visits):
         for place, side in enumerate((visit.gap.before, visit.gap.after)):
             rows = zip(
-                side["contact_pair"], side["contact_state"], side["contact_dist"], strict=True
+                side["contact_pair"],
+                side["contact_state"],
+                side["contact_dist"],
+                strict=True,
             )
             for (first, second), state, dist in rows:
                 empty = [{"states": set(), "count": 0, "depth": 0.0} for _ in range(2)]
@@ -616,14 +625,18 @@ def _settled(one: Mapping[str, Any], two: Mapping[str, Any]) -> Iterator[Settled
         noise = 0.0
         for side in (before, after):
             perturbed = np.array(side["perturbed_positions_m"])
-            noise = np.fmax(noise, np.max(np.linalg.norm(perturbed - side["positions_m"], axis=1)))
+            noise = np.fmax(
+                noise, np.max(np.linalg.norm(perturbed - side["positions_m"], axis=1))
+            )
         body = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
         if difference[body] <= max(END_TOLERANCE_M, NOISE_FACTOR * noise):
             continue
         moved = []
         for side in (before, after):
             start = np.array(side["first_positions_m"])[body]
-            moved.append(float(np.linalg.norm(np.array(side["positions_m"])[body] - start)))
+            moved.append(
+                float(np.linalg.norm(np.array(side["positions_m"])[body] - start))
+            )
         yield Settled(
             segment=before["segment"],
             body=one["names"]["body"][body],

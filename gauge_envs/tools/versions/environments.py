@@ -221,7 +221,7 @@ def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
     if done.returncode == 0:
         return
     text = done.stdout + done.stderr
-    package, _, version = requirement.partition("==")
+    version = requirement.partition("==")[2]
     if re.search(r"No space left|os error 28|Errno 28|Errno 122", text):
         raise ReleaseError(
             f"{requirement}: the disk is full. It needs about {2 * ABOUT_MB} MB; free space, or set GAUGE_CACHE_DIR "
