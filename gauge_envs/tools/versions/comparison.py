@@ -33,8 +33,8 @@ from gauge_envs.tools.versions.model import (
 WORKER = Path(__file__).with_name("worker.py")
 
 LEAST_LIMIT = 1e-6
-"""Smallest difference of accelerations that counts, over the larger one: releases round in another order, and default
-tolerances of solvers are 1e-8."""
+"""Smallest difference of accelerations that counts, over the larger one. With constraints it is the square root of the
+solver's tolerance, 1e-4 for the default."""
 
 NOISE_FACTOR = 10.0
 """Differences below this multiple of the noise of a state do not count."""
@@ -143,32 +143,39 @@ class Bench:
         return file
 
     def _work(self, side: Side, job: Mapping[str, Any]) -> Path:
-        python = side.python
-        if python is None:
-            python = str(made_environment(side.requirement, self._say).python)
         self._jobs += 1
         out = self._folder / f"job{self._jobs}"
         whole: dict[str, Any] = {"model": str(self.model.resolve()), **job}
-        whole["settings"] = side.settings
+        whole |= {"settings": dict(side.settings), "out": str(out)}
         file = Path(f"{out}.job.json")
-        file.write_text(json.dumps(whole | {"out": str(out)}), encoding="utf-8")
-        environment = os.environ | {"OMP_NUM_THREADS": "1"}
+        file.write_text(json.dumps(whole), encoding="utf-8")
+        self.execute(side, file)
+        return out
+
+    def execute(self, side: Side, job: Path) -> None:
+        """Run the worker on a job in the environment of a side.
+
+        Raises:
+            VersionsError: The worker failed; the message has its last line.
+        """
+        python = side.python
+        if python is None:
+            python = str(made_environment(side.requirement, self._say).python)
         # `-I`: no path of the user's, and no module beside the script.
         done = subprocess.run(
-            [python, "-I", "-B", str(WORKER), str(file)],
+            [python, "-I", "-B", str(WORKER), str(job)],
             capture_output=True,
             text=True,
             errors="replace",
             check=False,
             timeout=WORKER_LIMIT_S,
             stdin=subprocess.DEVNULL,
-            env=environment,
+            env=os.environ | {"OMP_NUM_THREADS": "1"},
         )
         if done.returncode != 0:
             lines = [line for line in done.stderr.splitlines() if line.strip()]
             cause = lines[-1] if lines else f"it ended with code {done.returncode}"
             raise VersionsError(f"{side.title} cannot run {self.model}: {cause}")
-        return out
 
 
 @contextmanager
@@ -299,7 +306,9 @@ class Gap:
             changes = [self._over_scale(side["qacc"] - side[name]) for name in VARIANTS]
             noises.append(np.fmax(*changes))
         self.noise = np.fmin(*noises)
-        self.limit = np.fmax(LEAST_LIMIT, NOISE_FACTOR * self.noise)
+        solver_error = np.fmax(before["solver_error"], after["solver_error"])
+        self.limit = np.fmax(NOISE_FACTOR * self.noise, LEAST_LIMIT)
+        self.limit = np.fmax(self.limit, solver_error)
         warned = before["warnings"] != after["warnings"]
         self.differs = (self.relative > self.limit) | warned
 
@@ -646,10 +655,10 @@ def _settled(one: Mapping[str, Any], two: Mapping[str, Any]) -> Iterator[Settled
             moved_after_m=moved[1],
             depth_before_m=before["depth_m"],
             depth_after_m=after["depth_m"],
-            speed_before=before["last_speed"],
-            speed_after=after["last_speed"],
-            end_before=_end(before, moved[0]),
-            end_after=_end(after, moved[1]),
+            speed_before_m_per_s=before["speeds"][body],
+            speed_after_m_per_s=after["speeds"][body],
+            end_before=_end(before, body, moved[0]),
+            end_after=_end(after, body, moved[1]),
         )
 
 
@@ -659,15 +668,15 @@ EXPLODING_SPEED = 100.0
 DEEP_M = 5e-3
 """Depth of a contact beyond which a body is inside another one [m]."""
 
-STANDING_M, STANDING_SPEED = 1e-2, 0.1
-"""Displacement [m] and velocity [m/s or rad/s] of a body that stands."""
+STANDING_M, STANDING_M_PER_S = 1e-2, 0.1
+"""Displacement [m] and speed [m/s] of a body that stands."""
 
 
-def _end(end: Mapping[str, Any], moved_m: float) -> str:
+def _end(end: Mapping[str, Any], body: int, moved_m: float) -> str:
     is_bad = any(name.startswith("mjWARN_BAD") for name in end["warnings"])
-    if is_bad or not end["speed"] < EXPLODING_SPEED:
+    if is_bad or not end["largest_speed"] < EXPLODING_SPEED:
         return "explodes"
     if end["depth_m"] > DEEP_M:
         return "penetrates"
-    is_still = moved_m < STANDING_M and end["last_speed"] < STANDING_SPEED
+    is_still = moved_m < STANDING_M and end["speeds"][body] < STANDING_M_PER_S
     return "stands" if is_still else "moves"

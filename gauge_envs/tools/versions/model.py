@@ -133,7 +133,7 @@ class Settled:
         noise_m: Distance between two ends of the first version, from starts that differ by 1e-10 [m].
         moved_before_m, moved_after_m: How far the body is from its start [m].
         depth_before_m, depth_after_m: Deepest contact of the segment [m].
-        speed_before, speed_after: Largest velocity at the end [m/s or rad/s].
+        speed_before_m_per_s, speed_after_m_per_s: Speed of the body at the end [m/s].
         end_before, end_after: stands, moves, penetrates or explodes.
     """
 
@@ -145,8 +145,8 @@ class Settled:
     moved_after_m: float
     depth_before_m: float
     depth_after_m: float
-    speed_before: float
-    speed_after: float
+    speed_before_m_per_s: float
+    speed_after_m_per_s: float
     end_before: str
     end_after: str
 

@@ -17,9 +17,9 @@ SHOWN_PAIRS = 8
 CANNOT_TELL = "Nothing here can tell which side is right: no law that was checked tells them apart."
 
 NOISE_NOTE = (
-    "A difference counts above ten times the noise of its state, and above 1e-6: the noise is what a start that is "
-    "1e-10 apart, and a solver without its warm start, change on the quieter side. Each state is computed on both "
-    "sides from itself, for one step, so that chaos adds nothing."
+    "A difference counts above ten times the noise of its state, and above what the tolerance of the solver allows, "
+    "1e-4 by default. The noise is what a start that is 1e-10 apart, and a solver without its warm start, change on "
+    "the quieter side. Each state is computed on both sides from itself, for one step, so that chaos adds nothing."
 )
 
 
@@ -189,7 +189,7 @@ def _percent(fraction: float) -> str:
 
 
 def _millimetres(length_m: float) -> str:
-    return quantity_text(1e3 * length_m)
+    return quantity_text(1e3 * length_m + 0.0)
 
 
 def _short(value: Any) -> str:

@@ -350,16 +350,12 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
                     first = np.array(data.xpos)
                 if variant == "plain" and step % every == 0:
                     states.append(dict(state, segment=index, step=step))
-            mujoco.mj_kinematics(model, data)
+            mujoco.mj_forward(model, data)
             positions[variant] = np.array(data.xpos)
             if variant == "plain":
-                end = {
-                    "segment": name,
-                    "steps": steps,
-                    "depth_m": -depth,
-                    "speed": speed,
-                }
-                end["last_speed"] = float(np.max(np.abs(data.qvel), initial=0.0))
+                end = {"segment": name, "steps": steps, "depth_m": -depth}
+                end["largest_speed"] = speed
+                end["speeds"] = speeds(model, data)
                 end["warnings"] = warnings(data)
         end["first_positions_m"] = first.tolist()
         end["positions_m"] = positions["plain"].tolist()
@@ -367,6 +363,16 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
         ends.append(end)
     keys = (*STATE, "time", "segment", "step")
     return {key: np.array([state[key] for state in states]) for key in keys}, ends
+
+
+def speeds(model: Any, data: Any) -> list[float]:
+    """Return the speed of the frame of each body [m/s]."""
+    found, velocity = [], np.zeros(6)
+    for body in range(model.nbody):
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, kind, body, velocity, 0)
+        found.append(float(np.linalg.norm(velocity[3:])))
+    return found
 
 
 # --- one step from a given state -------------------------------------------------------------------------------------
@@ -445,6 +451,7 @@ def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
         for name in ("iterations", "imbalance", "contacts", "warnings")
     )
     found["spin"] = np.full(count, np.nan)
+    found["solver_error"] = np.zeros(count)
     touching, pairs, distances = [], [], []
     noise = np.random.RandomState(0)
     data = mujoco.MjData(model)
@@ -459,6 +466,9 @@ def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
         found["iterations"][index] = iterations(data)
         found["imbalance"][index] = imbalance(model, data)
         found["contacts"][index] = data.ncon
+        # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
+        if data.nefc:
+            found["solver_error"][index] = np.sqrt(model.opt.tolerance)
         pair, distance = contacts(data)
         touching.extend([index] * len(pair))
         pairs.extend(pair.tolist())
