@@ -90,8 +90,7 @@ def made_environment(
     folder = environment_folder(requirement)
     if not is_made(requirement):
         try:
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            with locked(folder.parent):
+            with _locked_place(folder):
                 # Another command may have made it while this one waited.
                 if not is_made(requirement):
                     _make(requirement, folder, say)
@@ -106,7 +105,7 @@ def made_environment(
 def remove_environment(requirement: str) -> None:
     """Remove the environment of a requirement from the cache."""
     folder = environment_folder(requirement)
-    with locked(folder.parent):
+    with _locked_place(folder):
         # Without its record nothing takes the rest for an environment.
         (folder / RECORD).unlink(missing_ok=True)
         shutil.rmtree(folder, ignore_errors=True)
@@ -150,8 +149,8 @@ def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
         if len(packages) > 1
         else f"{requirement}: it is installed into {folder}, about {ABOUT_MB} MB"
     )
-    _remove_leftovers(folder.parent)
-    with _removed_on_error(folder.with_name(f".part-{token_hex(6)}")) as part:
+    _remove_leftovers(folder)
+    with _removed_on_error(folder.with_name(f".{folder.name}.{token_hex(6)}")) as part:
         if uv := shutil.which("uv"):
             # `--seed` adds pip, which lists the versions of a range.
             made = _run([uv, "venv", "--seed", "--python", sys.executable, str(part)])
@@ -179,8 +178,19 @@ def _python(folder: Path) -> Path:
 
 def _remove_leftovers(folder: Path) -> None:
     """Remove what processes left that were killed; the lock is held, so nothing of it is in use."""
-    for part in folder.glob(".part-*"):
+    for part in folder.parent.glob(f".{folder.name}.*"):
         shutil.rmtree(part, ignore_errors=True)
+    # An environment without its record was being removed.
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _locked_place(folder: Path) -> Iterator[None]:
+    """Hold the lock of an environment, whose folder need not exist."""
+    place = folder.parent / ".locks" / folder.name
+    place.mkdir(parents=True, exist_ok=True)
+    with locked(place):
+        yield
 
 
 @contextmanager

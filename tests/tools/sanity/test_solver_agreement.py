@@ -6,6 +6,7 @@ import pytest
 
 from gauge_envs.backends.mujoco.model_settings import contact_pairs
 from gauge_envs.tools.sanity.robot.model_rows import ROWS
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.solver_agreement import imbalance
 
@@ -73,3 +74,18 @@ def test_the_imbalance_is_the_missing_share_of_the_forces():
     assert imbalance(model, data) < 1e-12
     data.qfrc_smooth[:] = 0.0
     assert imbalance(model, data) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("layout", ["sparse", "dense"])
+def test_the_faulty_release_is_noted_for_sparse_models_alone(layout, monkeypatch):
+    monkeypatch.setattr(mujoco, "__version__", FAULTY)
+    model = mujoco.MjModel.from_xml_string(pile(2, 1, 0).replace("sparse", layout))
+    read = mujoco_configuration(model, name="pile", source="a test")
+    assert [note for note in read.notes if FAULTY in note] == (
+        [
+            f"MuJoCo {FAULTY} solves some sparse models wrongly, as robot-solver measures: set "
+            '<option jacobian="dense"/>'
+        ]
+        if layout == "sparse"
+        else []
+    )

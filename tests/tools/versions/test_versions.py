@@ -257,7 +257,7 @@ def test_why_an_installation_failed(tmp_path, monkeypatch, said, told):
     monkeypatch.setattr(environments, "_run", lambda command: failed)
     with pytest.raises(ReleaseError, match=told):
         environments.made_environment("mujoco==9.9.0", lambda text: None)
-    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".lock"]
+    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
 
 
 def test_nothing_half_made_is_used(tmp_path, monkeypatch):
@@ -274,11 +274,12 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
 
     monkeypatch.setattr(environments.venv.EnvBuilder, "create", create)
     monkeypatch.setattr(environments, "_run", interrupted)
-    killed = tmp_path / "versions" / ".part-killed"
+    place = environments.environment_folder("mujoco==3.3.0")
+    killed = place.with_name(f".{place.name}.killed")
     killed.mkdir(parents=True)
     with pytest.raises(KeyboardInterrupt):
         environments.made_environment("mujoco==3.3.0", lambda text: None)
-    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".lock"]
+    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
     assert not environments.is_made("mujoco==3.3.0")
     done = subprocess.CompletedProcess([], 0, "", "")
     monkeypatch.setattr(environments, "_run", lambda command: done)
