@@ -30,7 +30,7 @@ RENAMED = {
 }
 """Option for a name of earlier versions or of other tools. Parameters of a function are found by their own names."""
 
-DETAIL = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
+DETAIL = re.compile(r"([A-Za-z_]\w*)=(?!=)(.*)", re.DOTALL)
 """A word NAME=VALUE, as earlier versions had them. A file of such a name is written as ./NAME=VALUE."""
 
 

@@ -54,6 +54,9 @@ REQUIRED_FEATURES = {
 }
 """Features that a model may switch off, and that the experiments need."""
 
+FAULTY_SPARSE = frozenset({"4.0.0"})
+"""Releases of MuJoCo whose Newton solver leaves forces in sparse models (google-deepmind/mujoco#3767)."""
+
 ABSENT_PARTS = {
     "flg_adhesion": "adhesion of geoms is not carried over",
     "flg_surfacevel": "surface velocity of geoms is not carried over",
@@ -269,6 +272,12 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
     if option.density or option.viscosity or option.wind.any():
         notes.append(
             "the model's medium (density, viscosity, wind) is not carried over; the experiments have none"
+        )
+    is_newton = option.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    if mujoco.__version__ in FAULTY_SPARSE and is_newton and mujoco.mj_isSparse(model):
+        notes.append(
+            f"MuJoCo {mujoco.__version__} solves some sparse models wrongly, as robot-solver measures: set "
+            '<option jacobian="dense"/>'
         )
     return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
 

@@ -1,0 +1,18 @@
+"""Two releases of an engine on one model: what changed, and which side is right."""
+
+from typing import TYPE_CHECKING
+
+from gauge_envs.registry import door
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.versions.comparison import (
+        bench as bench,
+        compare as compare,
+    )
+    from gauge_envs.tools.versions.model import (
+        Comparison as Comparison,
+        Side as Side,
+        Verdict as Verdict,
+    )
+else:
+    __getattr__, __all__ = door(__name__)

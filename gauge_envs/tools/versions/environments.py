@@ -1,0 +1,270 @@
+"""Python environments of releases: made apart from the user's, cached by exact requirement, never used half made."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import venv
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from secrets import token_hex
+
+from platformdirs import user_cache_path
+
+from gauge_envs.errors import GaugeError
+from gauge_envs.files import locked, write_whole
+
+RECORD = "environment.json"
+"""File of a complete environment."""
+
+ABOUT_MB = 160
+"""Size of MuJoCo 3.3.0 with NumPy and pip on Linux [MB]; other releases differ by some 30."""
+
+NUMPY_2_SINCE = (3, 2)
+"""First release of MuJoCo whose wheels were built for NumPy 2: those before crash or refuse arrays with it."""
+
+INSTALL_LIMIT_S = 1800.0
+"""Time of an installation [s]."""
+
+
+class ReleaseError(GaugeError, RuntimeError):
+    """An environment cannot be made or used; the message names the requirement and the cause."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A Python interpreter with an engine.
+
+    Attributes:
+        requirement: What was installed, as `mujoco==3.3.0`; empty for an interpreter that the user named.
+        python: The interpreter.
+    """
+
+    requirement: str
+    python: Path
+
+
+def cache_folder() -> Path:
+    """Return the folder of cached environments, which need not exist; `GAUGE_CACHE_DIR` states another one."""
+    given = os.environ.get("GAUGE_CACHE_DIR")
+    base = Path(given) if given else user_cache_path("gauge-envs", appauthor=False)
+    return base.expanduser() / "versions"
+
+
+def environment_folder(requirement: str) -> Path:
+    """Return the folder of the environment of a requirement, which need not exist.
+
+    The name has the Python and the platform: a cache in a shared home folder serves several machines.
+    """
+    python = f"{sys.implementation.cache_tag}-{sys.platform}-{os.uname().machine if hasattr(os, 'uname') else 'any'}"
+    return cache_folder() / f"{requirement.replace('==', '-')}-{python}"
+
+
+def is_made(requirement: str) -> bool:
+    """Return whether the environment of a requirement is complete."""
+    return (environment_folder(requirement) / RECORD).is_file()
+
+
+def made_environment(
+    requirement: str, say: Callable[[str], object] = print
+) -> Environment:
+    """Return the environment of a requirement, which is made if it is not in the cache.
+
+    It is made in a folder of its own beside its place, imported once, and renamed. Of two commands at once, the second
+    waits.
+
+    Args:
+        requirement: Package with an exact version, as `mujoco==3.3.0`.
+        say: Prints what is installed, its size, and where it lies.
+
+    Raises:
+        ReleaseError: It cannot be made: no such version, no network, no space.
+    """
+    folder = environment_folder(requirement)
+    if not is_made(requirement):
+        try:
+            with _locked_place(folder):
+                # Another command may have made it while this one waited.
+                if not is_made(requirement):
+                    _make(requirement, folder, say)
+        except OSError as error:
+            raise ReleaseError(
+                f"{requirement}: {folder.parent} cannot hold its environment: {error.strerror or error}. "
+                "Free space, or set GAUGE_CACHE_DIR to another folder."
+            ) from error
+    return Environment(requirement, _python(folder))
+
+
+def remove_environment(requirement: str) -> None:
+    """Remove the environment of a requirement from the cache."""
+    folder = environment_folder(requirement)
+    with _locked_place(folder):
+        # Without its record nothing takes the rest for an environment.
+        (folder / RECORD).unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def released_versions(package: str, environment: Environment) -> list[str]:
+    """Return the versions of a package that the index has, the oldest first.
+
+    Args:
+        package: Name of the package.
+        environment: One whose pip asks the index.
+
+    Raises:
+        ReleaseError: The index does not answer.
+    """
+    done = _run([str(environment.python), "-m", "pip", "index", "versions", package])
+    found = re.search(r"Available versions: (.*)", done.stdout)
+    if done.returncode != 0 or found is None:
+        raise ReleaseError(
+            f"{package}: the package index gives no list of versions: {_last_line(done.stderr)}. "
+            "Name the versions one by one."
+        )
+    return sorted(found[1].split(", "), key=version_key)
+
+
+def version_key(version: str) -> tuple[int, ...]:
+    """Return the numbers of a version, by which versions sort."""
+    return tuple(map(int, re.findall(r"\d+", version)))
+
+
+# --- making ----------------------------------------------------------------------------------------------------------
+
+
+def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
+    package, _, version = requirement.partition("==")
+    packages = [requirement]
+    if package == "mujoco" and version_key(version) < NUMPY_2_SINCE:
+        packages.append("numpy<2")
+    say(
+        f"{requirement}: {' and '.join(packages)} are installed into {folder}, about {ABOUT_MB} MB"
+        if len(packages) > 1
+        else f"{requirement}: it is installed into {folder}, about {ABOUT_MB} MB"
+    )
+    _remove_leftovers(folder)
+    with _removed_on_error(folder.with_name(f".{folder.name}.{token_hex(6)}")) as part:
+        if uv := shutil.which("uv"):
+            # `--seed` adds pip, which lists the versions of a range.
+            made = _run([uv, "venv", "--seed", "--python", sys.executable, str(part)])
+            _check(made, requirement)
+            install = [uv, "pip", "install", "--python", str(_python(part))]
+        else:
+            venv.EnvBuilder(with_pip=True).create(part)
+            install = [str(_python(part)), "-m", "pip", "install", "--no-compile"]
+            install += ["--no-input", "--progress-bar", "off"]
+        _check(_run([*install, "--only-binary", ":all:", *packages]), requirement)
+        _check(_run([str(_python(part)), "-c", f"import {package}"]), requirement)
+        size = sum(
+            one.lstat().st_size for one in part.rglob("*") if not one.is_symlink()
+        )
+        record = {"requirement": requirement, "bytes": size}
+        write_whole(part / RECORD, json.dumps(record).encode())
+        part.rename(folder)
+    say(f"{requirement}: {size / 1e6:.0f} MB")
+
+
+def _python(folder: Path) -> Path:
+    windows = folder / "Scripts" / "python.exe"
+    return windows if sys.platform == "win32" else folder / "bin" / "python"
+
+
+def _remove_leftovers(folder: Path) -> None:
+    """Remove what processes left that were killed; the lock is held, so nothing of it is in use."""
+    for part in folder.parent.glob(f".{folder.name}.*"):
+        shutil.rmtree(part, ignore_errors=True)
+    # An environment without its record was being removed.
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _locked_place(folder: Path) -> Iterator[None]:
+    """Hold the lock of an environment, whose folder need not exist."""
+    place = folder.parent / ".locks" / folder.name
+    place.mkdir(parents=True, exist_ok=True)
+    with locked(place):
+        yield
+
+
+@contextmanager
+def _removed_on_error(part: Path) -> Iterator[Path]:
+    try:
+        yield part
+    except BaseException:  # Ctrl-C too.
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        "PYTHONNOUSERSITE": "1",
+    }
+    # Paths of the user's environment do not belong to this one.
+    for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER"):
+        environment.pop(name, None)
+    try:
+        return subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=INSTALL_LIMIT_S,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired:
+        raise ReleaseError(
+            f"{command[0]}: no end after {INSTALL_LIMIT_S:g} s"
+        ) from None
+
+
+def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
+    """Raise the cause of a failed installation."""
+    if done.returncode == 0:
+        return
+    text = done.stdout + done.stderr
+    version = requirement.partition("==")[2]
+    if re.search(r"No space left|os error 28|Errno 28|Errno 122", text):
+        raise ReleaseError(
+            f"{requirement}: the disk is full. It needs about {2 * ABOUT_MB} MB; free space, or set GAUGE_CACHE_DIR "
+            "to a folder on another disk."
+        )
+    offered = re.search(r"from versions: ([^)]*)\)", text)
+    versions = offered[1].split(", ") if offered else []
+    if versions and versions != ["none"]:
+        near = get_close_matches(version, versions, n=3) or versions[-3:]
+        raise ReleaseError(
+            f"{requirement}: there is no such version for this Python and platform; the nearest are "
+            f"{', '.join(near)}"
+        )
+    if re.search(
+        r"onnection|resolution|resolve host|Network|timed out|no network|offline|dns|from versions: none",
+        text,
+    ):
+        cached = ", ".join(made_requirements()) or "none"
+        raise ReleaseError(
+            f"{requirement}: the package index does not answer ({_last_line(text)}). Environments that can be used "
+            f"without it: {cached}; --python PATH names an interpreter that has the engine."
+        )
+    raise ReleaseError(f"{requirement}: {_last_line(text)}")
+
+
+def made_requirements() -> list[str]:
+    """Return the requirements of the environments in the cache."""
+    found = []
+    for record in sorted(cache_folder().glob(f"*/{RECORD}")):
+        found.append(json.loads(record.read_text(encoding="utf-8"))["requirement"])
+    return found
+
+
+def _last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else "no message"

@@ -1,0 +1,228 @@
+"""What two versions of an engine make of one model, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class Verdict(StrEnum):
+    """Whether two versions differ on a model."""
+
+    IDENTICAL = "identical"
+    """Bit for bit, in all states."""
+    SAME = "same"
+    """Within the noise of the model itself."""
+    DIFFERENT = "different"
+
+
+class Quantity(StrEnum):
+    """What parts first between two versions from the same state, in the order in which an engine computes it."""
+
+    CONTACTS = "contact count"
+    DEPTH = "contact depth"
+    SMOOTH = "acceleration without constraints"
+    CONSTRAINT = "constraint force"
+    STEP = "integration"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Side:
+    """One of the versions.
+
+    Attributes:
+        title: As the user gave it.
+        requirement: What its environment has, as `mujoco==3.3.0`; empty for an interpreter that exists.
+        python: Interpreter that exists, or None.
+        settings: Settings of the engine that differ from those of the model.
+    """
+
+    title: str
+    requirement: str = ""
+    python: str | None = None
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parting:
+    """Where two versions part from one state.
+
+    Attributes:
+        segment: Segment of the motion, as `push`.
+        step: Step of the segment.
+        of: Version whose motion visits the state.
+        quantity: What parts first in the order of computation.
+        detail: That quantity in words, on both sides.
+        where: Body or joint whose acceleration parts most.
+        acceleration: Difference of the accelerations over the larger one.
+        limit: Difference above which it counts: ten times the noise at this state.
+        acceleration_before, acceleration_after: Acceleration there [m/s^2 or rad/s^2].
+        contacts_before, contacts_after: Number of contacts.
+        iterations_before, iterations_after: Iterations of the constraint solver.
+        warnings_before, warnings_after: Number of warnings of the engine.
+    """
+
+    segment: str
+    step: int
+    of: str
+    quantity: Quantity
+    detail: str
+    where: str
+    acceleration: float
+    limit: float
+    acceleration_before: float
+    acceleration_after: float
+    contacts_before: int
+    contacts_after: int
+    iterations_before: int
+    iterations_after: int
+    warnings_before: int
+    warnings_after: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldChange:
+    """A field of the compiled model that differs.
+
+    Attributes:
+        field: Its name, as `geom_solref`.
+        where: The row that differs most, as `geom floor`; empty for a field of the whole model.
+        count: Rows that differ.
+        before, after: Value there; None where the version lacks the field.
+    """
+
+    field: str
+    where: str
+    count: int
+    before: Any
+    after: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairChange:
+    """A pair of geoms that touches in more states on one side.
+
+    Attributes:
+        pair: The geoms.
+        states: States that were compared.
+        states_before, states_after: States in which the pair touches.
+        contacts_before, contacts_after: Contacts of the pair in all states.
+        depth_before_m, depth_after_m: Largest depth [m].
+    """
+
+    pair: tuple[str, str]
+    states: int
+    states_before: int
+    states_after: int
+    contacts_before: int
+    contacts_after: int
+    depth_before_m: float
+    depth_after_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settled:
+    """What became of a start on both sides.
+
+    Attributes:
+        segment: The segment of the motion.
+        body: Body whose end differs most.
+        difference_m: Distance between its two ends [m].
+        noise_m: Distance between two ends of the first version, from starts that differ by 1e-10 [m].
+        moved_before_m, moved_after_m: How far the body is from its start [m].
+        depth_before_m, depth_after_m: Deepest contact of the segment [m].
+        speed_before_m_per_s, speed_after_m_per_s: Speed of the body at the end [m/s].
+        end_before, end_after: stands, moves, penetrates or explodes.
+    """
+
+    segment: str
+    body: str
+    difference_m: float
+    noise_m: float
+    moved_before_m: float
+    moved_after_m: float
+    depth_before_m: float
+    depth_after_m: float
+    speed_before_m_per_s: float
+    speed_after_m_per_s: float
+    end_before: str
+    end_after: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ruling:
+    """A law that says which side is right.
+
+    Attributes:
+        law: The law.
+        before, after: By how much each side misses it, as a fraction.
+        states: States in which the law applies.
+        right: Title of the side that keeps it; empty where both do or both fail.
+    """
+
+    law: str
+    before: float
+    after: float
+    states: int
+    right: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """What two versions make of one model.
+
+    Attributes:
+        subject: The model file.
+        before, after: Titles of the versions.
+        versions: Version of the engine on each side.
+        verdict: Whether they differ.
+        states: States that were computed on both sides.
+        differing: Those in which the accelerations part by more than the limit.
+        largest: Largest difference of accelerations over the larger one.
+        noise: Median over the states of the noise: what a start that is 1e-10 apart, or a solver without its warm
+            start, changes.
+        first: Where they part first; None if they do not.
+        worst: Where they part most; None if they do not.
+        fields: Compiled fields that differ.
+        new_fields: Compiled fields and flags that one side alone has.
+        pairs: Contact pairs that differ.
+        settled: Starts that end differently.
+        rulings: Laws that were applied.
+        right: Title of the side that is right; empty if nothing here can tell.
+    """
+
+    subject: str
+    before: str
+    after: str
+    versions: tuple[str, str]
+    verdict: Verdict
+    states: int
+    differing: int
+    largest: float
+    noise: float
+    first: Parting | None
+    worst: Parting | None
+    fields: tuple[FieldChange, ...]
+    new_fields: tuple[str, ...]
+    pairs: tuple[PairChange, ...]
+    settled: tuple[Settled, ...]
+    rulings: tuple[Ruling, ...]
+    right: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Release:
+    """A release that a bisection tried.
+
+    Attributes:
+        release: The requirement, as `mujoco==3.4.0`.
+        from_first, from_last: Largest difference of accelerations from each end of the range.
+        like: `first` or `last`: the end that it is nearer to.
+    """
+
+    release: str
+    from_first: float
+    from_last: float
+    like: str

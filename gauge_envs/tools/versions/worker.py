@@ -1,0 +1,534 @@
+"""Run a model in one release of MuJoCo: `python worker.py JOB.json`. Needs MuJoCo 2.3.7 or later and NumPy alone.
+
+The process runs in the environment of the release, without this package. The job is a JSON object:
+
+    {"model": "scene.xml", "settings": {"jacobian": "dense"}, "run": {"steps": 500, "seed": 0},
+     "states": ["states.npz"], "out": "side"}
+
+With `run`, the model moves through its segments, and the states go to `OUT.run.npz`. Each state of the files `states`
+is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on. `OUT.json` has
+the compiled model in words.
+"""
+
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+os.environ["MUJOCO_GL"] = "disable"
+
+import mujoco
+import numpy as np
+
+Job = dict[str, Any]
+
+STATE = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "qacc_warmstart")
+"""Arrays of a state; a file of saved states needs `qpos` alone."""
+
+ENUMS = {
+    "jacobian": "mjtJacobian",
+    "solver": "mjtSolver",
+    "cone": "mjtCone",
+    "integrator": "mjtIntegrator",
+    "disableflags": "mjtDisableBit",
+    "enableflags": "mjtEnableBit",
+    "jnt_type": "mjtJoint",
+    "geom_type": "mjtGeom",
+    "eq_type": "mjtEq",
+    "wrap_type": "mjtWrap",
+    "actuator_trntype": "mjtTrn",
+    "actuator_dyntype": "mjtDyn",
+    "actuator_gaintype": "mjtGain",
+    "actuator_biastype": "mjtBias",
+}
+"""Enumeration of each field whose numbers mean other things in other releases."""
+
+FIELDS = [
+    "qpos0",
+    "qpos_spring",
+    "body_",
+    "jnt_",
+    "dof_",
+    "geom_",
+    "mesh_scale",
+    "mesh_pos",
+    "mesh_quat",
+    "mesh_inertia",
+    "hfield_size",
+    "pair_",
+    "exclude_",
+    "eq_",
+    "tendon_",
+    "wrap_",
+    "actuator_",
+    "key_",
+    "flex_",
+    "flexedge_",
+]
+"""Names, or starts of names, of compiled fields that physics reads."""
+
+BOOKKEEPING = [
+    "adr",
+    "num",
+    "bvh",
+    "plugin",
+    "rgba",
+    "matid",
+    "group",
+    "user",
+    "sameframe",
+    "simple",
+    "rootid",
+    "weldid",
+    "treeid",
+    "jntid",
+    "dataid",
+    "Madr",
+    "texcoord",
+    "flatskin",
+]
+"""Parts of names of fields that only say where something is stored."""
+
+OWNERS = {
+    "body_": "body",
+    "jnt_": "joint",
+    "dof_": "dof",
+    "geom_": "geom",
+    "mesh_": "mesh",
+    "pair_": "pair",
+    "eq_": "equality",
+    "tendon_": "tendon",
+    "actuator_": "actuator",
+    "key_": "key",
+    "qpos": "coordinate",
+}
+"""What the rows of a field are of."""
+
+PERTURBATION = 1e-10
+"""Change of coordinates and velocities that no release would make on purpose [m, rad, m/s, rad/s]."""
+
+CONTROL_INTERVAL_S = 0.1
+"""Time for which random controls are held [s]."""
+
+PUSH_M_PER_S = 0.5
+"""Standard deviation of the velocities of a push [m/s or rad/s]."""
+
+MOST_KEYS = 4
+"""Keyframes that are started from."""
+
+MOST_PROBES = 600
+"""Most states of a segment that are probed; of a longer one, every n-th step."""
+
+
+def load(job: Job) -> Any:
+    """Return the compiled model with the settings of the side."""
+    model = mujoco.MjModel.from_xml_path(job["model"])
+    for name, value in job.get("settings", {}).items():
+        if not hasattr(model.opt, name):
+            raise SystemExit("unknown setting: " + name)
+        if isinstance(value, str):
+            kind = getattr(mujoco, ENUMS[name])
+            members = {
+                member.partition("_")[2]: int(number)
+                for member, number in kind.__members__.items()
+            }
+            value = members[value.upper()]
+        setattr(model.opt, name, value)
+    return model
+
+
+# --- the compiled model ----------------------------------------------------------------------------------------------
+
+
+def named(model: Any, kind: str, index: int) -> str:
+    """Return the name of an object, or its kind and index."""
+    found = mujoco.mj_id2name(
+        model, getattr(mujoco.mjtObj, "mjOBJ_" + kind.upper()), index
+    )
+    return found or f"{kind} {index}"
+
+
+def enum_texts(field: str, values: Any) -> list[str]:
+    """Return the names of numbers of an enumeration; of flags, the names of those that are set."""
+    kind = getattr(mujoco, ENUMS[field])
+    numbers = {int(value): name for name, value in kind.__members__.items()}
+    if field.endswith("flags"):
+        return [
+            name
+            for number, name in sorted(numbers.items())
+            if number and int(values) & number
+        ]
+    return [numbers.get(int(value), str(value)) for value in np.ravel(values)]
+
+
+def compiled(model: Any) -> Job:
+    """Return the fields of the compiled model that physics reads, and the options, as numbers and names."""
+    fields = {}
+    for name in dir(model.opt):
+        if not name.startswith("_"):
+            value = getattr(model.opt, name)
+            if name in ENUMS:
+                fields["opt." + name] = enum_texts(name, value)
+            elif np.ndim(value) < 2 and not callable(value):
+                fields["opt." + name] = np.ravel(value).tolist()
+    for name in dir(model):
+        is_physics = any(name.startswith(start) for start in FIELDS)
+        if not is_physics or any(part in name for part in BOOKKEEPING):
+            continue
+        value = getattr(model, name)
+        if name in ENUMS:
+            fields[name] = enum_texts(name, value)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub":
+            fields[name] = value.astype(float).tolist()
+    return fields
+
+
+def names(model: Any) -> dict[str, list[str]]:
+    """Return the names of what the rows of fields and results are of."""
+    found = {
+        "body": [named(model, "body", i) for i in range(model.nbody)],
+        "joint": [named(model, "joint", i) for i in range(model.njnt)],
+        "actuator": [named(model, "actuator", i) for i in range(model.nu)],
+        "mesh": [named(model, "mesh", i) for i in range(model.nmesh)],
+        "key": [named(model, "key", i) for i in range(model.nkey)],
+        "equality": [named(model, "equality", i) for i in range(model.neq)],
+        "tendon": [named(model, "tendon", i) for i in range(model.ntendon)],
+        "pair": [named(model, "pair", i) for i in range(model.npair)],
+    }
+    found["geom"] = []
+    for i in range(model.ngeom):
+        body = found["body"][model.geom_bodyid[i]]
+        name = named(model, "geom", i)
+        found["geom"].append(
+            name if not name.startswith("geom ") else name + " of " + body
+        )
+    found["dof"] = []
+    for i in range(model.nv):
+        body = found["body"][model.dof_bodyid[i]]
+        joint = int(model.dof_jntid[i])
+        axis = i - int(model.jnt_dofadr[joint])
+        if int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE):
+            name = f"{'rotation' if axis > 2 else 'translation'} of {body}"
+        else:
+            name = f"{found['joint'][joint]} of {body}"
+        found["dof"].append(name)
+    return found
+
+
+# --- motion ----------------------------------------------------------------------------------------------------------
+
+
+def put(data: Any, state: Mapping[str, Any]) -> None:
+    """Write a state into the data of a model."""
+    for name in STATE:
+        array = getattr(data, name)
+        if name in state:
+            array[:] = state[name]
+        elif name not in ("mocap_pos", "mocap_quat"):
+            array[:] = 0.0
+    data.time = float(state.get("time", 0.0))
+
+
+def taken(data: Any) -> dict[str, Any]:
+    """Return the state of the data of a model."""
+    state = {name: np.array(getattr(data, name)) for name in STATE}
+    state["time"] = data.time
+    return state
+
+
+def starts(model: Any, seed: int) -> Iterator[tuple[str, dict[str, Any], Any]]:
+    """Yield name, start and controls of each segment; controls of None are held."""
+    random = np.random.RandomState(seed)
+    data = mujoco.MjData(model)
+    first = taken(data)
+    limited = np.array(model.actuator_ctrllimited, dtype=bool).ravel()
+    low = np.where(limited, model.actuator_ctrlrange[:, 0], -1.0)
+    high = np.where(limited, model.actuator_ctrlrange[:, 1], 1.0)
+    first["ctrl"] = np.clip(np.zeros(model.nu), low, high)
+    yield "start", first, None
+    for key in range(min(model.nkey, MOST_KEYS)):
+        mujoco.mj_resetDataKeyframe(model, data, key)
+        first = taken(data)
+        yield "keyframe " + named(model, "key", key), first, None
+    if model.nu:
+        count = 1 + int(600.0 / CONTROL_INTERVAL_S)
+        middle, half = (low + high) / 2.0, (high - low) / 2.0
+        yield (
+            "random controls",
+            first,
+            middle + half * random.uniform(-1.0, 1.0, (count, model.nu)),
+        )
+    pushed = dict(
+        first, qvel=first["qvel"] + random.normal(0.0, PUSH_M_PER_S, model.nv)
+    )
+    yield "push", pushed, None
+
+
+def moved(
+    model: Any, start: Mapping[str, Any], controls: Any, steps: int, interval: int
+) -> Iterator[tuple[dict[str, Any], Any]]:
+    """Yield the state before each step, and the data."""
+    data = mujoco.MjData(model)
+    put(data, start)
+    mujoco.mj_forward(model, data)
+    if "qacc_warmstart" in start:
+        data.qacc_warmstart[:] = start["qacc_warmstart"]
+    for step in range(steps):
+        if controls is not None:
+            data.ctrl[:] = controls[min(step // interval, len(controls) - 1)]
+        yield taken(data), data
+        mujoco.mj_step(model, data)
+
+
+def saved(file: str) -> dict[str, Any]:
+    """Return the rows of a file of saved states."""
+    with np.load(file) as arrays:
+        return {name: np.array(arrays[name]) for name in arrays.files}
+
+
+def row(rows: Mapping[str, Any], index: int) -> dict[str, Any]:
+    """Return one state of the rows of a file."""
+    return {
+        name: value[index] for name, value in rows.items() if name in (*STATE, "time")
+    }
+
+
+def segments(
+    model: Any, job: Job
+) -> Iterator[tuple[str, dict[str, Any], Any, int, int]]:
+    """Yield name, start, controls, steps and steps of a row of controls of each segment."""
+    steps, seed = job["run"]["steps"], job["run"].get("seed", 0)
+    file = job["run"].get("saved")
+    if file is None:
+        interval = max(1, round(CONTROL_INTERVAL_S / model.opt.timestep))
+        for name, start, controls in starts(model, seed):
+            yield name, start, controls, steps, interval
+        return
+    rows = saved(file)
+    count = len(rows["qpos"])
+    yield "settle", row(rows, 0), None, steps, 1
+    if "ctrl" in rows and count > 1:
+        interval = 1
+        if "time" in rows:
+            interval = max(
+                1, round((rows["time"][1] - rows["time"][0]) / model.opt.timestep)
+            )
+        yield (
+            "replay",
+            row(rows, 0),
+            rows["ctrl"],
+            min(interval * count, 20 * steps),
+            interval,
+        )
+
+
+def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
+    """Move the model through its segments; return the states that are probed, and what became of each segment."""
+    states, ends = [], []
+    for index, (name, start, controls, steps, interval) in enumerate(
+        segments(model, job)
+    ):
+        every = max(1, -(-steps // MOST_PROBES))
+        positions = {}
+        # A start that differs by less than anyone means shows what chaos makes of nothing.
+        for variant in ("plain", "perturbed"):
+            begin = dict(start)
+            if variant == "perturbed":
+                noise = np.random.RandomState(job["run"].get("seed", 0) + 1)
+                begin["qvel"] = begin.get(
+                    "qvel", np.zeros(model.nv)
+                ) + PERTURBATION * noise.normal(size=model.nv)
+            depth, speed = 0.0, 0.0
+            for step, (state, data) in enumerate(
+                moved(model, begin, controls, steps, interval)
+            ):
+                depth = min(depth, float(np.min(data.contact.dist, initial=0.0)))
+                speed = max(speed, float(np.max(np.abs(data.qvel), initial=0.0)))
+                if step == 0:
+                    first = np.array(data.xpos)
+                if variant == "plain" and step % every == 0:
+                    states.append(dict(state, segment=index, step=step))
+            mujoco.mj_forward(model, data)
+            positions[variant] = np.array(data.xpos)
+            if variant == "plain":
+                end = {"segment": name, "steps": steps, "depth_m": -depth}
+                end["largest_speed"] = speed
+                end["speeds"] = speeds(model, data)
+                end["warnings"] = warnings(data)
+        end["first_positions_m"] = first.tolist()
+        end["positions_m"] = positions["plain"].tolist()
+        end["perturbed_positions_m"] = positions["perturbed"].tolist()
+        ends.append(end)
+    keys = (*STATE, "time", "segment", "step")
+    return {key: np.array([state[key] for state in states]) for key in keys}, ends
+
+
+def speeds(model: Any, data: Any) -> list[float]:
+    """Return the speed of the frame of each body [m/s]."""
+    found, velocity = [], np.zeros(6)
+    for body in range(model.nbody):
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(model, data, kind, body, velocity, 0)
+        found.append(float(np.linalg.norm(velocity[3:])))
+    return found
+
+
+# --- one step from a given state -------------------------------------------------------------------------------------
+
+
+def warnings(data: Any) -> dict[str, int]:
+    """Return the number of each warning of the engine."""
+    found = {}
+    for name, index in mujoco.mjtWarning.__members__.items():
+        if name != "mjNWARNING" and data.warning[int(index)].number:
+            found[name] = int(data.warning[int(index)].number)
+    return found
+
+
+def iterations(data: Any) -> int:
+    """Return the iterations of the constraint solver, the most of all islands."""
+    count = data.solver_niter if hasattr(data, "solver_niter") else data.solver_iter
+    return int(np.max(count, initial=0))
+
+
+def contacts(data: Any) -> tuple[Any, Any]:
+    """Return pairs of geoms, shape [n, 2], and distances [m] of the contacts of rigid geoms."""
+    if hasattr(data.contact, "geom"):
+        pairs = np.array(data.contact.geom).reshape(-1, 2)
+    else:
+        pairs = np.stack([data.contact.geom1, data.contact.geom2], axis=-1).reshape(
+            -1, 2
+        )
+    pairs, distances = np.sort(pairs, axis=1), np.array(data.contact.dist).ravel()
+    is_rigid = pairs[:, 0] >= 0
+    return pairs[is_rigid], distances[is_rigid]
+
+
+def imbalance(model: Any, data: Any) -> float:
+    """Return by how much `M a = smooth forces + constraint forces` fails, over the largest of the three."""
+    inertial = np.zeros(model.nv)
+    mujoco.mj_mulM(model, data, inertial, np.array(data.qacc))
+    terms = (inertial, np.array(data.qfrc_smooth), np.array(data.qfrc_constraint))
+    largest = max([float(np.linalg.norm(term)) for term in terms] + [1e-12])
+    return float(np.linalg.norm(terms[0] - terms[1] - terms[2])) / largest
+
+
+def spins(model: Any, data: Any) -> Any:
+    """Return angular momenta of free trees about their centres, shape [n, 3]; None where a force may turn them.
+
+    Without contacts, other constraints, actuators and a medium, gravity alone acts on a free tree from outside.
+    """
+    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
+    is_acted_on = (
+        data.nefc
+        or np.any(data.qfrc_actuator)
+        or model.opt.density
+        or model.opt.viscosity
+    )
+    if (
+        not len(free)
+        or is_acted_on
+        or np.any(model.dof_damping[model.jnt_dofadr[free]])
+    ):
+        return None
+    mujoco.mj_subtreeVel(model, data)
+    found = np.array(data.subtree_angmom[model.jnt_bodyid[free]])
+    return found if np.any(found) else None
+
+
+def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what one step from each state computes; the state alone decides, with its saved warm start."""
+    count = len(rows["qpos"])
+    found = {
+        name: np.zeros((count, model.nv))
+        for name in ("qacc", "smooth", "constraint", "step_acc")
+    }
+    found.update((name, np.zeros((count, model.nv))) for name in ("perturbed", "cold"))
+    found.update(
+        (name, np.zeros(count))
+        for name in ("iterations", "imbalance", "contacts", "warnings")
+    )
+    found["spin"] = np.full(count, np.nan)
+    found["solver_error"] = np.zeros(count)
+    touching, pairs, distances = [], [], []
+    noise = np.random.RandomState(0)
+    data = mujoco.MjData(model)
+    for index in range(count):
+        state = row(rows, index)
+        mujoco.mj_resetData(model, data)
+        put(data, state)
+        mujoco.mj_forward(model, data)
+        found["qacc"][index] = data.qacc
+        found["smooth"][index] = data.qacc_smooth
+        found["constraint"][index] = data.qfrc_constraint
+        found["iterations"][index] = iterations(data)
+        found["imbalance"][index] = imbalance(model, data)
+        found["contacts"][index] = data.ncon
+        # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
+        if data.nefc:
+            found["solver_error"][index] = np.sqrt(model.opt.tolerance)
+        pair, distance = contacts(data)
+        touching.extend([index] * len(pair))
+        pairs.extend(pair.tolist())
+        distances.extend(distance.tolist())
+        before = spins(model, data)
+        put(data, state)
+        mujoco.mj_step(model, data)
+        found["step_acc"][index] = (
+            data.qvel - state.get("qvel", 0.0)
+        ) / model.opt.timestep
+        found["warnings"][index] = sum(warnings(data).values())
+        if before is not None:
+            mujoco.mj_forward(model, data)
+            after = spins(model, data)
+            if after is not None:
+                found["spin"][index] = np.linalg.norm(after - before) / np.linalg.norm(
+                    before
+                )
+        put(
+            data,
+            dict(
+                state,
+                qvel=state.get("qvel", 0.0)
+                + PERTURBATION * noise.normal(size=model.nv),
+            ),
+        )
+        mujoco.mj_forward(model, data)
+        found["perturbed"][index] = data.qacc
+        put(
+            data,
+            {name: value for name, value in state.items() if name != "qacc_warmstart"},
+        )
+        mujoco.mj_forward(model, data)
+        found["cold"][index] = data.qacc
+    found["contact_state"] = np.array(touching, dtype=int)
+    found["contact_pair"] = np.array(pairs, dtype=int).reshape(-1, 2)
+    found["contact_dist"] = np.array(distances, dtype=float)
+    return found
+
+
+def main(file: Path) -> None:
+    """Do the job of a file."""
+    job = json.loads(file.read_text(encoding="utf-8"))
+    model = load(job)
+    words = {
+        "version": mujoco.__version__,
+        "numpy": np.__version__,
+        "python": sys.version.split()[0],
+    }
+    words.update(nq=model.nq, nv=model.nv, nu=model.nu, timestep_s=model.opt.timestep)
+    words["fields"] = compiled(model)
+    words["names"], words["owners"] = names(model), OWNERS
+    words["is_sparse"] = bool(mujoco.mj_isSparse(model))
+    if job.get("run"):
+        states, words["ends"] = run(model, job)
+        np.savez(job["out"] + ".run.npz", **states)
+    for index, states_file in enumerate(job.get("states", [])):
+        np.savez(f"{job['out']}.probe{index}.npz", **probe(model, saved(states_file)))
+    Path(job["out"] + ".json").write_text(json.dumps(words), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,91 @@
+"""The row `robot-solver`: a solver that leaves forces in one layout of its matrices is named, and a good one is not."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from gauge_envs.backends.mujoco.model_settings import contact_pairs
+from gauge_envs.tools.sanity.robot.model_rows import ROWS
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.solver_agreement import imbalance
+
+FAULTY = "4.0.0"
+"""Release of MuJoCo whose sparse Newton solver leaves forces (google-deepmind/mujoco#3767)."""
+
+
+def pile(count, arms, seed):
+    """Free boxes with arms of one hinge each, dropped on a plane."""
+    draw = np.random.RandomState(seed)
+    bodies = []
+    for box in range(count):
+        x_m, y_m = draw.uniform(-0.25, 0.25, 2)
+        limbs = ""
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))[:arms]:
+            limbs += f"""<body pos="{0.06 * x} {0.05 * y} 0"><joint axis="{abs(y)} {abs(x)} 0" damping="0.01"/>
+                <geom type="capsule" fromto="0 0 0 {0.08 * x} {0.08 * y} 0" size="0.012" density="500"/></body>"""
+        bodies.append(
+            f"""<body pos="{x_m} {y_m} {0.15 + 0.18 * (box // 2)}"><freejoint/>
+            <geom type="box" size="0.06 0.05 0.04" density="500"/>{limbs}</body>"""
+        )
+    return f"""<mujoco><option jacobian="sparse"/><worldbody><geom type="plane" size="5 5 0.1"/>
+        {"".join(bodies)}</worldbody></mujoco>"""
+
+
+def found(xml):
+    model = mujoco.MjModel.from_xml_string(xml)
+    robot = Robot(model=model, pairs=contact_pairs(model), up=(0.0, 0.0, 1.0))
+    return ROWS["robot-solver"](robot)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_faulty_release_is_named_on_an_articulated_pile(seed):
+    value = found(pile(20, 4, seed)).value
+    assert value > 0.1 if mujoco.__version__ == FAULTY else value < 1e-6
+
+
+def test_a_solver_that_scales_accelerations_in_one_layout_is_named(monkeypatch):
+    xml = pile(3, 2, 0)
+    assert found(xml).value < 1e-6
+    forward = mujoco.mj_forward
+
+    def scaled(model, data):
+        forward(model, data)
+        if mujoco.mj_isSparse(model) and data.ncon:
+            data.qacc[:] *= 1.01
+
+    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    one = found(xml)
+    assert one.value == pytest.approx(0.01, rel=0.05)
+    assert 'jacobian="dense"' in one.advice
+
+
+def test_a_dense_model_does_not_apply():
+    assert found(pile(1, 1, 0).replace("sparse", "dense")).declined
+
+
+def test_the_imbalance_is_the_missing_share_of_the_forces():
+    """A ball that falls: without its weight, all of `M a` is missing."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert imbalance(model, data) < 1e-12
+    data.qfrc_smooth[:] = 0.0
+    assert imbalance(model, data) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("layout", ["sparse", "dense"])
+def test_the_faulty_release_is_noted_for_sparse_models_alone(layout, monkeypatch):
+    monkeypatch.setattr(mujoco, "__version__", FAULTY)
+    model = mujoco.MjModel.from_xml_string(pile(2, 1, 0).replace("sparse", layout))
+    read = mujoco_configuration(model, name="pile", source="a test")
+    assert [note for note in read.notes if FAULTY in note] == (
+        [
+            f"MuJoCo {FAULTY} solves some sparse models wrongly, as robot-solver measures: set "
+            '<option jacobian="dense"/>'
+        ]
+        if layout == "sparse"
+        else []
+    )

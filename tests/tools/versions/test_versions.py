@@ -1,0 +1,300 @@
+"""Two versions on one model: what is planted is found first, what is equal is the same, and the right side is named."""
+
+import json
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.versions import bisection, comparison, environments, worker
+from gauge_envs.tools.versions.comparison import Bench, compare, field_changes
+from gauge_envs.tools.versions.environments import ReleaseError
+from gauge_envs.tools.versions.model import Quantity, Side, Verdict
+from gauge_envs.tools.versions.sides import read_side
+from gauge_envs.tools.versions.words import CANNOT_TELL, comparison_document
+
+SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
+<body name="box" pos="0 0 0.0999"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
+<body name="arm" pos="0.6 0 0.8"><joint name="elbow" axis="0 1 0"/>
+<geom name="arm" type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></worldbody>
+<actuator><motor name="motor" joint="elbow" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def side(title, **settings):
+    return Side(title=title, python=sys.executable, settings=settings)
+
+
+class Planted(Bench):
+    """A bench that works in this process, and changes what the side `new` computes.
+
+    Args:
+        plant: Changes the arrays of a probe in place.
+        xml: Model of the side `new`; that of the bench if it is empty.
+    """
+
+    def __init__(self, folder, plant=None, xml="", **options):
+        model = folder / "scene.xml"
+        model.write_text(SCENE, encoding="utf-8")
+        super().__init__(model, folder, **({"steps": 20, "seed": 0} | options))
+        self.plant, self.xml = plant, xml
+
+    def execute(self, side, job):
+        stated = json.loads(job.read_text(encoding="utf-8"))
+        if side.title.startswith("new") and self.xml:
+            changed = job.with_suffix(".xml")
+            changed.write_text(self.xml, encoding="utf-8")
+            job.write_text(
+                json.dumps(stated | {"model": str(changed)}), encoding="utf-8"
+            )
+        worker.main(job)
+        is_exact = "solver" in side.settings
+        for file in job.parent.glob(f"{job.name.partition('.')[0]}.probe*.npz"):
+            if side.title.startswith("new") and self.plant and not is_exact:
+                with np.load(file) as arrays:
+                    found = {name: np.array(arrays[name]) for name in arrays.files}
+                self.plant(found)
+                np.savez(file, **found)
+
+
+def compared(folder, *planted, **options):
+    return compare(Planted(folder, *planted, **options), side("old"), side("new"))
+
+
+def test_a_version_is_identical_to_itself(tmp_path):
+    found = compared(tmp_path)
+    assert found.verdict is Verdict.IDENTICAL
+    assert (found.differing, found.first, found.fields, found.pairs) == (
+        0,
+        None,
+        (),
+        (),
+    )
+    assert found.states == 2 * 3 * 20
+    assert "bit for bit" in comparison_document(found).parts[0].text
+
+
+def test_rounding_is_no_difference(tmp_path):
+    def rounded(found):
+        found["qacc"] *= 1.0 + 1e-12
+
+    found = compared(tmp_path, rounded)
+    assert (found.verdict, found.differing) == (Verdict.SAME, 0)
+
+
+def scaled_constraint(found):
+    found["qacc"][7:, 6] *= 1.5
+
+
+def fewer_contacts(found):
+    keep = found["contact_state"] < 5
+    for name in ("contact_state", "contact_pair", "contact_dist"):
+        found[name] = found[name][keep]
+    found["qacc"][5:] *= 2.0
+
+
+def deeper(found):
+    found["contact_dist"] -= 1e-3
+    found["qacc"] *= 1.1
+
+
+def other_smooth(found):
+    found["smooth"][:, 6] += 1.0
+    found["qacc"][:, 6] += 1.0
+
+
+def other_integration(found):
+    found["step_acc"][3:, 2] += 1.0
+
+
+@pytest.mark.parametrize(
+    ("plant", "step", "quantity"),
+    [
+        (scaled_constraint, 7, Quantity.CONSTRAINT),
+        (fewer_contacts, 5, Quantity.CONTACTS),
+        (deeper, 0, Quantity.DEPTH),
+        (other_smooth, 0, Quantity.SMOOTH),
+        (other_integration, 3, Quantity.STEP),
+    ],
+)
+def test_the_first_step_and_quantity_of_a_planted_change_are_named(
+    tmp_path, plant, step, quantity
+):
+    found = compared(tmp_path, plant)
+    assert found.verdict is Verdict.DIFFERENT
+    assert (found.first.segment, found.first.step) == ("start", step)
+    assert found.first.quantity is quantity
+    if plant is scaled_constraint:
+        assert found.first.where == "elbow of arm"
+    if plant is fewer_contacts:
+        assert found.pairs[0].pair == ("floor", "box")
+
+
+def test_a_side_that_misses_its_own_equations_is_wrong(tmp_path):
+    def unbalanced(found):
+        found["qacc"][:, 2] += 5.0
+        found["imbalance"] += 0.5
+
+    found = compared(tmp_path, unbalanced)
+    assert found.right == "old"
+    assert {ruling.right for ruling in found.rulings} == {"old"}
+
+
+def test_another_default_is_a_field_and_no_law_tells(tmp_path):
+    xml = SCENE.replace('name="box" type', 'name="box" solref="0.005 1" type')
+    found = compared(tmp_path, None, xml)
+    assert found.verdict is Verdict.DIFFERENT
+    (field,) = [one for one in found.fields if one.field == "geom_solref"]
+    assert (field.where, field.before, field.after) == (
+        "box",
+        [0.02, 1.0],
+        [0.005, 1.0],
+    )
+    assert found.right == ""
+    texts = [getattr(part, "text", "") for part in comparison_document(found).parts]
+    assert CANNOT_TELL in texts
+
+
+def test_a_field_that_one_side_lacks_is_listed_and_flags_go_by_name():
+    names = {"geom": ["floor"]}
+    one = {"fields": {"opt.disableflags": ["mjDSBL_LIMIT"], "old": [1.0]}}
+    two = {"fields": {"opt.disableflags": [], "new": [1.0]}}
+    extra = {"names": names, "owners": {}}
+    changes, new = field_changes(one | extra, two | extra)
+    assert [change.field for change in changes] == ["opt.disableflags"]
+    assert new == ("new", "old")
+
+
+def test_a_saved_state_settles_and_the_body_that_falls_is_named(tmp_path):
+    """A shelf that one side lacks: the box falls there."""
+    shelf = SCENE.replace('pos="0 0 0.0999"', 'pos="0 0 0.6199"').replace(
+        '<body name="box"',
+        '<geom name="shelf" type="box" size="0.3 0.3 0.01" pos="0 0 0.51"/><body name="box"',
+    )
+    gone = shelf.replace('name="shelf"', 'name="shelf" contype="0" conaffinity="0"')
+    bench = Planted(tmp_path, None, gone, steps=60)
+    bench.model.write_text(shelf, encoding="utf-8")
+    model = mujoco.MjModel.from_xml_string(shelf)
+    states = tmp_path / "saved.npz"
+    np.savez(states, qpos=model.qpos0[None])
+    bench = Planted(tmp_path, None, gone, steps=60, saved=states)
+    bench.model.write_text(shelf, encoding="utf-8")
+    found = compare(bench, side("old"), side("new"))
+    (one,) = found.settled
+    assert (one.segment, one.body, one.end_before, one.end_after) == (
+        "settle",
+        "box",
+        "stands",
+        "moves",
+    )
+    assert found.first.quantity is Quantity.CONTACTS
+
+
+def test_a_bisection_names_the_neighbours(tmp_path):
+    class Releases(Planted):
+        def execute(self, side, job):
+            self.plant = scaled_constraint if int(side.title[3:]) >= 5 else None
+            super().execute(side, job)
+
+    bench = Releases(tmp_path)
+    releases = [side(f"new{number}") for number in range(8)]
+    neighbours, tried = bisection.bisect(bench, releases, lambda text: None)
+    assert [one.title for one in neighbours] == ["new4", "new5"]
+    assert [one.like for one in tried] == sorted(one.like for one in tried)
+    neighbours, _ = bisection.bisect(bench, releases[:3], lambda text: None)
+    assert neighbours is None
+
+
+def test_the_command_runs_a_process_for_each_side(tmp_path):
+    model = tmp_path / "scene.xml"
+    model.write_text(SCENE, encoding="utf-8")
+    words = ["backend", "versions", str(model), "mujoco", "mujoco:gravity=[0,0,-5]"]
+    done = CliRunner().invoke(app, [*words, "--steps", "3", "--json"])
+    assert done.exit_code == 1, done.output
+    line = json.loads(done.stdout)
+    assert line["first"]["quantity"] == Quantity.SMOOTH.value
+    assert [one["field"] for one in line["fields"]] == ["opt.gravity"]
+
+
+# --- versions and environments ---------------------------------------------------------------------------------------
+
+
+def test_versions_are_read():
+    (one,) = read_side("mujoco==3.3.0:iterations=4", {"iterations": 4})
+    assert (one.title, one.requirement) == (
+        "mujoco==3.3.0:iterations=4",
+        "mujoco==3.3.0",
+    )
+    assert [end.requirement for end in read_side("mujoco==3.1.0..4.0.0")] == [
+        "mujoco==3.1.0",
+        "mujoco==4.0.0",
+    ]
+    assert read_side("mujoco")[0].python == sys.executable
+    for wrong in ("newton==1.0", "mujoco=3.3.0", "mujoco>=3"):
+        with pytest.raises(ParameterError, match="expected mujoco=="):
+            read_side(wrong)
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("ERROR: Could not find a version (from versions: 3.3.0, 3.9.0)", "3.9.0"),
+        ("WARNING: Retrying: Failed to establish a new connection", "does not answer"),
+        ("(from versions: none)", "does not answer"),
+        ("OSError: [Errno 28] No space left on device", "disk is full"),
+        ("error: something else", "something else"),
+    ],
+)
+def test_why_an_installation_failed(tmp_path, monkeypatch, said, told):
+    monkeypatch.setenv("GAUGE_CACHE_DIR", str(tmp_path))
+    failed = subprocess.CompletedProcess([], 1, "", said)
+    monkeypatch.setattr(environments.venv.EnvBuilder, "create", lambda self, at: None)
+    monkeypatch.setattr(environments.shutil, "which", lambda name: None)
+    monkeypatch.setattr(environments, "_run", lambda command: failed)
+    with pytest.raises(ReleaseError, match=told):
+        environments.made_environment("mujoco==9.9.0", lambda text: None)
+    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
+
+
+def test_nothing_half_made_is_used(tmp_path, monkeypatch):
+    """Ctrl-C during an installation leaves nothing; what a killed process left goes at the next one."""
+    monkeypatch.setenv("GAUGE_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(environments.shutil, "which", lambda name: None)
+
+    def create(self, at):
+        at.mkdir()
+        (at / "half").touch()
+
+    def interrupted(command):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(environments.venv.EnvBuilder, "create", create)
+    monkeypatch.setattr(environments, "_run", interrupted)
+    place = environments.environment_folder("mujoco==3.3.0")
+    killed = place.with_name(f".{place.name}.killed")
+    killed.mkdir(parents=True)
+    with pytest.raises(KeyboardInterrupt):
+        environments.made_environment("mujoco==3.3.0", lambda text: None)
+    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
+    assert not environments.is_made("mujoco==3.3.0")
+    done = subprocess.CompletedProcess([], 0, "", "")
+    monkeypatch.setattr(environments, "_run", lambda command: done)
+    said = []
+    environments.made_environment("mujoco==3.3.0", said.append)
+    assert environments.is_made("mujoco==3.3.0")
+    assert str(environments.environment_folder("mujoco==3.3.0")) in said[0]
+    assert "MB" in said[0]
+    environments.made_environment("mujoco==3.3.0", said.append)
+    assert len(said) == 2
+    environments.remove_environment("mujoco==3.3.0")
+    assert not environments.is_made("mujoco==3.3.0")
+
+
+def test_a_worker_that_fails_says_why(tmp_path):
+    bench = Bench(tmp_path / "none.xml", tmp_path, steps=1, seed=0)
+    with pytest.raises(comparison.VersionsError, match=r"old cannot run .*none.xml"):
+        bench.run(side("old"))
