@@ -27,6 +27,11 @@ RENAMED = {
     "to_s": "--until",
     "seconds": "--duration",
     "only": "--id",
+    "drivers": "--use imported-drivers",
+    "reference": "--use imported-reference",
+    "use_withheld": "--use withheld",
+    "episodes": "--repeats",
+    "n_episodes": "--repeats",
 }
 """Option for a name of earlier versions or of other tools. Parameters of a function are found by their own names."""
 
@@ -112,22 +117,22 @@ def checked_values(
             found[one.name] = value
         elif counts[one.name] > 1:
             raise ParameterError(f"{option} is given twice: give it once")
-        texts = value if isinstance(value, list) else [value]
-        if any(isinstance(text, str) and not text.strip() for text in texts):
-            raise ParameterError(
-                f"{option} has an empty value: state it or leave it out"
-            )
-        if (
-            one.rich_help_panel == OUTPUT
-            and STDOUT in texts
-            and STDOUT not in (one.metavar or "")
-        ):
-            raise ParameterError(
-                f"{option} {STDOUT}: expected a path; stdout has what --format says"
-            )
+        _check_texts(one, value if isinstance(value, list) else [value])
     for word in words:
         _check_word(params, word)
     return found
+
+
+def _check_texts(one: Any, texts: Sequence[Any]) -> None:
+    """Raise an error for an empty value of an option, or for stdout in place of a file where it cannot be one."""
+    option = longest(one)
+    if any(isinstance(text, str) and not text.strip() for text in texts):
+        raise ParameterError(f"{option} has an empty value: state it or leave it out")
+    is_file = one.rich_help_panel == OUTPUT and STDOUT not in (one.metavar or "")
+    if is_file and STDOUT in texts:
+        raise ParameterError(
+            f"{option} {STDOUT}: expected a path; stdout has what --format says"
+        )
 
 
 def _check_word(params: Sequence[Any], word: str) -> None:

@@ -79,7 +79,11 @@ class EnvArguments:
                 "a Variant or its name, as 'SlopeSlider-2-wood'",
             ),
             ("backend", str, "the name of a backend, as 'mujoco'"),
-            ("settings", (Mapping, type(None)), "a mapping, as {'timestep_s': 1 / 1800}"),
+            (
+                "settings",
+                (Mapping, type(None)),
+                "a mapping, as {'timestep_s': 1 / 1800}",
+            ),
             ("use_withheld", bool, "True or False"),
             ("asset", (str, PathLike, type(None)), "the path of a file"),
         )

@@ -185,7 +185,8 @@ class SceneBuilder:
         if name == AIR:
             if not any(one in self.spec.cloths for one in self.present):
                 raise ParameterError(
-                    f"{self.variant.name}: override {key!r} would change nothing: air acts on cloth, and the scene has none"
+                    f"{self.variant.name}: override {key!r} would change nothing: air acts on cloth, "
+                    "and the scene has none"
                 )
             air = [one.name for one in fields(Air)]
             if constant not in air:

@@ -36,6 +36,9 @@ ARGUMENTS = [
     {"settings": "fast"},
     {"asset": 3},
     {"marker_proxy": "nearest"},
+    {"use_withheld": "no"},
+    {"parameters": {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}},
+    {"parameters": {"cube.euler_deg": (0.0, 0.0)}},
 ]
 
 
@@ -92,6 +95,8 @@ def test_calls_are_refused(approved):
         "window of worlds": lambda: GaugeVectorEnv(SLIDE, render_mode="human"),
         "fine cloth": lambda: GaugeEnv("Funnel-satin", **coarse),
         "reset option": lambda: GaugeEnv(SLIDE).reset(options={"jitterr": True}),
+        "reset option of no mapping": lambda: GaugeEnv(SLIDE).reset(options="jitter"),
+        "worlds' empty list of options": lambda: worlds().reset(options=[]),
         "jitter of no rigid body": lambda: GaugeEnv(SOFT).reset(
             options={"jitter": True}
         ),

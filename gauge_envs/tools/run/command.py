@@ -105,6 +105,10 @@ def run(
     scatter = arguments.parsed_jitter(jitter)
     if repeats == 1 and scatter is not None and not any(scatter.to_dict().values()):
         scatter = None
+    if seed and scatter is None and repeats == 1:
+        note(
+            f"--seed {seed} changes nothing: the start does not scatter. Add --jitter real."
+        )
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     settings = arguments.parsed_settings(changes)
     subjects = {pattern: matching_subjects(pattern) for pattern in ids}
