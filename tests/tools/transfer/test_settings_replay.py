@@ -1,11 +1,13 @@
 """Policies between two settings of MuJoCo, against closed forms: a pushed block, and the step of a servo."""
 
+import json
 import sys
 import types
 
 import gymnasium
 import numpy as np
 import pytest
+from test_policies import write_onnx
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.transfer.settings_replay import (
@@ -147,3 +149,59 @@ def test_what_is_needed_is_said(tmp_path):
         make_env("my_robot:make", trust=False, **options)
     with pytest.raises(ParameterError, match="has no MuJoCo model"):
         apply_settings(gymnasium.make("Pendulum-v1"), {"impratio": "10"})
+
+
+def shares(gauge, policy, env, setting, *options):
+    """Return what the command says that a policy keeps, and its reward with the settings of the training."""
+    words = ["transfer", "settings", str(policy), f"--env={env}", f"--set={setting}"]
+    said = gauge(*words, "--seeds=2", "--trust", "--json", "--fail-below=0", *options)
+    assert said.exit_code == 0, said.stderr
+    (line,) = [json.loads(one) for one in said.stdout.splitlines()]
+    return line["test"]["kept"]["value"], line["training"]["reward"]["value"]
+
+
+@pytest.mark.slow
+def test_an_onnx_policy_on_a_model_file_keeps_what_its_network_keeps(
+    gauge, tmp_path, monkeypatch
+):
+    """The network is 0.1 times the sum of the observation, on a servo whose gain is halved."""
+    module = types.ModuleType("servo_reward")
+    module.angle = lambda model, data: 1.0 + float(data.qpos[0])
+    monkeypatch.setitem(sys.modules, "servo_reward", module)
+    file = tmp_path / "servo.xml"
+    bent = SERVO.replace('name="q"', 'name="q" ref="57.3"')
+    file.write_text(bent.replace(f'kv="{KV}"', 'kv="4"'))
+    policy = write_onnx(tmp_path / "policy.onnx", 2)
+    task = {"control_s": CONTROL_S, "duration_s": DURATION_S}
+    kept, reward = shares(
+        gauge, policy, file, "actuator:*.kp=10", "--reward=servo_reward:angle",
+        f"--control={CONTROL_S}", f"--duration={DURATION_S}",
+    )  # fmt: skip
+    expected = replay_settings(
+        "servo", lambda: ModelEnv(file, module.angle, **task),
+        {"linear": lambda seen: np.array([0.1 * seen.sum()])}, {}, {"actuator:*.kp": "10"}, seeds=2,
+    )  # fmt: skip
+    assert kept == pytest.approx(expected.test.kept.value, rel=1e-6)
+    assert reward == pytest.approx(expected.training.reward.value, rel=1e-6)
+    assert abs(kept - 1.0) > 1e-3
+
+
+@pytest.mark.slow
+def test_a_trained_policy_of_sb3_keeps_what_it_keeps_in_its_own_package(
+    gauge, tmp_path
+):
+    sb3 = pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
+    learner = sb3.PPO(
+        "MlpPolicy", gymnasium.make("Hopper-v5"), n_steps=256, seed=0, device="cpu"
+    )
+    learner.learn(512)
+    learner.save(tmp_path / "policy.zip")
+    setting = {"gravity": "0 0 -15"}
+    kept, reward = shares(gauge, tmp_path / "policy.zip", "Hopper-v5", "gravity=0 0 -15")  # fmt: skip
+    expected = replay_settings(
+        "Hopper-v5", lambda: gymnasium.make("Hopper-v5"),
+        {"ppo": lambda seen: learner.predict(seen, deterministic=True)[0]}, {}, setting, seeds=2,
+    )  # fmt: skip
+    assert kept == pytest.approx(expected.test.kept.value, rel=1e-3)
+    assert reward == pytest.approx(expected.training.reward.value, rel=1e-3)
+    assert abs(kept - 1.0) > 1e-3

@@ -305,7 +305,7 @@ def _tried(
         model, _ = before.robot.changed(remedy.changes)
     except TargetError as error:
         return None, str(error)
-    after = Behaviour(_with_model(before.robot, model, _fields(remedy.changes)))
+    after = Behaviour(_with_model(before.robot, model, remedy.changes))
     keep_unconcerned(before.robot, after.robot, remedy.changes)
     mended = after.row(name)
     if mended.verdict is not Verdict.INSIDE:
@@ -314,9 +314,13 @@ def _tried(
     return (None, refusal) if refusal else (after, "")
 
 
-def _fields(changes: Settings) -> set[str]:
-    """Return what changes are made to: the first words of their names, such as `geom`."""
-    return {name.partition("_")[0] for name in changes}
+SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range")
+"""Starts of the names of changes that move bodies, or decide what touches."""
+
+
+def _is_of_shape(changes: Settings) -> bool:
+    """Return whether changes move bodies, or decide what touches."""
+    return any(name.startswith(SHAPES) for name in changes)
 
 
 def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:
@@ -325,15 +329,14 @@ def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:
     if changes and set(changes) <= CONTACT_OPTIONS:
         names -= OF_CONTACTS
     elif changes:
-        is_of_bodies = _fields(changes) & {"body", "geom", "compiler"}
-        names = frozenset() if is_of_bodies else OF_BODIES
+        names = frozenset() if _is_of_shape(changes) else OF_BODIES
     after.known.update({n: before.known[n] for n in names if n in before.known})
 
 
-def _with_model(robot: Robot, model: mujoco.MjModel, fields: Collection[str]) -> Robot:
-    """Return a robot with a changed model; geoms that collide otherwise are read again."""
+def _with_model(robot: Robot, model: mujoco.MjModel, changes: Settings) -> Robot:
+    """Return a robot with a changed model; one whose feet may be others, or elsewhere, is read again."""
     changed = replace(robot, model=model)
-    if "geom" not in fields:
+    if not _is_of_shape(changes):
         return changed
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
@@ -511,6 +514,7 @@ NO_REMEDY: Mapping[str, str] = {
     "robot-size": "lengths stand in every pos, size, fromto and mesh: scale them in the file; the rest is judged then",
     "robot-balance": "masses, axes or the pose can be wrong, and the model does not say which",
     "robot-level": "either leg can be the wrong one, and the model does not say which",
+    "robot-mirror": "either side can be the wrong one, and the model does not say which",
     "robot-unlimited": "a joint without a range turns as far as the real one, which the model does not say",
 }
 """Why no change of a number mends a row for certain, of rows that may have no remedy."""
@@ -530,7 +534,7 @@ def _mirror(robot: Robot) -> Iterator[Remedy]:
         for several in zip(*[(one.joint, one.other) for one in pairs], strict=True):
             of_side = dict(zip(several, pairs, strict=True))
             changes = {
-                f"{field}[{joint}]": -model.jnt_axis[joint]
+                f"{field}[{joint}]": 0.0 - model.jnt_axis[joint]
                 if field == "jnt_axis"
                 else pair.range_of(joint) + model.qpos0[model.jnt_qposadr[joint]]
                 for joint, pair in of_side.items()
