@@ -42,15 +42,20 @@ def pytest_addoption(parser):
     )
 
 
-def pytest_configure():
+def pytest_configure(config):
     """Set what the tests and the programs that they start have in common.
 
     Nobody's imported data takes part, also while tests are collected. Bytecode is kept, also where the environment
     forbids it: hundreds of processes import the package.
     Examples of properties are the same on every machine, and none has a time limit.
     There is little garbage while tests are collected, and the search for it would visit all that is imported.
+    Most experiments have no reference; tests of them need none, and those of the warning itself catch it. Its filter
+    stands here, as one of `pyproject.toml` imports NumPy first.
     """
     gc.disable()
+    config.addinivalue_line(
+        "filterwarnings", "ignore::gauge_envs.errors.NoRewardWarning"
+    )
     # Otherwise each warning is a line of MUJOCO_LOG.TXT in the working directory.
     mujoco.set_mju_user_warning(lambda text: None)
     sys.dont_write_bytecode = False

@@ -3,14 +3,21 @@
 import os
 import shlex
 import shutil
-import subprocess
 import sys
 
 import pytest
 from places import ROOT
 
+from gauge_envs import files
+
 STUDIES = ROOT / "studies"
 TIMEOUT_S = 600.0
+PROGRAM = """
+import runpy, sys
+
+sys.argv[:2] = sys.argv[1:2]
+runpy.run_module(f"studies.{sys.argv[0]}", run_name="__main__", alter_sys=True)
+"""
 
 COMMANDS = {
     "control_steps": "control_steps",
@@ -51,19 +58,19 @@ def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():
         for one in COMMANDS
     ],
 )
-def test_a_script_runs_as_its_note_says(study, tmp_path):
+def test_a_script_runs_as_its_note_says(study, tmp_path, monkeypatch):
     # In a copy, as some write their tables beside them.
     shutil.copytree(STUDIES / study, tmp_path / "studies" / study)
     (tmp_path / "results").mkdir()
-    command = f"-m studies.{study}.{COMMANDS[study]}"
-    done = subprocess.run(
-        [sys.executable, *shlex.split(command)],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"},
+    monkeypatch.chdir(tmp_path)
+    # A fork where the system has them: see the fixture `forked_children`.
+    done = files.subprocess.run(
+        [sys.executable, "-c", PROGRAM, *shlex.split(f"{study}.{COMMANDS[study]}")],
+        input=b"",
+        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}:{ROOT / 'tests'}"},
         capture_output=True,
-        text=True,
         timeout=TIMEOUT_S,
         check=False,
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stderr.decode()
     assert done.stdout or study == "joints"

@@ -10,7 +10,7 @@ import pytest
 import scipy.optimize
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation
-from places import RIGID
+from places import RIGID, one_of_a_kind
 
 import gauge_envs
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords
@@ -25,17 +25,6 @@ SHORT = tuple(
     for name in RIGID
     if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking")
 )
-
-
-def one_of_a_kind(names, kind_of=lambda name: name.rpartition("-")[0]):
-    """Parameters of which the default run has the first of each kind, and `-m slow` the others."""
-    seen = set()
-    found = []
-    for name in names:
-        kind = kind_of(name)
-        found.append(pytest.param(name, marks=pytest.mark.slow if kind in seen else ()))
-        seen.add(kind)
-    return found
 
 
 def test_75_ids_in_22_families_are_registered():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
+from places import one_of_a_kind
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import ParameterError
@@ -124,7 +125,7 @@ def test_real_starts_of_single_shots_are_recorded_ones():
     assert np.array_equal(start_mm(plain, seed=0), start_mm(plain))
 
 
-@pytest.mark.parametrize("task", [task.id for task in control_tasks()])
+@pytest.mark.parametrize("task", one_of_a_kind(task.id for task in control_tasks()))
 def test_control_tasks_scatter_by_seed_and_keep_their_law(task):
     if task.startswith("GAUGE/Fling"):
         for make in (gym.make, gym.make_vec):

@@ -6,7 +6,6 @@ import math
 import pickle
 import subprocess
 import sys
-import warnings
 
 import approval
 import gymnasium
@@ -14,7 +13,6 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 from places import ROOT
 from scipy.integrate import solve_ivp
@@ -76,29 +74,6 @@ def test_ids_are_extra_to_the_experiments():
     assert len(NAMES) == 15
     assert {f"GAUGE/{name}" for name in NAMES} <= set(gymnasium.registry)
     assert not {variant.name for variant in variants()} & set(NAMES)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_checkers_pass(name):
-    env = make(name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # Rates and slips have no bounds, which the checker only remarks on.
-        warnings.filterwarnings("ignore", message=".*(infinity|render|spec).*")
-        check_env(env, skip_render_check=True)
-
-
-def test_checker_of_stable_baselines_passes():
-    checker = pytest.importorskip(
-        "stable_baselines3.common.env_checker", reason="extra 'rl' is not installed"
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        checker.check_env(
-            gymnasium.make(
-                "GAUGE/Turntable-Limit-wood", settings={"timestep_s": 1 / 1080}
-            )
-        )
 
 
 def test_a_spec_builds_the_same_run():
