@@ -73,8 +73,10 @@ PLAUSIBLE = 2.0
 """Distance, over half of the interval, up to which a fit with what the scene states is tried."""
 AS_WELL, REFIT_STEPS = 1.01, 8
 """Error over that of the best fit up to which a fit with fewer numbers follows logs as well, and its most steps."""
-FITS_AS_WELL = 1.05
-"""Error of fits over that of the law that predicts best, up to which a law with fewer terms may replace it."""
+LAW_STEPS = 15
+"""Most steps of the fit of a law to one log, which starts from a fit to all of them."""
+AS_GOOD = 1.05
+"""Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
 FEWEST_FILES = 2
 """Number of files whose spread is too uncertain to leave a number out."""
 ZERO_NEXT = "0 is in the interval of the next file"
@@ -628,6 +630,7 @@ def _fitted(
     known: Mapping[str, float],
     first: _Fit | None = None,
     close: float | None = None,
+    steps: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> _Fit:
     """Fit numbers to logs, in two stages, or in the second alone from another fit; known numbers stay."""
@@ -664,7 +667,7 @@ def _fitted(
         starts = np.zeros(2 * len(long.parts) * len(terms))
         unknowns = np.concatenate([unknowns, starts])
     close = close or (SERVO_CLOSE if servo else CLOSE)
-    unknowns, covariance = long.solved(unknowns, close)
+    unknowns, covariance = long.solved(unknowns, close, steps)
     return _Fit(long, unknowns, covariance, short.simulations + long.simulations)
 
 
@@ -689,7 +692,7 @@ def _compared(
 
     Returns:
         The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
-        predicts best, and predict worse by at most a standard error of the mean logarithm of their ratio (the rule of
+        predicts best, and predict worse by at most 5 % or a standard error of the mean logarithm of their ratio (after
         Breiman et al., Classification and Regression Trees, 1984).
     """
     parts = list(logs)
@@ -698,7 +701,7 @@ def _compared(
     compared: dict[str, tuple[Law, list[_Fit], FloatArray]] = {}
     for name, names in laws.items():
         progress(f"law {name}")
-        alone = [fitted([log], names, first=fit) for log in parts]
+        alone = [fitted([log], names, first=fit, steps=LAW_STEPS) for log in parts]
         left = [one.problem.residuals(one.unknowns) for one in alone]
         missed = np.array(
             [
@@ -721,9 +724,10 @@ def _compared(
     chosen = best = min(compared, key=lambda law: compared[law][0].held_out_rad)
     for name in sorted(compared, key=terms):
         ratio = np.log(compared[name][2] / compared[best][2])
-        is_close = ratio.mean() <= ratio.std(ddof=1) / np.sqrt(ratio.size)
+        standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
+        is_close = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
         fits_rad = compared[name][0].fitted_rad, compared[best][0].fitted_rad
-        if name == best or (is_close and fits_rad[0] <= FITS_AS_WELL * fits_rad[1]):
+        if name == best or (is_close and fits_rad[0] <= AS_GOOD * fits_rad[1]):
             chosen = name
             break
     others = sorted(

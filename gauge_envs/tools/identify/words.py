@@ -93,7 +93,7 @@ def _laws(found: Identified) -> Table:
         ],
         notes=(
             LAW_NOTE.format(part="file" if found.files > 1 else "half of the log"),
-            "The first is used: it has the fewest terms of those that predict as well as any, within one standard error.",
+            "The first is used: the fewest terms of those that predict as well as any, within a standard error.",
             "",
         ),
     )
