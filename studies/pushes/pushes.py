@@ -2,8 +2,8 @@
 
     python pushes.py slide                      friction of the table from the slide after the push: slides.csv
     python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
-    python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv; the engine `mean`
-                                                is the mean of the even trials from the own start, without physics
+    python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
+    python pushes.py run mean                   the mean of the even trials from the start of each, without physics
     python pushes.py bounds                     what is unknown, in MuJoCo: bounds.csv
     python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
     python pushes.py point                      push through one point against the limit surface: point.csv

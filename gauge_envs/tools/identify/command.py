@@ -52,7 +52,7 @@ def recipe_joint(
         typer.Option(
             metavar="ID",
             rich_help_panel=arguments.SCENE,
-            help="Id, experiment file, MJCF or USD layer whose hinges are the joints, in place of a load.",
+            help="Id, experiment file, MJCF, URDF or USD layer whose hinges are the joints, in place of a load.",
         ),
     ] = None,
     engine: arguments.Backend = "mujoco",
@@ -183,12 +183,11 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
             return load_experiment_file(path).scene
         if path.suffix in scene_suffixes():
             return read_usd(path, duration_s=1.0).scene
-        if path.suffix.lower() in (".xml", ".mjcf"):
+        if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             return read_mjcf(path)
         if path.suffix:
             raise ParameterError(
-                f"--scene {scene}: name an id, an experiment file (.toml), an MJCF (.xml), to which MuJoCo's compile "
-                "converts URDF, or a USD layer"
+                f"--scene {scene}: name an id, an experiment file (.toml), an MJCF (.xml), a URDF or a USD layer"
             )
         variant = find_variant(scene)
         # An experiment of recorded motions starts at the angles of one.

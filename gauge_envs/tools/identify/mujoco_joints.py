@@ -298,7 +298,7 @@ def _write(element: Any, name: str, text: str) -> None:
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Return the model of an MJCF file."""
+    """Return the model of an MJCF or a URDF file."""
     if not path.is_file():
         raise AssetError(path, "", "there is no such file")
     if refusal := child_refusal(PROBE, str(path)):
