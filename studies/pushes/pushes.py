@@ -3,6 +3,7 @@
     python pushes.py slide                      friction of the table from the slide after the push: slides.csv
     python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
     python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
+    python pushes.py run mean                   the mean of the even trials from the start of each, without physics
     python pushes.py bounds                     what is unknown, in MuJoCo: bounds.csv
     python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
     python pushes.py point                      push through one point against the limit surface: point.csv
@@ -208,6 +209,17 @@ def simulated(
     return Track(1e3 * states[:, 0, :3], turns, 1e3 * states[:, 1, :3])
 
 
+def mean_push(real: Track, times_s: FloatArray) -> Track:
+    """Return the mean of the even trials, from the start of another one."""
+    pushes = read_pushes()
+    even = [recorded(pushes.trials[trial], times_s) for trial in EVEN]
+    cube_mm, turn_deg, hand_mm = (
+        np.mean([getattr(one, name) for one in even], axis=0)
+        for name in ("cube_mm", "turn_deg", "hand_mm")
+    )
+    return Track(cube_mm - cube_mm[0] + real.cube_mm[0], turn_deg, hand_mm)
+
+
 def scored(
     engine: str,
     trials: Sequence[int],
@@ -220,7 +232,7 @@ def scored(
     """Return measures and errors of simulated trials, and the measures of the recorded ones as `real_*`.
 
     Args:
-        engine: Name of the backend.
+        engine: Name of the backend, or `mean`.
         trials: Numbers of the trials.
         constants: Constants that replace those of the task.
         mode: Behaviour of the contact of hand and cube.
@@ -245,7 +257,10 @@ def scored(
         real = recorded(pushes.trials[trial], times_s)
         own, several = own_path(experiment, trial), []
         for copy in range(copies):
-            found = simulated(engine, shifted(own, copy, 1e-7 * (copy > 0)))
+            if engine == "mean":
+                found = mean_push(real, times_s)
+            else:
+                found = simulated(engine, shifted(own, copy, 1e-7 * (copy > 0)))
             error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
             errors = {"rmse_mm": error_mm, "push_rmse_mm": error_mm[pushing]}
             means = {

@@ -16,15 +16,8 @@ if TYPE_CHECKING:
 
     from gauge_envs.scene import Scene
 
-PASSIVE = ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2")
-SERVO = (
-    "dry_friction_n_m",
-    "armature_kg_m2",
-    "kp_n_m_per_rad",
-    "kv_n_m_s_per_rad",
-    "delay_s",
-)
-"""What is identified unless `fit` says otherwise; kv holds the viscous friction of a servo's joint."""
+SERVO = "dry_friction_n_m,armature_kg_m2,kp_n_m_per_rad,kv_n_m_s_per_rad,delay_s"
+"""What is identified of a servo unless `fit` says otherwise; kv holds the viscous friction of its joint."""
 
 
 def recipe_joint(
@@ -59,7 +52,7 @@ def recipe_joint(
         typer.Option(
             metavar="ID",
             rich_help_panel=arguments.SCENE,
-            help="Id, experiment file, MJCF or USD layer whose hinges are the joints, in place of a load.",
+            help="Id, experiment file, MJCF, URDF or USD layer whose hinges are the joints, in place of a load.",
         ),
     ] = None,
     engine: arguments.Backend = "mujoco",
@@ -80,8 +73,24 @@ def recipe_joint(
         typer.Option(
             metavar="NAME",
             rich_help_panel=arguments.SELECTION,
-            show_default=f"{','.join(PASSIVE)}; of a servo {','.join(SERVO)}",
+            show_default=f"of a servo {SERVO}; else the law that predicts best",
             help="What is identified.",
+        ),
+    ] = None,
+    known: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            rich_help_panel=arguments.SELECTION,
+            help="Number of all joints that a bench measured; --source says where.",
+        ),
+    ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TEXT",
+            rich_help_panel=arguments.SELECTION,
+            help="Where --known is from, which the lines to paste repeat.",
         ),
     ] = None,
     test: Annotated[
@@ -95,6 +104,9 @@ def recipe_joint(
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give friction, armature and gains of joints from logs, with 95 % intervals.
+
+    Without servos, laws of friction are compared: each file predicts the others. Several files give the interval of
+    the value that the next file would have.
 
     Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
 
@@ -110,7 +122,16 @@ def recipe_joint(
             note(
                 f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?"
             )
-    wanted = fit or (SERVO if read[0].command_rad is not None else PASSIVE)
+    given = arguments.parsed_settings(known) or {}
+    for name, value in given.items():
+        if not isinstance(value, int | float) or value < 0.0:
+            raise ParameterError(
+                f"--known {name}={value}: a number of 0 or more is needed"
+            )
+    if bool(given) != bool(source):
+        raise ParameterError(
+            "--known and --source go together: state where the bench value is from"
+        )
     load = {"mass_kg": mass_kg, "length_m": length_m, "inertia_kg_m2": inertia_kg_m2}
     with Progress("simulations", None) as bar:
         found = identify(
@@ -120,7 +141,8 @@ def recipe_joint(
                 **{name: value for name, value in load.items() if value is not None},
             ),
             read,
-            wanted,
+            fit,
+            known=given,
             held_out=tests,
             part_s=part_s,
             settings=arguments.parsed_settings(changes) or {},
@@ -129,6 +151,8 @@ def recipe_joint(
     print_document(identified_document(found), form)
     if form is not Format.JSON:
         echo(f"\npaste\n{found.lines}", nl=False)
+        for name, value in given.items():
+            echo(f"{name} = {value:g} is from {source}")
     for name in found.lost:
         note(
             f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?"
@@ -159,12 +183,11 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
             return load_experiment_file(path).scene
         if path.suffix in scene_suffixes():
             return read_usd(path, duration_s=1.0).scene
-        if path.suffix.lower() in (".xml", ".mjcf"):
+        if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             return read_mjcf(path)
         if path.suffix:
             raise ParameterError(
-                f"--scene {scene}: name an id, an experiment file (.toml), an MJCF (.xml), to which MuJoCo's compile "
-                "converts URDF, or a USD layer"
+                f"--scene {scene}: name an id, an experiment file (.toml), an MJCF (.xml), a URDF or a USD layer"
             )
         variant = find_variant(scene)
         # An experiment of recorded motions starts at the angles of one.

@@ -23,7 +23,7 @@ from scipy.signal import lfilter
 from scipy.special import expit
 from scipy.stats import t as student
 
-from gauge_envs.backends.base import Backend, scene_support
+from gauge_envs.backends.base import Backend, Feature, scene_support
 from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError
@@ -40,6 +40,7 @@ from gauge_envs.tools.identify.mujoco_joints import (
 )
 from gauge_envs.tools.identify.rig import (
     DYNAMICS,
+    LIMIT,
     SERVO,
     Machine,
     SceneJoints,
@@ -48,11 +49,12 @@ from gauge_envs.tools.identify.rig import (
     with_terms,
 )
 from gauge_envs.tools.identify.snippets import snippet_lines
+from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
 FIRST_STAGE_S = 15.0
-"""About how much of servos' logs stage 1 uses, evenly spread [s]: it seeks the neighbourhood alone."""
+"""About how much of the logs stage 1 uses, evenly spread [s]: it seeks the neighbourhood alone."""
 ZERO = "0 is in the interval"
 SCALE = "only ratios of torques are told: a weight or a known armature would tell their scale"
 NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
@@ -71,6 +73,26 @@ PLAUSIBLE = 2.0
 """Distance, over half of the interval, up to which a fit with what the scene states is tried."""
 AS_WELL, REFIT_STEPS = 1.01, 8
 """Error over that of the best fit up to which a fit with fewer numbers follows logs as well, and its most steps."""
+LAW_STEPS = 15
+"""Most steps of the fit of a law to one log, which starts from a fit to all of them."""
+AS_GOOD = 1.05
+"""Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
+FEWEST_FILES = 2
+"""Number of files whose spread is too uncertain to leave a number out."""
+ZERO_NEXT = "0 is in the interval of the next file"
+TRADE = 0.9
+"""Correlation from which two numbers are printed as a group."""
+QUADRATIC = DYNAMICS[3]
+LAWS = {
+    "dry": (DYNAMICS[0], DYNAMICS[2]),
+    "viscous": (DYNAMICS[1], DYNAMICS[2]),
+    "dry and viscous": DYNAMICS[:3],
+    "dry and quadratic": (DYNAMICS[0], DYNAMICS[2], QUADRATIC),
+    "dry, viscous and quadratic": DYNAMICS,
+}
+"""Names that are identified in each law of friction of a joint without a servo."""
+SERVO_NAMES = (DYNAMICS[0], DYNAMICS[2], *SERVO)
+"""What is identified of a servo unless names are given; kv holds the viscous friction of its joint."""
 ALIKE = 0.98
 """Correlation from which the data does not tell two parameters apart."""
 
@@ -86,7 +108,12 @@ class Setting:
         joint_name: Its name.
         name: Field of `JointDynamics` or `Servo`.
         value: Its value, in the unit of its name.
-        low, high: 95 % interval; not below 0.
+        low, high: 95 % interval of the least squares over all logs; not below 0.
+        std: Its standard error.
+        of_files: Values of fits to each log alone.
+        next_low, next_high: 95 % interval of the value of the next file; None without a second file.
+        between: Standard deviation between files, beyond the uncertainty of each.
+        is_known: Whether it was given.
         unknown: Why the data does not determine it, or "".
         pasted: Its value in the lines to paste, where undetermined numbers are as the scene states; None is left out.
     """
@@ -99,6 +126,27 @@ class Setting:
     high: float
     unknown: str = ""
     pasted: float | None = None
+    std: float = 0.0
+    of_files: tuple[float, ...] = ()
+    next_low: float | None = None
+    next_high: float | None = None
+    between: float | None = None
+    is_known: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Law:
+    """How well a law of friction follows logs, each fitted alone.
+
+    Attributes:
+        name: Name of the law.
+        fitted_rad: Root mean square error of the fits [rad], each from its fitted start.
+        held_out_rad: That of predictions of the other logs, from their recorded starts [rad].
+    """
+
+    name: str
+    fitted_rad: float
+    held_out_rad: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,9 +160,14 @@ class Identified:
         names: Names of the joints.
         lines: Lines to paste.
         error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
-        held_out_rad: The same of logs that were not.
+        held_out_rad: The same of logs that were not, each from its recorded start.
         motion_rad: Standard deviation of the measured angles of each log [rad].
-        plain_rad: Errors of servos by plain laws without a model [rad], by log, shape [2, J]: angle is command; a lag.
+        plain_rad: Errors of plain laws without a model [rad], by log and law, shape [J] each; see `baselines`.
+        noise_rad: Noise of the sensor, from what is left of a fit [rad], shape [J].
+        patterns: What is left of each fitted log looks like: words by joint.
+        trades: Sentences about numbers that the logs hardly tell apart.
+        laws: Laws of friction that were compared, the chosen one first.
+        files: Number of logs that were fitted.
         is_replayed: Whether the errors are those of the pasted lines in plain MuJoCo, each log from its recorded start.
         simulations: Number of simulated parts of logs.
     """
@@ -127,7 +180,12 @@ class Identified:
     lines: str = ""
     held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     motion_rad: Mapping[str, FloatArray] = field(default_factory=dict)
-    plain_rad: Mapping[str, FloatArray] = field(default_factory=dict)
+    plain_rad: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
+    noise_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
+    patterns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    trades: tuple[str, ...] = ()
+    laws: tuple[Law, ...] = ()
+    files: int = 1
     is_replayed: bool = False
     simulations: int = 0
 
@@ -426,8 +484,9 @@ def identify(
     engine: Backend,
     scene: Scene | MjSpec,
     logs: Sequence[Log],
-    names: Sequence[str],
+    names: Sequence[str] | None = None,
     *,
+    known: Mapping[str, float] | None = None,
     held_out: Sequence[Log] = (),
     part_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -440,7 +499,8 @@ def identify(
         scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order. Or an
             MJCF model, whose joints have the names of the logs'; joints that no log names keep their pose.
         logs: Logs to fit.
-        names: Numbers to identify, fields of `JointDynamics` and `Servo`.
+        names: Numbers to identify, fields of `JointDynamics` and `Servo`; None compares the laws of friction.
+        known: Numbers of all joints that are not identified, as from a bench.
         held_out: Logs that are only predicted, with the identified numbers.
         part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
         settings: Numerical settings of the engine.
@@ -452,36 +512,39 @@ def identify(
         DivergedError: The engine diverges with the best settings, or close to them.
     """
     servo = logs[0].command_rad is not None
+    known = known or {}
+    laws_names: dict[str, list[str]] = {}
+    if names is None and not servo:
+        laws_names = {
+            law: [*(one for one in terms if one not in known), *known]
+            for law, terms in LAWS.items()
+            if QUADRATIC not in terms or Feature.QUADRATIC_FRICTION in engine.features
+        }
+    names = names or (SERVO_NAMES if servo else list(laws_names.values())[-1])
+    names = [*(one for one in names if one not in known), *known]
     _check_request(scene, [*logs, *held_out], names)
     machine = _machine(engine, scene, logs[0], names, settings or {})
-    terms = guessed(machine, names)
-    sizes = np.array([[one[name] for one in terms] for name in names])
-    count = len(terms)
-    problem = partial(
-        _Problem,
-        machine,
-        names=tuple(names),
-        sizes=sizes,
-        zero=count == 1 and not servo,
-        fixed=np.full(sizes.shape, np.nan),
-    )
-    first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
-    long_s = part_s or long_s
-    short, long = _stages(problem, logs, first_s, long_s)
-    unknowns = short.best_start()
-    progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-    unknowns, _ = short.solved(unknowns, NEAR, SHORT_STEPS if servo else None)
-    progress(f"{len(long.parts)} long parts")
-    if long.free_starts:
-        unknowns = np.concatenate(
-            [unknowns, np.zeros(2 * len(long.parts) * len(terms))]
-        )
-    unknowns, covariance = long.solved(unknowns, SERVO_CLOSE if servo else CLOSE)
-    found = _settings(long, unknowns, covariance)
+    fitted = partial(_fitted, machine, part_s=part_s, known=known)
+    laws: tuple[Law, ...] = ()
+    # Where laws are compared, the first fit only starts the others.
+    close = NEAR if laws_names else None
+    fit = fitted(logs, names, close=close, progress=progress)
+    alone: list[_Fit] = []
+    if laws_names:
+        laws, alone = _compared(fitted, logs, laws_names, fit, progress)
+        fit = fitted(logs, laws_names[laws[0].name], first=fit, progress=progress)
+    elif len(logs) > 1:
+        progress("each log alone")
+        alone = [fitted([log], names, first=fit) for log in logs]
+    if len(logs) == 1:
+        alone = []
+    long, unknowns = fit.problem, fit.unknowns
+    count = long.joints
+    found = _between_files(_settings(long, unknowns, fit.covariance), alone)
     joint_words = joint_names(logs[0], count)
     if isinstance(machine, ModelJoints):
         joint_words = machine.joints
-    left_out: list[dict[str, str]] = [{} for _ in terms]
+    left_out: list[dict[str, str]] = [{} for _ in range(count)]
     if servo:
         left_out, unknowns = _without_open(long, found, unknowns, progress)
     values = [
@@ -497,14 +560,16 @@ def identify(
     lines = snippet_lines(
         engine.name, joint_words, values, left_out, marked, machine.timestep_s
     )
-    if isinstance(machine, ModelJoints) and servo:
+    is_replayed = isinstance(machine, ModelJoints) and servo
+    if isinstance(machine, ModelJoints) and is_replayed:
         error_rad = machine.replayed(lines, logs)
         held_out_rad = machine.replayed(lines, held_out)
     else:
         error_rad = _errors(long, unknowns)
-        held_out_rad = (
-            _held_out(problem, held_out, long_s, long, unknowns) if held_out else {}
-        )
+        predicted = replace(fit, unknowns=unknowns).predicted
+        held_out_rad = {
+            log.name: np.sqrt((predicted(log) ** 2).mean(axis=0)) for log in held_out
+        }
     return Identified(
         engine=engine.name,
         settings=tuple(
@@ -525,10 +590,224 @@ def identify(
         motion_rad={
             log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)
         },
-        plain_rad=baselines(logs, held_out) if servo else {},
-        is_replayed=isinstance(machine, ModelJoints) and servo,
-        simulations=short.simulations + long.simulations,
+        plain_rad=baselines(logs, held_out),
+        noise_rad=_noise_rad(long, unknowns),
+        patterns=_patterns(long, unknowns),
+        trades=_trades(long, fit.covariance, joint_words),
+        laws=laws,
+        files=len(logs),
+        is_replayed=is_replayed,
+        simulations=fit.simulations,
     )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Least squares of logs: the problem of stage 2, its unknowns and their covariance."""
+
+    problem: _Problem
+    unknowns: FloatArray
+    covariance: FloatArray
+    simulations: int = 0
+
+    def predicted(self, log: Log) -> FloatArray:
+        """Return simulated less measured angles of a log from its recorded start [rad], shape [N, J]."""
+        terms, zero, _ = self.problem.unknowns(self.unknowns)
+        angles, rates = log.start()
+        try:
+            simulated = self.problem.machine.angles(log, terms, (angles - zero, rates))
+        except DivergedError:
+            return np.full(log.position_rad.shape, LOST_RAD)
+        return zero + simulated - log.position_rad
+
+
+def _fitted(
+    machine: Machine,
+    logs: Sequence[Log],
+    names: Sequence[str],
+    *,
+    part_s: float | None,
+    known: Mapping[str, float],
+    first: _Fit | None = None,
+    close: float | None = None,
+    steps: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> _Fit:
+    """Fit numbers to logs, in two stages, or in the second alone from another fit; known numbers stay."""
+    servo = logs[0].command_rad is not None
+    terms = guessed(machine, names)
+    sizes = np.array([[one[name] for one in terms] for name in names])
+    fixed = np.full(sizes.shape, np.nan)
+    for name, value in known.items():
+        fixed[names.index(name)] = value
+    problem = partial(
+        _Problem,
+        machine,
+        names=tuple(names),
+        sizes=sizes,
+        zero=len(terms) == 1 and not servo,
+        fixed=fixed,
+    )
+    first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
+    short, long = _stages(problem, logs, first_s, part_s or long_s)
+    if first is None:
+        progress(f"{len(short.parts)} short parts of {len(logs)} logs")
+        unknowns, _ = short.solved(
+            short.best_start(), NEAR, SHORT_STEPS if servo else None
+        )
+    else:
+        before = first.problem
+        rows = dict(zip(before.names, _rows_of(first), strict=False))
+        guess = [rows.get(name, np.ones(long.joints)) for name in names]
+        if long.zero:
+            guess.append(_rows_of(first)[-1])
+        unknowns = np.concatenate(guess)
+    progress(f"{len(long.parts)} long parts")
+    if long.free_starts:
+        starts = np.zeros(2 * len(long.parts) * len(terms))
+        unknowns = np.concatenate([unknowns, starts])
+    close = close or (SERVO_CLOSE if servo else CLOSE)
+    unknowns, covariance = long.solved(unknowns, close, steps)
+    return _Fit(long, unknowns, covariance, short.simulations + long.simulations)
+
+
+def _rows_of(fit: _Fit) -> FloatArray:
+    """Return the unknowns of joints, shape [kind_count, J]."""
+    problem = fit.problem
+    return fit.unknowns[: problem.kinds * problem.joints].reshape(
+        problem.kinds, problem.joints
+    )
+
+
+def _compared(
+    fitted: Callable[..., _Fit],
+    logs: Sequence[Log],
+    laws: Mapping[str, Sequence[str]],
+    fit: _Fit,
+    progress: Callable[[str], None],
+) -> tuple[tuple[Law, ...], list[_Fit]]:
+    """Fit each law to each log alone, and predict the others from their recorded starts.
+
+    Of one log, the halves stand for logs.
+
+    Returns:
+        The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
+        predicts best, and predict worse by at most 5 % or a standard error of the mean logarithm of their ratio (after
+        Breiman et al., Classification and Regression Trees, 1984).
+    """
+    parts = list(logs)
+    if len(parts) == 1:
+        parts = list(logs[0].pieces(0.5 * logs[0].duration_s + 1e-9))
+    compared: dict[str, tuple[Law, list[_Fit], FloatArray]] = {}
+    for name, names in laws.items():
+        progress(f"law {name}")
+        alone = [fitted([log], names, first=fit, steps=LAW_STEPS) for log in parts]
+        left = [one.problem.residuals(one.unknowns) for one in alone]
+        missed = np.array(
+            [
+                np.sqrt((one.predicted(log) ** 2).mean())
+                for fitted_to, one in zip(parts, alone, strict=True)
+                for log in parts
+                if log is not fitted_to
+            ]
+        )
+        law = Law(
+            name=name,
+            fitted_rad=float(np.sqrt(np.mean([(one**2).mean() for one in left]))),
+            held_out_rad=float(np.sqrt((missed**2).mean())),
+        )
+        compared[name] = law, alone, missed
+
+    def terms(law: str) -> tuple[int, float]:
+        return len(laws[law]), compared[law][0].held_out_rad
+
+    chosen = best = min(compared, key=lambda law: compared[law][0].held_out_rad)
+    for name in sorted(compared, key=terms):
+        ratio = np.log(compared[name][2] / compared[best][2])
+        standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
+        is_close = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
+        fits_rad = compared[name][0].fitted_rad, compared[best][0].fitted_rad
+        if name == best or (is_close and fits_rad[0] <= AS_GOOD * fits_rad[1]):
+            chosen = name
+            break
+    others = sorted(
+        (law for name, (law, *_) in compared.items() if name != chosen),
+        key=lambda law: law.held_out_rad,
+    )
+    return (compared[chosen][0], *others), compared[chosen][1]
+
+
+def _between_files(
+    settings: Sequence[Setting], alone: Sequence[_Fit]
+) -> tuple[Setting, ...]:
+    """Return settings with the spread of the fits to single logs; those whose next value may be 0 are undetermined."""
+    if not alone:
+        return tuple(settings)
+    files = [_settings(one.problem, one.unknowns, one.covariance) for one in alone]
+    found = []
+    for row, one in enumerate(settings):
+        values = np.array([file[row].value for file in files])
+        stds = np.array([file[row].std for file in files])
+        if one.is_known or not np.isfinite(stds).all():
+            found.append(one)
+            continue
+        spread = spread_of(values, stds)
+        unknown = one.unknown
+        is_open = spread.low == 0.0 and len(alone) > FEWEST_FILES
+        if not unknown and is_open and one.name != SERVO[2]:
+            unknown = ZERO_NEXT
+        found.append(
+            replace(
+                one,
+                of_files=tuple(values.tolist()),
+                next_low=spread.low,
+                next_high=spread.high,
+                between=spread.between,
+                unknown=unknown,
+            )
+        )
+    return tuple(found)
+
+
+def _noise_rad(problem: _Problem, unknowns: FloatArray) -> FloatArray:
+    """Return the sensor's noise of each joint, the median of the parts [rad], shape [J]."""
+    errors = problem.errors(unknowns)
+    return np.median(
+        [[sensor_noise_rad(column) for column in one.T] for one in errors], axis=0
+    )
+
+
+def _patterns(problem: _Problem, unknowns: FloatArray) -> dict[str, tuple[str, ...]]:
+    """Return what the residual of each log looks like, by joint; of several parts the first."""
+    found: dict[str, tuple[str, ...]] = {}
+    for errors, part in zip(problem.errors(unknowns), problem.parts, strict=True):
+        looks = tuple(
+            pattern(part.times_s, angles, column)
+            for angles, column in zip(
+                (part.position_rad + errors).T, errors.T, strict=True
+            )
+        )
+        found.setdefault(part.name.split(", part ")[0], looks)
+    return found
+
+
+def _trades(
+    problem: _Problem, covariance: FloatArray, joints: Sequence[str]
+) -> tuple[str, ...]:
+    """Return which numbers of a joint the logs hardly tell apart: a sentence for each pair."""
+    found = []
+    for joint, word in enumerate(joints):
+        columns = [kind * problem.joints + joint for kind in range(len(problem.names))]
+        block = covariance[np.ix_(columns, columns)]
+        sizes = np.sqrt(np.diag(block))
+        alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
+        for first, second in zip(*np.triu_indices(len(columns), 1), strict=True):
+            if abs(alike[first, second]) > TRADE:
+                pair = f"{problem.names[first]} and {problem.names[second]}"
+                found.append(
+                    f"{word}: {pair} trade, correlation {alike[first, second]:.2f}"
+                )
+    return tuple(found)
 
 
 def _check_request(
@@ -549,8 +828,11 @@ def _check_request(
                 f"{log.name}: all logs must state commands of servos, or none"
             )
     for name in names:
-        if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
-            known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
+        of_servos = (*SERVO[:2], LIMIT)
+        if name not in (*DYNAMICS, *SERVO, LIMIT) or (name in of_servos and not servo):
+            known = ", ".join(
+                (*DYNAMICS, *SERVO, LIMIT) if servo else (*DYNAMICS, "delay_s")
+            )
             raise ParameterError(f"{name}: no number of such a joint; known: {known}")
 
 
@@ -575,7 +857,7 @@ def _stages(
             for part in log.pieces(longest_s)
             if len(part.times_s) >= 10
         ]
-        if servo and longest_s == first_s:
+        if longest_s == first_s:
             every = len(parts) * first_s / FIRST_STAGE_S
             parts = parts[:: max(1, round(every))]
         stages.append(
@@ -709,9 +991,11 @@ def guessed(machine: Machine, names: Sequence[str]) -> list[dict[str, float]]:
         "dry_friction_n_m": 0.01 * weight,
         "viscous_friction_n_m_s_per_rad": 0.02 * weight / rate,
         "armature_kg_m2": 0.1 * inertia,
+        QUADRATIC: 0.02 * weight / rate**2,
         "kp_n_m_per_rad": 10.0 * weight,
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
+        LIMIT: weight,
     }
     return [
         {name: known[name] or guesses[name] for name in names}
@@ -747,8 +1031,10 @@ def _settings(
             )
             if is_scale and unknown and kind in torques:
                 unknown = SCALE
-            if not np.isnan(problem.fixed[kind, joint]):
-                unknown = ""
+            is_known = not np.isnan(problem.fixed[kind, joint])
+            if is_known:
+                unknown, half = "", 0.0
+                value = problem.fixed[kind, joint] / problem.sizes[kind, joint]
             elif not unknown and half >= value:
                 unknown = ZERO
             size = problem.sizes[kind, joint]
@@ -761,6 +1047,8 @@ def _settings(
                     value=value * size,
                     low=low,
                     high=high,
+                    std=std[columns[kind]] * size,
+                    is_known=is_known,
                     unknown=unknown,
                 )
             )
@@ -776,37 +1064,3 @@ def _errors(problem: _Problem, unknowns: FloatArray) -> dict[str, FloatArray]:
         name: np.sqrt(np.concatenate(parts).mean(axis=0))
         for name, parts in squares.items()
     }
-
-
-def _held_out(
-    problem: Callable[..., _Problem],
-    logs: Sequence[Log],
-    longest_s: float,
-    fitted: _Problem,
-    unknowns: FloatArray,
-) -> dict[str, FloatArray]:
-    """Return the errors of other logs [rad], in parts of at most a length, as those that are fitted.
-
-    Each part has a start of its own, which is fitted where the joint has no servo.
-    """
-    of_joints = unknowns[: fitted.kinds * fitted.joints]
-    errors: dict[str, FloatArray] = {}
-    for log in logs:
-        parts = list(log.pieces(longest_s))
-        other = problem(
-            parts, [part.start() for part in parts], free_starts=fitted.free_starts
-        )
-        if not fitted.free_starts:
-            errors |= _errors(other, of_joints)
-            continue
-        starts = least_squares(
-            lambda starts, one=other: one.residuals(
-                np.concatenate([of_joints, starts])
-            ),
-            np.zeros(2 * len(parts) * fitted.joints),
-            diff_step=STEP,
-            x_scale=0.01,
-            xtol=1e-5,
-        ).x
-        errors |= _errors(other, np.concatenate([of_joints, starts]))
-    return errors

@@ -16,6 +16,7 @@ from gauge_envs.files import csv_text
 from gauge_envs.scene.geometry import FloatArray
 
 POSITION, COMMAND, TORQUE = "position_rad", "command_rad", "torque_n_m"
+RATE = "rate_rad_per_s"
 NAMES = "joints"
 """Array of an NPZ file with the names of its joints."""
 
@@ -31,6 +32,7 @@ class Log:
         command_rad: Commanded angles of position servos [rad], shape [N, J]; None without servos.
         torque_n_m: Torques of the motors [N m], shape [N, J]; None without torque motors.
         joints: Names of the joints; none where the log names none.
+        rate_rad_per_s: Measured rates [rad/s], shape [N, J]; None without them. The first ones start predictions.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Log:
     command_rad: FloatArray | None = None
     torque_n_m: FloatArray | None = None
     joints: tuple[str, ...] = ()
+    rate_rad_per_s: FloatArray | None = None
 
     @property
     def duration_s(self) -> float:
@@ -54,9 +57,9 @@ class Log:
         edges[-1] = len(self.times_s)
         for number, (first, last) in enumerate(pairwise(edges.tolist())):
             name = self.name if count == 1 else f"{self.name}, part {number + 1}"
-            command, torque = (
+            command, torque, rate = (
                 None if one is None else one[first:last]
-                for one in (self.command_rad, self.torque_n_m)
+                for one in (self.command_rad, self.torque_n_m, self.rate_rad_per_s)
             )
             yield Log(
                 name,
@@ -65,10 +68,16 @@ class Log:
                 command,
                 torque,
                 self.joints,
+                rate,
             )
 
     def start(self) -> tuple[FloatArray, FloatArray]:
-        """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each, of parabolas through 0.05 s."""
+        """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each.
+
+        They are the measured ones, or of parabolas through 0.05 s where no rates were measured.
+        """
+        if self.rate_rad_per_s is not None:
+            return self.position_rad[0], self.rate_rad_per_s[0]
         count = max(4, int(np.searchsorted(self.times_s, self.times_s[0] + 0.05)))
         times_s = self.times_s[:count] - self.times_s[0]
         rate, angle = np.polyfit(times_s, self.position_rad[:count], 2)[1:]
@@ -80,8 +89,8 @@ def read_log(path: Path) -> Log:
 
     A CSV file has a header with `time_s`, `position_rad` and one of `command_rad` and `torque_n_m`, or none of both for
     a joint that swings freely. Several joints have columns with a name behind a dot each, as `position_rad.elbow`. An
-    NPZ file has arrays of these names, shape [N] or [N, J], and may have names in `joints`, shape [J]. Other columns do
-    not matter to a joint with a motor.
+    NPZ file has arrays of these names, shape [N] or [N, J], and may have names in `joints`, shape [J]. Measured
+    rates are `rate_rad_per_s`. Other columns do not matter to a joint with a motor.
 
     Raises:
         AssetError: The file cannot be read, a column is missing, numbers are not finite, times do not ascend, or
@@ -95,12 +104,13 @@ def read_log(path: Path) -> Log:
         ) from None
     kinds = {name: name.split(".")[0] for name in named}
     motors = [kind for kind in (COMMAND, TORQUE) if kind in kinds.values()]
+    rates = [RATE] if RATE in kinds.values() else []
     joints = [
         name.removeprefix(POSITION) for name, kind in kinds.items() if kind == POSITION
     ] or [""]
     for name in (
         "time_s",
-        *(kind + joint for kind in (POSITION, *motors) for joint in joints),
+        *(kind + joint for kind in (POSITION, *motors, *rates) for joint in joints),
     ):
         if name not in named:
             raise AssetError(
@@ -119,14 +129,16 @@ def read_log(path: Path) -> Log:
         )
     if not motors and (
         strange := [
-            name for name, kind in kinds.items() if kind not in ("time_s", POSITION)
+            name
+            for name, kind in kinds.items()
+            if kind not in ("time_s", POSITION, RATE)
         ]
     ):
         free = f"without {COMMAND} of a servo or {TORQUE} of a motor, a joint swings freely"
         raise AssetError(path, strange[0], f"{free}: rename this column, or remove it")
     columns = {
         kind: np.hstack([named[kind + joint] for joint in joints])
-        for kind in (POSITION, *motors)
+        for kind in (POSITION, *motors, *rates)
     }
     _check(path, named["time_s"][:, 0], columns)
     names = _npz_names(path) or tuple(one.lstrip(".") for one in joints)
@@ -140,6 +152,7 @@ def read_log(path: Path) -> Log:
         columns.get(COMMAND),
         columns.get(TORQUE),
         names if all(names) else (),
+        columns.get(RATE),
     )
 
 

@@ -156,10 +156,14 @@ class ModelJoints:
             model.dof_frictionloss[dof] = numbers[DYNAMICS[0]]
             model.dof_damping[dof, ...] = numbers[DYNAMICS[1]]
             model.dof_armature[dof] = numbers[DYNAMICS[2]]
+            model.dof_dampingpoly[dof, 0] = numbers[DYNAMICS[3]]
             if self.has_servos:
                 kp, kv = numbers[SERVO[0]], numbers[SERVO[1]]
                 model.actuator_gainprm[motor, 0] = kp
                 model.actuator_biasprm[motor, 1:3] = -kp, -kv
+                if limit := given.get(LIMIT):
+                    model.actuator_forcelimited[motor] = True
+                    model.actuator_forcerange[motor] = -limit, limit
         # The softness of dry friction is in proportion to the inertia that a joint has at rest.
         mujoco.mj_setConst(model, data)
 
@@ -294,7 +298,7 @@ def _write(element: Any, name: str, text: str) -> None:
 
 
 def read_mjcf(path: Path) -> mujoco.MjSpec:
-    """Return the model of an MJCF file."""
+    """Return the model of an MJCF or a URDF file."""
     if not path.is_file():
         raise AssetError(path, "", "there is no such file")
     if refusal := child_refusal(PROBE, str(path)):
@@ -474,6 +478,7 @@ def _stated(model: mujoco.MjModel, name: str) -> dict[str, float]:
     numbers[DYNAMICS[0]] = float(model.dof_frictionloss[dof])
     numbers[DYNAMICS[1]] = float(np.ravel(model.dof_damping[dof])[0])
     numbers[DYNAMICS[2]] = float(model.dof_armature[dof])
+    numbers[DYNAMICS[3]] = float(model.dof_dampingpoly[dof, 0])
     for motor in range(model.nu):
         is_of_joint = model.actuator_trntype[motor] == JOINT
         if not is_of_joint or model.actuator_trnid[motor, 0] != joint.id:

@@ -246,7 +246,9 @@ def with_terms(
             hinge.dynamics, **{name: given[name] for name in DYNAMICS if name in given}
         )
         motor, profile = hinge.motor, partial(_profile, log, place)
-        gains: dict[str, Any] = {name: given[name] for name in SERVO if name in given}
+        gains: dict[str, Any] = {
+            name: given[name] for name in (*SERVO, LIMIT) if name in given
+        }
         if log.command_rad is not None:
             command = profile(log.command_rad, float(start_rad[place]), stays=True)
             if isinstance(motor, Servo):

@@ -9,82 +9,136 @@ from gauge_envs.tools.identify.fit import Identified
 KV_NOTE = "kv belongs to this engine and step: one that is implicit in the angle damps by kp times the step besides."
 
 REPLAY_NOTE = "rms error is that of the lines below in plain MuJoCo, each log as a whole from its recorded start."
-PLAIN_NOTE = "Without a model: angle = command; lag has five numbers: gain, offset, delay, time constant, play."
+START_NOTE = "rms error of a fitted log is from its fitted start, of a held out one from its recorded start."
+PLAIN_NOTES = {
+    "lag": "Without a model: angle = command; lag has five numbers: gain, offset, delay, time constant, play.",
+    "cosine": "Without a model: a decaying cosine of three numbers: angle at rest, decay, frequency.",
+}
+ONE_FILE = "One file says nothing about the next: fit several to see how far values differ between files."
+NEXT_NOTE = "next file: 95 % interval of what another would give; each of {files} files has a random effect (REML)."
+FIT_NOTE = "fit low and high are the 95 % interval of the least squares over all files, as if one law held for all."
+LAW_NOTE = "Each {part} was fitted alone. other files: predictions of the others, from their recorded starts."
 
 
-def _plain(found: Identified, log: str, joint: int) -> dict[str, float]:
-    """Return errors of the plain laws [mrad]."""
-    if log not in found.plain_rad:
-        return {}
-    command, lag = 1e3 * found.plain_rad[log][:, joint]
-    return {"command": float(command), "lag": float(lag)}
+def _number(key: str, title: str, absent: str = "") -> Column:
+    return Column(
+        key,
+        title,
+        lambda value: absent if value is None else f"{value:.4g}",
+        is_number=True,
+    )
 
 
 def identified_document(found: Identified) -> Document:
-    """Return the numbers with intervals, and the errors of the logs."""
+    """Return the numbers with intervals, the laws that were compared, and the errors of the logs."""
+    numbers, laws, errors = _numbers(found), _laws(found), _errors(found)
+    return Document(
+        parts=(*([laws] if found.laws else []), numbers, errors),
+        rows=[
+            {
+                "engine": found.engine,
+                "files": found.files,
+                "laws": laws.rows,
+                "settings": numbers.rows,
+                "trades": found.trades,
+                "errors": errors.rows,
+            }
+        ],
+    )
 
-    def number(key: str, title: str, absent: str = "") -> Column:
-        return Column(
-            key,
-            title,
-            lambda value: absent if value is None else f"{value:.4g}",
-            is_number=True,
-        )
 
+def _numbers(found: Identified) -> Table:
     has_kv = any(one.name == "kv_n_m_s_per_rad" for one in found.settings)
-    numbers = Table(
+    several = found.files > 1
+    return Table(
         columns=(
             Column("joint_name", f"{found.engine}: joint"),
             Column("name", "setting"),
-            number("value", "value"),
-            number("low", "low"),
-            number("high", "high"),
-            number("pasted", "pasted", "left out"),
+            _number("value", "value"),
+            *(
+                [_number("next_low", "next file low"), _number("next_high", "high")]
+                if several
+                else []
+            ),
+            _number("low", "fit low"),
+            _number("high", "high"),
+            _number("pasted", "pasted", "left out"),
             Column("unknown", "not determined"),
         ),
         rows=[asdict(one) for one in found.settings],
         notes=(
-            "low and high are the ends of the 95 % interval. What has no pasted value stays as the scene states it.",
+            NEXT_NOTE.format(files=found.files) if several else ONE_FILE,
+            f"{FIT_NOTE} What has no pasted value stays as the scene states it.",
+            *found.trades,
             *([KV_NOTE] if has_kv else []),
             "",
         ),
     )
+
+
+def _laws(found: Identified) -> Table:
+    return Table(
+        columns=(
+            Column("name", f"{found.engine}: law of friction"),
+            _number("fitted", "fitted [mrad]"),
+            _number("held_out", "other files [mrad]"),
+        ),
+        rows=[
+            {
+                "name": one.name,
+                "fitted": 1e3 * one.fitted_rad,
+                "held_out": 1e3 * one.held_out_rad,
+            }
+            for one in found.laws
+        ],
+        notes=(
+            LAW_NOTE.format(part="file" if found.files > 1 else "half of the log"),
+            "The first is used: the fewest terms of those that predict as well as any, within a standard error.",
+            "",
+        ),
+    )
+
+
+def _errors(found: Identified) -> Table:
+    plain = list(
+        dict.fromkeys(name for one in found.plain_rad.values() for name in one)
+    )
+    titles = {"command": "angle = command"}
     rows = [
         {
-            "log": name,
+            "log": log,
             "used": used,
             "joint": joint,
             "joint_name": found.names[joint],
             "error": 1e3 * float(error),
-            **_plain(found, name, joint),
+            **{name: 1e3 * float(found.plain_rad[log][name][joint]) for name in plain},
             "motion": 1e3 * float(motion),
+            "noise": 1e3 * float(found.noise_rad[joint]),
+            "pattern": found.patterns[log][joint] if log in found.patterns else "",
         }
         for used, errors in (
             ("fitted", found.error_rad),
             ("held out", found.held_out_rad),
         )
-        for name, values in errors.items()
+        for log, values in errors.items()
         for joint, (error, motion) in enumerate(
-            zip(values, found.motion_rad[name], strict=True)
+            zip(values, found.motion_rad[log], strict=True)
         )
     ]
-    errors = Table(
+    return Table(
         columns=(
             Column("log", "log"),
             Column("used", ""),
             Column("joint_name", "joint"),
-            number("error", "rms error [mrad]"),
-            *(
-                [number("command", "angle = command"), number("lag", "lag")]
-                if found.plain_rad
-                else []
-            ),
-            number("motion", "rms motion [mrad]"),
+            _number("error", "rms error [mrad]"),
+            *(_number(name, titles.get(name, name)) for name in plain),
+            _number("motion", "rms motion [mrad]"),
+            _number("noise", "sensor noise [mrad]"),
+            Column("pattern", "looks like"),
         ),
         rows=rows,
-        notes=((REPLAY_NOTE,) if found.is_replayed else ()) + ((PLAIN_NOTE,) if found.plain_rad else ()),
-    )  # fmt: skip
-    return Document(
-        parts=(numbers, errors),
-        rows=[{"engine": found.engine, "settings": numbers.rows, "errors": rows}],
+        notes=(
+            REPLAY_NOTE if found.is_replayed else START_NOTE,
+            *(PLAIN_NOTES[name] for name in plain if name in PLAIN_NOTES),
+        ),
     )

@@ -1,0 +1,142 @@
+"""Laws of friction of swings against closed forms, and what several files say about the next one."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from gauge_envs.backends import backend
+from gauge_envs.tools.identify import Log, identify, one_joint
+from gauge_envs.tools.identify.fit import DYNAMICS, QUADRATIC, _machine
+from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
+
+DRY, VISCOUS, ARMATURE = DYNAMICS[:3]
+MASS_KG, LENGTH_M, INERTIA_KG_M2, G = 0.15, 0.15, 1e-4, 9.80665
+ABOUT_JOINT = INERTIA_KG_M2 + MASS_KG * LENGTH_M**2
+WEIGHT_N_M = MASS_KG * G * LENGTH_M
+NOISE_RAD = 2e-4
+
+
+def tops_rad(angles_rad):
+    """Amplitudes of the half swings: parabolas through the extremes."""
+    middle = np.abs(angles_rad)
+    at = np.flatnonzero((middle[1:-1] > middle[:-2]) & (middle[1:-1] >= middle[2:])) + 1
+    before, top, after = middle[at - 1], middle[at], middle[at + 1]
+    return top - (after - before) ** 2 / (8.0 * (after - 2.0 * top + before))
+
+
+def released(terms):
+    """Angles of a pendulum in plain MuJoCo, from 0.2 rad at rest, at 1 kHz for 4 s [rad]."""
+    times_s = np.arange(0.0, 4.0, 0.001)
+    log = Log("", times_s, np.full((times_s.size, 1), 0.2))
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    machine = _machine(backend("mujoco"), scene, log, list(terms), {})
+    start = np.array([0.2]), np.zeros(1)
+    return machine.angles(log, [terms], start)[:, 0]
+
+
+def test_dry_friction_takes_the_same_from_each_half_swing():
+    """Of small swings the amplitude falls by 2 dry / weight in each half."""
+    dry = 4e-4
+    falls = -np.diff(tops_rad(released({DRY: dry})))
+    # The sine lessens the weight by A^2 / 8 at 0.2 rad.
+    assert falls == pytest.approx(2.0 * dry / WEIGHT_N_M, rel=0.02)
+
+
+def test_quadratic_friction_adds_the_same_to_each_inverse_amplitude():
+    """A half swing of I a'' = -w a - c a' |a'| loses the work 8/3 c w / I A^3 / 2: 1/A grows by 4 c / (3 I)."""
+    drag = 1e-4
+    grows = np.diff(1.0 / tops_rad(released({QUADRATIC: drag})))
+    assert grows == pytest.approx(4.0 * drag / (3.0 * ABOUT_JOINT), rel=0.02)
+
+
+def swing(name, seed, *, dry, drag, start_rad):
+    """A noisy log of the ODE by SciPy: dry and quadratic friction, measured from rest at an angle."""
+
+    def slopes(_, state):
+        angle, rate = state
+        friction = dry * np.tanh(rate / 1e-3) + drag * rate * abs(rate)
+        return [rate, -(WEIGHT_N_M * np.sin(angle) + friction) / ABOUT_JOINT]
+
+    times_s = np.arange(0.0, 5.0, 0.02)
+    found = solve_ivp(
+        slopes, (0.0, 5.0), [start_rad, 0.0], t_eval=times_s, rtol=1e-8, atol=1e-9, method="LSODA"
+    )  # fmt: skip
+    noise = NOISE_RAD * np.random.default_rng(seed).standard_normal(times_s.size)
+    rates = found.y[1][:, None]
+    return Log(name, times_s, (found.y[0] + noise)[:, None], rate_rad_per_s=rates)
+
+
+DRY_N_M, DRAG = 5e-4, 1.4e-5
+
+
+@pytest.fixture(scope="module")
+def found():
+    starts = {"one": 1.2, "two": 0.7, "three": 0.4}
+    logs = [
+        swing(name, seed, dry=DRY_N_M, drag=DRAG, start_rad=start)
+        for seed, (name, start) in enumerate(starts.items())
+    ]
+    other = swing("other", 9, dry=DRY_N_M, drag=DRAG, start_rad=0.9)
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    return identify(backend("mujoco"), scene, logs, held_out=[other])
+
+
+@pytest.mark.slow
+def test_the_law_that_predicts_the_other_files_is_chosen(found):
+    best, *others = found.laws
+    assert best.name == "dry and quadratic"
+    assert best.fitted_rad == pytest.approx(NOISE_RAD, rel=0.3)
+    wrong = {one.name: one.held_out_rad for one in others}
+    assert wrong["viscous"] > 3.0 * best.held_out_rad
+    assert wrong["dry"] > 3.0 * best.held_out_rad
+    values = {one.name: one.value for one in found.settings}
+    assert values[DRY] == pytest.approx(DRY_N_M, rel=0.05)
+    assert values[QUADRATIC] == pytest.approx(DRAG, rel=0.05)
+    assert f'damping="0 {values[QUADRATIC]:.5g}"' in found.lines
+
+
+@pytest.mark.slow
+def test_another_swing_is_predicted_from_its_recorded_start(found):
+    assert found.held_out_rad["other"][0] < 10.0 * NOISE_RAD
+    assert found.plain_rad["other"]["cosine"][0] > 10.0 * found.held_out_rad["other"][0]
+    assert found.noise_rad[0] == pytest.approx(NOISE_RAD, rel=0.2)
+
+
+@pytest.mark.slow
+def test_the_value_of_another_file_is_in_the_interval_of_the_next(found):
+    """The files share their law here: the interval holds the truth, and is no narrower than that of one fit."""
+    for one in found.settings:
+        assert len(one.of_files) == 3
+        assert one.next_high - one.next_low > one.high - one.low
+    dry = next(one for one in found.settings if one.name == DRY)
+    assert dry.next_low < DRY_N_M < dry.next_high
+
+
+@pytest.mark.parametrize("files", [3, 6])
+@pytest.mark.parametrize("between", [0.0, 0.5, 3.0])
+def test_the_interval_of_the_next_file_holds_95_percent(files, between):
+    """Worlds with a known spread between files, and errors of each that differ."""
+    random, inside = np.random.default_rng(5), []
+    for _ in range(400):
+        stds = random.uniform(0.2, 1.0, files + 1)
+        values = 100.0 + between * random.standard_normal(files + 1)
+        values += stds * random.standard_normal(files + 1)
+        spread = spread_of(values[:-1], stds[:-1])
+        inside.append(spread.low <= values[-1] <= spread.high)
+    # A chance of 95 % has a standard error of 1.1 % in 400 worlds.
+    assert np.mean(inside) > 0.92
+
+
+def test_what_is_left_has_a_name():
+    times_s = np.arange(0.0, 5.0, 0.01)
+    angles = np.exp(-0.1 * times_s) * np.cos(6.0 * times_s)
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(times_s.size)
+    shapes = {
+        "offset": np.full_like(times_s, 2e-3),
+        "lag": 2e-3 * np.gradient(angles, times_s) / 6.0,
+        "drag": 2e-3 * angles * times_s,
+    }
+    for name, shape in shapes.items():
+        assert pattern(times_s, angles, shape + noise).startswith(name)
+        assert sensor_noise_rad(shape + noise) == pytest.approx(1e-4, rel=0.1)
+    assert pattern(times_s, angles, noise) == ""
