@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
+from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.transfer.ranges import (
     covering,
@@ -19,7 +20,7 @@ from gauge_envs.tools.transfer.ranges import (
 )
 
 HERE = Path(__file__).parent
-FACTS = HERE.parents[1] / "scoring" / "facts"
+FACTS = scoring_folder("facts")
 SLOPE_RAD, FRAME_S, DRAWS = math.radians(30.0), 1.0 / 30.0, 1000
 
 
@@ -96,6 +97,8 @@ def main() -> None:
         axis.set_title(name, loc="left", fontsize=8)
         axis.legend(fontsize=7, frameon=False)
         tidy_axis(axis)
+    for row in table:
+        print(*row, sep="  ")
     save_png(figure, HERE / "ranges.png")
     with (HERE / "ranges.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
