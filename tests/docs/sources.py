@@ -14,6 +14,7 @@ from numbers_of_pages import unit_of, values
 from places import ROOT
 
 from gauge_envs import variants
+from gauge_envs.tools.transfer import justified_ranges
 
 UNIT_FACTORS = {
     "%": 100.0,
@@ -54,7 +55,8 @@ def numbers_of(source):
 
     Args:
         source: A number of a law, or that a test reads from the page; `conformance ENGINE`, `score ID PARAMETERS`,
-            `change ID PARAMETERS PARAMETERS` of the aligned RMSE, `limit TASK`; a module, a class, or a file.
+            `change ID PARAMETERS PARAMETERS` of the aligned RMSE, `limit TASK`, `ranges ID`; a module, a class, or a
+            file.
     """
     if isinstance(source, float):
         return (source,)
@@ -72,6 +74,8 @@ def numbers_of(source):
         limit = env.limit
         floats = [one for one in vars(env).values() if isinstance(one, float)]
         return limit.value, limit.sigma, limit.sigma / limit.value, *floats
+    if kind == "ranges":
+        return tuple(numbers_in(justified_ranges(words[0]).ranges))
     if "/" in source:
         return values((ROOT / source).read_text(encoding="utf-8"))
     try:

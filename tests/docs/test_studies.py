@@ -32,12 +32,13 @@ COMMANDS = {
     "planted_faults": "planted_faults --only margin",
     "published_scores": "published_scores --backend mujoco --engine isaacsim --only SlopeSlider-2-wood",
     "pushes": "pushes slide",
+    "ranges": "ranges",
     "recipes": "hopping_plates",
     "robots": "makers",
     "scatter": "size_and_power NonsmoothContact-3-wood",
     "tosses": "cube_toss run mujoco out --every 100",
 }
-SLOW = {"control_steps", "coverage", "joints", "laws", "models", "scatter"}
+SLOW = {"control_steps", "coverage", "joints", "laws", "models", "ranges", "scatter"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():

@@ -335,7 +335,7 @@ def transfer_randomize(
         typer.Option(
             rich_help_panel=arguments.SCENE,
             show_default="none",
-            help="Smallest and largest mass that --body carries, as 0,0.5 [kg].",
+            help="Smallest and largest mass in kg that --body carries, as 0,0.5.",
         ),
     ] = None,
     body: Annotated[

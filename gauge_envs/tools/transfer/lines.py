@@ -39,6 +39,7 @@ class VerdictLine(TypedDict):
         kept: Share of the reward that is kept, mean over the other worlds.
         first_fall: Name of the first world in which the policies fall.
         left_out: Why worlds could not be run, by name.
+        repeats: First world with the same rewards to the last digit, by the name of each later one.
         verdict: The result in words.
     """
 
@@ -49,6 +50,7 @@ class VerdictLine(TypedDict):
     kept: Estimate
     first_fall: str | None
     left_out: Mapping[str, str]
+    repeats: Mapping[str, str]
     verdict: str
 
 

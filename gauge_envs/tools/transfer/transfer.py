@@ -76,10 +76,12 @@ class TransferReport:
         starts: Number of starts.
         training: The training's world, where `kept` is 1.
         others: The other worlds, in the order of their replays.
-        kept: Mean of `kept` over the other worlds, which count equally.
+        kept: Mean of `kept` over the other worlds; those that repeat another one count once.
         first_fall: The first world in which the policies fall: configurations before constants, small changes before
             large ones, and the worst of them; None if they fall nowhere.
         left_out: Reason for each world that could not be run, by its name.
+        repeats: First other world with the same rewards to the last digit, by the name of each later one: what the two
+            change does nothing to these policies, or the same.
     """
 
     task: str
@@ -90,6 +92,12 @@ class TransferReport:
     kept: Estimate
     first_fall: WorldTransfer | None
     left_out: Mapping[str, str]
+    repeats: Mapping[str, str]
+
+    @property
+    def distinct(self) -> tuple[WorldTransfer, ...]:
+        """The other worlds without those that repeat one before."""
+        return tuple(row for row in self.others if row.world.name not in self.repeats)
 
 
 def transfer_report(replays: Replays) -> TransferReport:
@@ -138,15 +146,40 @@ def transfer_report(replays: Replays) -> TransferReport:
         for number, world in enumerate(replays.worlds)
     ]
     others = tuple(rows[1:])
+    repeats = {
+        world.name: replays.worlds[first].name
+        for number, world in enumerate(replays.worlds)
+        if number > 0 and (first := _first_equal(rewards, number)) < number
+    }
+    counted = [
+        number
+        for number, row in enumerate(rows)
+        if number > 0 and row.world.name not in repeats
+    ]
     return TransferReport(
         task=replays.task,
         policies=replays.policies,
         starts=replays.starts,
         training=rows[0],
         others=others,
-        kept=estimate(float(shares[1:].mean()), deviations[1:].mean(axis=0)),
+        kept=estimate(float(shares[counted].mean()), deviations[counted].mean(axis=0)),
         first_fall=min((row for row in others if row.falls), key=_order, default=None),
         left_out=replays.left_out,
+        repeats=repeats,
+    )
+
+
+def _first_equal(rewards: NDArray[np.float64], number: int) -> int:
+    """Return the first world besides the training whose rewards are bit for bit those of a world.
+
+    Args:
+        rewards: Rewards, the training first, shape [worlds, policies, starts].
+        number: Number of the world, 1 or more.
+    """
+    return next(
+        first
+        for first in range(1, number + 1)
+        if np.array_equal(rewards[first], rewards[number])
     )
 
 

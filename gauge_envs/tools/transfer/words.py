@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -29,34 +30,58 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+SUCCESSES = ("held", "reached")
+"""Endings of episodes in which the task succeeded."""
+
+
 def transfer_verdict(report: TransferReport) -> str:
-    """Return the result in a few sentences."""
-    sentences = [f"Keeps {_percent(report.kept)} of the promised reward"]
-    fall = report.first_fall
+    """Return the result in a few sentences, first of the training: what it gets wrong, others cannot mend."""
+    sentences = [_training_note(report)]
+    kept = f"Keeps {_percent(report.kept)} of the promised reward"
+    fall, count = report.first_fall, len(report.distinct)
     if fall is None:
-        sentences[0] += (
-            f"; falls below {100 * FALL_SHARE:.0f} % of it in none of {len(report.others)} worlds."
-        )
+        kept += f"; falls below {100 * FALL_SHARE:.0f} % of it in none of {counted(count, 'world')}."
     else:
-        number = sum(row.falls for row in report.others)
-        sentences[0] += (
-            f"; first falls with {fall.world.name}, where it keeps {_percent(fall.kept)}."
-        )
-        sentences.append(f"It falls in {number} of {len(report.others)} worlds.")
-    trained = report.training
-    sentences.append(
-        f"In training it reached {trained.ratio:.2f} of what the law allows."
-    )
-    above = max((trained, *report.others), key=lambda row: row.largest_ratio)
+        kept += f"; first falls with {fall.world.name}, where it keeps {_percent(fall.kept)}."
+    if report.kept.value > 1.0 / FALL_SHARE:
+        kept += " More than all: the training promises too little."
+    sentences.append(kept)
+    if fall is not None:
+        number = sum(row.falls for row in report.distinct)
+        sentences.append(f"It falls in {number} of {counted(count, 'world')}.")
+    above = max((report.training, *report.others), key=lambda row: row.largest_ratio)
     if above.largest_ratio > 1.0:
         sentences.append(
             f"The largest ratio is {above.largest_ratio:.3f}, in {above.world.name}: above 1 the engine pays more than "
             "the law, or the task's stated tolerance is used."
         )
+    if report.repeats:
+        sentences.append(
+            f"{len(report.repeats)} of {counted(len(report.others), 'world')} repeat another's rewards to the last "
+            "digit and count once."
+        )
     sentences.append(_interval_note(report))
     if report.left_out:
         sentences.append(f"Worlds left out: {len(report.left_out)}.")
     return " ".join(sentences)
+
+
+def _training_note(report: TransferReport) -> str:
+    """Return what the policies reach where they were trained, and how they fail there."""
+    trained = report.training
+    failures = {
+        ending: number
+        for ending, number in trained.endings.items()
+        if ending not in SUCCESSES
+    }
+    if not failures:
+        return f"In training it reached {trained.ratio:.2f} of what the law allows."
+    total = sum(trained.endings.values())
+    endings = ", ".join(f"{number} {ending}" for ending, number in failures.items())
+    return (
+        f"The training itself fails at {trained.ratio:.2f} of what the law allows: {endings} of "
+        f"{counted(total, 'episode')}. Its reward is no promise of a success."
+    )
 
 
 def _interval_note(report: TransferReport) -> str:
@@ -107,7 +132,7 @@ def transfer_document(report: TransferReport) -> Document:
                 "world.source", "source of sigma", place=Place.BELOW, wide_only=True
             ),
         ),
-        rows=worlds,
+        rows=[_with_repeats(row, report) for row in (worlds[0], *report.distinct)],
     )
     whole = {
         "kind": "verdict",
@@ -119,10 +144,25 @@ def transfer_document(report: TransferReport) -> Document:
         if report.first_fall is None
         else report.first_fall.world.name,
         "left_out": report.left_out,
+        "repeats": report.repeats,
         "verdict": verdict,
     }
     parts = (table, Paragraph(""), Paragraph(verdict))
     return Document(parts=parts, rows=[*map(_world_row, worlds), whole])
+
+
+def _with_repeats(row: WorldTransfer, report: TransferReport) -> WorldTransfer:
+    """Return a row whose name has the worlds that repeat its rewards."""
+    same = [name for name, first in report.repeats.items() if first == row.world.name]
+    if not same:
+        return row
+    name = "; ".join([row.world.name, *_without_prefix(same, row.world.name)])
+    return dataclasses.replace(row, world=dataclasses.replace(row.world, name=name))
+
+
+def _without_prefix(names: Sequence[str], first: str) -> list[str]:
+    """Return names without the engine that they share with the first one."""
+    return [f"same {name.removeprefix(first).lstrip(', ')}" for name in names]
 
 
 def _world_row(row: WorldTransfer) -> dict[str, Any]:
@@ -317,7 +357,7 @@ COLUMNS = 3
 
 def draw_transfer(report: TransferReport) -> Figure:
     """Return the picture of kept rewards: a point with its interval for each world."""
-    rows = (report.training, *report.others)
+    rows = (report.training, *report.distinct)
     names = [
         "\n".join(wrap(row.world.name, LONG_NAME, break_on_hyphens=False))
         for row in rows

@@ -126,7 +126,7 @@ def test_a_policy_with_margin_keeps_everything():
     assert [row.kept.value for row in report.others] == pytest.approx([1.0], abs=0.003)
     assert report.first_fall is None
     assert report.kept.low <= report.kept.value <= report.kept.high
-    assert "falls below 90 % of it in none of 1 worlds" in transfer_verdict(report)
+    assert "falls below 90 % of it in none of 1 world" in transfer_verdict(report)
 
 
 class Slippery(BackendMuJoCo):
@@ -320,6 +320,47 @@ def test_without_a_promise_there_is_no_share():
         ParameterError, match="no world could be run besides the training"
     ):
         transfer_report(known({"train": [[2.0]]}))
+
+
+def written(rewards, endings):
+    """A report of one policy with one start in each world."""
+    limit = Limit(quantity="", unit="1", value=1.0, sigma=0.1, law="", sigma_source="")
+    worlds = [
+        ReplayWorld(name=f"w{number}", kind=WorldKind.TRAINING if number == 0 else WorldKind.CONSTANT, backend="mujoco")
+        for number in range(len(rewards))
+    ]  # fmt: skip
+    episodes = [
+        Replay(
+            policy="p", world=world.name, start=0, reward=reward, largest_reward=10.0,
+            report=LimitReport(limit=limit, reached=0.4, ending=ending, time_s=1.0),
+        )
+        for world, reward, ending in zip(worlds, rewards, endings, strict=True)
+    ]  # fmt: skip
+    return transfer_report(
+        Replays(task=TASK, policies=("p",), worlds=tuple(worlds), starts=1, episodes=tuple(episodes), left_out={})
+    )  # fmt: skip
+
+
+def test_the_headline_is_what_the_training_itself_gets_wrong():
+    slipped = written([1.0, 2.0, 1.5], [Ending.SLIPPED, Ending.HELD, Ending.HELD])
+    verdict = transfer_verdict(slipped)
+    assert verdict.startswith(
+        "The training itself fails at 0.40 of what the law allows: 1 slipped of 1 episode."
+    )
+    assert "More than all: the training promises too little." in verdict
+    held = transfer_verdict(written([1.0, 0.9], [Ending.HELD, Ending.HELD]))
+    assert held.startswith("In training it reached 0.40 of what the law allows.")
+
+
+def test_worlds_that_repeat_another_one_are_said_once():
+    report = written([1.0, 0.5, 0.5, 1.0, 0.5], [Ending.HELD] * 5)
+    assert report.repeats == {"w2": "w1", "w4": "w1"}
+    # 0.5 and 1.0, not three times 0.5.
+    assert report.kept.value == 0.75
+    assert "2 of 4 worlds repeat another's rewards" in transfer_verdict(report)
+    (table, *_) = transfer_document(report).parts
+    assert [row.world.name for row in table.rows] == ["w0", "w1; same w2; same w4", "w3"]  # fmt: skip
+    assert len(as_rows(transfer_document(report))) == 6
 
 
 def test_json_holds_a_line_for_each_world_and_the_verdict():
