@@ -41,6 +41,7 @@ FAMILIES = (
     "cloth",
     "air",
     "soft",
+    "worlds",
     "benchmark",
 )
 """Modules of the checks, in the order of the table. They are imported at the first use of a check."""
