@@ -41,6 +41,7 @@ FAMILIES = (
     "cloth",
     "air",
     "soft",
+    "touch",
     "worlds",
     "benchmark",
 )
