@@ -104,9 +104,10 @@ def _built(lab: Lab, scenes: tuple[Scene, ...], **how: Any) -> Worlds:
     return worlds_of(lab.backend, scenes, lab.settings, **how)
 
 
-def _course(worlds: Worlds, first: int, count: int, numbers: Array) -> Array:
+def _course(worlds: Worlds, first: int, count: int) -> Array:
     """Drive and advance some intervals; return states, shape [count, world_count, body_count, 13]."""
     rows = []
+    numbers = np.arange(WORLDS, dtype=np.intp)
     for interval in range(first, first + count):
         worlds.drive("plate", _motions(interval)[numbers], numbers)
         worlds.advance(SAMPLE_INTERVAL_S)
@@ -165,7 +166,7 @@ LABELS = [f"world {number}" for number in range(WORLDS)]
 def _worlds_single(lab: Lab) -> Measurement:
     with closing(_built(lab, SCENES)) as worlds:
         worlds.reset(0)
-        found = _course(worlds, 0, INTERVALS, np.arange(WORLDS))
+        found = _course(worlds, 0, INTERVALS)
     return _difference(found, _alone(lab), LABELS)
 
 
@@ -173,9 +174,9 @@ def _worlds_single(lab: Lab) -> Measurement:
 def _worlds_reset(lab: Lab) -> Measurement:
     with closing(_built(lab, SCENES)) as worlds:
         worlds.reset(0)
-        _course(worlds, 0, 30, np.arange(WORLDS))
+        _course(worlds, 0, 30)
         worlds.reset(0)
-        found = _course(worlds, 0, 30, np.arange(WORLDS))
+        found = _course(worlds, 0, 30)
     return _difference(found, _alone(lab)[:30], LABELS)
 
 
@@ -184,13 +185,13 @@ def _worlds_restart(lab: Lab) -> Measurement:
     before, after, number = 30, 20, 1
     with closing(_built(lab, SCENES, restart_alone=True)) as worlds:
         worlds.reset(0)
-        _course(worlds, 0, before, np.arange(WORLDS))
+        _course(worlds, 0, before)
         worlds.restart(number)
         rows = []
         for interval in range(after):
             motions = _motions(before + interval)
             motions[number] = _motions(interval)[number]
-            worlds.drive("plate", motions, np.arange(WORLDS))
+            worlds.drive("plate", motions, np.arange(WORLDS, dtype=np.intp))
             worlds.advance(SAMPLE_INTERVAL_S)
             rows.append(one_sign(np.array(worlds.body_states(list(NAMES)))))
     expected = np.array(_alone(lab)[before : before + after])
