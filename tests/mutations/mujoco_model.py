@@ -302,7 +302,7 @@ FAULTS = dict(
             "tether-centre",
             "string at the centre of mass",
             "tether-origin",
-            "at the centre of mass, not at the origin",
+            "acts at another point of the body",
             simulation=_model(_tether_centre),
         ),
         _own(
