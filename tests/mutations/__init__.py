@@ -17,6 +17,7 @@ from mutations import (
     reports,
     rigid_scenes,
     stepping,
+    worlds,
     wrenches,
 )
 from mutations.mutant import (
@@ -46,5 +47,6 @@ FAULTS = {
     **mujoco_model.FAULTS,
     **joint_scenes.FAULTS,
     **deformable_scenes.FAULTS,
+    **worlds.FAULTS,
 }
 """Faults by id: those of rigid scenes first, those of deformable scenes last."""

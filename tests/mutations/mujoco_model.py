@@ -7,7 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.scene import Box, ConvexUnion, Rope
+from gauge_envs.scene import Box, Compound, ConvexUnion, Rope
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
@@ -246,12 +246,65 @@ class _HeavySpin(Passed):
         super().advance(seconds)
 
 
+def _compound_centre(model, scene):
+    for one in _dynamic(scene, Compound):
+        model.body(one.name).ipos[0] += 0.01
+
+
+def _limit_forward(model, scene):
+    model.actuator_forcerange[:, 0] *= 100.0
+
+
+def _friction_across(model, scene):
+    model.pair_friction[:, 1] *= 0.8
+
+
+def _tether_centre(model, scene):
+    for site in range(model.nsite):
+        model.site_pos[site] += model.body_ipos[model.site_bodyid[site]]
+
+
 def _own(id, what, caught_by, says, **how):
     return fault(id, what, caught_by, says, engine="mujoco", **how)
 
 
 FAULTS = dict(
     (
+        _own(
+            "compound-inertia",
+            "inertia of a compound times 1.5",
+            "inertia-compound",
+            "1.5, 1.5 and 1.5 times",
+            simulation=_model(_inertia_times(Compound, 1.5)),
+        ),
+        _own(
+            "compound-centre",
+            "centre of a compound 10 mm off",
+            "centre-compound",
+            "its centre of mass should be",
+            simulation=_model(_compound_centre),
+        ),
+        _own(
+            "limit-forward",
+            "torque limit of a servo for positive torques alone",
+            "joint-limit-back",
+            "torques of one sign alone",
+            simulation=_model(_limit_forward),
+        ),
+        _own(
+            "friction-across",
+            "friction 20 % low along one axis of the contact",
+            "pucks-friction",
+            "a pyramid of friction",
+            simulation=_model(_friction_across),
+        ),
+        _own(
+            "tether-centre",
+            "string at the centre of mass",
+            "tether-origin",
+            "acts at another point of the body",
+            simulation=_model(_tether_centre),
+        ),
         _own(
             "box-inertia",
             "inertia of a box times 1.5",

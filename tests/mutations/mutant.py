@@ -94,6 +94,7 @@ class Fault:
         simulation: Wrapper of its simulation.
         settings: Numerical settings that are forced upon the backend.
         engine: The only backend that can have the fault; empty for any.
+        worlds: Function that builds worlds from a function that builds one, and the scenes; None for healthy batches.
     """
 
     what: str
@@ -103,6 +104,7 @@ class Fault:
     simulation: type[Passed] = Passed
     settings: Mapping[str, Any] = field(default_factory=dict)
     engine: str = ""
+    worlds: Callable[..., Any] | None = None
 
 
 class Mutant(Backend):
@@ -114,6 +116,8 @@ class Mutant(Backend):
     """
 
     name = "mutant"
+    worlds_mix_constants = True
+    worlds_restart_alone = True
 
     def __init__(self, backend, fault):
         self.features = backend.features  # a class variable of engines
@@ -135,6 +139,12 @@ class Mutant(Backend):
             self._fault.scene(scene), {**(settings or {}), **self._fault.settings}
         )
         return self._fault.simulation(inner, scene)
+
+    def build_worlds(self, scenes, settings=None):
+        """Build the faulty worlds, or one faulty simulation for each scene."""
+        if self._fault.worlds is None:
+            return super().build_worlds(scenes, settings)
+        return self._fault.worlds(lambda scene: self.build(scene, settings), scenes)
 
 
 FAILS_ITSELF = {

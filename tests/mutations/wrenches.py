@@ -119,8 +119,23 @@ class _RollingFriction(Passed):
         super().advance(seconds)
 
 
+class _IgnoredOnHinges(Passed):
+    """Ignores wrenches on bodies with a hinge."""
+
+    def apply_wrench(self, body, wrench):
+        if body not in self.scene.hung:
+            super().apply_wrench(body, wrench)
+
+
 FAULTS = dict(
     (
+        fault(
+            "wrench-hinged",
+            "wrench ignored on bodies with a hinge",
+            "wrench-hinged",
+            "ignored on bodies with a hinge",
+            simulation=_IgnoredOnHinges,
+        ),
         fault(
             "rolling-friction",
             "rolling friction of 0.01",

@@ -231,7 +231,7 @@ class SimulationRapier(_SceneWorld, Simulation):
         _advance(self._world, (self,), seconds, self._timestep_s)
 
     def state(self) -> Snapshot:
-        """Return a snapshot of the world, the motions of driven bodies and the commands of motors, with their origin."""
+        """Return a snapshot of the world, the motions of driven bodies and the commands, with their origin."""
         return self._origin.state(
             (self._world.snapshot(), dict(self.motions), list(self.commands))
         )

@@ -52,6 +52,7 @@ class Lab:
         settings: Numerical settings that replace its defaults.
 
     Attributes:
+        settings: Numerical settings that replace the defaults of the backend.
         settings_in_force: Settings of the simulation that was built last.
     """
 
@@ -60,7 +61,7 @@ class Lab:
     ) -> None:
         self.backend = backend
         self.settings_in_force: dict[str, Any] = {}
-        self._settings = settings
+        self.settings = settings
         self._kept: dict[
             Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]
         ] = {}
@@ -82,17 +83,17 @@ class Lab:
         if not support:
             raise DeclinedError(support.missing)
         try:
-            settings = {**(self._settings or {}), **changes} or None
+            settings = {**(self.settings or {}), **changes} or None
             simulation = self.backend.build(scene, settings)
             check_drive_interval(simulation.settings)
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
-            if self._settings and isinstance(error, UnsupportedSceneError):
+            if self.settings and isinstance(error, UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is no fault of the backend.
                 raise DeclinedError((str(error),)) from error
             if changes and isinstance(error, ParameterError):
                 raise DeclinedError((str(error),)) from error
-            if self._settings and isinstance(error, ParameterError):
+            if self.settings and isinstance(error, ParameterError):
                 raise RefusedSettingsError(str(error)) from error
             raise BuildError(
                 f"supports() was true, but build() raised {type(error).__name__}: {error}{raised_at(error)}"

@@ -41,6 +41,8 @@ FAMILIES = (
     "cloth",
     "air",
     "soft",
+    "touch",
+    "worlds",
     "benchmark",
 )
 """Modules of the checks, in the order of the table. They are imported at the first use of a check."""

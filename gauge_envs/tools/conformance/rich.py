@@ -435,12 +435,12 @@ def _carry_late(rollout: Rollout) -> Measurement:
 
 PLATE_M = (0.5, 0.3, 0.1)
 _turned = rollout_of(
-    "a driven block, turned by 40, -25 and 60 degrees, that turns by 1.5 rad about a leaning axis beside it and moves; "
+    "a driven block, turned by -70, 35 and 20 degrees, that turns by 1.5 rad about a leaning axis beside it and moves; "
     "no contacts",
     Scene(
         bodies=(
             driven_box(
-                "block", (0.3, -0.2, 1.0), PLATE_M, euler_deg=(40.0, -25.0, 60.0)
+                "block", (0.3, -0.2, 1.0), PLATE_M, euler_deg=(-70.0, 35.0, 20.0)
             ),
         ),
         drivers=(
@@ -686,11 +686,4 @@ OFF_CENTRE = ConvexUnion(
 def _tether_origin(rollout: Rollout) -> Measurement:
     distance = np.linalg.norm(rollout.position("block") - STRING_TOP_M, axis=1)
     worst = float(distance[np.abs(distance - STRING_M).argmax()])
-    centre_m, _ = body_mass_properties(rollout.scene.body("block"))
-    centre = rollout.position("block") + rollout.rotation("block").apply(centre_m)
-    apart = np.linalg.norm(centre - STRING_TOP_M, axis=1)
-    at_centre = np.ptp(apart[3:]) < 0.2 * np.ptp(distance)
-    hint = (
-        "the string pulls at the centre of mass, not at the origin" if at_centre else ""
-    )
-    return Measurement(measured=1e3 * worst, expected=1e3 * STRING_M, hint=hint)
+    return Measurement(measured=1e3 * worst, expected=1e3 * STRING_M)

@@ -1,7 +1,9 @@
 """Planted faults: each is caught by a check whose diagnosis names it, and every check can fail."""
 
 import pytest
-from mutations import FAULTS, Mutant, first_failure, is_of_the_fault
+from mutations import FAULTS, Fault, Mutant, Passed, first_failure, is_of_the_fault
+from mutations.generated import KINDS, generated, is_held_out
+from mutations.worlds import RAISES
 
 from gauge_envs.backends import backend
 from gauge_envs.tools.conformance import Status, checks, run_checks
@@ -73,13 +75,47 @@ swing-box                box-inertia           ratio about each body axis
 swing-union              centre-elsewhere      centre of mass does not follow
 swing-cylinder           cylinder-length       ratio about each body axis
 tether-length            no-joints             missing
+wrench-centre-compound   wrench-origin         the force acts at the body origin
+centre-union             centre-elsewhere      centre of mass should be
+new-arrays               buffer.states:stale:reused                  reused buffer
+cloth-new-arrays         buffer.nodes:stale:reused                   reused buffer
+settings-step            settings.timestep_s:scale:0.1               settings state
+two-at-once              Scene.gravity_m_per_s2:stale:last-built     share constants
+reset-command            reset.command:stale:all                     outlives reset
+restore-command          restore.command:stale:all                   the command of a motor
+glide-speed              engine.velocity:saturate:3                  a limit of speed
+glide-turn               engine.hinge_rate:scale:damped-0.05         damping
+volley-order             Contact.restitution:side:fixed-first-0.8    is first
+volley-fast              Contact.restitution:threshold:above-8m/s    depends on speed
+volley-late              Contact.restitution:threshold:after-2s      depends on time
+volley-momentum          RigidBody.mass_kg:kth:third-0.5              mass of a body
+crossed-edges            Contact.pair:frame:crossed-boxes            fall through each other
+pucks-friction           Contact.friction:side:fixed-first-0.8       is listed first
+pucks-straight           friction-across       furthest off its line
+carry-late               Contact.friction:threshold:after-1s         depends on time
+driven-turned-path       drive.spin:frame:body                       its orientation by
+driven-turned-rate       report.spin:frame:body                      in the body frame
+swarm-momentum           Contact.pair:drop:all                       did not meet
+swarm-turn               box-inertia           an inertia that does not follow
+swarm-energy             gains-energy          makes energy
+cloth-rests-on           Contact.pair:side:deformable-Cloth-dynamic  falls through the free
+foam-rests-on            Contact.pair:side:deformable-SoftBody-fixed falls through the fixed
+rope-rests-on            Contact.pair:side:deformable-Rope-kinematic falls through the driven
+rod-rests-on             Contact.pair:side:deformable-Rod-fixed      falls through the fixed
+cloth-carry-slip         Contact.friction:side:driven-0.5            carried as if
 """
-"""Further checks that see a fault: check, fault, and words of the diagnosis."""
+"""Further checks that see a fault: check, fault (of the table, or a generated one), and words of the diagnosis."""
+ALL = FAULTS | {name: one.fault for name, one in generated().items()}
 CASES = (
     *((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()),
     *(row.split(maxsplit=2) for row in ALSO.strip().splitlines()),
 )
-SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft", "foam-tension")
+SLOW = (
+    "restore-benchmark-rigid",
+    "restore-benchmark-soft",
+    "foam-tension",
+    "foam-rests-on",
+)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +130,7 @@ SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft", "foam-tension")
     ],
 )
 def test_a_check_names_the_fault_of_a_mutant(check, name, says):
-    mutant = Mutant(MUJOCO, FAULTS[name])
+    mutant = Mutant(MUJOCO, ALL[name])
     (result,) = run_checks(mutant, only=[check])
     assert result.status is Status.FAIL
     assert is_of_the_fault(mutant, result)
@@ -103,6 +139,48 @@ def test_a_check_names_the_fault_of_a_mutant(check, name, says):
 
 def test_every_check_can_fail():
     assert {check for check, _, _ in CASES} == {check.id for check in checks()}
+
+
+def test_batches_that_raise_are_an_error():
+    results = run_checks(Mutant(MUJOCO, RAISES), only=["worlds-*"])
+    assert {one.status for one in results} == {Status.ERROR}
+
+
+class OtherSign(Passed):
+    """Reports each quaternion with the other sign at every second reading, which is the same rotation."""
+
+    count = 0
+
+    def body_states(self, names):
+        states = super().body_states(names)
+        self.count += 1
+        states[:, 3:7] *= (-1.0) ** self.count
+        return states
+
+
+def test_the_sign_of_a_quaternion_is_no_fault():
+    healthy = Mutant(
+        MUJOCO, Fault(what="", caught_by="", says="", simulation=OtherSign)
+    )
+    rigid = [
+        "order-of-names",
+        "start-*",
+        "reset-*",
+        "determinism",
+        "restore",
+        "copy",
+        "two-at-once",
+        "worlds-single",
+    ]
+    assert {one.status for one in run_checks(healthy, only=rigid)} == {Status.PASS}
+
+
+def test_faults_are_generated_from_each_kind_and_half_of_the_classes_are_held_out():
+    faults = generated().values()
+    classes = {(one.quantity, one.kind) for one in faults}
+    assert {kind for _, kind in classes} == set(KINDS)
+    assert 0.45 < sum(is_held_out(*one) for one in classes) / len(classes) < 0.55
+    assert len(faults) > 2000
 
 
 def test_mutants_without_a_fault_pass():
