@@ -36,6 +36,7 @@ OTHER_WORDS = {
     "eval": "run",
     "evaluate": "run",
     "test": "run",
+    "versions": "backend versions",
     "schema": "show COMMAND --schema, or gauge list schemas",
 }
 """Commands by the words that other tools have for them."""
