@@ -41,6 +41,7 @@ ELSEWHERE = {
     "transfer": "tools/transfer/test_transfer.py",
     "transfer settings": "tools/transfer/test_settings_replay.py",
     "transfer envelope": "tools/transfer/test_envelope.py",
+    "backend versions": "tools/versions/test_versions.py",
     "data import": "tools/dataset/test_dataset_damage.py",
     "video score": "tools/video/test_video_score.py",
     "leaderboard check": "tools/leaderboard/test_cli_leaderboard.py",
