@@ -37,6 +37,7 @@ OTHER_WORDS = {
     "evaluate": "run",
     "test": "run",
     "randomize": "transfer randomize",
+    "versions": "backend versions",
     "schema": "show COMMAND --schema, or gauge list schemas",
 }
 """Commands by the words that other tools have for them."""

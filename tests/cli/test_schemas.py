@@ -42,6 +42,7 @@ ELSEWHERE = {
     "transfer settings": "tools/transfer/test_settings_replay.py",
     "transfer envelope": "tools/transfer/test_envelope.py",
     "transfer randomize": "tools/transfer/test_ranges.py",
+    "backend versions": "tools/versions/test_versions.py",
     "data import": "tools/dataset/test_dataset_damage.py",
     "video score": "tools/video/test_video_score.py",
     "leaderboard check": "tools/leaderboard/test_cli_leaderboard.py",

@@ -36,6 +36,7 @@ COMMANDS = {
     "recipes": "hopping_plates",
     "robots": "makers",
     "scatter": "size_and_power NonsmoothContact-3-wood",
+    "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 100",
 }
 SLOW = {"control_steps", "coverage", "joints", "laws", "models", "ranges", "scatter"}

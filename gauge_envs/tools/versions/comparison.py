@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -173,8 +174,9 @@ class Bench:
             env=os.environ | {"OMP_NUM_THREADS": "1"},
         )
         if done.returncode != 0:
-            lines = [line for line in done.stderr.splitlines() if line.strip()]
-            cause = lines[-1] if lines else f"it ended with code {done.returncode}"
+            # A traceback ends with the exception, whose message may have several lines.
+            *_, last = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)
+            cause = " ".join(last.split()) or f"it ended with code {done.returncode}"
             raise VersionsError(f"{side.title} cannot run {self.model}: {cause}")
 
 

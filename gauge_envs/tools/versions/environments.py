@@ -157,7 +157,9 @@ def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
             _check(made, requirement)
             install = [uv, "pip", "install", "--python", str(_python(part))]
         else:
-            venv.EnvBuilder(with_pip=True).create(part)
+            venv.EnvBuilder().create(part)
+            pip = [str(_python(part)), "-m", "ensurepip", "--default-pip"]
+            _check(_run(pip), requirement)
             install = [str(_python(part)), "-m", "pip", "install", "--no-compile"]
             install += ["--no-input", "--progress-bar", "off"]
         _check(_run([*install, "--only-binary", ":all:", *packages]), requirement)

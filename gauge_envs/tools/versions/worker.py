@@ -407,7 +407,12 @@ def contacts(data: Any) -> tuple[Any, Any]:
 
 
 def imbalance(model: Any, data: Any) -> float:
-    """Return by how much `M a = smooth forces + constraint forces` fails, over the largest of the three."""
+    """Return by how much `M a = smooth forces + constraint forces` fails, over the largest of the three.
+
+    It is NaN for the integrator `discrete`, whose accelerations obey `(M + h D + h^2 K) a = forces`.
+    """
+    if enum_texts("integrator", model.opt.integrator) == ["mjINT_DISCRETE"]:
+        return float("nan")
     inertial = np.zeros(model.nv)
     mujoco.mj_mulM(model, data, inertial, np.array(data.qacc))
     terms = (inertial, np.array(data.qfrc_smooth), np.array(data.qfrc_constraint))

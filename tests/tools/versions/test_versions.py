@@ -295,6 +295,10 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
 
 
 def test_a_worker_that_fails_says_why(tmp_path):
-    bench = Bench(tmp_path / "none.xml", tmp_path, steps=1, seed=0)
-    with pytest.raises(comparison.VersionsError, match=r"old cannot run .*none.xml"):
+    model = tmp_path / "newer.xml"
+    model.write_text(SCENE.replace("<option", '<option newer="1"'), encoding="utf-8")
+    bench = Bench(model, tmp_path, steps=1, seed=0)
+    with pytest.raises(
+        comparison.VersionsError, match=r"old cannot run .*newer.xml: .*XML.*newer"
+    ):
         bench.run(side("old"))
