@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.evaluation.verification import verify
+from gauge_envs.evaluation.verification import load_length, verify
+from gauge_envs.experiments.variants import variants
+from gauge_envs.references.grips import solved_loads
 from gauge_envs.references.models import solved_model
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from scripts.build_grips import loads_of, sheet_wrenches
 from scripts.sheet import (
     marker_places_m,
     node_masses_kg_per_m,
@@ -129,6 +132,50 @@ def test_the_reference_is_that_of_a_sheet_of_finer_cells(name):
     uncertainty = band.points.uncertainty[:frames]
     distance = np.sqrt(np.square(deviations).mean())
     assert distance <= 1.96 * np.sqrt(np.square(uncertainty).mean())
+
+
+def test_every_load_of_the_table_is_solved():
+    assert {one.name for one in variants() if loads_of(one.name)} == {
+        one.name for one in variants() if solved_loads(one.name)
+    }
+
+
+QUICK = ("TextileFlinging-uniform", "TextileBending-oxford")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in SHEETS
+    ],
+)
+def test_stored_forces_are_those_of_a_sheet_of_other_cells(name):
+    """The sheet of 56 cells is not among the runs that the forces were made of; a lighter one is told."""
+    scene = load_experiment(name).scene
+    (cloth,) = scene.deformables
+    light = replace(
+        cloth,
+        areal_density_kg_per_m2=0.8 * cloth.areal_density_kg_per_m2,
+        mass_kg=0.8 * cloth.mass_kg,
+    )
+    loads = solved_loads(name)
+    last_frame = max(last for load in loads for _, last in load.windows)
+    distances = []
+    for body in (cloth, light):
+        experiment = replace(
+            load_experiment(name), scene=replace(scene, deformables=(body,))
+        )
+        found = sheet_wrenches(experiment, last_frame + 1, cells=56)
+        distances.append(
+            [
+                load_length(load.values(scene.holders, found) - load.mean)
+                / load_length(load.uncertainty)
+                for load in loads
+            ]
+        )
+    assert max(distances[0]) < 1.96
+    assert max(distances[1]) > 1.96
 
 
 def test_other_scenes_are_no_sheet():
