@@ -5,8 +5,8 @@
     python -m studies.planted_faults.random_faults rates                        the table of the page
 
 `random_faults.csv` has a row for each fault. A class (`tests/mutations/generated.py`) is drawn first, then one of its
-faults that changes a scene of the suite or of the checks, or a call. The first check that fails on the fault, but not on
-the healthy engine, is kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
+faults that changes a scene of the suite, or a call. The first check that fails on the fault, but not on the healthy
+engine, is kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
 """
 
 from __future__ import annotations
@@ -216,7 +216,7 @@ def run_sample(count: int, sets: list[str]) -> None:
                 )
 
 
-# --- what survivors change in the suite --------------------------------------------------------------------------------
+# --- what survivors change in the suite ---
 
 
 def _ids_of(one: Generated, most: int) -> Iterator[str]:
@@ -297,7 +297,7 @@ def run_ids(most: int) -> None:
         print(name, row["change_u"], where, flush=True)
 
 
-# --- rates ---------------------------------------------------------------------------------------------------------------
+# --- rates ---
 
 
 def wilson(found: int, count: int) -> tuple[float, float]:
@@ -314,7 +314,7 @@ def _share(found: int, count: int) -> str:
 
 
 def rates() -> Iterator[list[str]]:
-    """Yield a row for each set and part: faults, equivalent ones, caught and named of the others."""
+    """Yield a row for each set and part: faults, survivors that moved no measured id, caught, named."""
     for label in ("seen", "held out"):
         for part in ("rigid", "deformable", "all"):
             rows = [
@@ -332,7 +332,7 @@ def rates() -> Iterator[list[str]]:
                 and float(row["change_u"]) <= 1.0
                 and row["id"] != "none"
             ]
-            count = len(rows) - len(equivalent)
+            count = len(rows)
             caught = sum(bool(row["caught_by"]) for row in rows)
             named = sum(row["named"] == "1" for row in rows)
             yield [

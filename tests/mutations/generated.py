@@ -344,7 +344,7 @@ def _frame_of(part: Any, scene: Scene) -> Rotation:
     return pose.rotation if pose is not None else Rotation.identity()
 
 
-def _field_variants(
+def _field_variants(  # noqa: C901  # one branch for each kind of fault
     owner: str, field: str, example: Any
 ) -> Iterator[tuple[str, str, Edit, str]]:
     """Yield kind, variant, edit and condition of the faults of a field."""
@@ -598,7 +598,7 @@ def _holds(condition: str, data: mujoco.MjData) -> bool:
     return speed > number if when == "above" else speed < number
 
 
-def switched(
+def switched(  # noqa: C901
     condition: str, edit: Callable[[Scene], Scene]
 ) -> Callable[..., Simulation]:
     """Return a simulation of MuJoCo whose constants are those of an edited scene while a condition holds."""
@@ -618,9 +618,11 @@ def switched(
                 if name.startswith("_"):
                     continue
                 here, there = getattr(inner.model, name), getattr(faulty, name, None)
-                if isinstance(here, np.ndarray) and isinstance(there, np.ndarray):
-                    if here.shape == there.shape and not np.array_equal(here, there):
-                        self._arrays.append((here, here.copy(), there.copy()))
+                are_arrays = isinstance(here, np.ndarray) and isinstance(
+                    there, np.ndarray
+                )
+                if are_arrays and here.shape == there.shape and (here != there).any():
+                    self._arrays.append((here, here.copy(), there.copy()))
             here, there = inner.model.opt.gravity, faulty.opt.gravity
             if not np.array_equal(here, there):
                 self._arrays.append((here, here.copy(), there.copy()))
@@ -697,7 +699,7 @@ def _crossed(pair: tuple[str, str], scene: Scene) -> bool:
     )
 
 
-def _pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:
+def _pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:  # noqa: C901
     for number, name in ((0, "first"), (1, "second"), (-1, "last")):
         yield (
             "Contact.pair",
@@ -1286,7 +1288,7 @@ def _fields() -> Iterator[tuple[str, str, Any]]:
         yield owner, field, example
 
 
-def generated() -> dict[str, Generated]:
+def generated() -> dict[str, Generated]:  # noqa: C901
     """Return all generated faults by id."""
     found: dict[str, Generated] = {}
 

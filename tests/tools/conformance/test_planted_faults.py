@@ -115,6 +115,7 @@ SLOW = (
     "restore-benchmark-soft",
     "foam-tension",
     "foam-rests-on",
+    "rope-rests-on",
 )
 
 
