@@ -114,7 +114,7 @@ def plot(
             help=f"What to draw: {', '.join(KINDS)}.",
         ),
     ] = "experiments",
-    out: Annotated[Path, arguments.target("Folder for the pictures.")] = Path("plots"),
+    out: Annotated[Path, arguments.folder("Folder for the pictures.")] = Path("plots"),
 ) -> bool:
     """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
 
