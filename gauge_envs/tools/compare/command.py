@@ -79,7 +79,7 @@ def _check_chosen(
 ) -> None:
     """Raise an error for a pattern or an engine that chooses no result."""
     ids = {one.id for one in results}
-    engines = {one.backend for one in results}
+    engines = {one.backend for one in results if one.backend is not None}
     for pattern in only:
         if not any(_is_chosen(name, [pattern]) for name in ids):
             raise UnknownNameError("experiment of the results", pattern, ids)
