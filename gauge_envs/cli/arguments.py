@@ -347,6 +347,28 @@ def target(
     )
 
 
+FOLDER = "DIR"
+"""Metavar of an option that takes a folder."""
+
+FILE_SUFFIXES = (
+    ".csv",
+    ".gif",
+    ".html",
+    ".json",
+    ".md",
+    ".mp4",
+    ".pdf",
+    ".png",
+    ".svg",
+)
+"""Suffixes of files, which no name of a new folder of output has."""
+
+
+def folder(text: str, *, show_default: bool | str = True) -> Any:
+    """Return the option `--out` of a command that writes a folder."""
+    return target(text, metavar=FOLDER, show_default=show_default)
+
+
 USES = {
     "imported": ("drivers", "reference"),
     "imported-drivers": ("drivers",),

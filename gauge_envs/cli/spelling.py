@@ -8,7 +8,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.cli.arguments import OUTPUT, PER_ENGINE, STDOUT, split_values
+from gauge_envs.cli.arguments import (
+    FILE_SUFFIXES,
+    FOLDER,
+    OUTPUT,
+    PER_ENGINE,
+    STDOUT,
+    split_values,
+)
 from gauge_envs.errors import ParameterError, nearest
 
 RENAMED = {
@@ -133,6 +140,12 @@ def _check_texts(one: Any, texts: Sequence[Any]) -> None:
         raise ParameterError(
             f"{option} {STDOUT}: expected a path; stdout has what --format says"
         )
+    is_folder = is_file and one.metavar == FOLDER
+    for text in texts if is_folder else ():
+        if str(text).endswith(FILE_SUFFIXES) and not Path(text).is_dir():
+            raise ParameterError(
+                f"{option} {text}: a folder is expected, and this is a name of a file"
+            )
 
 
 def _check_word(params: Sequence[Any], word: str) -> None:

@@ -14,6 +14,7 @@ from gauge_envs.cli.arguments import (
     ASSIGNED,
     PANELS,
     parsed_jitter,
+    parsed_parameters,
     parsed_settings,
     parsed_use,
     split_values,
@@ -195,6 +196,11 @@ def test_data_of_a_command_are_those_that_it_can_use():
     }
     with pytest.raises(UnknownNameError, match="imported-drivers"):
         parsed_use(["imported-drivers"], "use_withheld")
+
+
+def test_numbers_with_commas_are_a_vector():
+    found = parsed_parameters(["cube.position_m=0.1, -.4,0.36"])
+    assert found == {"cube.position_m": [0.1, -0.4, 0.36]}
 
 
 # --- spellings ---

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def data_scenes(
     out: Annotated[
         Path | None,
-        arguments.target("Folder.", show_default="the checked-in assets"),
+        arguments.folder("Folder.", show_default="the checked-in assets"),
     ] = None,
     check: Annotated[
         bool,
@@ -68,7 +68,7 @@ def data_isaac_sim(
     pattern: Annotated[
         str, typer.Argument(metavar="ID", help="Id or pattern, as 'TextileBending-*'.")
     ],
-    out: Annotated[Path, arguments.target("Folder for the layers.")] = Path(
+    out: Annotated[Path, arguments.folder("Folder for the layers.")] = Path(
         "isaac_sim"
     ),
 ) -> None:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,6 +16,9 @@ from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.registry import instruments_by
+
+if TYPE_CHECKING:
+    from gauge_envs.runs.result import Result
 
 KINDS = instruments_by("pictures")
 """Instrument of each kind of picture."""
@@ -58,6 +61,8 @@ def compare(
 
     names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
     results, skipped = loaded_results(sources, corrected=corrected)
+    if results:
+        _check_chosen(list(results.values()), only or (), backend or ())
     kept = [
         one
         for one in results.values()
@@ -67,6 +72,20 @@ def compare(
         raise ResultFileError("no result is left to compare; gauge run writes them")
     print_document(comparison_document(compare_results(kept), names), form, files=files)
     return bool(skipped)
+
+
+def _check_chosen(
+    results: Sequence[Result], only: Sequence[str], backends: Sequence[str]
+) -> None:
+    """Raise an error for a pattern or an engine that chooses no result."""
+    ids = {one.id for one in results}
+    engines = {one.backend for one in results if one.backend is not None}
+    for pattern in only:
+        if not any(_is_chosen(name, [pattern]) for name in ids):
+            raise UnknownNameError("experiment of the results", pattern, ids)
+    for engine in backends:
+        if engine not in engines:
+            raise UnknownNameError("backend of the results", engine, engines)
 
 
 def _is_chosen(name: str, only: Sequence[str] | None) -> bool:
@@ -95,7 +114,7 @@ def plot(
             help=f"What to draw: {', '.join(KINDS)}.",
         ),
     ] = "experiments",
-    out: Annotated[Path, arguments.target("Folder for the pictures.")] = Path("plots"),
+    out: Annotated[Path, arguments.folder("Folder for the pictures.")] = Path("plots"),
 ) -> bool:
     """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
 

@@ -43,7 +43,7 @@ def data_download(
         ),
     ] = None,
     out: Annotated[
-        Path | None, arguments.target("Folder.", show_default="below the user's data")
+        Path | None, arguments.folder("Folder.", show_default="below the user's data")
     ] = None,
 ) -> None:
     """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""

@@ -60,7 +60,7 @@ def leaderboard_table(
     folder: Folder = FOLDER,
     out: Annotated[
         Path | None,
-        arguments.target("Folder for leaderboard.json and leaderboard.md."),
+        arguments.folder("Folder for leaderboard.json and leaderboard.md."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:

@@ -79,7 +79,7 @@ def run(
             help="Keep results that exist already.",
         ),
     ] = False,
-    out: Annotated[Path, arguments.target("Folder for the result files.")] = Path(
+    out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "results"
     ),
     form: arguments.Form = Format.TEXT,

@@ -19,7 +19,7 @@ def report(
     sources: arguments.Sources = None,
     corrected: arguments.Corrected = True,
     out: Annotated[
-        Path, arguments.target("Folder for the site; a site in it is replaced.")
+        Path, arguments.folder("Folder for the site; a site in it is replaced.")
     ] = Path("site"),
     replay: Annotated[
         bool,

@@ -172,7 +172,7 @@ def sweep(
             min=1,
         ),
     ] = None,
-    out: Annotated[Path, arguments.target("Folder for the result files.")] = Path(
+    out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "sweep"
     ),
     form: arguments.Form = Format.TEXT,

@@ -43,7 +43,7 @@ def video_prompts(
         ),
     ] = None,
     out: Annotated[
-        Path, arguments.target("Folder for TASK.png, TASK.txt and a note.")
+        Path, arguments.folder("Folder for TASK.png, TASK.txt and a note.")
     ] = Path("world_model_inputs"),
 ) -> None:
     """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
@@ -134,7 +134,7 @@ def video_score(
     ] = None,
     out: Annotated[
         Path | None,
-        arguments.target("Folder for videos with the track drawn in."),
+        arguments.folder("Folder for videos with the track drawn in."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -247,7 +247,7 @@ def video_report(
         ),
     ],
     out: Annotated[
-        Path, arguments.target("Folder for page, results.json and tables.")
+        Path, arguments.folder("Folder for page, results.json and tables.")
     ] = Path("video_report"),
     first_frame: Annotated[
         Path | None,

@@ -901,6 +901,15 @@ def test_a_damaged_file_is_skipped(gauge, tmp_path):
     assert first["configurations"][0]["normalized"]["count"] == 1
 
 
+def test_a_choice_that_matches_no_result_is_refused(gauge, tmp_path):
+    write(tmp_path, made())
+    assert gauge("compare", ".", "--only", "Slope*", "-b", "mujoco").exit_code == 0
+    for words in (["--only", "Slope*,NoSuch-*"], ["-b", "mujoco,newton"]):
+        refused = gauge("compare", ".", *words)
+        assert refused.exit_code == 2
+        assert f"{words[1].partition(',')[2]!r}" in refused.stderr
+
+
 def test_wrong_requests_are_refused(gauge, approved):
     commands = ("compare nowhere", "compare", "compare --metric=rsme")
     approved("compare/refused", approval.refused_commands(gauge, *commands))
