@@ -1,8 +1,8 @@
-"""Apply the cure of `gauge sanity` to robots of makers: `python -m studies.robots.cures LIST.csv ['robot-*']` writes cures.csv.
+"""Apply cures of `gauge sanity` to robots of makers: `python -m studies.robots.cures LIST.csv 'robot-*'`.
 
-LIST.csv is that of `makers.py`; without patterns all rows are checked. Models before and after are run by MuJoCo alone: held for 2 s at their keyframe, one
-servo after the other with a step of its command, and with a push. Motors without a servo get one here, the same before
-and after.
+It writes cures.csv. LIST.csv is that of `makers.py`; without patterns all rows are checked. Models before and after are
+run by MuJoCo alone: held for 2 s at their keyframe, one servo after the other with a step of its command, and with a
+push. Motors without a servo get one here, the same before and after.
 """
 
 import csv
