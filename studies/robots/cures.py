@@ -1,8 +1,8 @@
-"""Apply the cure of `gauge sanity` to robots of makers: `python -m studies.robots.cures LIST.csv` writes cures.csv.
+"""Apply cures of `gauge sanity` to robots of makers: `python -m studies.robots.cures LIST.csv 'robot-*'`.
 
-LIST.csv is that of `makers.py`. Models before and after are run by MuJoCo alone: held for 2 s at their keyframe, one
-servo after the other with a step of its command, and with a push. Motors without a servo get one here, the same before
-and after.
+It writes cures.csv. LIST.csv is that of `makers.py`; without patterns all rows are checked. Models before and after are
+run by MuJoCo alone: held for 2 s at their keyframe, one servo after the other with a step of its command, and with a
+push. Motors without a servo get one here, the same before and after.
 """
 
 import csv
@@ -21,7 +21,17 @@ from gauge_envs.tools.sanity.mended import write_mended
 TABLE = Path(__file__).parent / "cures.csv"
 
 COLUMNS = (
-    *("source", "version", "model", "cpu_s", "flags", "cure", "left", "refused"),
+    *(
+        "source",
+        "version",
+        "model",
+        "rows",
+        "cpu_s",
+        "flags",
+        "cure",
+        "left",
+        "refused",
+    ),
     *("pose_mrad", "pose_after", "step_ms", "step_after", "push_mm", "push_after"),
 )
 
@@ -144,13 +154,14 @@ def plain(path: Path) -> tuple[str, str, str]:
     return pose, step, push
 
 
-def applied(path: Path) -> dict[str, str]:
-    """Return what the cure of a model mends, and plain numbers before and after."""
+def applied(path: Path, only: list[str]) -> dict[str, str]:
+    """Return what the cure of a model mends in some rows, and plain numbers before and after."""
     begin_s = time.process_time()
-    report = check(str(path))
+    report = check(str(path), only=only)
     cpu_s = time.process_time() - begin_s
     flags = [row.phenomenon for row in report.rows if row.is_flag]
-    row = {"cpu_s": f"{cpu_s:.3g}", "flags": " ".join(flags)}
+    row = {"rows": " ".join(only) or "all", "cpu_s": f"{cpu_s:.3g}"}
+    row["flags"] = " ".join(flags)
     row["refused"] = str(len(report.tried))
     if not flags:
         return row
@@ -165,7 +176,7 @@ def applied(path: Path) -> dict[str, str]:
         except TargetError as error:
             row["left"] = f"not written: {error}"
             return row
-        after = check(str(file), explain=False)
+        after = check(str(file), only=only, explain=False)
         row["left"] = " ".join(one.phenomenon for one in after.rows if one.is_flag)
         keys = ("pose", "step", "push")
         units = ("mrad", "ms", "mm")
@@ -177,7 +188,7 @@ def applied(path: Path) -> dict[str, str]:
     return row
 
 
-def main(listing: Path) -> None:
+def main(listing: Path, only: list[str]) -> None:
     """Write the table of all models of a list."""
     with listing.open(encoding="utf-8") as stream:
         models = list(csv.DictReader(stream))
@@ -186,9 +197,9 @@ def main(listing: Path) -> None:
         writer.writeheader()
         for model in models:
             path = Path(model.pop("path"))
-            writer.writerow(model | applied(path))
+            writer.writerow(model | applied(path, only))
             stream.flush()
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -35,6 +35,12 @@ SAME_DEVIATION = 0.5
 """Difference of deviations, in half-widths of the interval, that no real trial can resolve."""
 
 
+STEP = "timestep_s"
+
+ADVISED_STEP_S = 0.002
+"""Step that this package advises for models [s]."""
+
+
 def find_cause(
     measurements: Measurements,
     phenomenon: Phenomenon,
@@ -103,9 +109,20 @@ class _Search:
         largest = max(INSIDE_WITHIN, 0.5 * self.configured.deviation)
         return math.isfinite(changed.deviation) and changed.deviation <= largest
 
+    def _needs_no_step(self) -> bool:
+        """Return whether the step is as short as advised and another setting mends the row: shorter ones cost most."""
+        step_s = self.settings.get(STEP, math.inf)
+        # What refsafe does depends on the step.
+        others = (one for name, one in self._put_back.items() if name != "refsafe")
+        mends = any(one.verdict is Verdict.INSIDE for one in others)
+        return step_s <= ADVISED_STEP_S and mends
+
     def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
-        for name, several in self._others.items():
+        for name in sorted(self._others, key=lambda one: one == STEP):
+            if name == STEP and self._needs_no_step():
+                continue
+            several = self._others[name]
             measured = [(self._changed({name: one.value}), one) for one in several]
             # Of several values that mend the row, the first is taken: the engine's documented default.
             self._put_back[name], self._best[name] = min(
@@ -115,9 +132,9 @@ class _Search:
                 ),
             )
         close = {
-            name: changed
-            for name, changed in self._put_back.items()
-            if self._explains(changed)
+            name: self._put_back[name]
+            for name in self._others
+            if name in self._put_back and self._explains(self._put_back[name])
         }
         if not close:
             return None

@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Any
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DeclinedError
-from gauge_envs.tools.sanity.cause import Alternative, alternatives
+from gauge_envs.tools.sanity.cause import (
+    ADVISED_STEP_S,
+    STEP,
+    Alternative,
+    alternatives,
+)
 from gauge_envs.tools.sanity.measure import Measurements, Subject, subject_of
 from gauge_envs.tools.sanity.model import (
     Cure,
@@ -354,7 +359,7 @@ def _pasted(
 # --- candidates ------------------------------------------------------------------------------------------------------
 
 RECOMMENDED_MUJOCO: Settings = {
-    "timestep_s": 0.002,
+    STEP: ADVISED_STEP_S,
     "integrator": "implicitfast",
     "cone": "elliptic",
     "impratio": 100.0,
@@ -375,9 +380,6 @@ RECOMMENDED_PHYSX: Settings = {
 
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
 """Recommended settings that are kept where the target has more."""
-
-STEP = "timestep_s"
-"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
 
 MOST_CHANGES = 3
 """Most settings that are changed one after the other."""
@@ -463,8 +465,12 @@ def _greedy(
     changes: dict[str, Any] = {}
     left = list(flagged)
     while left and candidates and len(changes) < MOST_CHANGES:
-        scored = []
-        for one in candidates:
+        scored: list[tuple[tuple[int, bool, bool, float], Alternative]] = []
+        # A step is changed only where no other change mends as much, since shorter ones cost time in proportion.
+        for one in sorted(candidates, key=lambda one: one.name == STEP):
+            mends_all = any(rank[0] == len(left) for rank, _ in scored)
+            if one.name == STEP and mends_all:
+                continue
             mended, closeness = _score(left, {**changes, one.name: one.value})
             # No shorter step if others mend as much, then one that is named for a row.
             rank = (mended, one.name != STEP, one.name in named, closeness)

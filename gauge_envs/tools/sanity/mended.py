@@ -86,5 +86,5 @@ def _flags(file: Path, report: Report) -> set[str]:
         for row in report.rows
         if row.configured is not None or row.is_flag
     ]
-    rows = check(read, only=measured, explain=False).rows
+    rows = check(read, only=measured, include_deformables=True, explain=False).rows
     return {row.phenomenon for row in rows if row.is_flag}

@@ -259,3 +259,81 @@ LATER = {
     ),
 }
 """Mistakes that were written after the rows and their limits."""
+
+FRESH = {
+    "arm, an elbow with kp per degree": (
+        replaced('(name="servo3".*?)kp="2000"', r'\1kp="34.9"'),
+        "robot-sag",
+    ),
+    "arm, a wrist in N cm": (
+        replaced('(name="servo4".*?)forcerange="-28 28"', r'\1forcerange="-.28 .28"'),
+        "robot-torque",
+    ),
+    "arm, inertia of the forearm in kg cm^2": (
+        replaced(
+            '(<geom name="link4")',
+            r'<inertial pos="0 0 .06" mass="1" diaginertia="30 30 9"/>\1',
+        ),
+        "robot-inertia",
+    ),
+    "arm, glycerine": (option('density="1260" viscosity="1.4"'), "robot-medium"),
+    "arm, one range in radians": (
+        replaced('(name="joint2".*?)range="-120 120"', r'\1range="-2.09 2.09"'),
+        "robot-range",
+    ),
+    "biped, a hip that swings the other way": (
+        replaced('(right_hip_pitch" axis="0 )1', r"\1-1"),
+        "robot-mirror",
+    ),
+    "biped, a right foot that cannot collide": (
+        replaced('(<geom name="right_foot")', r'\1 contype="0" conaffinity="0"'),
+        "robot-feet",
+    ),
+    "biped, a crouch with the hips behind": (
+        replaced('0 -.3 .6 -.3 0 -.3 .6 -.3"', '0 .3 .6 -.9 0 .3 .6 -.9"'),
+        "robot-balance",
+    ),
+    "biped, knees without armature": (
+        replaced('(_knee" axis)', r'_knee" armature="0" axis'),
+        "robot-rotor",
+    ),
+    "biped, soles of ice": (
+        replaced('friction="0.8', 'friction="0.02'),
+        "robot-friction",
+    ),
+    "quadruped, a drawn trunk counted": (drawn("trunk"), "robot-visual-mass"),
+    "quadruped, weightless thighs": (
+        replaced('<body name="(.._thigh)"', r'<body name="\1" gravcomp="1"'),
+        "robot-gravcomp",
+    ),
+    "quadruped, one hip with negative damping": (
+        replaced('(name="FR_hip")', r'\1 damping="-1"'),
+        "robot-damping",
+    ),
+    "quadruped, one foot that does not roll": (
+        replaced('(name="RR_foot")', r'\1 condim="6" friction="0.8 0.005 0.3"'),
+        "robot-torsion",
+    ),
+    "quadruped, one soft knee stop": (
+        replaced('(name="RL_knee")', rf"\1 {SOFT}", 1),
+        "robot-stops",
+    ),
+    "hand, another zero of the thumb": (
+        replaced('(joint1="thumb_outer".*?polycoef=")0', r"\g<1>0.6"),
+        "robot-coupling",
+    ),
+    "hand, a ring finger on rubber": (
+        replaced('(joint1="ring_outer".*?solref=")0.005', r"\g<1>0.4"),
+        "robot-coupling",
+    ),
+    "hand, a thumb of teflon oil": (
+        replaced('(name="thumb_pad".*?\n.*?)friction="1 0', r'\1friction="0.02 0'),
+        "robot-friction",
+    ),
+    "hand, centimetres": (
+        several(*(scaled(n, 100.0) for n in ("pos", "fromto", "size"))),
+        "robot-size",
+    ),
+    "hand, kp in N mm": (scaled("kp", 1000.0), "robot-stiffness"),
+}
+"""Mistakes that were written after couplings were judged by their zero, and run once."""

@@ -8,9 +8,12 @@ import xml.etree.ElementTree as ET
 import mujoco
 import numpy as np
 import pytest
+import robot_faults
 from arm_faults import LATER, MISTAKES, good_xml
-from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
+from more_faults import FRESH, GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
+from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.mended import write_mended
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
 from gauge_envs.tools.sanity.robot.mended_model import mended_xml
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -74,10 +77,10 @@ def _with_comments(text):
     return ET.fromstring(text, parser=parser).iter()
 
 
-BY_HAND = {"robot-size", "robot-balance", "robot-level", "robot-mirror"}
+BY_HAND = {"robot-size", "robot-balance", "robot-level", "robot-mirror", "robot-range"}
 """Rows that no change of a number mends for certain: the shape or the unit of the whole robot is wrong."""
 
-ALL = MORE_MISTAKES | MORE_LATER
+ALL = MORE_MISTAKES | MORE_LATER | FRESH
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
 LAG_IS_LEFT = {"hand, armature in g cm^2"}
 """Mistakes after whose cure another row is still flagged."""
@@ -100,6 +103,7 @@ def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
     found = find_remedies(before.robot, flags_of(before))
     if not found.texts:
         assert row in BY_HAND
+        assert all(found.unmended.values()) and found.unmended
         return
     after = read(mended_xml(before.robot, found.changes, found.texts, tmp_path))
     assert row not in flags_of(after)
@@ -113,3 +117,59 @@ def test_nothing_is_tried_on_a_robot_in_another_unit_of_length():
     before = read(change(GOOD["arm"]()))
     assert len(flags_of(before)) > 1
     assert find_remedies(before.robot, flags_of(before)).attempts == ()
+
+
+def test_the_axis_of_a_reversed_knee_is_turned_back():
+    change, _ = ALL["biped, a reversed knee"]
+    before = read(change(GOOD["biped"]()))
+    found = find_remedies(before.robot, flags_of(before))
+    assert found.texts == ('axis="0 1 0" for left_knee',)
+
+
+def test_no_side_is_turned_where_either_can_be_the_wrong_one():
+    change, row = ALL["biped, an ankle whose range was not turned"]
+    before = read(change(GOOD["biped"]()))
+    found = find_remedies(before.robot, flags_of(before))
+    assert found.texts == () and set(found.unmended) == {row}
+    assert sum("and so does" in one.line for one in found.attempts) == 2
+
+
+@pytest.mark.parametrize("zero", ["0.6 1", "0 -1"])
+def test_a_coupling_gets_back_its_zero_and_its_direction(zero):
+    good = GOOD["hand"]()
+    before = read(good.replace('polycoef="0 1', f'polycoef="{zero}'))
+    found = find_remedies(before.robot, flags_of(before))
+    assert found.texts == ('polycoef="0 1 0 0 0" for index, ring and thumb',)
+
+
+PAIR = "".join(
+    f'<pair geom1="floor" geom2="{leg}_foot" {{}}/>' for leg in robot_faults.FEET
+)
+SOFT_PAIR = 'solref="0.2 1" solimp="0.95 0.95 0.001"'
+
+
+@pytest.mark.parametrize(
+    "is_default", [False, pytest.param(True, marks=pytest.mark.slow)]
+)
+def test_soft_explicit_pairs_are_mended_where_they_state_it(is_default, tmp_path):
+    """The contacts of pairs do not see their geoms; a class of pairs is changed as a class."""
+    text = robot_faults.good_xml()
+    own, default = ("", f"<pair {SOFT_PAIR}/>") if is_default else (SOFT_PAIR, "")
+    text = text.replace(
+        "<keyframe>", f"<contact>{PAIR.replace('{}', own)}</contact><keyframe>"
+    )
+    text = text.replace("<joint armature", f"{default}<joint armature")
+    file, mended = tmp_path / "soft.xml", tmp_path / "mended.xml"
+    file.write_text(text)
+    report = check(str(file), only=["rest-height", "robot-stands"])
+    assert [row.phenomenon for row in report.rows if row.is_flag] == ["rest-height"]
+    assert "1 of 1 flags are gone" in write_mended(report, mended)
+    model = mujoco.MjModel.from_xml_path(str(mended))
+    assert model.npair == len(robot_faults.FEET)
+    assert (model.pair_solref[:, 0] < 0.01).all()
+    stating = [
+        line
+        for line in mended.read_text().splitlines()
+        if "<pair" in line and "solref" in line
+    ]
+    assert len(stating) == (1 if is_default else len(robot_faults.FEET))

@@ -6,7 +6,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from more_faults import GOOD, LATER, MISTAKES, biped_xml
+from more_faults import FRESH, GOOD, LATER, MISTAKES, biped_xml
 
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
@@ -31,7 +31,9 @@ def test_a_robot_without_a_mistake_has_no_flag(name):
     assert [(row.phenomenon, row.configured) for row in rows if row.is_flag] == []
 
 
-@pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
+@pytest.mark.parametrize(
+    "mistakes", [MISTAKES, LATER, FRESH], ids=["known", "later", "fresh"]
+)
 def test_mistakes_are_named(mistakes):
     unnamed = []
     for name, (change, expected) in mistakes.items():

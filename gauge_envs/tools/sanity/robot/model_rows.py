@@ -534,6 +534,8 @@ def _floor_friction(robot: Robot) -> Finding:
         return Finding(declined=NOT_STANDING)
     model, found = robot.model, Finding(value=1.0)
     ratios: dict[str, float] = {}
+    changes: dict[str, Any] = {}
+    _, most = facts("robot_rows")["robot-floor-friction"]["interval"]
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {
@@ -552,15 +554,19 @@ def _floor_friction(robot: Robot) -> Finding:
         if pair in explicit or not alike or not is_stated:
             continue
         ratios[" with ".join(geom_name(model, geom) for geom in pair)] = met / least
+        geom = pair[int(np.argmin(stated))]
+        if met / least > most:
+            changes[f"geom_priority[{geom}]"] = 1
         if met / least > found.value:
-            geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
                 remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
                 advice=f'priority="1" for {geom_name(robot.model, geom)}',
-                changes={f"geom_priority[{geom}]": 1},
             )
-    return replace(found, parts=ratios)
+    several = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    return replace(
+        found, parts=ratios, changes=changes, advice=f"{found.advice}{several}"
+    )
 
 
 @row("floor-tilt")

@@ -695,7 +695,13 @@ def _damping(robot: Robot) -> Iterator[Remedy]:
 
 @remedies_of("robot-frictionloss")
 def _frictionloss(robot: Robot) -> Iterator[Remedy]:
-    yield from _drag(robot, "frictionloss", (100.0, 1e3))
+    several = list(_drag(robot, "frictionloss", (100.0, 1e3)))
+    yield from several
+    # Without a rotor, a joint with less friction can be too fast.
+    for rotor in _rotors(robot):
+        for one in several:
+            changes = {**one.changes, **rotor.changes}
+            yield Remedy(text=f"{one.text} and {rotor.text}", changes=changes)
 
 
 def _drag(robot: Robot, name: str, units: Sequence[float]) -> Iterator[Remedy]:
