@@ -28,12 +28,12 @@ def _log(trial: Trial) -> Log:
     )  # fmt: skip
 
 
-def _write(name: str, rows: Iterable[Sequence[object]]) -> None:
+def _write(name: str, rows: Iterable[Sequence[str | float | None]]) -> None:
     with (HERE / name).open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         for row in rows:
             writer.writerow(
-                [f"{one:.4g}" if isinstance(one, float) else one for one in row]
+                [one if isinstance(one, str) else f"{one:.4g}" for one in row]
             )
 
 
@@ -61,7 +61,7 @@ def pendulum() -> None:
     _write("law_errors.csv", [header, *errors, noise])
     names = [one.name for one in even.settings]
     values = [
-        (one.name, *map(float, (one.value, one.next_low or 0.0, one.next_high or 0.0, one.low, one.high, *one.of_files)))
+        (one.name, one.value, one.next_low, one.next_high, one.low, one.high, *one.of_files)
         for one in identify(engine, scene, logs, names).settings
     ]  # fmt: skip
     ends = ("next_low", "next_high", "fit_low", "fit_high")
@@ -81,7 +81,7 @@ def arm() -> None:
     counts = [len(log.times_s) for log in logs[1::2]]
     path = HERE / "so101_judged.csv"
     with path.open(encoding="utf-8", newline="") as stream:
-        rows: list[Sequence[object]] = [
+        rows: list[Sequence[str | float | None]] = [
             row for row in csv.reader(stream) if row[0] not in TITLES.values()
         ]
     for law, title in TITLES.items():

@@ -17,7 +17,7 @@ PLAIN_NOTES = {
 ONE_FILE = "One file says nothing about the next: fit several to see how far values differ between files."
 NEXT_NOTE = "next file: 95 % interval of what another would give; each of {files} files has a random effect (REML)."
 FIT_NOTE = "fit low and high are the 95 % interval of the least squares over all files, as if one law held for all."
-LAW_NOTE = "Each {part} was fitted alone. other files: predictions of the others, from their recorded starts."
+LAW_NOTE = "Each {part} was fitted alone. {other}: predictions of it by the rest, from its recorded start."
 
 
 def _number(key: str, title: str, absent: str = "") -> Column:
@@ -77,11 +77,15 @@ def _numbers(found: Identified) -> Table:
 
 
 def _laws(found: Identified) -> Table:
+    several = found.files > 1
+    part, other = (
+        ("file", "other file") if several else ("half of the log", "other half")
+    )
     return Table(
         columns=(
             Column("name", f"{found.engine}: law of friction"),
             _number("fitted", "fitted [mrad]"),
-            _number("held_out", "other files [mrad]"),
+            _number("held_out", f"{other}s [mrad]" if several else f"{other} [mrad]"),
         ),
         rows=[
             {
@@ -92,7 +96,7 @@ def _laws(found: Identified) -> Table:
             for one in found.laws
         ],
         notes=(
-            LAW_NOTE.format(part="file" if found.files > 1 else "half of the log"),
+            LAW_NOTE.format(part=part, other=other),
             "The first is used: the fewest terms of those that predict as well as any, within a standard error.",
             "",
         ),

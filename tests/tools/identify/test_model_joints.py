@@ -110,6 +110,38 @@ def test_the_printed_error_is_that_of_the_pasted_lines(found):
     assert found.held_out_rad["other"][0] == pytest.approx(error, rel=0.02)
 
 
+def test_a_bench_value_is_kept_and_pasted():
+    """The rest is fitted with it: with an armature that the log has not, the error is larger."""
+    model = mujoco.MjSpec.from_string(arm())
+    fitted = ("dry_friction_n_m", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+    bench = identify(
+        backend("mujoco"), model, [servo_log("one", 1)], fitted, known={"armature_kg_m2": 0.03}
+    )  # fmt: skip
+    known = bench.settings[-1]
+    assert known.is_known and known.low == known.high == known.pasted == 0.03
+    assert known.unknown == "" and 'armature="0.03"' in bench.lines
+    assert bench.error_rad["one"][0] > 3.0 * NOISE_RAD
+
+
+@pytest.mark.slow
+def test_the_torque_limit_of_a_servo_is_found():
+    """A servo that its limit holds back: twice the limit would move the elbow faster."""
+    limit = 0.5
+    servo = (
+        f'<position joint="elbow" kp="{KP}" kv="0.5" forcerange="-{limit} {limit}"/>'
+    )
+    rest = f'<option gravity="0 0 0"/><actuator>{servo}</actuator>'
+    times_s = np.arange(200) * 0.02
+    steps = np.repeat([0.0, 1.0, -0.5, 0.8], 50)
+    xml = arm(step=0.0005, rest=rest, shoulder="")
+    angles = played(xml, lambda time_s: steps[int(time_s / 0.02 + 1e-9)], times_s)
+    log = Log("one", times_s, angles[:, None], steps[:, None], joints=("elbow",))
+    model = mujoco.MjSpec.from_string(arm(rest='<option gravity="0 0 0"/>'))
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "torque_limit_n_m")
+    found = identify(backend("mujoco"), model, [log], names).settings
+    assert found[2].value == pytest.approx(limit, rel=0.02)
+
+
 def test_plain_laws_are_beside_the_errors(found):
     command, lag = (
         float(found.plain_rad["other"][name][0]) for name in ("command", "lag")
