@@ -75,7 +75,7 @@ class JustifiedRange:
         operation: `abs` for a value, `scale` for a factor on the model's value, `add` for what is added to it.
         scatter: What differs between the values that made it.
         count: Number of these values.
-        inside: Chance that a further value lies inside; None where the user states the range.
+        inside: Chance that a further value lies inside; None where one joint alone was measured, or nothing was.
         source: Origin of the values.
     """
 
@@ -173,7 +173,7 @@ def _range_of(part: str, constant: str, one: Measured) -> JustifiedRange | LeftO
             part=part, constant=constant, low=1.0 / one.factor, high=one.factor, unit="1", operation="scale",
             scatter=one.kind, count=one.count, inside=_chance(one.count), source=one.source,
         )  # fmt: skip
-    count = len(one.values)
+    count = one.count or len(one.values)
     if count < FEWEST:
         shown = " and ".join(f"{value:.3g}" for value in one.values)
         return LeftOut(
@@ -181,7 +181,8 @@ def _range_of(part: str, constant: str, one: Measured) -> JustifiedRange | LeftO
             reason=f"{count} values, {shown} {one.unit} ({one.source}): a range needs {FEWEST}",
         )
     low, high = min(one.values), max(one.values)
-    inside = _chance(count)
+    # Laws of one joint say nothing about another joint.
+    inside = None if one.kind is Scatter.LAWS else _chance(count)
     if one.kind is Scatter.TRIALS:
         low, high = covering(
             float(np.mean(one.values)), float(np.std(one.values, ddof=1)), count

@@ -251,8 +251,10 @@ def _ranges(ranges: Sequence[JustifiedRange]) -> str:
 
 def evidence(one: JustifiedRange) -> str:
     """Return in words what scatters and how many of it made a range."""
-    if one.inside is None:
+    if one.scatter is Scatter.STATED:
         return "stated"
+    if one.inside is None:
+        return f"n = {one.count} {SCATTERS[one.scatter]} of one joint, others not known"
     return f"n = {one.count} {SCATTERS[one.scatter]}, {100 * one.inside:.0f} % of further ones inside"
 
 

@@ -132,6 +132,10 @@ def test_a_range_of_trials_covers_95_percent_of_further_ones():
 def test_the_smallest_and_largest_hold_the_stated_share_with_any_distribution():
     random = np.random.default_rng(1)
     for one in justified_ranges("ServoArm-so101").ranges:
+        # Laws of one joint promise nothing for another one.
+        assert (one.inside is None) is (one.scatter is Scatter.LAWS)
+        if one.inside is None:
+            continue
         drawn = random.lognormal(0.0, 2.0, (3000, one.count + 1))
         values, further = drawn[:, :-1], drawn[:, -1]
         share = np.mean((values.min(1) <= further) & (further <= values.max(1)))
@@ -290,6 +294,60 @@ def test_gymnasium_draws_constants_that_the_id_takes():
     assert 0.732 < info["constants"]["ball.restitution"] < 0.742
     assert env.unwrapped.experiment.overrides["ball.restitution"] == info["constants"]["ball.restitution"]  # fmt: skip
     env.close()
+
+
+class Fake(SimpleNamespace):
+    """A joint or link of SAPIEN, of which a test needs what it keeps."""
+
+    def set_friction(self, value):
+        self.friction = value
+
+    def set_armature(self, values):
+        (self.armature,) = values
+
+    def set_drive_properties(self, stiffness, damping, force_limit, mode):
+        assert (force_limit, mode) == (10.0, "force")
+        self.stiffness, self.damping = stiffness, damping
+
+    def set_mass(self, value):
+        self.mass = value
+
+    def get_collision_shapes(self):
+        return [self]
+
+    def set_physical_material(self, material):
+        self.material = material
+
+
+def test_maniskill_draws_from_what_the_robot_states_at_each_call(arm_ranges):
+    joints = {
+        name: SimpleNamespace(
+            _objs=[Fake(friction=0.3, stiffness=50, damping=1, force_limit=10, drive_mode="force") for _ in "ab"]
+        )
+        for name in ("shoulder", "elbow")
+    }  # fmt: skip
+    links = [
+        SimpleNamespace(name=name, _objs=[Fake(mass=1.0), Fake(mass=1.0)])
+        for name in ("upper", "fore")
+    ]
+    physx = module("sapien.physx", PhysxMaterial=lambda *values: values)
+    sapien = module("sapien", physx=physx)
+    text = stack_file(arm_ranges, "maniskill")
+    found = load(text, **{"sapien": sapien, "sapien.physx": physx})
+    randomizer = found.Randomizer(SimpleNamespace(links=links, joints_map=joints))
+    random = np.random.default_rng(6)
+    masses, frictions = [], []
+    for _ in range(DRAWS):
+        first, second = randomizer(random)
+        elbow = joints["elbow"]._objs
+        assert elbow[0].friction == first["elbow.dry_friction_n_m"]
+        assert elbow[1].stiffness == second["elbow.kp_n_m_per_rad"]
+        assert elbow[1].damping == second["elbow.viscous_friction_n_m_s_per_rad"]
+        assert links[0]._objs[1].material == (*[second["contact.friction"]] * 2, 0.0)
+        masses.append(links[1]._objs[0].mass)
+        frictions.append(elbow[0].friction)
+    assert 1.0 <= min(masses) < 1.01 < 1.29 < max(masses) <= 1.3
+    assert 0.3 / 1.75 <= min(frictions) < max(frictions) <= 0.3 * 1.75
 
 
 # isaaclab.envs.mdp.events of isaac-sim/IsaacLab, main of November 2026: parameters after env and env_ids.
