@@ -130,6 +130,7 @@ def test_the_first_step_and_quantity_of_a_planted_change_are_named(
     assert found.first.quantity is quantity
     if plant is scaled_constraint:
         assert found.first.where == "elbow of arm"
+        assert found.first.contacts_before == found.first.contacts_after == 4
     if plant is fewer_contacts:
         assert found.pairs[0].pair == ("floor", "box")
 
