@@ -421,25 +421,22 @@ def imbalance(model: Any, data: Any) -> float:
 
 
 def spins(model: Any, data: Any) -> Any:
-    """Return angular momenta of free trees about their centres, shape [n, 3]; None where a force may turn them.
+    """Return angular momenta of free bodies about their centres, shape [n, 3]; None where a force may turn them.
 
-    Without contacts, other constraints, actuators and a medium, gravity alone acts on a free tree from outside.
+    Without contacts, other constraints, actuators and a medium, gravity alone acts on a free body.
     """
-    free = np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))
-    is_acted_on = (
-        data.nefc
-        or np.any(data.qfrc_actuator)
-        or model.opt.density
-        or model.opt.viscosity
-    )
-    if (
-        not len(free)
-        or is_acted_on
-        or np.any(model.dof_damping[model.jnt_dofadr[free]])
-    ):
+    option = model.opt
+    if data.nefc or np.any(data.qfrc_actuator) or option.density or option.viscosity:
         return None
+    roots = model.body_rootid[model.dof_bodyid]
+    free = []
+    for joint in np.flatnonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)):
+        body, dof = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
+        # A tree with joints changes the momenta of its parts in a step.
+        if np.sum(roots == body) == 6 and not np.any(model.dof_damping[dof : dof + 6]):
+            free.append(body)
     mujoco.mj_subtreeVel(model, data)
-    found = np.array(data.subtree_angmom[model.jnt_bodyid[free]])
+    found = np.array(data.subtree_angmom[free])
     return found if np.any(found) else None
 
 

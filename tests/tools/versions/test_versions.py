@@ -130,6 +130,7 @@ def test_the_first_step_and_quantity_of_a_planted_change_are_named(
     assert found.first.quantity is quantity
     if plant is scaled_constraint:
         assert found.first.where == "elbow of arm"
+        assert found.first.contacts_before == found.first.contacts_after == 4
     if plant is fewer_contacts:
         assert found.pairs[0].pair == ("floor", "box")
 
@@ -218,6 +219,22 @@ def test_the_command_runs_a_process_for_each_side(tmp_path):
     line = json.loads(done.stdout)
     assert line["first"]["quantity"] == Quantity.SMOOTH.value
     assert [one["field"] for one in line["fields"]] == ["opt.gravity"]
+
+
+def test_the_spin_of_a_free_body_is_that_of_its_inertia_and_of_no_tree_with_joints():
+    """A brick of 4 kg with half sizes of 0.1 m turns with 2 rad/s: 2 m (2 a)^2 / 6 = 0.05333 kg m^2/s."""
+    body = '<body pos="{} 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="4"/>{}</body>'
+    arm = '<body><joint/><geom size="0.1" pos="0.3 0 0" contype="0"/></body>'
+    bodies = body.format(0, "") + body.format(1, arm)
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody>{bodies}</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qvel[3] = data.qvel[9] = 2.0
+    mujoco.mj_forward(model, data)
+    assert worker.spins(model, data) == pytest.approx(np.array([[0.16 / 3, 0.0, 0.0]]))
+    data.qfrc_actuator[0] = 1.0
+    assert worker.spins(model, data) is None
 
 
 # --- versions and environments ---------------------------------------------------------------------------------------
