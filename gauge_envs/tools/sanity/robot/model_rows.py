@@ -555,15 +555,23 @@ def _floor_friction(robot: Robot) -> Finding:
             continue
         ratios[" with ".join(geom_name(model, geom) for geom in pair)] = met / least
         geom = pair[int(np.argmin(stated))]
+        # With its priority, its condim counts too.
+        condim = int(robot.pairs.constants[row, 0])
+        has_condim = int(model.geom_condim[geom]) >= condim
         if met / least > most:
             changes[f"geom_priority[{geom}]"] = 1
+            if not has_condim:
+                changes[f"geom_condim[{geom}]"] = condim
         if met / least > found.value:
             found = Finding(
                 value=met / least,
                 remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
-                advice=f'priority="1" for {geom_name(robot.model, geom)}',
+                advice='priority="1"'
+                + ("" if has_condim else f' condim="{condim}"')
+                + f" for {geom_name(robot.model, geom)}",
             )
-    several = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    geoms = sum(name.startswith("geom_priority") for name in changes)
+    several = f" and {geoms - 1} more" if geoms > 1 else ""
     return replace(
         found, parts=ratios, changes=changes, advice=f"{found.advice}{several}"
     )
