@@ -49,7 +49,7 @@ def logged(xml: str, delay_s: float, reach_rad: float, seed: int) -> Log:
             data.ctrl[0] = command[max(int(np.floor(at_s / SAMPLE_S + 1e-9)), 0)]
             mujoco.mj_step(model, data)
     measured = np.array(angles) + NOISE_RAD * random.standard_normal(COUNT)
-    times_s = SAMPLE_S * np.arange(COUNT)
+    times_s = SAMPLE_S * np.arange(COUNT, dtype=np.float64)
     return Log(str(seed), times_s, measured[:, None], command[:, None], joints=("j",))
 
 
