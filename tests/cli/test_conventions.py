@@ -35,7 +35,7 @@ SHORT = {
     "--quiet": "-q",
 }
 
-OPEN_SETS = {"--set", "--parameter", "--training", "--known"}
+OPEN_SETS = {"--known", "--set", "--parameter", "--training"}
 
 UNITS = {"kg_m2", "n_per_m", "n_s_per_m", "m_s", "kg", "mm", "deg", "hz", "s", "m"}
 """Ends of the names of quantities in Python."""
