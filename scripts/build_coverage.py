@@ -1,4 +1,4 @@
-"""Write the tables of coverage in `docs/coverage.md`, the first of them also in `README.md` and `docs/scores.md`.
+"""Write the tables of coverage in `docs/coverage.md`, the first also in `docs/scores.md`, and its sum in `README.md`.
 
 They say what each id is measured against and driven by in the package, and what its number can tell.
 
@@ -256,6 +256,17 @@ def sum_table(rows: Sequence[Row]) -> Iterator[str]:
     return markdown_table(("question", "reference", "ids", "gives"), cells)
 
 
+def sum_sentence(rows: Sequence[Row]) -> str:
+    """Return the numbers of ids by their scores, in one sentence."""
+    count = Counter(row.used for row in rows)
+    return (
+        f"Of {len(rows)} ids, {count[BandGrade.TRIALS]} are scored on real trials and {count[BandGrade.RECORDING]} on "
+        f"a recording, {count[BandGrade.LAW]} on a law and {count[BandGrade.MODEL]} on a solved model (nothing of "
+        f"reality), {count[BandGrade.NONE]} on nothing; repeats of {len(scatter_rows())} also on real scatter. "
+        "[Coverage](docs/coverage.md) says what each tells."
+    )
+
+
 def unsolved_lines() -> Iterator[str]:
     """Yield why scenes have no solution."""
     if unsolved_scenes():
@@ -278,8 +289,11 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
     rows = [coverage(variant) for variant in variants()]
     page = PAGE.read_text(encoding="utf-8")
     pages = {PAGE: with_part(page, "coverage", SCRIPT, coverage_markdown(rows))}
-    for file in (ROOT / "README.md", ROOT / "docs" / "scores.md"):
+    parts = {
+        ROOT / "README.md": sum_sentence(rows),
+        ROOT / "docs" / "scores.md": "\n".join(sum_table(rows)),
+    }
+    for file, part in parts.items():
         text = file.read_text(encoding="utf-8")
-        table = "\n".join(sum_table(rows))
-        pages[file] = with_part(text, SUM_NAME, SCRIPT, table)
+        pages[file] = with_part(text, SUM_NAME, SCRIPT, part)
     return pages

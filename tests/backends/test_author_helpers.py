@@ -63,7 +63,7 @@ STATE_CHECKS = [
     "copy",
     "cloth-restore",
     "sample-positions",
-    "reset-*",
+    "reset-[!c]*",
 ]
 
 

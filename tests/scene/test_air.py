@@ -121,7 +121,7 @@ def test_wrong_numbers_are_refused(changes, reason):
         (
             "SlopeSlider-2-wood",
             {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
-            "no cloth",
+            "air acts on cloth, and the scene has none",
         ),
         (SATIN, {"air.density_kg_per_m3": 1.2}, r"air\.normal_coefficient"),
         (SATIN, {"air.viscosity": 1.2}, "known: density_kg_per_m3"),

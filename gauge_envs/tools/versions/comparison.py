@@ -171,7 +171,7 @@ class Bench:
             check=False,
             timeout=WORKER_LIMIT_S,
             stdin=subprocess.DEVNULL,
-            env=os.environ | {"OMP_NUM_THREADS": "1"},
+            env=os.environ | {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"},
         )
         if done.returncode != 0:
             # A traceback ends with the exception, whose message may have several lines.

@@ -11,13 +11,10 @@ the compiled model in words.
 """
 
 import json
-import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-os.environ["MUJOCO_GL"] = "disable"
 
 import mujoco
 import numpy as np

@@ -164,5 +164,7 @@ def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch):
         "driven-velocity",
         "driven-path",
         "driven-flick",
+        "driven-turned-path",
+        "driven-turned-rate",
     ]
     assert results[0].measured == 0.0

@@ -344,6 +344,8 @@ def test_checks_see_a_driven_body_that_bullet_does_not_move(monkeypatch):
         "driven-velocity",
         "driven-path",
         "driven-flick",
+        "driven-turned-path",
+        "driven-turned-rate",
     ]
     assert results[0].measured == 0.0
 

@@ -130,7 +130,7 @@ def test_repeatability_is_checked_on_an_engine_that_knows_little():
     findings = list(
         run_checks(
             KnowsBallsOnly(),
-            only=["reset-*", "determinism", "restore", "contact-*", "rebound-0.5"],
+            only=["reset-[!c]*", "determinism", "restore", "contact-*", "rebound-0.5"],
         )
     )
     assert {one.status for one in findings} == {Status.PASS}

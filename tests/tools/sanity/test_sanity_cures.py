@@ -87,7 +87,7 @@ LAG_IS_LEFT = {"hand, armature in g cm^2"}
 
 
 def test_every_row_on_a_model_has_its_place_in_the_order():
-    assert set(ROWS) - set(ORDER) == {"robot-action", "robot-delay"}
+    assert set(ROWS) - set(ORDER) == {"robot-action", "robot-delay", "robot-solver"}
 
 
 @pytest.mark.parametrize(

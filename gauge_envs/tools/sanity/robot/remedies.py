@@ -67,7 +67,8 @@ ORDER = (
 )
 """Rows in the order in which they are mended, and those that a change must not make worse.
 
-The scale and the delay of actions are not of the model.
+The scale and the delay of actions are not of the model. A solver that leaves forces is a fault of its release, which a
+note of the row names.
 """
 
 OF_BODIES = frozenset(
