@@ -369,8 +369,10 @@ def _settings_step(lab: Lab) -> Measurement:
     names = [one.name for one in scene.bodies]
     for step_s in SETTING_STEPS_S:
         with closing(lab.build(scene, timestep_s=step_s)) as simulation:
-            told_s = float(simulation.settings["timestep_s"])
-            if abs(told_s / step_s - 1.0) > 1e-9:
+            told_s = simulation.settings.get("timestep_s")
+            if told_s is None:
+                wrong.append("settings state no timestep_s")
+            elif abs(told_s / step_s - 1.0) > 1e-9:
                 wrong.append(f"asked for {step_s:.6g} s, settings state {told_s:.6g} s")
             ends.append(record(simulation, scene, 0.3).states)
     if all(np.array_equal(ends[0][name], ends[1][name]) for name in names):
