@@ -108,10 +108,10 @@ def checked_values(
     for one in params:
         value = values.get(one.name)
         if one.param_type_name == "argument":
-            if one.nargs == -1 and one.metavar in LISTED:
-                value = [part for text in value or () for part in _names(text)]
-                found[one.name] = value
             # An argument that was not given is None or, in some versions of click, a mark of its own.
+            if isinstance(value, list | tuple) and one.metavar in LISTED:
+                value = [part for text in value for part in _names(text)]
+                found[one.name] = value
             if isinstance(value, str):
                 words.append(value)
             elif isinstance(value, list | tuple):
