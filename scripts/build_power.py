@@ -47,6 +47,11 @@ NEARLY_NONE = 0.01
 STIFF = 10.0
 """Factor of the stretch of a sheet that hardly stretches."""
 
+FRICTIONS = {
+    "dry_friction_n_m": "dry friction",
+    "viscous_friction_n_m_s_per_rad": "viscous friction",
+    "quadratic_friction_n_m_s2_per_rad2": "quadratic friction",
+}
 PLATE = 1e4
 """Factor of the bending of a sheet that swings like a plate."""
 
@@ -67,8 +72,8 @@ def changed_scenes(scene: Scene) -> Iterator[tuple[str, Scene]]:
     if scene.air is not None:
         yield "air off", replace(scene, air=None)
     if scene.joints:
-        for name in ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad"):
-            yield from _with_joints(scene, name)
+        for name, title in FRICTIONS.items():
+            yield from _with_joints(scene, name, title)
 
 
 def _with_contacts(scene: Scene, constant: str, factor: float) -> Scene:
@@ -120,8 +125,7 @@ def _with_deformables(scene: Scene) -> Iterator[tuple[str, Scene]]:
         yield "density x 0.8", replace(scene, deformables=bodies)
 
 
-def _with_joints(scene: Scene, name: str) -> Iterator[tuple[str, Scene]]:
-    title = "dry friction" if name.startswith("dry") else "viscous friction"
+def _with_joints(scene: Scene, name: str, title: str) -> Iterator[tuple[str, Scene]]:
     for text, factor in (("off", 0.0), ("x 0.8", LOW)):
         changed = []
         for joint in scene.joints:

@@ -15,7 +15,7 @@ from gauge_envs.tools.identify import Log, identify, one_joint
 from gauge_envs.tools.identify.baselines import baselines
 from studies.joints.pendulums import HERE, Trial, trials
 
-TITLES = {"command": "angle = command", "lag": "lag"}
+TITLES = {"command": "angle = command", "lag": "lag", "constant": "constant"}
 MASS_KG, LENGTH_M, INERTIA_KG_M2 = 0.147585, 0.147755, 1e-4
 """Load as the authors state it; the inertia is less than theirs, so that the armature can make it up."""
 
@@ -52,12 +52,14 @@ def pendulum() -> None:
             name,
             1e3 * float(error[0]),
             1e3 * float(even.plain_rad[name]["cosine"][0]),
+            1e3 * float(even.motion_rad[name][0]),
         )
         for used, found in (("even", even.error_rad), ("odd", even.held_out_rad))
         for name, error in found.items()
     ]
-    noise = ("sensor", "noise", 1e3 * float(even.noise_rad[0]), "")
-    header = ("half", "piece", "error_mrad", "decaying_cosine_mrad")
+    noise = ("sensor", "noise", 1e3 * float(even.noise_rad[0]), "", "")
+    plain = ("decaying_cosine_mrad", "constant_mrad")
+    header = ("half", "piece", "error_mrad", *plain)
     _write("law_errors.csv", [header, *errors, noise])
     names = [one.name for one in even.settings]
     values = [
@@ -78,6 +80,8 @@ def arm() -> None:
         for one in trials("ServoArm-so101")
     ]
     errors = baselines(logs[::2], logs[1::2])
+    for log in logs:
+        errors[log.name]["constant"] = log.position_rad.std(axis=0)
     counts = [len(log.times_s) for log in logs[1::2]]
     path = HERE / "so101_judged.csv"
     with path.open(encoding="utf-8", newline="") as stream:

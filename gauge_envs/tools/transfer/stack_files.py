@@ -37,12 +37,14 @@ NO_REBOUND = (
 )
 PLACED = "draw it where your environment places the body"
 HELD = "hold the commands back where your environment applies them"
+NO_DRAG = "apply the torque -c rate |rate| where your environment steps"
+EVERYWHERE = {"position_m": PLACED, "quadratic_friction_n_m_s2_per_rad2": NO_DRAG}
 NOT_SET: Mapping[str, Mapping[str, str]] = {
-    "mjlab": {"restitution": NO_REBOUND, "position_m": PLACED},
-    "isaaclab": {"position_m": PLACED},
-    "playground": {"restitution": NO_REBOUND, "position_m": PLACED, "delay_s": HELD},
-    "maniskill": {"position_m": PLACED, "delay_s": HELD},
-    "mujoco": {"restitution": NO_REBOUND, "position_m": PLACED},
+    "mjlab": {"restitution": NO_REBOUND, **EVERYWHERE},
+    "isaaclab": EVERYWHERE,
+    "playground": {"restitution": NO_REBOUND, **EVERYWHERE, "delay_s": HELD},
+    "maniskill": {**EVERYWHERE, "delay_s": HELD},
+    "mujoco": {"restitution": NO_REBOUND, **EVERYWHERE},
 }
 """Constants that the file of a stack does not set, with the reason."""
 

@@ -98,24 +98,19 @@ def test_values_are_those_of_the_studies():
 
 
 def test_pieces_of_a_pendulum_are_those_of_their_fits():
-    fits = {
-        one["trial"]: one
+    single = [
+        float(one["dry_rad_per_s2"])
         for one in rows("joints/swings.csv")
-        if one["law"] == one["trial"].partition("-")[0]
-    }
-    for material, constant, column in (
-        ("dry", "dry_friction_n_m", "dry_rad_per_s2"),
-        ("viscous", "viscous_friction_n_m_s_per_rad", "viscous_per_s"),
-    ):
-        single = [
-            float(one[column])
-            for name, one in fits.items()
-            if name.startswith(material)
-        ]
-        values = measured_constants()[material][constant].values
-        # The task file has the mean of even pieces, by which fits become torques.
-        ratios = np.array(values) / np.array(single)
-        assert ratios == pytest.approx(ratios.mean(), rel=2e-3)
+        if one["trial"].startswith("dry-") and one["law"] == "dry"
+    ]
+    # The task file has the torque of the even piece, by which fits become torques.
+    ratios = np.array(measured_constants()["dry"]["dry_friction_n_m"].values) / single
+    assert ratios == pytest.approx(ratios.mean(), rel=2e-3)
+    for one in rows("joints/law_values.csv"):
+        if one["name"] != "armature_kg_m2":
+            pieces = [float(one[f"single_{k}"]) for k in range(4)]
+            values = measured_constants()["viscous"][one["name"]].values
+            assert values == pytest.approx(pieces, rel=1e-3)
 
 
 def test_a_range_of_trials_covers_95_percent_of_further_ones():
