@@ -38,7 +38,7 @@ from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, com
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import Status
 from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns
-from gauge_envs.tools.leaderboard.trajectory import rescored
+from gauge_envs.tools.leaderboard.check import rescored
 from scripts.generated import (
     ROOT,
     SCORING,

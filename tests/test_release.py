@@ -15,7 +15,9 @@ from gauge_envs.registry import command_lines
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-PUBLISHERS = {("release.yml", "publish"), ("docs.yml", "publish")}
+PUBLISHERS = {
+    (name, "publish") for name in ("release.yml", "docs.yml", "leaderboard.yml")
+}
 """Jobs that may write, each in an environment of its own."""
 
 

@@ -1,16 +1,14 @@
-"""Checks of a leaderboard: folders of result files that vendors of engines submit.
+"""A leaderboard: configurations of engines that anybody submits, and the results that its own machine computes.
 
-    gauge leaderboard check leaderboard/
+    gauge leaderboard check leaderboard/ --run
 
 A submission is one configuration of one version of an engine:
 
     leaderboard/<engine>/<version>/<configuration>/
-        submission.toml         what was run, by whom, and why experiments are left out
-        README.md               optional
-        results.tar.xz          result files of `gauge run`, one for each experiment; or a folder `results`
+        submission.toml         what is run, and by whom it was submitted
+        results.tar.xz          result files, one for each experiment, written by `--run`
 
-No number of a submission is believed. Scores are computed anew from the trajectory in each file, and a sample of the
-episodes can be run again. `docs/leaderboard.md` states each rule.
+No number of a submitter is read. `docs/leaderboard.md` states each rule.
 """
 
 from typing import TYPE_CHECKING
@@ -23,11 +21,9 @@ if TYPE_CHECKING:
         SubmissionCheck as SubmissionCheck,
         check_leaderboard as check_leaderboard,
     )
-    from gauge_envs.tools.leaderboard.reruns import Rerun as Rerun
     from gauge_envs.tools.leaderboard.submission import (
         Fault as Fault,
         Statement as Statement,
     )
-    from gauge_envs.tools.leaderboard.trajectory import false_scores as false_scores
 else:
     __getattr__, __all__ = door(__name__)

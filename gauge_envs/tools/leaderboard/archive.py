@@ -1,59 +1,56 @@
-"""Result files of an accepted submission in one archive, as `tar -cJf results.tar.xz results` makes it."""
+"""The results of a submission in one archive, which `gauge leaderboard check --run` writes."""
 
 import io
 import lzma
-import re
 import tarfile
+from collections.abc import Mapping
+from pathlib import Path
 
-from gauge_envs.files import MEGABYTE, printable
+from gauge_envs.files import MEGABYTE, printable, read_regular, write_whole
 from gauge_envs.runs.result_file import MAX_RESULT_BYTES
 
 ARCHIVE = "results.tar.xz"
+
+MAX_TOTAL_BYTES = 256 * MEGABYTE
+"""Largest size of all result files; all 75 results of an engine have less than a third of it."""
 
 MAX_DICTIONARY_BYTES = 100 * MEGABYTE
 """Largest memory of the decompressor; `xz -9` needs 65 MB."""
 
 
-def archived_files(content: bytes, most_bytes: int) -> dict[str, bytes]:
-    """Return the contents of the result files of an archive, by their name, as `results/A.mujoco.calibrated.json`.
+def read_archive(file: Path) -> dict[str, bytes]:
+    """Return the contents of the files of an archive by name, as `results/A.mujoco.calibrated.json`.
 
     Nothing is written, and nothing larger than the limits is unpacked.
 
-    Args:
-        content: The archive.
-        most_bytes: Largest size of all that it holds.
-
     Raises:
-        ValueError: It is damaged, too large, or holds anything but result files.
+        ValueError: It is damaged or too large, or holds anything but regular files.
     """
+    content = read_regular(file, MAX_RESULT_BYTES)
     files: dict[str, bytes] = {}
     try:
         stream = lzma.LZMADecompressor(lzma.FORMAT_XZ, MAX_DICTIONARY_BYTES)
-        unpacked = stream.decompress(content, most_bytes)
-        if not stream.eof or stream.unused_data:
-            raise ValueError(
-                f"one xz stream of at most {most_bytes / MEGABYTE:.0f} MB is expected"
-            )
+        unpacked = stream.decompress(content, MAX_TOTAL_BYTES)
+        if not stream.eof:
+            limit = MAX_TOTAL_BYTES / MEGABYTE
+            raise ValueError(f"one xz stream of at most {limit:.0f} MB is expected")
         with tarfile.open(fileobj=io.BytesIO(unpacked), mode="r:") as archive:
             for member in archive:
-                if member.isdir() and member.name == "results":
-                    continue
-                _check_member(member, files)
-                reader = archive.extractfile(member)
-                assert reader is not None
+                reader = archive.extractfile(member) if member.isreg() else None
+                if reader is None or member.issparse():
+                    raise ValueError(f"{printable(member.name)} is no regular file")
                 files[member.name] = reader.read()
     except (lzma.LZMAError, tarfile.TarError, EOFError) as error:
         raise ValueError(f"not a tar archive compressed by xz: {error}") from error
     return files
 
 
-def _check_member(member: tarfile.TarInfo, earlier: dict[str, bytes]) -> None:
-    name = printable(member.name)
-    is_file = member.isreg() and not member.issparse()
-    if not is_file or not re.fullmatch(r"results/[^/.][^/]*\.json", member.name):
-        raise ValueError(f"{name} is unexpected in it; expected: results/*.json")
-    if member.name in earlier:
-        raise ValueError(f"{name} is in it twice")
-    if member.size > MAX_RESULT_BYTES:
-        size, limit = member.size / MEGABYTE, MAX_RESULT_BYTES / MEGABYTE
-        raise ValueError(f"{name} has {size:.0f} MB, the limit is {limit:.0f} MB")
+def write_archive(file: Path, contents: Mapping[str, bytes]) -> None:
+    """Write an archive of files by name; it has no owner and no time, so that equal results give equal bytes."""
+    unpacked = io.BytesIO()
+    with tarfile.open(fileobj=unpacked, mode="w") as archive:
+        for name, content in sorted(contents.items()):
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    write_whole(file, lzma.compress(unpacked.getvalue(), preset=9))

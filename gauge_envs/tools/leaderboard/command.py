@@ -19,41 +19,36 @@ Folder = Annotated[
 ]
 FOLDER = Path("leaderboard")
 
+GENERATED = ("leaderboard.json", "leaderboard.md")
+"""Files that `gauge leaderboard table --out` writes."""
+
 
 def leaderboard_check(
     folder: Folder = FOLDER,
-    rerun: Annotated[
-        int,
+    run: Annotated[
+        bool,
         typer.Option(
-            min=0,
+            "--run",
             rich_help_panel=arguments.NUMERICS,
-            help="Run this many episodes of each submission again.",
+            help="Run all experiments here first, and write results.tar.xz of each submission.",
         ),
-    ] = 0,
-    salt: Annotated[
-        str,
-        typer.Option(
-            metavar="TEXT",
-            show_default="none",
-            rich_help_panel=arguments.NUMERICS,
-            help="Text unknown to the submitter, for the choice of the episodes of --rerun.",
-        ),
-    ] = "",
+    ] = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Check submissions: layout, versions, task hashes, trajectories and scores.
+    """Check submissions: what they state, and the results that --run wrote.
 
-    Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
+    With --run the engine must be installed in the version that the submission states. Exit code 1 when anything is
+    wrong.
     """
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.leaderboard.words import check_document
 
-    check = _checked(folder, rerun, salt)
+    check = _checked(folder, run)
     print_document(check_document(check), form)
     message(
-        f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}"
+        f"{counted(len(check.submissions), 'submission')}, {counted(len(check.faults), 'fault')}"
     )
-    return not check.ok
+    return bool(check.faults)
 
 
 def leaderboard_table(
@@ -70,7 +65,6 @@ def leaderboard_table(
     out.
     """
     from gauge_envs.pages.document import as_markdown, as_rows, save_file
-    from gauge_envs.tools.leaderboard.submission import GENERATED
     from gauge_envs.tools.leaderboard.words import leaderboard_document
 
     check = _checked(folder)
@@ -84,15 +78,13 @@ def leaderboard_table(
             message(save_file(out / name, text))
     if out is None or form is not Format.TEXT:
         print_document(document, form)
-    for fault in check.all_faults:
+    for fault in check.faults:
         message(fault, "left out")
-    return not check.ok
+    return bool(check.faults)
 
 
-def _checked(folder: Path, rerun: int = 0, salt: str = "") -> LeaderboardCheck:
+def _checked(folder: Path, run: bool = False) -> LeaderboardCheck:
     from gauge_envs.tools.leaderboard import check_leaderboard
 
     with Progress("files", None) as progress:
-        return check_leaderboard(
-            folder, rerun_count=rerun, salt=salt, advance=progress.advance
-        )
+        return check_leaderboard(folder, run=run, advance=progress.advance)

@@ -5,6 +5,7 @@ from typing import Any
 
 from gauge_envs.pages.document import Document, Heading, Paragraph, as_rows
 from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import shortened
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare import compare, comparison_document, short_tables
@@ -13,99 +14,60 @@ from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
 RESULTS = Column(
     "", "results", lambda row: f"{row['results']} of {row['of']}", is_number=True
 )
+STATED = ("engine", "version", "configuration", "submitter")
 
 
 def check_document(check: LeaderboardCheck) -> Document:
-    """Return the submissions, the episodes that were run again, and the faults; `record` of a row states which."""
-    submissions = [
-        _submission_row(one) | {"notes": list(one.notes)} for one in check.submissions
-    ]
-    reruns = {
-        one.folder: [{"folder": one.folder} | asdict(two) for two in one.reruns]
-        for one in check.submissions
-    }
-    numbers = {"largest_difference": "largest", "rmse": "RMS", "allowed": "allowed RMS"}
-    tables = (
-        Table(
-            title="Run again",
-            columns=(
-                Column("folder", "", place=Place.HEADING),
-                Column("id", "experiment"),
-                Column("status", "trajectory"),
-                *(
-                    Column(key, title, lambda value: f"{value:.3g}", is_number=True)
-                    for key, title in numbers.items()
-                ),
-                Column("unit", "unit"),
-                Column("cause", "cause", place=Place.BELOW),
-            ),
-            rows=[row for rows in reruns.values() for row in rows],
-        ),
-        Table(
-            title="Faults",
-            columns=(
-                Column("file", "file", place=Place.HEADING),
-                Column("key", "key", lambda key: key or "(file)"),
-                Column("reason", "", place=Place.BELOW),
-            ),
-            rows=check.all_faults,
-        ),
+    """Return the submissions and the faults; `record` of a row states which."""
+    submissions = [_submission_row(one) for one in check.submissions]
+    faults = Column(
+        "faults",
+        "faults",
+        is_number=True,
+        style=lambda count: "red" if count else "green",
     )
     listed = Table(
         title="Submissions",
-        columns=(
-            Column("folder", "folder"),
-            RESULTS,
-            Column(
-                "faults",
-                "faults",
-                is_number=True,
-                style=lambda count: "red" if count else "green",
-            ),
-        ),
+        columns=(Column("folder", "folder"), RESULTS, faults),
         rows=submissions,
-        notes=tuple(note for one in check.submissions for note in one.notes),
     )
-    rows: list[dict[str, Any]] = []
-    for row in submissions:
-        rows += [
-            {"record": "submission"} | row,
-            *({"record": "rerun"} | again for again in reruns[row["folder"]]),
-        ]
-    rows += [{"record": "fault"} | asdict(fault) for fault in check.all_faults]
-    return Document(
-        parts=(listed, *(table for table in tables if table.rows)), rows=rows
+    wrong = Table(
+        title="Faults",
+        columns=(
+            Column("file", "file", place=Place.HEADING),
+            Column("key", "key", lambda key: key or "(file)"),
+            Column("reason", "", place=Place.BELOW),
+        ),
+        rows=check.faults,
     )
+    rows = submissions + [{"record": "fault"} | asdict(fault) for fault in check.faults]
+    return Document(parts=(listed, wrong) if check.faults else (listed,), rows=rows)
 
 
 def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
-    statement = one.statement
-    keys = ("engine", "version", "package_sha256", "configuration", "submitter", "url")
     return {
+        "record": "submission",
         "folder": one.folder,
-        **{key: getattr(statement, key, None) for key in keys},
+        **{key: getattr(one.statement, key, None) for key in (*STATED, "url")},
         "results": len(one.results),
-        "of": one.asked,
+        "of": len(one.experiments),
         "diverged": sum(result.outcome is Outcome.DIVERGED for result in one.results),
-        "left_out": dict(statement.left_out) if statement else {},
-        "ok": one.ok,
-        "unverified": list(one.unverified),
+        "declined": list(one.declined),
+        "missing": list(one.missing),
         "faults": len(one.faults),
-        "content_sha256": one.content_sha256,
     }
 
 
 def leaderboard_document(check: LeaderboardCheck) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
-    comparison = compare(result for one in _ranked(check) for result in one.results)
-    left_out = Column("left_out", "left out", _left_out_text, place=Place.BELOW)
+    sound = [one for one in check.submissions if one.ok]
+    partial = [one for one in sound if one.missing or not one.results]
+    ranked = [one for one in sound if one not in partial]
+    comparison = compare(result for one in ranked for result in one.results)
     columns = (
-        *(
-            Column(key, key)
-            for key in ("engine", "version", "configuration", "submitter")
-        ),
+        *(Column(key, key) for key in STATED),
         RESULTS,
-        left_out,
+        Column("declined", "declined", _names, place=Place.BELOW),
     )
     standing = Table(
         title="Submissions",
@@ -121,65 +83,40 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
                 ]
             }
             | _submission_row(one)
-            for one in _ranked(check)
+            for one in ranked
         ],
         notes=(
-            "Scores are computed from the submitted trajectories. Means and ranks are within one grade of reference, "
-            "and over the experiments that all have; nothing is averaged across grades.",
+            "Means and ranks are within one grade of reference, and over the experiments that all have; nothing is "
+            "averaged across grades.",
         ),
     )
     apart = Table(
         title="Partial submissions",
-        columns=columns,
-        rows=[
-            _submission_row(one)
-            for one in check.submissions
-            if one.ok and one.is_partial
-        ],
+        columns=(*columns, Column("missing", "missing", _names, place=Place.BELOW)),
+        rows=[_submission_row(one) for one in partial],
         notes=(
-            "They lack results of experiments that their engine builds, or an engine that is installed here. They are "
-            "not compared, so that the experiments of the others stay the same.",
+            "They lack episodes of experiments that their engine does not decline. They are not compared, so that the "
+            "experiments of the others stay the same.",
         ),
     )
-    # Wall times are those of the submitters' machines, which no trajectory proves.
+    # Wall times are those of one machine.
     compared = comparison_document(comparison, with_costs=False)
-    parts = (
-        standing,
-        *([apart] if apart.rows else ()),
-        *(compared.parts if comparison.experiments else ()),
-    )
+    tables = (standing, apart) if partial else (standing,)
+    has_scores = bool(comparison.experiments)
     page = (
-        standing,
-        *([apart] if apart.rows else ()),
-        *(short_tables(comparison) if comparison.experiments else ()),
+        Heading("Leaderboard", 1),
+        *tables,
+        *(short_tables(comparison) if has_scores else ()),
         Paragraph(
             "Ranks in each experiment, all metrics and all pairs: gauge leaderboard table."
         ),
     )
-    rows = [{"record": "submission"} | row for row in (*standing.rows, *apart.rows)]
     return Document(
-        parts=parts,
-        rows=rows + as_rows(compared),
-        markdown=(Heading("Leaderboard", 1), *page),
+        parts=(*tables, *(compared.parts if has_scores else ())),
+        rows=[*standing.rows, *apart.rows, *as_rows(compared)],
+        markdown=page,
     )
 
 
-def _ranked(check: LeaderboardCheck) -> list[SubmissionCheck]:
-    return [
-        one
-        for one in check.submissions
-        if one.ok and one.results and not one.is_partial
-    ]
-
-
-def _left_out_text(reasons: dict[str, str]) -> str:
-    """Return each reason once, with the patterns that it is for."""
-    by_reason: dict[str, list[str]] = {}
-    for pattern, reason in reasons.items():
-        by_reason.setdefault(reason, []).append(pattern)
-    return (
-        "; ".join(
-            f"{', '.join(patterns)}: {reason}" for reason, patterns in by_reason.items()
-        )
-        or "none"
-    )
+def _names(names: list[str]) -> str:
+    return shortened(names) if names else "none"

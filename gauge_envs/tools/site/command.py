@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import ResultFileError
+from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.pages.text import counted, shortened
+
+if TYPE_CHECKING:
+    from gauge_envs.runs.result import Result
 
 
 def report(
@@ -33,24 +36,16 @@ def report(
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
     It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
-    bit for bit. Exit code 1 when a file was skipped: a damaged one, or one that states a score that its trajectory does
-    not give.
+    bit for bit. Exit code 1 when a file was skipped: a damaged one, or one of another revision of its experiment.
     """
-    from gauge_envs.tools.leaderboard import false_scores
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
     # Before the runs, which may take minutes.
     check_replaceable(out)
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    false = {
-        file: found
-        for file, result in results.items()
-        if (found := false_scores(result))
-    }
-    for file, found in false.items():
-        message(f"{file}: {shortened(found)}", "skipped")
-        del results[file]
+    old = {file: one for file, one in results.items() if not _is_current(file, one)}
+    results = {file: one for file, one in results.items() if file not in old}
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
     words = [
@@ -80,4 +75,16 @@ def report(
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     message(f"{counted(len(results), 'result')}, {size / 1e6:.1f} MB")
     echo(out / "index.html")
-    return bool(skipped or false)
+    return bool(skipped or old)
+
+
+def _is_current(file: Path, result: Result) -> bool:
+    """Return whether the experiment of a result is there in its revision; a message says why not."""
+    from gauge_envs.runs.result_file import recorded_experiment
+
+    try:
+        recorded_experiment(result)
+    except GaugeError as error:
+        message(f"{file}: {error}", "skipped")
+        return False
+    return True

@@ -192,19 +192,11 @@ def test_hostile_texts_are_escaped(results, tmp_path):
     [
         (lambda text: text[:-40], "not a result file"),
         (
-            lambda text: text.replace('"rmse": 7.4', '"rmse": 0.4'),
-            "score.rmse: the file states 0.4",
-        ),
-        (
-            lambda text: re.sub(r'("samples": \[\[)[^,\]]+', r"\1null", text),
-            "simulated is nan at frame 0",
-        ),
-        (
             lambda text: text.replace('"revision": 1', '"revision": 2'),
             "it has revision 2, and the installed package",
         ),
     ],
-    ids=["damaged", "forged", "not a number", "other revision"],
+    ids=["damaged", "other revision"],
 )
 def test_a_wrong_file_is_named_and_left_out(change, reason, results, tmp_path, gauge):
     source = tmp_path / "results"
