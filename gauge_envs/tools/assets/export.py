@@ -5,24 +5,12 @@ from pathlib import Path
 
 from pxr import Usd
 
-from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.errors import ResultFileError, UnsupportedSceneError
+from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import os_errors
-from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.mjcf import (
-    DRIVER_PREFIX,
-    add_grips,
-    add_stiffness_tables,
-    described_xml,
-    driver_rows,
-    replay_note,
-    start_notes,
-    without_rest,
-)
+from gauge_envs.tools.mjcf import scene_mjcf_text
 from gauge_envs.tools.usd import scene_stage
 
 SOURCE = (
@@ -86,32 +74,11 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
 
 def mjcf_text(experiment: TaskExperiment) -> str:
     """Return the text that `write_mjcf` writes."""
-    scene = experiment.scene
-    if scene.air is not None:
-        raise UnsupportedSceneError(
-            f"{experiment.id}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
-        )
-    simulation = BackendMuJoCo().build(scene)
     notes = [
         f"{experiment.spec.title}: {experiment.id}, parameters: {experiment.parameters}.",
         f"Task file: tasks/{task_path(experiment.variant.family).name}, sha256 {experiment.file_sha256}.",
         SOURCE,
     ]
-    notes += start_notes(simulation)
-    if scene.deformables:
-        notes += add_stiffness_tables(simulation)
-    for driver in scene.drivers:
-        path = DriverPath(driver, scene, experiment.frame_count)
-        rows = driver_rows(
-            simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S)
-        )
-        moving = without_rest(rows)
-        name = f"{DRIVER_PREFIX}{driver.body}"
-        simulation.spec.add_numeric(
-            name=name, size=moving.size, data=moving.ravel().tolist()
-        )
-        notes.append(
-            replay_note(driver.body, driver.provenance, simulation, moving, len(rows))
-        )
-    notes += add_grips(simulation)
-    return described_xml(simulation, experiment.name, notes)
+    return scene_mjcf_text(
+        experiment.scene, experiment.name, experiment.frame_count, notes
+    )

@@ -6,19 +6,14 @@ from gauge_envs.registry import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.mjcf.reader import (
+        DRIVER_COLUMNS as DRIVER_COLUMNS,
         DRIVER_PREFIX as DRIVER_PREFIX,
         PROBE as PROBE,
-        driver_rows as driver_rows,
     )
     from gauge_envs.tools.mjcf.writer import (
         NUMBER as NUMBER,
-        add_grips as add_grips,
-        add_stiffness_tables as add_stiffness_tables,
-        described_xml as described_xml,
         expanded as expanded,
-        replay_note as replay_note,
-        start_notes as start_notes,
-        without_rest as without_rest,
+        scene_mjcf_text as scene_mjcf_text,
     )
 else:
     __getattr__, __all__ = door(__name__)

@@ -13,10 +13,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.flex import flex_table
 from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Scene
+from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.mjcf.reader import DRIVER_PREFIX, driver_rows
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 
@@ -30,6 +35,45 @@ KINDS = re.compile(
     r'<numeric name="(?P<name>[^"]+)/kinds" size="\d+" data="(?P<kinds>[^"]*)" />\s*'
     r'<numeric name="(?P=name)/kind" size="\d+" data="(?P<kind>[^"]*)" />'
 )
+
+
+# --- scenes ----------------------------------------------------------------------------------------------------------
+
+
+def scene_mjcf_text(
+    scene: Scene, name: str, frame_count: int, notes: Iterable[str] = ()
+) -> str:
+    """Return a scene as the text of an MJCF file.
+
+    Args:
+        scene: The scene.
+        name: Name of the model, and of the scene in messages.
+        frame_count: Frames of the motion of its driven bodies, including the first.
+        notes: Lines of the comment at the top.
+    """
+    if scene.air is not None:
+        raise UnsupportedSceneError(
+            f"{name}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
+        )
+    simulation = BackendMuJoCo().build(scene)
+    lines = [*notes, *start_notes(simulation)]
+    if scene.deformables:
+        lines += add_stiffness_tables(simulation)
+    for driver in scene.drivers:
+        path = DriverPath(driver, scene, frame_count)
+        rows = driver_rows(
+            simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S)
+        )
+        moving = without_rest(rows)
+        title = f"{DRIVER_PREFIX}{driver.body}"
+        simulation.spec.add_numeric(
+            name=title, size=moving.size, data=moving.ravel().tolist()
+        )
+        lines.append(
+            replay_note(driver.body, driver.provenance, simulation, moving, len(rows))
+        )
+    lines += add_grips(simulation)
+    return described_xml(simulation, name, lines)
 
 
 # --- start velocities ------------------------------------------------------------------------------------------------

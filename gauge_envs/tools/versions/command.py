@@ -17,8 +17,13 @@ if TYPE_CHECKING:
 
 
 def backend_versions(
-    model: Annotated[
-        Path, typer.Argument(metavar="MODEL", help="Model file: MJCF or URDF.")
+    subject: Annotated[
+        str,
+        typer.Argument(
+            metavar="SUBJECT",
+            help="Model file (MJCF, URDF, USD), id of this suite or of Gymnasium, module:function that makes an "
+            "environment or a model, or demonstrations with their model (.hdf5).",
+        ),
     ],
     versions: Annotated[
         list[str] | None,
@@ -42,7 +47,8 @@ def backend_versions(
         typer.Option(
             metavar="FILE",
             rich_help_panel=arguments.SCENE,
-            help="Saved states (.npz): qpos, a row each; qvel, act, ctrl and time if they are known.",
+            help="Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known; or .hdf5 "
+            "of LIBERO and robomimic, with :demo_3 behind it for another demonstration than the first.",
         ),
     ] = None,
     steps: Annotated[
@@ -88,18 +94,15 @@ def backend_versions(
     from gauge_envs.tools.versions.words import comparison_document
 
     files = arguments.by_suffix(out, ".md", ".json")
-    for file in (model, states):
-        if file is not None and not file.is_file():
-            raise ParameterError(f"{file}: there is no such file")
     sides = [*_sides(versions or ()), *map(of_interpreter, python or ())]
     if len(sides) != 2:
         raise ParameterError(
-            f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {model} "
+            f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
             "mujoco==3.3.0 mujoco==4.0.0"
         )
     used = {side.requirement: None for side in sides if side.requirement}
     try:
-        with bench(model, steps=steps, seed=seed, saved=states, say=message) as at:
+        with bench(subject, states, steps=steps, seed=seed, say=message) as at:
             tried: list[Release] = []
             if bisect:
                 if len(used) != 2:

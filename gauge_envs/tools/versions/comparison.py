@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,6 +31,7 @@ from gauge_envs.tools.versions.model import (
     Side,
     Verdict,
 )
+from gauge_envs.tools.versions.subject import read_subject
 
 WORKER = Path(__file__).with_name("worker.py")
 
@@ -101,7 +103,9 @@ class Bench:
         folder: Folder of the files of the processes.
         steps: Steps of each segment.
         seed: Seed of controls and pushes.
-        saved: File of saved states, which replace the segments; or None.
+        saved: NPZ of saved states, which replace the segments; or None.
+        motion: NPZ of the motion of driven bodies; or None.
+        title: The model as the user named it; its file by default.
         say: Prints what is installed.
     """
 
@@ -113,13 +117,18 @@ class Bench:
         steps: int,
         seed: int,
         saved: Path | None = None,
+        motion: Path | None = None,
+        title: str = "",
         say: Callable[[str], object] = print,
     ) -> None:
         self.model = model
+        self.title = title or str(model)
         self._folder = folder
         self._motion: dict[str, Any] = {"steps": steps, "seed": seed}
         if saved is not None:
             self._motion["saved"] = str(saved.resolve())
+        if motion is not None:
+            self._motion["driven"] = str(motion)
         self._say = say
         self._jobs = 0
 
@@ -177,14 +186,31 @@ class Bench:
             # A traceback ends with the exception, whose message may have several lines.
             *_, last = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)
             cause = " ".join(last.split()) or f"it ended with code {done.returncode}"
-            raise VersionsError(f"{side.title} cannot run {self.model}: {cause}")
+            if done.returncode < 0:
+                cause = f"this release crashes on it ({signal.Signals(-done.returncode).name})"
+            raise VersionsError(f"{side.title} cannot run {self.title}: {cause}")
 
 
 @contextmanager
-def bench(model: Path, **options: Any) -> Iterator[Bench]:
-    """Open a bench, whose files are removed at the end; the options are those of `Bench`."""
-    with TemporaryDirectory(prefix="gauge-versions-") as folder:
-        yield Bench(model, Path(folder), **options)
+def bench(subject: str, states: Path | None = None, **options: Any) -> Iterator[Bench]:
+    """Open a bench, whose files are removed at the end.
+
+    Args:
+        subject: The model, in the words of `read_subject`.
+        states: File of its saved states, or None.
+        options: Other arguments of `Bench`.
+    """
+    with TemporaryDirectory(prefix="gauge-versions-") as name:
+        folder = Path(name)
+        read = read_subject(subject, folder, states)
+        yield Bench(
+            read.file,
+            folder,
+            saved=read.states,
+            motion=read.motion,
+            title=read.title,
+            **options,
+        )
 
 
 def _words(out: Path) -> dict[str, Any]:
@@ -220,7 +246,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
                 gap=Gap(first.probes[index], second.probes[index]),
                 states=_arrays(files[index]),
                 title=sides[index].title,
-                segments=[end["segment"] for end in one.words["ends"]],
+                segments=[*(end["segment"] for end in one.words["ends"]), SAVED],
                 names=one.words["names"],
             )
             for index in range(2)
@@ -237,7 +263,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
     right = {ruling.right for ruling in rulings if ruling.right}
     fields, new_fields = field_changes(one.words, two.words)
     return Comparison(
-        subject=str(bench.model),
+        subject=bench.title,
         before=before.title,
         after=after.title,
         versions=(one.words["version"], two.words["version"]),
@@ -250,6 +276,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         worst=largest,
         fields=fields,
         new_fields=new_fields,
+        dropped=(tuple(one.words["dropped"]), tuple(two.words["dropped"])),
         pairs=_pair_changes(visits),
         # Without a step that differs, ends differ by chaos alone.
         settled=tuple(_settled(one.words, two.words)) if differing else (),
@@ -265,10 +292,13 @@ def check_same_shape(bench: Bench, one: Observed, two: Observed) -> None:
         counts.append(", ".join(f"{key} {side.words[key]}" for key in SHAPE))
     if counts[0] != counts[1]:
         raise VersionsError(
-            f"{bench.model}: {one.side.title} compiles {counts[0]}; {two.side.title} compiles {counts[1]}. "
+            f"{bench.title}: {one.side.title} compiles {counts[0]}; {two.side.title} compiles {counts[1]}. "
             "No state fits both."
         )
 
+
+SAVED = "saved states"
+"""States of the user's file, which are behind those of the segments."""
 
 SHAPE = ("nq", "nv", "nu")
 """Sizes of a state."""
@@ -655,8 +685,8 @@ def _settled(one: Mapping[str, Any], two: Mapping[str, Any]) -> Iterator[Settled
             noise_m=float(noise),
             moved_before_m=moved[0],
             moved_after_m=moved[1],
-            depth_before_m=before["depth_m"],
-            depth_after_m=after["depth_m"],
+            depth_before_m=before["depths_m"][body],
+            depth_after_m=after["depths_m"][body],
             speed_before_m_per_s=before["speeds"][body],
             speed_after_m_per_s=after["speeds"][body],
             end_before=_end(before, body, moved[0]),
@@ -670,6 +700,9 @@ EXPLODING_SPEED = 100.0
 DEEP_M = 5e-3
 """Depth of a contact beyond which a body is inside another one [m]."""
 
+FALL_M = 0.03
+"""Way down that is a fall [m]."""
+
 STANDING_M, STANDING_M_PER_S = 1e-2, 0.1
 """Displacement [m] and speed [m/s] of a body that stands."""
 
@@ -678,7 +711,9 @@ def _end(end: Mapping[str, Any], body: int, moved_m: float) -> str:
     is_bad = any(name.startswith("mjWARN_BAD") for name in end["warnings"])
     if is_bad or not end["largest_speed"] < EXPLODING_SPEED:
         return "explodes"
-    if end["depth_m"] > DEEP_M:
+    if end["fallen_m"][body] > FALL_M:
+        return "falls"
+    if end["depths_m"][body] > DEEP_M:
         return "penetrates"
     is_still = moved_m < STANDING_M and end["speeds"][body] < STANDING_M_PER_S
     return "stands" if is_still else "moves"

@@ -132,9 +132,9 @@ class Settled:
         difference_m: Distance between its two ends [m].
         noise_m: Distance between two ends of the first version, from starts that differ by 1e-10 [m].
         moved_before_m, moved_after_m: How far the body is from its start [m].
-        depth_before_m, depth_after_m: Deepest contact of the segment [m].
+        depth_before_m, depth_after_m: Deepest contact of the body [m].
         speed_before_m_per_s, speed_after_m_per_s: Speed of the body at the end [m/s].
-        end_before, end_after: stands, moves, penetrates or explodes.
+        end_before, end_after: stands, moves, falls, penetrates or explodes.
     """
 
     segment: str
@@ -174,7 +174,7 @@ class Comparison:
     """What two versions make of one model.
 
     Attributes:
-        subject: The model file.
+        subject: The model, as the user named it.
         before, after: Titles of the versions.
         versions: Version of the engine on each side.
         verdict: Whether they differ.
@@ -187,6 +187,7 @@ class Comparison:
         worst: Where they part most; None if they do not.
         fields: Compiled fields that differ.
         new_fields: Compiled fields and flags that one side alone has.
+        dropped: Attributes of the model file that each side does not know.
         pairs: Contact pairs that differ.
         settled: Starts that end differently.
         rulings: Laws that were applied.
@@ -206,6 +207,7 @@ class Comparison:
     worst: Parting | None
     fields: tuple[FieldChange, ...]
     new_fields: tuple[str, ...]
+    dropped: tuple[tuple[str, ...], tuple[str, ...]]
     pairs: tuple[PairChange, ...]
     settled: tuple[Settled, ...]
     rulings: tuple[Ruling, ...]

@@ -40,11 +40,14 @@ def comparison_document(found: Comparison, tried: Sequence[Release] = ()) -> Doc
             else CANNOT_TELL
         )
         parts += [Paragraph(""), Paragraph(text, Tone.ANSWER)]
+    for side, dropped in zip((found.before, found.after), found.dropped, strict=True):
+        if dropped:
+            text = f"{side} does not know, and runs without: {', '.join(dropped)}."
+            parts.append(Paragraph(text, Tone.NOTE))
     if found.new_fields:
-        names = ", ".join(found.new_fields)
-        parts.append(
-            Paragraph(f"Fields and flags that one side alone has: {names}.", Tone.NOTE)
-        )
+        count = counted(len(found.new_fields), "compiled field")
+        text = f"{count} exist on one side alone; --json names them."
+        parts.append(Paragraph(text, Tone.NOTE))
     parts.append(Paragraph(NOISE_NOTE, Tone.NOTE))
     return Document(
         parts=parts, rows=[asdict(found) | {"tried": list(map(asdict, tried))}]

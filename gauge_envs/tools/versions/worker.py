@@ -11,17 +11,29 @@ the compiled model in words.
 """
 
 import json
+import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
 
 Job = dict[str, Any]
 
-STATE = ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "qacc_warmstart")
+STATE = (
+    "qpos",
+    "qvel",
+    "act",
+    "ctrl",
+    "mocap_pos",
+    "mocap_quat",
+    "xfrc_applied",
+    "qacc_warmstart",
+)
 """Arrays of a state; a file of saved states needs `qpos` alone."""
 
 ENUMS = {
@@ -115,13 +127,81 @@ PUSH_M_PER_S = 0.5
 MOST_KEYS = 4
 """Keyframes that are started from."""
 
+MOST_SETTLED = 4
+"""Saved states from which the model settles."""
+
+DRIVEN_INTERVAL_S = 1.0 / 180.0
+"""Time of a row of the motion of a driven body of the suite [s]."""
+
 MOST_PROBES = 600
 """Most states of a segment that are probed; of a longer one, every n-th step."""
 
 
-def load(job: Job) -> Any:
-    """Return the compiled model with the settings of the side."""
-    model = mujoco.MjModel.from_xml_path(job["model"])
+MOST_DROPPED = 40
+"""Attributes of a model file that a release may lack."""
+
+UNKNOWN = re.compile(
+    r"(unrecognized attribute|invalid keyword): '(\w+)'\s+Element '(\w+)', line (\d+)"
+)
+"""MuJoCo's message on an attribute, or a value of one, that it does not know."""
+
+
+def without_unknown(path: Path, folder: Path) -> tuple[Any, list[str]]:
+    """Compile a model file without the attributes that the release does not know.
+
+    Args:
+        path: The model file.
+        folder: Folder of a copy without them.
+
+    Returns:
+        The compiled model, and the attributes, as `option apirate="100"`.
+    """
+    file = path
+    dropped: list[str] = []
+    while True:
+        try:
+            return mujoco.MjModel.from_xml_path(str(file)), dropped
+        except ValueError as error:
+            unknown = UNKNOWN.search(str(error))
+            text = file.read_text(encoding="utf-8")
+            # An included file has lines of its own.
+            if unknown is None or "<include" in text or len(dropped) >= MOST_DROPPED:
+                raise
+            kind, word, element, line = unknown.groups()
+        lines = text.splitlines(keepends=True)
+        begin = sum(map(len, lines[: int(line) - 1]))
+        begin = text.index("<" + element, begin)
+        stated = rf"\s{word}\s*=\s*(\"[^\"]*\"|'[^']*')"
+        if kind == "invalid keyword":
+            stated = rf"\s\w+\s*=\s*[\"']{word}[\"']"
+        attribute = re.compile(stated).search(text, begin)
+        if attribute is None:
+            raise SystemExit(f"{element}: {word} is unknown to this release")
+        dropped.append(element + " " + attribute[0].strip())
+        text = text[: attribute.start()] + text[attribute.end() :]
+        if file == path:
+            text = with_absolute_folders(text, path)
+            file = folder / ("known_" + path.name)
+        file.write_text(text, encoding="utf-8")
+
+
+def with_absolute_folders(text: str, path: Path) -> str:
+    """Return a model whose meshes and textures are found from another folder."""
+    folders = {"meshdir": "", "texturedir": ""}
+    for compiler in ElementTree.fromstring(text).findall("compiler"):
+        for kind in folders:
+            stated = compiler.get("assetdir", folders[kind])
+            folders[kind] = compiler.get(kind, stated)
+    folders = {kind: str(path.parent / at) for kind, at in folders.items()}
+    words = " ".join(f"{kind}={quoteattr(at)}" for kind, at in folders.items())
+    # On the same line, so that those of the messages stay.
+    end = text.rindex("</mujoco>")
+    return text[:end] + f"<compiler {words}/>" + text[end:]
+
+
+def load(job: Job) -> tuple[Any, list[str]]:
+    """Return the compiled model with the settings of the side, and the attributes that the release lacks."""
+    model, dropped = without_unknown(Path(job["model"]), Path(job["out"]).parent)
     for name, value in job.get("settings", {}).items():
         if not hasattr(model.opt, name):
             raise SystemExit("unknown setting: " + name)
@@ -133,7 +213,7 @@ def load(job: Job) -> Any:
             }
             value = members[value.upper()]
         setattr(model.opt, name, value)
-    return model
+    return model, dropped
 
 
 # --- the compiled model ----------------------------------------------------------------------------------------------
@@ -263,8 +343,27 @@ def starts(model: Any, seed: int) -> Iterator[tuple[str, dict[str, Any], Any]]:
     yield "push", pushed, None
 
 
+def driven(model: Any, job: Job) -> list[tuple[int, Any]]:
+    """Return each driven body, and its rows: 7 numbers of qpos, 6 of qvel, 6 of xfrc_applied."""
+    if job["run"].get("driven") is None:
+        return []
+    with np.load(job["run"]["driven"]) as arrays:
+        return [
+            (
+                mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name),
+                np.array(arrays[name]),
+            )
+            for name in arrays.files
+        ]
+
+
 def moved(
-    model: Any, start: Mapping[str, Any], controls: Any, steps: int, interval: int
+    model: Any,
+    start: Mapping[str, Any],
+    controls: Any,
+    steps: int,
+    interval: int,
+    motions: Sequence[tuple[int, Any]],
 ) -> Iterator[tuple[dict[str, Any], Any]]:
     """Yield the state before each step, and the data."""
     data = mujoco.MjData(model)
@@ -272,17 +371,50 @@ def moved(
     mujoco.mj_forward(model, data)
     if "qacc_warmstart" in start:
         data.qacc_warmstart[:] = start["qacc_warmstart"]
+    drive_steps = max(1, round(DRIVEN_INTERVAL_S / model.opt.timestep))
     for step in range(steps):
         if controls is not None:
             data.ctrl[:] = controls[min(step // interval, len(controls) - 1)]
+        if step % drive_steps == 0:
+            for body, rows in motions:
+                values = rows[min(step // drive_steps, len(rows) - 1)]
+                joint = int(model.body_jntadr[body])
+                place, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+                data.qpos[place : place + 7] = values[:7]
+                data.qvel[dof : dof + 6] = values[7:13]
+                data.xfrc_applied[body] = values[13:]
         yield taken(data), data
         mujoco.mj_step(model, data)
 
 
-def saved(file: str) -> dict[str, Any]:
-    """Return the rows of a file of saved states."""
+def saved(model: Any, file: str) -> dict[str, Any]:
+    """Return the rows of a file of saved states.
+
+    A row of `flat`, as robosuite and LIBERO save it, has time, qpos, qvel and act one behind the other.
+    """
     with np.load(file) as arrays:
-        return {name: np.array(arrays[name]) for name in arrays.files}
+        rows = {name: np.array(arrays[name]) for name in arrays.files}
+    if "flat" in rows:
+        flat = rows.pop("flat")
+        sizes = {"time": 1, "qpos": model.nq, "qvel": model.nv}
+        # Some files leave activations out.
+        if flat.shape[1] != sum(sizes.values()):
+            sizes["act"] = model.na
+        if flat.shape[1] != sum(sizes.values()):
+            raise SystemExit(
+                f"a saved state has {flat.shape[1]} numbers; the model has 1 + {model.nq} + {model.nv} + {model.na}"
+            )
+        ends = np.cumsum(list(sizes.values()))
+        for name, end in zip(sizes, ends, strict=True):
+            rows[name] = flat[:, end - sizes[name] : end]
+        rows["time"] = rows["time"][:, 0]
+    columns = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "ctrl": model.nu}
+    for name, size in columns.items():
+        if name in rows and rows[name].shape[1:] != (size,):
+            raise SystemExit(
+                f"{name} of a saved state has the shape {rows[name].shape[1:]}; the model has {size}"
+            )
+    return rows
 
 
 def row(rows: Mapping[str, Any], index: int) -> dict[str, Any]:
@@ -303,9 +435,10 @@ def segments(
         for name, start, controls in starts(model, seed):
             yield name, start, controls, steps, interval
         return
-    rows = saved(file)
+    rows = saved(model, file)
     count = len(rows["qpos"])
-    yield "settle", row(rows, 0), None, steps, 1
+    for index in np.unique(np.linspace(0, count - 1, MOST_SETTLED).astype(int)):
+        yield f"settle from state {index}", row(rows, index), None, steps, 1
     if "ctrl" in rows and count > 1:
         interval = 1
         if "time" in rows:
@@ -324,6 +457,7 @@ def segments(
 def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
     """Move the model through its segments; return the states that are probed, and what became of each segment."""
     states, ends = [], []
+    motions = driven(model, job)
     for index, (name, start, controls, steps, interval) in enumerate(
         segments(model, job)
     ):
@@ -337,11 +471,13 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
                 begin["qvel"] = begin.get(
                     "qvel", np.zeros(model.nv)
                 ) + PERTURBATION * noise.normal(size=model.nv)
-            depth, speed = 0.0, 0.0
+            depths, speed = np.zeros(model.nbody), 0.0
             for step, (state, data) in enumerate(
-                moved(model, begin, controls, steps, interval)
+                moved(model, begin, controls, steps, interval, motions)
             ):
-                depth = min(depth, float(np.min(data.contact.dist, initial=0.0)))
+                pairs, distances = contacts(data)
+                for side in (0, 1):
+                    np.maximum.at(depths, model.geom_bodyid[pairs[:, side]], -distances)
                 speed = max(speed, float(np.max(np.abs(data.qvel), initial=0.0)))
                 if step == 0:
                     first = np.array(data.xpos)
@@ -350,16 +486,30 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
             mujoco.mj_forward(model, data)
             positions[variant] = np.array(data.xpos)
             if variant == "plain":
-                end = {"segment": name, "steps": steps, "depth_m": -depth}
+                end = {"segment": name, "steps": steps, "depths_m": depths.tolist()}
                 end["largest_speed"] = speed
                 end["speeds"] = speeds(model, data)
                 end["warnings"] = warnings(data)
         end["first_positions_m"] = first.tolist()
+        down = model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-12)
+        end["fallen_m"] = ((positions["plain"] - first) @ down).tolist()
         end["positions_m"] = positions["plain"].tolist()
         end["perturbed_positions_m"] = positions["perturbed"].tolist()
         ends.append(end)
+    states.extend(saved_states(model, job, len(ends)))
     keys = (*STATE, "time", "segment", "step")
     return {key: np.array([state[key] for state in states]) for key in keys}, ends
+
+
+def saved_states(model: Any, job: Job, segment: int) -> Iterator[dict[str, Any]]:
+    """Yield the states of the user's file, which are probed as they are."""
+    if job["run"].get("saved") is None:
+        return
+    rows = saved(model, job["run"]["saved"])
+    plain = taken(mujoco.MjData(model))
+    count = len(rows["qpos"])
+    for step in range(0, count, max(1, -(-count // MOST_PROBES))):
+        yield {**plain, **row(rows, step), "segment": segment, "step": step}
 
 
 def speeds(model: Any, data: Any) -> list[float]:
@@ -511,7 +661,7 @@ def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
 def main(file: Path) -> None:
     """Do the job of a file."""
     job = json.loads(file.read_text(encoding="utf-8"))
-    model = load(job)
+    model, dropped = load(job)
     words = {
         "version": mujoco.__version__,
         "numpy": np.__version__,
@@ -520,12 +670,15 @@ def main(file: Path) -> None:
     words.update(nq=model.nq, nv=model.nv, nu=model.nu, timestep_s=model.opt.timestep)
     words["fields"] = compiled(model)
     words["names"], words["owners"] = names(model), OWNERS
+    words["dropped"] = dropped
     words["is_sparse"] = bool(mujoco.mj_isSparse(model))
     if job.get("run"):
         states, words["ends"] = run(model, job)
         np.savez(job["out"] + ".run.npz", **states)
     for index, states_file in enumerate(job.get("states", [])):
-        np.savez(f"{job['out']}.probe{index}.npz", **probe(model, saved(states_file)))
+        np.savez(
+            f"{job['out']}.probe{index}.npz", **probe(model, saved(model, states_file))
+        )
     Path(job["out"] + ".json").write_text(json.dumps(words), encoding="utf-8")
 
 

@@ -16,6 +16,7 @@ from gauge_envs.tools.versions.comparison import Bench, compare, field_changes
 from gauge_envs.tools.versions.environments import ReleaseError
 from gauge_envs.tools.versions.model import Quantity, Side, Verdict
 from gauge_envs.tools.versions.sides import read_side
+from gauge_envs.tools.versions.subject import read_states, read_subject
 from gauge_envs.tools.versions.words import CANNOT_TELL, comparison_document
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
@@ -171,7 +172,7 @@ def test_a_field_that_one_side_lacks_is_listed_and_flags_go_by_name():
 
 
 def test_a_saved_state_settles_and_the_body_that_falls_is_named(tmp_path):
-    """A shelf that one side lacks: the box falls there."""
+    """A shelf that one side lacks: the box falls there by g t^2 / 2, 0.28 m in 60 steps of 4 ms."""
     shelf = SCENE.replace('pos="0 0 0.0999"', 'pos="0 0 0.6199"').replace(
         '<body name="box"',
         '<geom name="shelf" type="box" size="0.3 0.3 0.01" pos="0 0 0.51"/><body name="box"',
@@ -187,11 +188,12 @@ def test_a_saved_state_settles_and_the_body_that_falls_is_named(tmp_path):
     found = compare(bench, side("old"), side("new"))
     (one,) = found.settled
     assert (one.segment, one.body, one.end_before, one.end_after) == (
-        "settle",
+        "settle from state 0",
         "box",
         "stands",
-        "moves",
+        "falls",
     )
+    assert one.moved_after_m == pytest.approx(9.81 * 0.24**2 / 2, rel=0.02)
     assert found.first.quantity is Quantity.CONTACTS
 
 
@@ -313,9 +315,140 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
 
 def test_a_worker_that_fails_says_why(tmp_path):
     model = tmp_path / "newer.xml"
-    model.write_text(SCENE.replace("<option", '<option newer="1"'), encoding="utf-8")
+    model.write_text(SCENE.replace("<body", "<newer/><body"), encoding="utf-8")
     bench = Bench(model, tmp_path, steps=1, seed=0)
     with pytest.raises(
         comparison.VersionsError, match=r"old cannot run .*newer.xml: .*XML.*newer"
     ):
         bench.run(side("old"))
+
+
+def test_a_setting_that_a_release_lacks_is_left_out_and_listed(tmp_path):
+    """The meshes are found from the copy without it."""
+    (tmp_path / "made").mkdir()
+    (tmp_path / "parts").mkdir()
+    text = (
+        SCENE.replace(
+            "<option", '<compiler meshdir="parts"/><option newer="1" cone="round"'
+        )
+        .replace(
+            "<worldbody>", '<asset><mesh name="m" file="m.obj"/></asset><worldbody>'
+        )
+        .replace(
+            '<geom name="box"',
+            '<geom type="mesh" mesh="m" newest="a b"/><geom name="box"',
+        )
+    )
+    model = tmp_path / "scene.xml"
+    model.write_text(text, encoding="utf-8")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    faces = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    (tmp_path / "parts" / "m.obj").write_text(corners + faces, encoding="utf-8")
+    compiled, dropped = worker.without_unknown(model, tmp_path / "made")
+    assert dropped == ['option newer="1"', 'geom newest="a b"', 'option cone="round"']
+    assert compiled.opt.timestep == 0.004
+    assert compiled.nmesh == 1
+    assert model.read_text(encoding="utf-8") == text
+
+
+# --- subjects --------------------------------------------------------------------------------------------------------
+
+
+def made_model():
+    return mujoco.MjSpec.from_string(SCENE)
+
+
+class Made:
+    """An environment that holds a compiled model."""
+
+    def __init__(self):
+        self.model = mujoco.MjModel.from_xml_string(SCENE)
+
+
+class Changed(Made):
+    def __init__(self):
+        super().__init__()
+        self.model.body_mass[1] *= 2.0
+
+
+class Other(Made):
+    """MuJoCo writes the model that it compiled last."""
+
+    def __init__(self):
+        super().__init__()
+        mujoco.MjModel.from_xml_string("<mujoco/>")
+
+
+@pytest.mark.parametrize(
+    ("name", "mass_kg"), [("made_model", 8.0), ("Made", 8.0), ("Changed", 16.0)]
+)
+def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
+    read = read_subject(f"{__name__}:{name}", tmp_path)
+    again = mujoco.MjModel.from_xml_path(str(read.file))
+    assert again.body_mass[1] == pytest.approx(mass_kg)
+    assert again.nv == 7
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (f"{__name__}:Other", "incompatible models"),
+        (f"{__name__}:Bench", "argument"),
+        (f"{__name__}:nothing", "nothing"),
+        ("absent.xml", "no such file"),
+        ("Absent-v0", "no environment of Gymnasium"),
+        ("FoamShearing-soft", "are not compared"),
+    ],
+)
+def test_what_is_no_subject(tmp_path, text, told):
+    with pytest.raises(ParameterError, match=told):
+        read_subject(text, tmp_path)
+
+
+def test_a_driven_body_of_an_id_moves_as_its_driver(tmp_path):
+    """The plate of a turntable is at the poses of its motion, one every 1/180 s; the XML has none of them."""
+    read = read_subject("Turntable-1-wood", tmp_path)
+    assert "numeric" not in read.file.read_text(encoding="utf-8")
+    bench = Bench(read.file, tmp_path, steps=300, seed=0, motion=read.motion)
+    _, file = bench.run(side("here"))
+    with np.load(file) as states, np.load(read.motion) as motions:
+        moving = states["segment"] == 0
+        angle = 2.0 * np.arctan2(states["qpos"][moving, 13], states["qpos"][moving, 10])
+        driven = 2.0 * np.arctan2(motions["plate"][:, 6], motions["plate"][:, 3])
+    assert driven[5] > 1e-6
+    assert angle[250] == pytest.approx(driven[5], rel=1e-3)
+
+
+def test_states_of_demonstrations_are_read(tmp_path):
+    """A row of robosuite has time, qpos and qvel; controls are unknown."""
+    h5py = pytest.importorskip("h5py")
+    file = tmp_path / "demo.hdf5"
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    rows = np.zeros((3, 1 + model.nq + model.nv))
+    rows[:, 0] = 0.0, 0.1, 0.2
+    rows[:, 1 : 1 + model.nq] = model.qpos0
+    rows[2, -1] = 0.7
+    with h5py.File(file, "w") as demonstrations:
+        group = demonstrations.create_group("data/demo_3")
+        group["states"] = rows
+        group.attrs["model_file"] = SCENE
+    read = read_subject(str(file), tmp_path)
+    found = worker.saved(model, str(read.states))
+    assert found["time"].tolist() == [0.0, 0.1, 0.2]
+    assert found["qpos"] == pytest.approx(np.tile(model.qpos0, (3, 1)))
+    assert found["qvel"][:, -1].tolist() == [0.0, 0.0, 0.7]
+    for wrong, told in (("demo_0", "demo_3"), ("demo_9", "demo_3")):
+        with pytest.raises(ParameterError, match=told):
+            read_states(tmp_path / f"demo.hdf5:{wrong}", tmp_path)
+
+
+def test_states_of_another_model_are_refused(tmp_path):
+    model = mujoco.MjModel.from_xml_string(SCENE)
+    file = tmp_path / "states.npz"
+    for arrays, told in (
+        ({"flat": np.zeros((1, 12))}, "12 numbers"),
+        ({"qpos": np.zeros((1, 9))}, "qpos"),
+    ):
+        np.savez(file, **arrays)
+        with pytest.raises(SystemExit, match=told):
+            worker.saved(model, str(file))

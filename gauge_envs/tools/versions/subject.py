@@ -1,0 +1,253 @@
+"""What versions are compared on: a model file, an id, a USD layer, an environment, or demonstrations."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import gymnasium
+import mujoco
+import numpy as np
+
+from gauge_envs.errors import ParameterError, needs_extra
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.scene import Scene
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
+
+MODEL_FILES = (".xml", ".mjcf", ".urdf")
+USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
+HDF5_FILES = (".hdf5", ".h5")
+
+MODEL_PLACES = ("", "model", "sim.model._model", "physics.model._model", "mj_model")
+"""Attributes of a model or an environment that hold its compiled model."""
+
+COMPARED = ("body_mass", "body_inertia", "geom_size", "geom_friction", "dof_damping")
+"""Fields by which a file is the model of an environment."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model that versions run.
+
+    Attributes:
+        title: As the user named it.
+        file: Its MJCF or URDF.
+        states: NPZ of its saved states, or None.
+        motion: NPZ of the motion of its driven bodies, or None.
+    """
+
+    title: str
+    file: Path
+    states: Path | None = None
+    motion: Path | None = None
+
+
+def read_subject(text: str, folder: Path, states: Path | None = None) -> Subject:
+    """Return the model that a text names.
+
+    Args:
+        text: Model file, USD layer, file of demonstrations (.hdf5), id of this suite or of Gymnasium, or
+            `module:function` of a function that returns an environment, a model, or the path of one.
+        folder: Folder of files that are written.
+        states: Saved states: .npz, or .hdf5 as LIBERO and robomimic write it, with `:demo_3` behind it for another
+            demonstration than the first.
+
+    Raises:
+        ParameterError: It names no model, or no states.
+    """
+    saved = None if states is None else read_states(states, folder)
+    path = Path(text)
+    if path.suffix.lower() in (*MODEL_FILES, *USD_FILES) and not path.is_file():
+        raise ParameterError(f"{text}: there is no such file")
+    if path.suffix.lower() in MODEL_FILES:
+        return Subject(text, path, saved)
+    if path.suffix.lower() in USD_FILES:
+        return _of_scene(text, folder, saved)
+    if _is_hdf5(path):
+        model = _demonstration(path)[1]
+        if not model:
+            raise ParameterError(
+                f"{text} holds no model (attribute model_file): give the model, and this file as --states"
+            )
+        file = _written(folder, model)
+        return Subject(text, file, saved or read_states(path, folder))
+    module, _, function = text.partition(":")
+    if function:
+        return Subject(text, _of_object(text, _called(module, function), folder), saved)
+    if text in {name for one in variants() for name in (one.name, one.id)}:
+        return _of_scene(text, folder, saved)
+    try:
+        env = gymnasium.make(text)
+    except Exception as error:  # Other environments raise exceptions of any kind.
+        cause = " ".join(str(error).split())
+        raise ParameterError(
+            f"{text!r} is no file, no id of this suite, and no environment of Gymnasium: {cause}"
+        ) from error
+    try:
+        return Subject(text, _of_object(text, env, folder), saved)
+    finally:
+        env.close()
+
+
+# --- models ----------------------------------------------------------------------------------------------------------
+
+
+def _scene_of(text: str) -> Scene:
+    """Return the scene of an id of this suite, or of a USD layer."""
+    if Path(text).suffix.lower() not in USD_FILES:
+        return load_experiment(find_variant(text).id).scene
+    with needs_extra("a USD layer", "usd"):
+        from gauge_envs.tools.usd import from_usd
+
+        return from_usd(text)
+
+
+def _of_scene(title: str, folder: Path, states: Path | None) -> Subject:
+    """Return a scene as MJCF, with the motion of its driven bodies beside it.
+
+    MuJoCo 3.9 and earlier crash on custom numbers of that size.
+    """
+    scene = _scene_of(title)
+    frames = 1 + round(scene.duration_s * FRAME_RATE_HZ)
+    root = ElementTree.fromstring(scene_mjcf_text(scene, title, frames))
+    motions = {}
+    for custom in root.findall("custom"):
+        for number in custom.findall("numeric"):
+            name = number.get("name", "")
+            if not name.startswith(DRIVER_PREFIX):
+                raise ParameterError(
+                    f"{title}: {name} of its deformable bodies belongs to MuJoCo {mujoco.__version__}; such scenes are "
+                    "not compared"
+                )
+            rows = np.array(number.get("data", "").split(), dtype=np.float64)
+            body = name.removeprefix(DRIVER_PREFIX)
+            motions[body] = rows.reshape(-1, DRIVER_COLUMNS)
+        root.remove(custom)
+    file = _written(folder, ElementTree.tostring(root, encoding="unicode"))
+    if not motions:
+        return Subject(title, file, states)
+    motion = folder / "motion.npz"
+    np.savez(motion, allow_pickle=False, **motions)
+    return Subject(title, file, states, motion)
+
+
+def _called(module: str, function: str) -> Any:
+    # As `python -m` does.
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+    try:
+        return getattr(importlib.import_module(module), function)()
+    except Exception as error:  # The user's function raises exceptions of any kind.
+        cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise ParameterError(f"{module}:{function}: {cause}") from error
+
+
+def _of_object(title: str, made: Any, folder: Path) -> Path:
+    """Return the model file of what a function made."""
+    if isinstance(made, str | Path):
+        if str(made).lstrip().startswith("<"):
+            return _written(folder, str(made))
+        if not Path(made).is_file():
+            raise ParameterError(f"{title} returns {str(made)!r}, which is no file")
+        return Path(made)
+    if isinstance(made, mujoco.MjSpec):
+        return _written(folder, made.to_xml())
+    inner = getattr(made, "unwrapped", made)
+    found = [_attribute(inner, place) for place in MODEL_PLACES]
+    model = next((one for one in found if isinstance(one, mujoco.MjModel)), None)
+    if not isinstance(model, mujoco.MjModel):
+        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
+        raise ParameterError(
+            f"{title} is {kind}, which has no MuJoCo model: give its model file"
+        )
+    stated = getattr(inner, "fullpath", None)
+    if stated and _is_same(Path(stated), model):
+        return Path(stated)
+    file = folder / "subject.xml"
+    # It writes six digits, and the names of meshes as they stand.
+    try:
+        mujoco.mj_saveLastXML(str(file), model)
+    except mujoco.FatalError as error:
+        raise ParameterError(f"{title}: {error}: give its model file") from error
+    if not _is_same(file, model):
+        raise ParameterError(
+            f"{title}: MuJoCo writes another model than it has: give its model file"
+        )
+    return file
+
+
+def _attribute(target: Any, place: str) -> Any:
+    for name in filter(None, place.split(".")):
+        target = getattr(target, name, None)
+    return target
+
+
+def _is_same(file: Path, model: mujoco.MjModel) -> bool:
+    try:
+        again = mujoco.MjModel.from_xml_path(str(file))
+    except ValueError:
+        return False
+    for name in COMPARED:
+        one, two = getattr(again, name), getattr(model, name)
+        if one.shape != two.shape or not np.allclose(one, two, rtol=1e-4, atol=1e-9):
+            return False
+    return bool((again.nq, again.nu) == (model.nq, model.nu))
+
+
+def _written(folder: Path, text: str) -> Path:
+    file = folder / "subject.xml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+# --- saved states ----------------------------------------------------------------------------------------------------
+
+
+def read_states(path: Path, folder: Path) -> Path:
+    """Return saved states as an NPZ, which may be the file itself.
+
+    Raises:
+        ParameterError: There are no states.
+    """
+    if not _is_hdf5(path):
+        if not path.is_file():
+            raise ParameterError(f"{path}: there is no such file")
+        return path
+    file = folder / "states.npz"
+    np.savez(file, flat=_demonstration(path)[0])
+    return file
+
+
+def _is_hdf5(path: Path) -> bool:
+    return Path(str(path).partition(":")[0]).suffix.lower() in HDF5_FILES
+
+
+def _demonstration(path: Path) -> tuple[np.ndarray, str]:
+    """Return the states of a demonstration, shape [step_count, 1 + nq + nv], and its model; empty if it has none."""
+    try:
+        import h5py
+    except ImportError as error:
+        raise ParameterError(f"{path}: HDF5 needs h5py: pip install h5py") from error
+    name, _, chosen = str(path).partition(":")
+    try:
+        with h5py.File(name, "r") as file:
+            demonstrations: Sequence[str] = sorted(file.get("data", {}))
+            chosen = chosen or next(iter(demonstrations), "")
+            if chosen not in demonstrations or "states" not in file["data"][chosen]:
+                raise ParameterError(
+                    f"{path} has no data/{chosen or 'demo_0'}/states; its demonstrations: "
+                    f"{', '.join(demonstrations[:8]) or 'none'}"
+                )
+            group = file["data"][chosen]
+            model = group.attrs.get("model_file", "")
+            text = model.decode() if isinstance(model, bytes) else str(model)
+            return np.array(group["states"], dtype=np.float64), text
+    except OSError as error:
+        raise ParameterError(f"{name}: it cannot be read as HDF5: {error}") from error
