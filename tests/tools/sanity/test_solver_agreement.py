@@ -60,8 +60,34 @@ def test_a_solver_that_scales_accelerations_in_one_layout_is_named(monkeypatch):
     assert 'jacobian="dense"' in one.advice
 
 
-def test_a_dense_model_does_not_apply():
-    assert found(pile(1, 1, 0).replace("sparse", "dense")).declined
+def test_a_solver_that_stops_elsewhere_is_named_in_a_dense_model(monkeypatch):
+    """CG to the end gives what Newton gives; planted, 1 % less."""
+    xml = pile(3, 2, 0).replace("sparse", "dense")
+    good = found(xml)
+    assert (good.value, good.advice) == (0.0, "")
+    forward = mujoco.mj_forward
+
+    def scaled(model, data):
+        forward(model, data)
+        # Scaled as a whole, the forces stay balanced.
+        if model.opt.solver == mujoco.mjtSolver.mjSOL_CG:
+            for name in ("qacc", "qfrc_smooth", "qfrc_constraint"):
+                getattr(data, name)[:] *= 0.99
+
+    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    one = found(xml)
+    assert one.value == pytest.approx(0.01, rel=0.05)
+    assert "Newton and CG part by 0.01" in one.remark
+    assert "dense" not in one.advice
+
+
+def test_what_few_iterations_leave_is_said_and_is_no_fault():
+    xml = pile(3, 2, 0).replace("sparse", "dense")
+    few = xml.replace("<option", '<option iterations="1"')
+    assert "iterations leave" not in found(xml).remark
+    one = found(few)
+    assert "1 iterations leave up to" in one.remark
+    assert one.advice == ""
 
 
 def test_the_imbalance_is_the_missing_share_of_the_forces():
