@@ -39,7 +39,6 @@ INDIRECT = {
     "newton-usd-schemas": "Newton's USD importer imports it",
     "packaging": "Gymnasium's MuJoCo environments import it",
     "moviepy": "Gymnasium's RecordVideo imports it",
-    "submitit": "the script that gauge sweep --slurm writes imports it",
     "torch": "Genesis imports it, and leaves the choice of a build to its users",
 }
 """Declared, and not imported by this package's own modules: the reason for each."""
@@ -48,7 +47,7 @@ NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
 
-INSTALLED_LATER = {"bench", "data", "docs", "onnx", "ray", "rerun", "rl", "slurm"}
+INSTALLED_LATER = {"bench", "data", "docs", "onnx", "ray", "rerun", "rl"}
 """Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
 
 Files = Mapping[str, tuple[set[str], set[str]]]

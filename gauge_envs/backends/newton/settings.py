@@ -7,6 +7,7 @@ preset; scores have no influence.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import ceil
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,7 +23,7 @@ from gauge_envs.backends.settings import (
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import Fabric
 
@@ -322,7 +323,10 @@ def settings_for(
     """Return the settings of a scene: its preset with a user's changes.
 
     A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
-    halved until the iterations are enough, unless the changes define it.
+    halved until the iterations are enough.
+
+    Raises:
+        ParameterError: A time step that the changes state is longer than the iterations allow.
     """
     values = PRESETS[_preset_name(scene)]
     training = values.model_copy(
@@ -341,11 +345,7 @@ def settings_for(
         scene,
         is_given=(changes or {}).get("cell_m") is not None,
     )
-    if (
-        isinstance(settings, SettingsVBD)
-        and settings.starts_from_acceleration
-        and "timestep_s" not in (changes or {})
-    ):
+    if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration:
         cell_m, iterations = settings.cell_m or CLOTH_CELL_M, settings.iterations
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
         limits = (
@@ -353,6 +353,12 @@ def settings_for(
             for cloth in cloths
         )
         longest_s = min(limits, default=settings.timestep_s)
+        if settings.timestep_s > longest_s and "timestep_s" in (changes or {}):
+            needed = iterations * (settings.timestep_s / longest_s) ** 2
+            raise ParameterError(
+                f"{iterations} iterations of vertex block descent at 1/{1.0 / settings.timestep_s:.6g} s are too few "
+                f"for this cloth: take {ceil(needed)}, or a timestep_s of 1/{ceil(1.0 / longest_s)} s"
+            )
         while settings.timestep_s > longest_s:
             settings = settings.model_copy(
                 update={"timestep_s": 0.5 * settings.timestep_s}
@@ -389,7 +395,7 @@ def _with_cells(
 
 
 def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float:
-    """Return the longest time step [s] for which the iterations are enough for `StepperVBD(predict=True)`.
+    """Return the longest time step [s] for which the iterations are enough to start from the last acceleration.
 
     On a square grid the squared gradients of the shape functions around a vertex, times area, add up to 4. Hinges are
     neglected; with cells of 25 mm they add 0.1 %.

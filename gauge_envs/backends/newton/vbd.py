@@ -9,7 +9,6 @@ than few long steps with many.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import ceil, sqrt
 from typing import Any
 
 import newton
@@ -20,13 +19,8 @@ from numpy.typing import NDArray
 from gauge_envs.backends.newton.contacts import SurfaceContacts
 from gauge_envs.backends.newton.kernels import predict
 from gauge_envs.backends.newton.parts import Pin, PinnedParticles
-from gauge_envs.backends.newton.settings import (
-    ITERATIONS_PER_RATIO,
-    SettingsLines,
-    SettingsVBD,
-)
+from gauge_envs.backends.newton.settings import SettingsLines, SettingsVBD
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
-from gauge_envs.errors import ParameterError
 
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
@@ -140,69 +134,6 @@ class _Solver(newton.solvers.SolverVBD):
         self._penetration_free_truncation(state_in, contacts)
 
 
-def stiffness_ratio(model: newton.Model, timestep_s: float) -> float:
-    """Return the largest ratio of elastic to inertial stiffness of a vertex with fixed neighbours, in the start shape.
-
-    The elastic stiffness of a membrane triangle or tetrahedron is its P-wave modulus times its area or volume times the
-    squared gradient of the vertex's shape function. That of a hinge is its stiffness times the squared gradient of its
-    angle.
-    """
-    stiffness = np.zeros(model.particle_count)
-    if model.tri_count:
-        shear, lame = model.tri_materials.numpy()[:, :2].astype(np.float64).T
-        modulus = (lame + 2.0 * shear) * model.tri_areas.numpy()
-        _add_stiffness(
-            stiffness, model.tri_indices.numpy(), model.tri_poses.numpy(), modulus
-        )
-    if model.tet_count:
-        shear, lame = model.tet_materials.numpy()[:, :2].astype(np.float64).T
-        poses = model.tet_poses.numpy().astype(np.float64)
-        modulus = (lame + 2.0 * shear) / (6.0 * np.abs(np.linalg.det(poses)))
-        _add_stiffness(stiffness, model.tet_indices.numpy(), poses, modulus)
-    if model.edge_count:
-        _add_hinges(stiffness, model)
-    inverse_masses = model.particle_inv_mass.numpy().astype(np.float64)
-    return float(timestep_s**2 * (stiffness * inverse_masses).max(initial=0.0))
-
-
-def _add_stiffness(
-    total: NDArray[np.float64],
-    elements: NDArray[Any],
-    poses: NDArray[Any],
-    modulus: NDArray[np.float64],
-) -> None:
-    """Add the stiffness of elements at their vertices; a pose contains the gradients of all shape functions but one."""
-    later = np.asarray(poses, dtype=np.float64)
-    gradients = np.concatenate([-later.sum(axis=1, keepdims=True), later], axis=1)
-    np.add.at(total, elements, modulus[:, None] * np.square(gradients).sum(axis=-1))
-
-
-def _add_hinges(total: NDArray[np.float64], model: newton.Model) -> None:
-    """Add the stiffness of hinges at their vertices: two opposite ones, then the two ends of the edge.
-
-    A move of a vertex off its triangle turns the triangle by the move over the height h of the triangle there. An end
-    of the edge does so by the share of the foot of the height on the edge.
-    """
-    every = model.edge_indices.numpy()
-    is_inner = (every[:, :2] >= 0).all(axis=1)
-    hinges = every[is_inner]
-    points_m = model.particle_q.numpy().astype(np.float64)[hinges]
-    first_m = points_m[:, 2]
-    edges_m = points_m[:, 3] - first_m
-    lengths_m = np.linalg.norm(edges_m, axis=1)
-    gradients = np.zeros((len(hinges), 4))
-    for opposite in (0, 1):
-        arms_m = points_m[:, opposite] - first_m
-        foot = (arms_m * edges_m).sum(axis=1) / lengths_m**2
-        heights_m = np.linalg.norm(arms_m - foot[:, None] * edges_m, axis=1)
-        slope = 1.0 / heights_m
-        gradients[:, opposite] = slope
-        gradients[:, 2] += (1.0 - foot) * slope
-        gradients[:, 3] += foot * slope
-    stiffness = model.edge_bending_properties.numpy()[is_inner, 0] * lengths_m
-    np.add.at(total, hinges, stiffness[:, None] * np.square(gradients))
-
-
 class StepperVBD(Stepper):
     """Stepper of particles and dynamic rigid bodies with `newton.solvers.SolverVBD`.
 
@@ -234,10 +165,6 @@ class StepperVBD(Stepper):
     ) -> None:
         surfaces = settings if isinstance(settings, SettingsVBD) else None
         predict = surfaces is not None and surfaces.starts_from_acceleration
-        if predict:
-            _check_iterations(
-                model, timestep_s=settings.timestep_s, iterations=settings.iterations
-            )
         contacts = contacts or SurfaceContacts()
         model.soft_contact_mu = contacts.friction
         model.soft_contact_ke = contact_stiffness_n_per_m
@@ -331,18 +258,6 @@ class StepperVBD(Stepper):
         return bool(
             info.vertex_colliding_triangles_count.numpy().any()
             or info.edge_colliding_edges_count.numpy().any()
-        )
-
-
-def _check_iterations(
-    model: newton.Model, *, timestep_s: float, iterations: int
-) -> None:
-    needed = ITERATIONS_PER_RATIO * stiffness_ratio(model, timestep_s)
-    if iterations < needed:
-        raise ParameterError(
-            f"{iterations} iterations of vertex block descent at 1/{1.0 / timestep_s:.6g} s are too few for this "
-            f"stiffness and mesh: take {ceil(needed)}, or a timestep_s of "
-            f"1/{ceil(sqrt(needed / iterations) / timestep_s)} s"
         )
 
 

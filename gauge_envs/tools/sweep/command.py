@@ -36,9 +36,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
     from gauge_envs.tools.sweep.spec import SweepSpec
 
-DEFAULT_PARTS = 16
-"""Parts of a sweep on Slurm."""
-
 
 def _option(
     option: str, panel: str, text: str, default: str | None = None, **more: Any
@@ -153,25 +150,6 @@ def sweep(
             "--dry-run", arguments.OUTPUT, "Show the plan and its cost; run nothing."
         ),
     ] = False,
-    slurm: Annotated[
-        Path | None,
-        _option(
-            "--slurm",
-            arguments.OUTPUT,
-            "Write a script for Slurm; run nothing.",
-            metavar="FILE",
-        ),
-    ] = None,
-    parts: Annotated[
-        int | None,
-        _option(
-            "--parts",
-            arguments.OUTPUT,
-            "Parts of the sweep on Slurm.",
-            str(DEFAULT_PARTS),
-            min=1,
-        ),
-    ] = None,
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "sweep"
     ),
@@ -217,13 +195,6 @@ def sweep(
     spec = sweep_spec(values | given)
     bounds = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
     plan = plan_sweep(spec, isolate=bounds.isolate)
-    if slurm is not None:
-        given |= {"shard": shard} if shard else {}
-        limits = {"--timeout": timeout, "--memory": memory, "--isolate": isolate}
-        _write_slurm(slurm, file, out, parts or DEFAULT_PARTS, jobs or 1, given, limits)
-        return False
-    if parts is not None:
-        raise ParameterError("--parts goes with --slurm: leave it out")
     if shard is not None:
         plan = part_of(plan, *_part(shard))
     earlier = earlier_episodes(out, None if dry_run else note)
@@ -297,47 +268,6 @@ def _part(text: str) -> tuple[int, int]:
     if found is None:
         raise ParameterError(f"--shard {text!r}: expected NUMBER/COUNT, as 0/16")
     return int(found[1]), int(found[2])
-
-
-def _write_slurm(
-    script: Path,
-    file: Path | None,
-    out: Path,
-    parts: int,
-    jobs: int,
-    given: Mapping[str, Any],
-    limits: Mapping[str, Any],
-) -> None:
-    """Write the script of a sweep file, whose parts have these limits."""
-    from gauge_envs.tools.sweep.machines import slurm_script, write_slurm_script
-
-    if "shard" in given:
-        raise ParameterError(
-            f"--slurm writes all parts: write --parts {DEFAULT_PARTS} in place of --shard"
-        )
-    if file is None or given:
-        raise ParameterError(
-            "--slurm needs a sweep file that states everything: write what the other options state into it"
-        )
-    words = [
-        str(file.resolve()),
-        "--out",
-        str(out.resolve()),
-        "--jobs",
-        str(jobs),
-    ]
-    for option, value in limits.items():
-        if value:
-            words += [option] if value is True else [option, str(value)]
-    text = slurm_script(
-        script.name,
-        words,
-        jobs=parts,
-        workers=jobs,
-        log_folder=out.resolve() / "slurm",
-    )
-    write_slurm_script(script, text)
-    message(f"{script} written; it needs submitit: pip install 'gauge-envs[slurm]'")
 
 
 # --- runs ------------------------------------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cloths import CELL_M, FABRICS, fabric, heavy_elastica_sag_m, pinned
 from foam import ORIGIN
+from rigid import scene_of
 from scipy.interpolate import griddata
 
 from gauge_envs import load_experiment
@@ -26,8 +27,12 @@ newton = pytest.importorskip("newton")
 
 from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
 from gauge_envs.backends.newton.parts import add_cloth  # noqa: E402
-from gauge_envs.backends.newton.settings import SettingsVBD, longest_timestep_s  # noqa: E402
-from gauge_envs.backends.newton.vbd import StepperVBD, stiffness_ratio  # noqa: E402
+from gauge_envs.backends.newton.settings import (  # noqa: E402
+    SettingsVBD,
+    longest_timestep_s,
+    settings_for,
+)
+from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
 
 HANGING = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, 90.0, 0.0))
 """Warp downward."""
@@ -239,15 +244,18 @@ def test_a_falling_sheet_gains_no_energy(name):
 
 def test_too_few_iterations_for_the_stiffness_are_an_error():
     cloth = fabric("nylon", (0.2, 0.2))
-    with pytest.raises(ParameterError, match="take 11"):
-        Rig(cloth, rate_hz=1440, iterations=3)
-    rig = Rig(cloth, rate_hz=2880, iterations=3)
+    scene = scene_of(deformables=(cloth,))
+    few = {"cell_m": CELL_M, "iterations": 3}
+    with pytest.raises(ParameterError, match="take 11, or a timestep_s of 1/2"):
+        settings_for(scene, few | {"timestep_s": 1 / 1440})
+    assert settings_for(scene, few).timestep_s == 1 / 2880
     assert 1 / 2880 < longest_timestep_s(cloth, cell_m=CELL_M, iterations=3) < 1 / 2700
     # Four vertices' worth of legs and diagonals, with the P wave modulus 1.14 K that a ratio K / K_sh of 2.7 gives.
     shear = cloth.stretch_stiffness_n_per_m / 2.7
     modulus = shear * (2.0 + 2.0 * 0.7 / 1.3)
     expected = 4.0 * modulus / (cloth.areal_density_kg_per_m2 * CELL_M**2 * 2880**2)
-    assert stiffness_ratio(rig.model, 1 / 2880) == pytest.approx(expected, rel=0.02)
+    found = longest_timestep_s(cloth, cell_m=CELL_M, iterations=3)
+    assert found * 2880 == pytest.approx(np.sqrt(3 / (0.33 * expected)), rel=0.02)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

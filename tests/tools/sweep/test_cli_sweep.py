@@ -1,9 +1,6 @@
 """`gauge sweep`: plans, runs, exit codes, interruption, and a message for each wrong request."""
 
 import json
-import os
-import subprocess
-import sys
 
 import approval
 import pytest
@@ -146,7 +143,6 @@ sweep sweep.toml --parameter=measured
 sweep sweep.toml --set substeps=2
 sweep sweep.toml --set timestep_s=0.004
 sweep sweep.toml --repeats=1000000000
-sweep --only=SlopeSlider-2-wood --slurm jobs.py
 """
 """Requests that are refused before anything runs."""
 
@@ -193,31 +189,3 @@ def test_parts_together_are_the_sweep(gauge, tmp_path):
         assert len(contents(tmp_path / "parts")) == 2 * (number + 1)
     again = gauge("sweep", "sweep.toml", "--out", "parts")
     assert again.exit_code == 0 and "4/4" not in again.stderr
-
-
-def test_the_slurm_script_states_the_sweep(gauge, tmp_path):
-    assert (
-        gauge(
-            "sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--parts", "3"
-        ).exit_code
-        == 0
-    )
-    text = (tmp_path / "jobs.py").read_text()
-    compile(text, "jobs.py", "exec")
-    assert "JOBS = 3" in text and str(tmp_path / "sweep.toml") in text
-
-
-@pytest.mark.slow
-def test_the_slurm_script_runs_every_part(gauge, tmp_path):
-    pytest.importorskip("submitit")
-    gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--parts", "2")
-    done = subprocess.run(
-        [sys.executable, "jobs.py", "--cluster", "local"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "exit codes: [0, 0]" in done.stdout
-    assert len(contents(tmp_path / "out")) == 4

@@ -1,8 +1,5 @@
 """Hostile sweep files and options end in an error for people, and nothing is written."""
 
-import os
-import stat
-
 import pytest
 from typer.testing import CliRunner
 
@@ -74,12 +71,3 @@ def test_hostile_requests_have_exit_code_2(text, options, message, tmp_path):
     file.write_text(f'variants = ["{NAME}"]\n{text}\n')
     result = gauge("sweep", file, "--dry-run", "--out", tmp_path / "out", *options)
     assert result.exit_code == 2 and message in " ".join(result.stderr.split())
-
-
-def test_the_slurm_script_takes_the_place_of_no_device(tmp_path):
-    (tmp_path / "sweep.toml").write_text(f'variants = ["{NAME}"]\n')
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    result = gauge("sweep", tmp_path / "sweep.toml", "--slurm", pipe)
-    assert result.exit_code == 2 and "it is not a regular file" in result.stderr
-    assert stat.S_ISFIFO(pipe.stat().st_mode)
