@@ -24,9 +24,6 @@ from numpy.typing import NDArray
 
 MEGABYTE = 10**6
 
-OUTSIDE_VARIABLE = "GAUGE_OUTSIDE_FILES"
-"""Environment variable that, with the value 1, lets files name files outside their folder."""
-
 MOST_JSON_CONTAINERS = 1_000_000
 """Largest count of objects and lists of a JSON file; each takes up to 64 bytes of memory, and 3 bytes of the file."""
 
@@ -124,43 +121,6 @@ def _check_regular(file: Path, status: os.stat_result, most_bytes: int) -> None:
         raise OSError(
             errno.EFBIG, f"it has {size:.6g} MB, the limit is {limit:g} MB", str(file)
         )
-
-
-def file_folders(file: Path) -> tuple[Path, ...]:
-    """Return the folders in which files that a file names must be; empty where `GAUGE_OUTSIDE_FILES=1` allows all.
-
-    They are the folder that holds the file and, for a link, that of its target.
-    """
-    if os.environ.get(OUTSIDE_VARIABLE) == "1":
-        return ()
-    return tuple(dict.fromkeys((file.parent.resolve(), file.resolve().parent)))
-
-
-def outside_reason(named: Path, by: Path) -> str:
-    """Return why a file that another one names must not be read; empty if it may be.
-
-    A file of strangers could otherwise read any file of this machine.
-
-    Args:
-        named: The file.
-        by: The file that names it.
-    """
-    try:
-        folders = file_folders(by)
-        if not folders or any(
-            named.resolve().is_relative_to(folder) for folder in folders
-        ):
-            return ""
-    except (
-        OSError,
-        ValueError,
-        RuntimeError,
-    ):  # A null character, a name that is too long, or a loop of links.
-        return "it is no name of a file"
-    return (
-        f"{printable(str(named))} is outside the folder of {by.name}: move it there, or set {OUTSIDE_VARIABLE}=1 "
-        "if you trust the file"
-    )
 
 
 def check_json_size(content: bytes) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import re
 import stat
 import struct
 import tracemalloc
@@ -21,7 +20,6 @@ from gauge_envs.errors import (
     AssetError,
     GaugeError,
     ReferenceFileError,
-    TaskFileError,
     TrajectoryFileError,
 )
 from gauge_envs.evaluation import trajectory_file
@@ -39,7 +37,6 @@ from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
@@ -91,101 +88,7 @@ def test_only_regular_files_of_limited_size_are_read(name, make, tmp_path):
     assert str(file) in str(caught.value)
 
 
-# --- files that files name -------------------------------------------------------------------------------------------
-
-SECRET = "root-of-all-evil"
 HEADER = '#usda 1.0\n(\n    metersPerUnit = 1\n    upAxis = "Z"\n)\n'
-
-OWN = """
-name = "crate"
-title = "A crate"
-usd = "{usd}"
-frames = 19
-recorded = ["cube"]
-score = {{ observable = "position" }}
-provenance = {{ all = "nominal: a test" }}
-{band}
-"""
-
-BAND = """
-[band]
-file = "{file}"
-grade = "trials"
-sigma_source = "trials"
-coordinates = ["x", "y", "z"]
-trial_count = 3
-source = "a test"
-"""
-
-COMPOSED = {
-    "reference": 'def "World" (\n  references = @{0}@</World>\n) {{}}\n',
-    "payload": 'def "World" (\n  payload = @{0}@</World>\n) {{}}\n',
-    "sublayer": "(\n  subLayers = [@{0}@]\n)\n",
-    "clip": 'def "World" (\n  clips = {{ dictionary default = {{ asset[] assetPaths = [@{0}@] }} }}\n) {{}}\n',
-}
-
-
-@pytest.fixture
-def inside(tmp_path):
-    """The folder of a stranger, beside a file that is no layer and no table."""
-    inside, secret = tmp_path / "inside", tmp_path / "secret.usda"
-    inside.mkdir()
-    secret.write_text(f"#usda 1.0\n{SECRET}\n")
-    layer = assets_folder() / "usd" / f"{NAME}.usda"
-    (inside / "scene.usda").write_bytes(layer.read_bytes())
-    (inside / "link.usda").symlink_to(secret)
-    return inside
-
-
-@pytest.mark.parametrize("name", ["../secret.usda", "{0}/secret.usda", "link.usda"])
-@pytest.mark.parametrize("key", ["usd", "band.file"])
-def test_an_experiment_file_names_no_file_outside_its_folder(key, name, inside):
-    name = name.format(inside.parent)
-    usd, band = (name, "") if key == "usd" else ("scene.usda", BAND.format(file=name))
-    (inside / "own.toml").write_text(OWN.format(usd=usd, band=band))
-    words = rf"{key}.* is outside the folder of own\.toml: move it there"
-    with pytest.raises(TaskFileError, match=words) as caught:
-        load_experiment_file(inside / "own.toml")
-    assert SECRET not in str(caught.value)
-
-
-def test_files_outside_are_read_if_the_user_trusts_the_file(inside, monkeypatch):
-    """A link to the folder finds its layer in any case."""
-    (inside / "own.toml").write_text(OWN.format(usd="scene.usda", band=""))
-    whole = inside.parent / "whole"
-    whole.symlink_to(inside)
-    assert load_experiment_file(whole / "own.toml").frame_count == 19
-    (inside / "scene.usda").rename(inside.parent / "scene.usda")
-    (inside / "own.toml").write_text(OWN.format(usd="../scene.usda", band=""))
-    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
-    assert load_experiment_file(inside / "own.toml").frame_count == 19
-
-
-@pytest.mark.parametrize(
-    "name", ["../secret.usda", "{0}/secret.usda", "./link.usda", "file:///etc/passwd"]
-)
-@pytest.mark.parametrize("kind", COMPOSED)
-def test_a_layer_refers_to_no_file_outside_its_folder(kind, name, inside):
-    name = name.format(inside.parent)
-    (inside / "own.usda").write_text("#usda 1.0\n" + COMPOSED[kind].format(name))
-    words = re.escape(f"it refers to {name!r}, outside its folder")
-    with pytest.raises(AssetError, match=words) as caught:
-        from_usd(inside / "own.usda")
-    assert SECRET not in str(caught.value)
-
-
-def test_a_layer_of_a_layer_is_checked_too_and_may_be_allowed(inside, monkeypatch):
-    (inside / "parts").mkdir()
-    (inside / "scene.usda").rename(inside.parent / "scene.usda")
-    part = "#usda 1.0\n(\n  subLayers = [@../../scene.usda@]\n)\n"
-    (inside / "parts" / "part.usda").write_text(part)
-    whole = HEADER.replace(")", "    subLayers = [@./parts/part.usda@]\n)")
-    (inside / "own.usda").write_text(whole)
-    words = r"it refers to '../../scene\.usda', outside its folder"
-    with pytest.raises(AssetError, match=words):
-        from_usd(inside / "own.usda", duration_s=1.0)
-    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
-    assert from_usd(inside / "own.usda", duration_s=1.0).bodies
 
 
 def test_a_file_that_grows_while_it_is_read_is_limited(tmp_path, monkeypatch):

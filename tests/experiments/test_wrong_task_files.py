@@ -114,8 +114,7 @@ def test_a_number_that_python_cannot_write_is_an_error(crate):
         load_experiment_file(crate)
 
 
-def test_an_error_of_a_band_prints_no_text_of_the_file(crate, tmp_path, monkeypatch):
-    monkeypatch.setenv("GAUGE_OUTSIDE_FILES", "1")
+def test_an_error_of_a_band_prints_no_text_of_the_file(crate, tmp_path):
     private = tmp_path / "private.csv"
     private.write_text("root:secret:0,frame\n1,2\n")
     band = next(

@@ -40,13 +40,7 @@ from gauge_envs.experiments.variants import (
     is_experiment_file,
     matching_subjects,
 )
-from gauge_envs.files import (
-    MEGABYTE,
-    os_errors,
-    outside_reason,
-    read_regular,
-    toml_document,
-)
+from gauge_envs.files import MEGABYTE, os_errors, read_regular, toml_document
 from gauge_envs.scene.jitter import Jitter
 
 MAX_EPISODES = 1_000_000
@@ -196,17 +190,11 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
         raise SweepFileError(path, *_fault(error)) from None
     except ValueError as error:
         raise SweepFileError(path, None, f"not a TOML file: {error}") from error
-    return values | {"variants": [_located(path, name) for name in spec.variants]}
-
-
-def _located(path: Path, name: str) -> str:
-    """Return a name of a variant, or the path of an experiment file that a sweep file names."""
-    if not is_experiment_file(Path(name)):
-        return name
-    file = path.parent / name
-    if reason := outside_reason(file, path):
-        raise SweepFileError(path, "variants", reason)
-    return str(file)
+    located = [
+        str(path.parent / name) if is_experiment_file(Path(name)) else name
+        for name in spec.variants
+    ]
+    return values | {"variants": located}
 
 
 def _check_values(key: str, values: Any) -> None:

@@ -34,7 +34,7 @@ from gauge_envs.experiments.tables import (
 )
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
-from gauge_envs.files import outside_reason, toml_document
+from gauge_envs.files import toml_document
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
@@ -160,8 +160,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     """Read an experiment file, and the USD layer and the band that it names.
 
     Raises:
-        TaskFileError: The file is not TOML, has an unknown key or a value out of range, or names a file outside its
-            folder.
+        TaskFileError: The file is not TOML, or has an unknown key or a value out of range.
         AssetError: The USD layer cannot be read, or lacks a prim that the file names.
         ReferenceFileError: The band is damaged.
     """
@@ -173,12 +172,12 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
         raise task_file_error(path, error) from error
     except ValueError as error:
         raise TaskFileError(path, None, str(error)) from error
-    layer = _named_file(path, "usd", definition.usd)
+    layer = path.parent / definition.usd
     scene, recorded, used_files = _scene(path, layer, definition)
     contents = [content, read_bytes(layer), *map(read_bytes, used_files)]
     band = None
     if definition.band is not None:
-        table = _named_file(path, "band.file", definition.band.file)
+        table = path.parent / definition.band.file
         stated = definition.band.model_dump(exclude={"file"})
         unit = definition.score.observable.unit
         band = read_band(
@@ -202,14 +201,6 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
             path, "band", f"{taken}, g(t) has {len(names)}: {', '.join(names[:6])}"
         )
     return experiment
-
-
-def _named_file(path: Path, key: str, name: str) -> Path:
-    """Return the path of a file that an experiment file names."""
-    file = path.parent / name
-    if reason := outside_reason(file, path):
-        raise TaskFileError(path, key, reason)
-    return file
 
 
 def _file_experiment(

@@ -1,13 +1,12 @@
 """Open a USD file and read all its values, in a child process whose memory and time are limited.
 
-The script is started by `source.Source` and imports nothing of this package. Arguments: the file, the largest number of
-prims, and the folders in which all files that it refers to must be; without folders, they may be anywhere.
+The script is started by `source.Source` and imports nothing of this package. Its arguments are the file and the
+largest number of prims.
 """
 
 import sys
-from pathlib import Path
 
-from pxr import Ar, Sdf, Tf, Usd
+from pxr import Tf, Usd
 
 REFUSED = 3
 """Exit code after a printed reason, as in `files.child_refusal`."""
@@ -16,16 +15,9 @@ MOST_SAMPLES = 100_000
 """Largest number of time samples of an attribute."""
 
 
-def main(file: str, most_prims: int, folders: list[str]) -> int:
+def main(file: str, most_prims: int) -> int:
     """Print why the file is refused, if it is, and return the exit code."""
     try:
-        # Errors of USD quote what they read, so nothing outside is opened at all.
-        if outside := _outside(file, folders):
-            print(
-                f"it refers to {outside}, outside its folder: move that there, or set GAUGE_OUTSIDE_FILES=1 if you "
-                "trust the file"
-            )
-            return REFUSED
         stage = Usd.Stage.Open(file)
     except Tf.ErrorException as error:
         # Opening it in another process could take the memory that is missing here.
@@ -43,45 +35,6 @@ def main(file: str, most_prims: int, folders: list[str]) -> int:
                 print(fault)
                 return REFUSED
     return 0
-
-
-def _outside(file: str, folders: list[str]) -> str:
-    """Return the first path outside the folders that the file or a layer which it refers to names; empty if none."""
-    waiting, known = [file], {file}
-    while folders and waiting:
-        layer = Sdf.Layer.FindOrOpen(waiting.pop())
-        for asset in _named_layers(layer) if layer else ():
-            # In a package, the path of a part follows that of the package.
-            path = layer.ComputeAbsolutePath(asset)
-            outer = Path(Ar.SplitPackageRelativePathOuter(path)[0])
-            if not any(outer.resolve().is_relative_to(folder) for folder in folders):
-                return ascii(asset)
-            if path not in known:
-                known.add(path)
-                waiting.append(path)
-    return ""
-
-
-def _named_layers(layer: Sdf.Layer) -> set[str]:
-    """Return the layers that a layer names: sublayers, references, payloads and value clips."""
-    found = set(layer.GetCompositionAssetDependencies())
-
-    def add_clips(path: Sdf.Path) -> None:
-        is_prim = path.IsPrimPath() or path.IsPrimVariantSelectionPath()
-        spec = layer.GetPrimAtPath(path) if is_prim else None
-        for clips in (spec.GetInfo("clips") or {}).values() if spec else ():
-            stated = [
-                clips.get(key) for key in ("manifestAssetPath", "templateAssetPath")
-            ]
-            found.update(
-                asset.path if isinstance(asset, Sdf.AssetPath) else asset
-                for asset in stated
-                if asset
-            )
-            found.update(asset.path for asset in clips.get("assetPaths") or ())
-
-    layer.Traverse(Sdf.Path.absoluteRootPath, add_clips)
-    return found
 
 
 def _fault(attribute: Usd.Attribute) -> str:
@@ -111,4 +64,4 @@ def _reason(error: Tf.ErrorException) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1], int(sys.argv[2]), sys.argv[3:]))
+    sys.exit(main(sys.argv[1], int(sys.argv[2])))

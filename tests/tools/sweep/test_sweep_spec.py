@@ -114,7 +114,6 @@ def test_an_experiment_file_is_beside_the_sweep_file(tmp_path):
             SLIDE + "[settings.mujoco]\niterations = 1",
             "settings.mujoco.iterations: a list of one or more values",
         ),
-        ("variants = ['../crate.toml']", "is outside the folder of sweep.toml"),
     ],
 )
 def test_a_wrong_file_is_named_with_key_and_reason(tmp_path, text, message):
