@@ -48,16 +48,14 @@ def video_prompts(
 ) -> None:
     """Fetch the first frame and the prompt of each task of the benchmark (3 MB).
 
-    Files that are there are checked and kept, so that the same command continues after an error.
+    Nothing is written unless all files are there and have their hashes.
     """
-    from gauge_envs.pages.text import counted
     from gauge_envs.tools.video.prompts import SOURCE, fetch_inputs, input_files
 
-    total = len(input_files())
-    with Progress("inputs", total) as progress:
-        written = fetch_inputs(out, source=source or SOURCE, advance=progress.advance)
+    with Progress("inputs", len(input_files())) as progress:
+        names = fetch_inputs(out, source=source or SOURCE, advance=progress.advance)
     echo(out)
-    message(f"{counted(len(written), 'file')} written, {total + 1 - len(written)} kept")
+    message(f"{len(names)} files written")
 
 
 def video_score(

@@ -6,13 +6,13 @@ each one is, its size and its hash.
 
 import hashlib
 from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from http.client import HTTPException
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from urllib.error import HTTPError, URLError
+from urllib.error import URLError
 from urllib.parse import quote
 from urllib.request import Request, urlopen
 
@@ -30,11 +30,11 @@ SOURCE = f"https://raw.githubusercontent.com/InternRobotics/GAUGE/{COMMIT}"
 """Address below which the files of that commit lie."""
 
 NOTE = "world_model_inputs.md"
-"""Name of the note beside the inputs; it is written last, so a folder that holds it is complete."""
+"""Name of the note beside the inputs."""
 
 BY_HAND = (
     f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` elsewhere, bring its folder `input` "
-    "here, and give the folder that holds it as source; files that are complete are kept"
+    "here, and give the folder that holds it as source"
 )
 
 TIMEOUT_S = 30.0
@@ -89,64 +89,49 @@ def input_files() -> tuple[InputFile, ...]:
 
 def fetch_inputs(
     folder: Path, *, source: str = SOURCE, advance: Callable[[str], None] | None = None
-) -> list[Path]:
-    """Write the first frames, the prompts and a note to a folder; files that it has are kept and not fetched again.
-
-    Each file is checked by size and hash, and is written whole or not at all. After an error, the same call continues.
+) -> list[str]:
+    """Write the first frames, the prompts and a note to a folder, once all are fetched and checked by size and hash.
 
     Args:
         folder: Folder to write to; it is made if it is missing.
         source: Address or folder below which the repository's folder `input` lies.
-        advance: Called with the name of each file that is there.
+        advance: Called with the name of each file that is fetched.
 
     Returns:
-        The files that were written.
+        Names of the files.
     """
-    is_address = source.lower().startswith(("http://", "https://"))
-    if "://" in source and not is_address:
-        raise ParameterError(
-            f"source {source!r}: give an address that starts with https:// or http://, or a folder"
-        )
-    if not is_address and not Path(source).is_dir():
-        raise ParameterError(f"source {source!r} is no folder: {BY_HAND}")
-    read = (
-        partial(_download, source.rstrip("/"))
-        if is_address
-        else partial(_copy, Path(source))
-    )
-    # Before anything is fetched, all files that are there are checked.
-    contents = {
-        file.file: content
-        for file in input_files()
-        if (content := _kept(folder / file.file, file.fault)) is not None
-    }
-    note = _note().encode()
-    has_note = (
-        _kept(
-            folder / NOTE, lambda content: "" if content == note else "is another note"
-        )
-        is not None
-    )
-    written = []
+    if not source.lower().startswith(("https://", "http://")):
+        if not Path(source).is_dir():
+            raise ParameterError(
+                f"source {source!r} is no folder, and no address with https:// or http://: {BY_HAND}"
+            )
+        source = Path(source).resolve().as_uri()
+    contents: dict[str, bytes] = {}
     for file in input_files():
-        if file.file not in contents:
-            contents[file.file] = _fetched(file, read, contents)
-            written.append(_write(folder / file.file, contents[file.file]))
+        if file.source is None:
+            contents[file.file] = _plastic_prompt(file, contents[WOOD_PROMPT])
+        else:
+            contents[file.file] = _read(
+                f"{source.rstrip('/')}/{quote(file.source)}", file
+            )
         if advance is not None:
             advance(file.file)
-    if not has_note:
-        written.append(_write(folder / NOTE, note))
-    return written
+    contents[NOTE] = _note().encode()
+    with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")):
+        for name, content in contents.items():
+            path = folder / name
+            if path.exists() and read_regular(path, MEGABYTE) != content:
+                raise DatasetError(f"{path} is another file: move it away")
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in contents.items():
+            write_whole(folder / name, content)
+    return list(contents)
 
 
-def _fetched(
-    file: InputFile, read: Callable[[InputFile], bytes], contents: dict[str, bytes]
-) -> bytes:
-    if file.source is not None:
-        return read(file)
-    text = contents[WOOD_PROMPT].decode("utf-8")
-    for wood, plastic in PLASTIC_CHANGES:
-        text = text.replace(wood, plastic)
+def _plastic_prompt(file: InputFile, wood: bytes) -> bytes:
+    text = wood.decode("utf-8")
+    for old, new in PLASTIC_CHANGES:
+        text = text.replace(old, new)
     content = text.encode("utf-8")
     if fault := file.fault(content):
         raise DatasetError(
@@ -155,66 +140,22 @@ def _fetched(
     return content
 
 
-def _download(source: str, file: InputFile) -> bytes:
-    address = f"{source}/{quote(file.source or '')}"
+def _read(address: str, file: InputFile) -> bytes:
     try:
         request = Request(
             address, headers={"User-Agent": f"gauge-envs/{version('gauge-envs')}"}
         )
         with urlopen(request, timeout=TIMEOUT_S) as response:
+            # One byte more than expected, so that a longer answer shows.
             content: bytes = response.read(file.size_bytes + 1)
-    except HTTPError as error:
-        raise DatasetError(
-            f"{address}: the server answers {error.code} {error.reason}; {BY_HAND}"
-        ) from error
     except (OSError, HTTPException, ValueError) as error:
         cause = error.reason if isinstance(error, URLError) else error
         raise DatasetError(
-            f"{address}: cannot be downloaded: {cause or type(error).__name__}; {BY_HAND}"
+            f"{address}: cannot be read: {cause or type(error).__name__}; {BY_HAND}"
         ) from error
     if fault := file.fault(content):
-        # One byte more than expected is read, so that a longer answer shows.
-        longer = " or more" if len(content) > file.size_bytes else ""
-        raise DatasetError(
-            f"{address}: {fault}{longer}: the answer is damaged or another file; {BY_HAND}"
-        )
+        raise DatasetError(f"{address}: {fault}: damaged, or another file; {BY_HAND}")
     return content
-
-
-def _copy(source: Path, file: InputFile) -> bytes:
-    path = source / (file.source or "")
-    with os_errors(
-        lambda cause: DatasetError(f"{path}: cannot be read: {cause}; {BY_HAND}")
-    ):
-        content = read_regular(path, MEGABYTE)
-    if fault := file.fault(content):
-        raise DatasetError(f"{path}: {fault}; {BY_HAND}")
-    return content
-
-
-def _kept(path: Path, fault_of: Callable[[bytes], str]) -> bytes | None:
-    """Return the content of a file that is there already; None if it is missing."""
-    with os_errors(
-        lambda cause: DatasetError(
-            f"{path}: cannot be read: {cause}; name another folder"
-        )
-    ):
-        try:
-            content = read_regular(path, MEGABYTE)
-        except FileNotFoundError:
-            return None
-    if fault := fault_of(content):
-        raise DatasetError(
-            f"{path} {fault}: move it away, or name another folder; no file was changed"
-        )
-    return content
-
-
-def _write(path: Path, content: bytes) -> Path:
-    with os_errors(lambda cause: DatasetError(f"{path}: cannot be written: {cause}")):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, content)
-    return path
 
 
 def _note() -> str:
