@@ -26,11 +26,13 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
@@ -121,6 +123,36 @@ class EnvArguments:
     def band(self, experiment: Experiment) -> Band | None:
         """Return the band that an experiment is scored against, or None if it has no reference."""
         return reference_band(experiment, use_withheld=self.use_withheld)
+
+    def unread(self, experiment: Experiment) -> dict[str, str]:
+        """Return why arguments would change nothing, by their names; runs of many ids may have such.
+
+        Args:
+            experiment: The experiment that `experiment` returns.
+        """
+        reasons = {}
+        observable = experiment.score.observable
+        if self.proxy is MarkerProxy.NODE and observable is Observable.POSITION:
+            reasons["marker_proxy"] = "only rigid bodies are observed"
+        is_imported = self.drivers == DataSource.IMPORTED
+        if is_imported and experiment.drivers is not DataSource.IMPORTED:
+            reasons["drivers"] = "its imported trials show no driven body"
+        if self.use_withheld:
+            band = self.band(experiment)
+            if band is None or band.withheld is None:
+                reasons["use_withheld"] = "no band in use is withheld"
+        return reasons
+
+    def check_read(self, experiment: Experiment) -> None:
+        """Raise an error for an argument that would change nothing.
+
+        Args:
+            experiment: The experiment that `experiment` returns.
+        """
+        for name, reason in self.unread(experiment).items():
+            raise ParameterError(
+                f"{experiment.id}: {name}={getattr(self, name)!r} would change nothing: {reason}"
+            )
 
 
 class EnvKeywords(TypedDict, total=False):
@@ -261,8 +293,27 @@ def checked_scatter(
         raise ParameterError(
             f"{name} is {value!r}, expected 'real', True, False or a gauge_envs.Jitter"
         )
-    jittered(experiment.scene, value, seed=0)
+    moved = jittered(experiment.scene, value, seed=0)
+    change = _starts_of(moved) - _starts_of(experiment.scene)
+    if any(asdict(value).values()) and np.abs(change).max() < ROUNDING:
+        raise ParameterError(
+            f"{name} {value.to_dict()} would change nothing: it moves no body of {experiment.id}"
+        )
     return value
+
+
+ROUNDING = 1e-12
+"""Largest change of a start that comes from rounding [m, 1, m/s and rad/s]."""
+
+
+def _starts_of(scene: Scene) -> FloatArray:
+    """Return positions, orientations and velocities of all bodies at the start, shape [N, 3]."""
+    starts = []
+    for body in scene.bodies:
+        starts += [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
+    for one in (*scene.bodies, *scene.deformables):
+        starts += [one.pose.position_m, *one.pose.rotation.as_matrix().tolist()]
+    return np.array(starts)
 
 
 class Starts:

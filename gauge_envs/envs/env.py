@@ -57,8 +57,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         variant: Name of the variant, as `SlopeSlider-2-wood`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
-        width: Picture width [pixels].
-        height: Picture height [pixels].
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         render_overlay: Whether pictures also show the tracked points, their paths so far, and the places of the
@@ -101,8 +101,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         variant: str | Variant,
         *,
         render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
         jitter: Scatter = None,

@@ -33,6 +33,8 @@ Depth = NDArray[np.float32]
 Rendered = Picture | Depth | tuple[Picture, Depth]
 """What `render` returns with `rgb_array`, `depth_array` and `rgbd_tuple`."""
 
+DEFAULT_SIZE = (640, 480)
+"""Width and height of a picture [pixels] where none are given."""
 SIZE_LIMIT = 16_384
 """Largest width and height of a picture [pixels], that of common graphics cards."""
 
@@ -42,20 +44,23 @@ class Pictures:
 
     Args:
         render_mode: None or one of the modes.
-        width: Picture width [pixels].
-        height: Picture height [pixels].
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera, as `{"azimuth_deg": 90.0}`: the fields of
             `gauge_envs.experiments.tables.Camera`.
         has_overlay: Whether the environment puts an overlay on its pictures.
         modes: Render modes of the environment.
+
+    Raises:
+        ParameterError: An argument is wrong, or no picture of the render mode would show it.
     """
 
     def __init__(
         self,
         render_mode: str | None,
         *,
-        width: int,
-        height: int,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         has_overlay: bool = False,
         modes: tuple[str, ...] = RENDER_MODES,
@@ -66,7 +71,7 @@ class Pictures:
                 + ("; a window shows one world" if render_mode == "human" else "")
             )
         for name, value in (("width", width), ("height", height)):
-            if (
+            if value is not None and (
                 not isinstance(value, int | np.integer)
                 or isinstance(value, bool)
                 or not 1 <= value <= SIZE_LIMIT
@@ -80,8 +85,24 @@ class Pictures:
             )
         self.render_mode = render_mode
         self.has_overlay = bool(has_overlay)
-        self._size = (width, height)
+        self._size = (width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1])
         self._camera = _checked_camera(camera)
+        if render_mode is None:
+            stated = {
+                "width": width,
+                "height": height,
+                "camera": camera,
+                "render_overlay": has_overlay or None,
+            }
+            for name, value in stated.items():
+                if value is not None:
+                    raise ParameterError(
+                        f"{name} without render_mode would change nothing: give one, as render_mode='rgb_array'"
+                    )
+        if has_overlay and render_mode == "depth_array":
+            raise ParameterError(
+                "render_overlay with render_mode 'depth_array' would change nothing: the overlay has no depth"
+            )
         self._renderer: SceneRenderer | None = None
         self._window: Window | None = None
 

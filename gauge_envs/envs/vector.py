@@ -79,8 +79,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         variant: Name of the variant, as `SlopeSlider-2-wood`.
         num_envs: Number of worlds, 1 or more.
         render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `GaugeEnv`.
-        width: Picture width [pixels].
-        height: Picture height [pixels].
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         render_overlay: As for `GaugeEnv`.
@@ -115,8 +115,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         num_envs: int = 1,
         *,
         render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
         jitter: Scatter = None,
@@ -443,12 +443,17 @@ def scored_vector_env(
         **arguments: Arguments of `GaugeVectorEnv`.
 
     Raises:
-        ParameterError: Other `max_episode_steps` than those of the experiment.
+        ParameterError: Other `max_episode_steps` than those of the experiment, or an argument would change nothing.
 
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
     envs = GaugeVectorEnv(**arguments)
+    envs.arguments.check_read(envs.experiment)
+    if score_arrays and envs.band is None:
+        raise ParameterError(
+            f"{envs.experiment.id}: score_arrays=True would change nothing: it has no reference, and so no scores"
+        )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
     return ScoreEpisodes(envs, arrays=score_arrays)

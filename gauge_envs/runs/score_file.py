@@ -65,6 +65,10 @@ def score_file(
     trajectory = read_trajectory(file, experiment)
     experiment = _with_its_trial(experiment, origin, trajectory.values[0])
     band = reference_band(experiment, use_withheld=use_withheld)
+    if use_withheld and (band is None or band.withheld is None):
+        raise ParameterError(
+            f"{experiment.id}: withheld data would change nothing: no band in use is withheld"
+        )
     fault = value_mistake(
         experiment,
         sampled_frames(experiment, trajectory.times_s, trajectory.values),

@@ -37,6 +37,15 @@ ARGUMENTS = [
     {"asset": 3},
     {"marker_proxy": "nearest"},
     {"use_withheld": "no"},
+    # What would change nothing.
+    {"width": 320},
+    {"height": 240},
+    {"camera": {"azimuth_deg": 90.0}},
+    {"render_overlay": True},
+    {"render_overlay": True, "render_mode": "depth_array"},
+    {"marker_proxy": "node"},
+    {"use_withheld": True},
+    {"jitter": {"position_m": 0.0, "angle_rad": 0.0, "velocity_m_per_s": 1e-15}},
     {"parameters": {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}},
     {"parameters": {"cube.euler_deg": (0.0, 0.0)}},
 ]
@@ -127,6 +136,9 @@ def test_calls_are_refused(approved):
         "arrays of sub-environments": lambda: ScoreEpisodes(
             SyncVectorEnv([lambda: GaugeEnv(SLIDE)]), arrays=True
         ),
+        "arrays of no reference": lambda: worlds(
+            name="RopeWinding-rubber", score_arrays=True
+        ),
         "record of no recorder": lambda: Together([]).record(
             ["cube"], frame_count=2, samples=6, interval_s=1 / 180
         ),
@@ -177,7 +189,12 @@ def test_impossible_overrides_are_named(overrides, place):
 
 @pytest.mark.parametrize(
     "arguments",
-    [{"width": 0}, {"backend": None}, {"settings": {"impratio": float("inf")}}],
+    [
+        {"width": 0},
+        {"width": 320},
+        {"backend": None},
+        {"settings": {"impratio": float("inf")}},
+    ],
 )
 def test_wrong_arguments_of_a_control_task(arguments):
     with pytest.raises(ParameterError):

@@ -230,6 +230,9 @@ def test_what_is_no_trial_is_refused(imported, approved):
     calls["nothing imported"] = partial(
         gymnasium.make(f"GAUGE/{SLIDE}").reset, options={"trial": 0}
     )
+    calls["nothing driven"] = partial(
+        gymnasium.make, f"GAUGE/{BALL}", drivers="imported"
+    )
     approved("envs/trials", refused_calls(ParameterError, calls))
 
 

@@ -62,8 +62,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         settings: Numerical settings of the engine that replace those of the preset; without any, `OWN_SETTINGS` do.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
-        width: Picture width [pixels].
-        height: Picture height [pixels].
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         jitter: Scatter of the start of every episode, as of `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
@@ -102,8 +102,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         parameters: Parameters = "calibrated",
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
         is_world: bool = False,

@@ -43,8 +43,8 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
             come on top of `parameters`.
         render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `ControlEnv`.
-        width: Picture width [pixels].
-        height: Picture height [pixels].
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
         jitter: Scatter of the starts, as of `ControlEnv`; each world has starts of its own, also after autoreset.
@@ -75,8 +75,8 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         settings: Mapping[str, Any] | None = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
         render_mode: str | None = None,
-        width: int = 640,
-        height: int = 480,
+        width: int | None = None,
+        height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
         max_episode_steps: int | None = None,

@@ -131,6 +131,7 @@ def run(
             subject for found in subjects.values() for subject in found
         )
     ]
+    _check_read(requests)
     is_apart = isolate or timeout is not None or memory is not None
     check_requests(requests, isolate=is_apart or None)
     named = {
@@ -225,6 +226,20 @@ def score(
         replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]),
         form,
     )
+
+
+def _check_read(requests: Sequence[RunRequest]) -> None:
+    """Raise an error for an option that would change nothing in any of the runs."""
+    for name, option in (
+        ("marker_proxy", "--marker-proxy node"),
+        ("use_withheld", "--use withheld"),
+    ):
+        first = requests[0]
+        if getattr(first, name) in (False, "material"):
+            continue
+        reasons = {one.unread(one.experiment()).get(name) for one in requests}
+        if None not in reasons:
+            raise ParameterError(f"{option} would change nothing: {reasons.pop()}")
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
