@@ -88,14 +88,14 @@ class Pictures:
         self._size = (width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1])
         self._camera = _checked_camera(camera)
         if render_mode is None:
-            stated = {
-                "width": width,
-                "height": height,
-                "camera": camera,
-                "render_overlay": has_overlay or None,
+            given = {
+                "width": width is not None,
+                "height": height is not None,
+                "camera": camera is not None,
+                "render_overlay": has_overlay,
             }
-            for name, value in stated.items():
-                if value is not None:
+            for name, is_given in given.items():
+                if is_given:
                     raise ParameterError(
                         f"{name} without render_mode would change nothing: give one, as render_mode='rgb_array'"
                     )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.errors import TrajectoryFileError
+from gauge_envs.errors import ParameterError, TrajectoryFileError
 from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.deviation import sampled_frames
 from gauge_envs.evaluation.likely_mistakes import (
