@@ -150,6 +150,16 @@ def bundled_instruments() -> tuple[Instrument, ...]:
     return tuple(sorted(found, key=_place))
 
 
+def is_installed(module: str) -> bool:
+    """Say whether a top-level module is installed.
+
+    Python also finds a folder without `__init__.py`, as a checkout of an engine beside the user's script; such a folder
+    has no origin.
+    """
+    spec = find_spec(module)
+    return spec is not None and spec.origin is not None
+
+
 @cache
 def instruments() -> tuple[Instrument, ...]:
     """Return all instruments: those of this package, then those of others.

@@ -19,6 +19,7 @@ from gauge_envs.backends.shared import bundled
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.jitter import jittered
 from gauge_envs.tools.bench.parts import body, driven_box
@@ -430,9 +431,19 @@ def test_a_missing_engine_names_its_extra(name, monkeypatch):
     kind = backend_class(name)
     if not kind.modules:
         pytest.skip("the package needs this engine")
-    monkeypatch.setattr(bundled, "find_spec", lambda module: None)
+    monkeypatch.setattr(bundled, "is_installed", lambda module: False)
     with pytest.raises(MissingExtraError, match=rf"'gauge-envs\[{name}\]'"):
         kind()
+
+
+def test_a_folder_with_the_name_of_an_engine_is_no_engine(monkeypatch, tmp_path):
+    (tmp_path / "engine_of_a_checkout").mkdir()
+    (tmp_path / "engine_of_a_package").mkdir()
+    (tmp_path / "engine_of_a_package" / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not is_installed("engine_of_a_checkout")
+    assert not is_installed("engine_of_nobody")
+    assert is_installed("engine_of_a_package")
 
 
 @pytest.mark.slow

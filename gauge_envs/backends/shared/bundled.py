@@ -4,12 +4,12 @@ from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
-from importlib.util import find_spec
 from typing import Any, ClassVar
 
 from gauge_envs.backends.base import Backend, Support
 from gauge_envs.backends.settings import SteppedSettings
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
+from gauge_envs.registry import is_installed
 from gauge_envs.scene import Compound, Scene
 
 
@@ -28,7 +28,7 @@ class BundledBackend(Backend):
 
     def __init__(self) -> None:
         for module in self.modules:
-            if find_spec(module) is None:
+            if not is_installed(module):
                 raise MissingExtraError(
                     f"backend {self.name!r}", self.name, self.failed_import(module)
                 )

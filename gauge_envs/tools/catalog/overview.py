@@ -8,7 +8,6 @@ import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from gauge_envs.experiments.variants import Variant, task_files
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id, shortened
 from gauge_envs.references.user_data import has_import
-from gauge_envs.registry import engine_points
+from gauge_envs.registry import engine_points, is_installed
 
 STORED = Path(__file__).with_name("overview.json")
 
@@ -47,9 +46,7 @@ def stored_rows(variants: Iterable[Variant]) -> list[dict[str, Any]] | None:
         return None
     absent = {}
     for name, modules in stored["modules"].items():
-        missing = next(
-            (module for module in modules if find_spec(module) is None), None
-        )
+        missing = next((module for module in modules if not is_installed(module)), None)
         if missing is not None:
             error = MissingExtraError(
                 f"backend {name!r}", name, ModuleNotFoundError(name=missing)
