@@ -14,13 +14,14 @@ from pydrake.geometry import (
     GeometryId,
     GeometrySet,
     HydroelasticContactRepresentation,
+    SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
-    AddMultibodyPlantSceneGraph,
     ContactModel,
     CoulombFriction,
     DiscreteContactApproximation,
+    MultibodyPlant,
 )
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -121,8 +122,18 @@ def rigid_transform(pose: Pose) -> RigidTransform:
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     """Build a diagram with a discrete plant, whose state is that of the scene's start."""
+    # `AddMultibodyPlantSceneGraph` of pydrake 1.51 does the same, and never frees the plant.
     builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, settings.timestep_s)
+    plant = builder.AddSystem(MultibodyPlant(settings.timestep_s))
+    scene_graph = builder.AddSystem(SceneGraph())
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    builder.Connect(
+        scene_graph.get_query_output_port(), plant.get_geometry_query_input_port()
+    )
+    builder.Connect(
+        plant.get_geometry_pose_output_port(),
+        scene_graph.get_source_pose_port(plant.get_source_id()),
+    )
     plant.SetUseSampledOutputPorts(False)
     plant.set_contact_model(
         ContactModel.kPoint
