@@ -47,7 +47,7 @@ NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
 
-INSTALLED_LATER = {"bench", "data", "docs", "onnx", "ray", "rerun", "rl"}
+INSTALLED_LATER = {"bench", "data", "docs", "logs", "onnx", "ray", "rerun", "rl"}
 """Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
 
 Files = Mapping[str, tuple[set[str], set[str]]]

@@ -22,7 +22,11 @@ SERVO = "dry_friction_n_m,armature_kg_m2,kp_n_m_per_rad,kv_n_m_s_per_rad,delay_s
 
 def recipe_joint(
     logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG", help="CSV or NPZ files.")
+        list[Path],
+        typer.Argument(
+            metavar="LOG",
+            help="CSV or NPZ files, LeRobot datasets, ROS 2 bags, trajectories of mujoco.sysid.",
+        ),
     ],
     mass_kg: Annotated[
         float | None,
@@ -93,6 +97,33 @@ def recipe_joint(
             help="Where --known is from, which the lines to paste repeat.",
         ),
     ] = None,
+    joints: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            rich_help_panel=arguments.SELECTION,
+            show_default="all of the logs",
+            help="Joints of the logs that are used.",
+        ),
+    ] = None,
+    angle_unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="rad|deg",
+            rich_help_panel=arguments.SELECTION,
+            show_default="that of the file",
+            help="Unit of the angles of a LeRobot dataset, which states none.",
+        ),
+    ] = None,
+    load_error: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            min=0.0,
+            rich_help_panel=arguments.SCENE,
+            help="Standard uncertainty of the load, as 0.05; intervals of torques hold it too.",
+        ),
+    ] = 0.0,
     test: Annotated[
         list[Path] | None,
         typer.Option(
@@ -113,10 +144,22 @@ def recipe_joint(
     Exit code 1 when the logs leave a setting open, or the engine does not follow a fitted one.
     """
     from gauge_envs.backends import backend
-    from gauge_envs.tools.identify import identify, read_log
+    from gauge_envs.scene import Scene
+    from gauge_envs.tools.identify import identify
+    from gauge_envs.tools.identify.stack_logs import read_logs
     from gauge_envs.tools.identify.words import identified_document
 
-    read, tests = (list(map(read_log, some)) for some in (logs, test or ()))
+    load = {"mass_kg": mass_kg, "length_m": length_m, "inertia_kg_m2": inertia_kg_m2}
+    built = _scene(
+        scene, **{name: value for name, value in load.items() if value is not None}
+    )
+    model = None if isinstance(built, Scene) else built
+    read, tests = (
+        [log for path in paths for log in read_logs(path, model, angle_unit)]
+        for paths in (logs, test or ())
+    )
+    if joints:
+        read, tests = ([log.only(joints) for log in some] for some in (read, tests))
     for log in (*read, *tests):
         if (reach_rad := float(abs(log.position_rad).max())) > 6.2832:
             note(
@@ -132,18 +175,15 @@ def recipe_joint(
         raise ParameterError(
             "--known and --source go together: state where the bench value is from"
         )
-    load = {"mass_kg": mass_kg, "length_m": length_m, "inertia_kg_m2": inertia_kg_m2}
     with Progress("simulations", None) as bar:
         found = identify(
             backend(engine),
-            _scene(
-                scene,
-                **{name: value for name, value in load.items() if value is not None},
-            ),
+            built,
             read,
             fit,
             known=given,
             held_out=tests,
+            load_error=load_error,
             part_s=part_s,
             settings=arguments.parsed_settings(changes) or {},
             progress=bar.show,

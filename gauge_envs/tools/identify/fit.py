@@ -18,7 +18,7 @@ import numpy as np
 from mujoco import MjSpec
 from numpy.typing import NDArray
 from scipy.linalg import matmul_toeplitz
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import OptimizeResult, least_squares, minimize
 from scipy.signal import lfilter
 from scipy.special import expit
 from scipy.stats import t as student
@@ -49,7 +49,12 @@ from gauge_envs.tools.identify.rig import (
     with_terms,
 )
 from gauge_envs.tools.identify.snippets import snippet_lines
-from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
+from gauge_envs.tools.identify.spread import (
+    NORMAL_95,
+    pattern,
+    sensor_noise_rad,
+    spread_of,
+)
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
@@ -59,6 +64,8 @@ ZERO = "0 is in the interval"
 SCALE = "only ratios of torques are told: a weight or a known armature would tell their scale"
 NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 """Relative change at which a stage ends: the first, the second, that of servos; most steps of the first."""
+STARTS, DEADBAND_RAD = 3, 0.01
+"""Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
 LASTING = (0.0, 2.0, 4.0)
@@ -111,6 +118,7 @@ class Setting:
         low, high: 95 % interval of the least squares over all logs; not below 0.
         std: Its standard error.
         of_files: Values of fits to each log alone.
+        of_files_std: Their standard errors.
         next_low, next_high: 95 % interval of the value of the next file; None without a second file.
         between: Standard deviation between files, beyond the uncertainty of each.
         is_known: Whether it was given.
@@ -128,6 +136,7 @@ class Setting:
     pasted: float | None = None
     std: float = 0.0
     of_files: tuple[float, ...] = ()
+    of_files_std: tuple[float, ...] = ()
     next_low: float | None = None
     next_high: float | None = None
     between: float | None = None
@@ -329,8 +338,8 @@ class _Problem:
             ]
         )
 
-    def best_start(self) -> FloatArray:
-        """Return the first guesses: of seven stiffnesses of a servo, and two angles at rest, what follows best."""
+    def starts_by_misfit(self) -> list[FloatArray]:
+        """Return first guesses, the best first: seven stiffnesses of a servo, or two angles at rest of a free joint."""
         guesses = []
         middle = float(
             np.mean(np.concatenate([part.position_rad for part in self.parts]))
@@ -346,15 +355,47 @@ class _Problem:
                 np.repeat([*joint_guess, *zero], self.joints)
                 for zero in ([[0.0], [middle]] if self.zero else [[]])
             ]
-        return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
+        return sorted(guesses, key=self._misfit)
+
+    def neighbourhood(self) -> FloatArray:
+        """Return the unknowns of a few steps of least squares from the best of the first guesses.
+
+        A servo's errors have several minima: with a stiffness that is far too large, and without dry friction. So the
+        search starts from three stiffnesses, and from the best of these once more with a play by dry friction of
+        `DEADBAND_RAD`.
+        """
+        guesses = self.starts_by_misfit()
+        if SERVO[0] not in self.names:
+            return self._least_squares(guesses[0], NEAR).x
+        tried = [
+            self._least_squares(one, NEAR, SHORT_STEPS).x for one in guesses[:STARTS]
+        ]
+        best = min(tried, key=self._misfit)
+        if DYNAMICS[0] in self.names:
+            rubbing = best.reshape(self.kinds, self.joints).copy()
+            dry, kp = (self.names.index(name) for name in (DYNAMICS[0], SERVO[0]))
+            stiffness = rubbing[kp] * self.sizes[kp]
+            rubbing[dry] = DEADBAND_RAD * stiffness / self.sizes[dry]
+            tried.append(self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS).x)
+        return min(tried, key=self._misfit)
+
+    def _misfit(self, scaled: FloatArray) -> float:
+        return float((self.residuals(scaled) ** 2).sum())
 
     def solved(
         self, first: FloatArray, tolerance: float, most: int | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the unknowns of the least squares after at most so many steps, and their covariance."""
+        found = self._least_squares(first, tolerance, most)
+        self._check_margin(found.x)
+        return found.x, self._covariance(found.jac, found.fun)
+
+    def _least_squares(
+        self, first: FloatArray, tolerance: float, most: int | None = None
+    ) -> OptimizeResult:
         low = np.full(first.size, -np.inf)
         low[: len(self.names) * self.joints] = 0.0
-        found = least_squares(
+        return least_squares(
             self.residuals,
             np.maximum(first, low + 1e-6),
             self.jacobian,
@@ -363,8 +404,6 @@ class _Problem:
             ftol=tolerance,
             max_nfev=most,
         )
-        self._check_margin(found.x)
-        return found.x, self._covariance(found.jac, found.fun)
 
     def _check_margin(self, scaled: FloatArray) -> None:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
@@ -457,18 +496,17 @@ def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
         table = np.concatenate(
             [lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts]
         )
-        turned, corner = np.linalg.qr(table[:, :-1])
-        power = max(
-            float(table[:, -1] @ table[:, -1] - ((turned.T @ table[:, -1]) ** 2).sum()),
-            1e-300,
-        )
-        freedom = len(table) - len(corner)
+        # The factor of the Gram matrix ends with the length of the residual that the other columns leave.
+        factor = np.linalg.cholesky(table.T @ table)
+        diagonal = np.diag(factor)
+        power = max(float(diagonal[-1] ** 2), 1e-300)
+        freedom = len(table) - len(diagonal) + 1
         shock = power / freedom
         return (
             decay,
             forgotten,
             shock,
-            freedom * np.log(shock) + 2.0 * np.log(np.abs(np.diag(corner))).sum(),
+            freedom * np.log(shock) + 2.0 * np.log(diagonal[:-1]).sum(),
         )
 
     found = [
@@ -488,6 +526,7 @@ def identify(
     *,
     known: Mapping[str, float] | None = None,
     held_out: Sequence[Log] = (),
+    load_error: float = 0.0,
     part_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -502,6 +541,8 @@ def identify(
         names: Numbers to identify, fields of `JointDynamics` and `Servo`; None compares the laws of friction.
         known: Numbers of all joints that are not identified, as from a bench.
         held_out: Logs that are only predicted, with the identified numbers.
+        load_error: Standard uncertainty of the loads, over their masses and inertias. Torques are known in proportion
+            to them, so that each interval of one is wider by as much.
         part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
         settings: Numerical settings of the engine.
         progress: Called with what is being done.
@@ -540,7 +581,10 @@ def identify(
         alone = []
     long, unknowns = fit.problem, fit.unknowns
     count = long.joints
-    found = _between_files(_settings(long, unknowns, fit.covariance), alone)
+    fitted_settings = _settings(long, unknowns, fit.covariance)
+    found = _with_load_error(
+        _between_files(fitted_settings, alone, load_error), load_error
+    )
     joint_words = joint_names(logs[0], count)
     if isinstance(machine, ModelJoints):
         joint_words = machine.joints
@@ -652,9 +696,7 @@ def _fitted(
     short, long = _stages(problem, logs, first_s, part_s or long_s)
     if first is None:
         progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-        unknowns, _ = short.solved(
-            short.best_start(), NEAR, SHORT_STEPS if servo else None
-        )
+        unknowns = short.neighbourhood()
     else:
         before = first.problem
         rows = dict(zip(before.names, _rows_of(first), strict=False))
@@ -737,8 +779,24 @@ def _compared(
     return (compared[chosen][0], *others), compared[chosen][1]
 
 
+def _with_load_error(
+    settings: Sequence[Setting], load_error: float
+) -> tuple[Setting, ...]:
+    """Return settings whose interval of least squares holds the uncertainty of the load too."""
+    found = []
+    for one in settings:
+        if one.is_known or one.name == SERVO[2]:
+            found.append(one)
+            continue
+        half = np.hypot(one.high - one.value, NORMAL_95 * load_error * one.value)
+        found.append(
+            replace(one, low=max(one.value - half, 0.0), high=one.value + half)
+        )
+    return tuple(found)
+
+
 def _between_files(
-    settings: Sequence[Setting], alone: Sequence[_Fit]
+    settings: Sequence[Setting], alone: Sequence[_Fit], load_error: float
 ) -> tuple[Setting, ...]:
     """Return settings with the spread of the fits to single logs; those whose next value may be 0 are undetermined."""
     if not alone:
@@ -751,7 +809,8 @@ def _between_files(
         if one.is_known or not np.isfinite(stds).all():
             found.append(one)
             continue
-        spread = spread_of(values, stds)
+        common_error = 0.0 if one.name == SERVO[2] else load_error
+        spread = spread_of(values, stds, common_error)
         unknown = one.unknown
         is_open = spread.low == 0.0 and len(alone) > FEWEST_FILES
         if not unknown and is_open and one.name != SERVO[2]:
@@ -760,6 +819,7 @@ def _between_files(
             replace(
                 one,
                 of_files=tuple(values.tolist()),
+                of_files_std=tuple(stds.tolist()),
                 next_low=spread.low,
                 next_high=spread.high,
                 between=spread.between,

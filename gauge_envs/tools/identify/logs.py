@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.errors import AssetError
+from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.files import csv_text
 from gauge_envs.scene.geometry import FloatArray
 
@@ -70,6 +70,27 @@ class Log:
                 self.joints,
                 rate,
             )
+
+    def only(self, names: Sequence[str]) -> Log:
+        """Return the log of some of its joints."""
+        if strange := [one for one in names if one not in self.joints]:
+            known = ", ".join(self.joints) or "none with a name"
+            raise ParameterError(
+                f"{self.name} has no joint {strange[0]}; it has {known}"
+            )
+        columns = [self.joints.index(one) for one in names]
+        command, torque, rate = (
+            None if one is None else one[:, columns]
+            for one in (self.command_rad, self.torque_n_m, self.rate_rad_per_s)
+        )
+        return replace(
+            self,
+            position_rad=self.position_rad[:, columns],
+            command_rad=command,
+            torque_n_m=torque,
+            rate_rad_per_s=rate,
+            joints=tuple(names),
+        )
 
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each.
@@ -140,39 +161,50 @@ def read_log(path: Path) -> Log:
         kind: np.hstack([named[kind + joint] for joint in joints])
         for kind in (POSITION, *motors, *rates)
     }
-    _check(path, named["time_s"][:, 0], columns)
     names = _npz_names(path) or tuple(one.lstrip(".") for one in joints)
     if names != ("",) and len(names) != columns[POSITION].shape[1]:
         count = columns[POSITION].shape[1]
         raise AssetError(path, NAMES, f"{len(names)} names for {count} joints")
-    return Log(
-        str(path),
-        named["time_s"][:, 0],
-        columns[POSITION],
-        columns.get(COMMAND),
-        columns.get(TORQUE),
-        names if all(names) else (),
-        columns.get(RATE),
+    return checked(
+        path,
+        Log(
+            str(path),
+            named["time_s"][:, 0],
+            columns[POSITION],
+            columns.get(COMMAND),
+            columns.get(TORQUE),
+            names if all(names) else (),
+            columns.get(RATE),
+        ),
     )
 
 
-def _check(path: Path, times_s: FloatArray, columns: Mapping[str, FloatArray]) -> None:
+def checked(path: Path, log: Log) -> Log:
+    """Return a log, or raise `AssetError` where numbers lack, are not finite, or times do not ascend."""
+    shape = len(log.times_s), log.position_rad.shape[1]
+    columns = {
+        POSITION: log.position_rad,
+        COMMAND: log.command_rad,
+        TORQUE: log.torque_n_m,
+        RATE: log.rate_rad_per_s,
+    }
     for name, values in columns.items():
-        if values.shape != (shape := (len(times_s), columns[POSITION].shape[1])):
-            raise AssetError(
-                path,
-                name,
-                f"{values.shape} numbers, where time_s and {POSITION} have {shape}",
-            )
-    if len(times_s) < 20:
-        raise AssetError(
-            path, "time_s", f"{len(times_s)} samples: 20 or more are needed"
-        )
-    late = np.flatnonzero(np.diff(times_s) <= 0.0)
+        if values is None:
+            continue
+        if values.shape != shape:
+            reason = f"{values.shape} numbers, where time_s and {POSITION} have {shape}"
+            raise AssetError(path, name, reason)
+        if not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise AssetError(path, name, f"row {row + 1} is not a finite number")
+    if len(log.times_s) < 20:
+        reason = f"{len(log.times_s)} samples: 20 or more are needed"
+        raise AssetError(path, "time_s", reason)
+    late = np.flatnonzero(np.diff(log.times_s) <= 0.0)
     if len(late):
-        raise AssetError(
-            path, "time_s", f"row {late[0] + 2} is not later than the row before it"
-        )
+        reason = f"row {late[0] + 2} is not later than the row before it"
+        raise AssetError(path, "time_s", reason)
+    return log
 
 
 def _npz(path: Path) -> dict[str, FloatArray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +33,8 @@ STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction: with MuJoCo's own a joint that friction holds creeps."""
 SHORT_S = 0.001
 """Time constant of dry friction [s]; MuJoCo makes it two steps at least."""
+LOOP_STEPS, LOOP_GAP = 30, 1e-6
+"""Most steps to close loops at a start, and the gap that is left at most [m, rad]."""
 OPTIONS = ("timestep_s", "integrator")
 """Settings that replace those of a model."""
 ELEMENTS = {"frictionloss": "frictionloss", "damping": "damping", "armature": "armature",
@@ -246,6 +248,41 @@ def start_at(
         data.qpos[joint.qposadr] = machine.signs[place] * angles[place]
         if rates is not None:
             data.qvel[joint.dofadr] = machine.signs[place] * rates[place]
+    if model.neq:
+        _close_loops(model, data, machine.joints)
+
+
+def _close_loops(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: Sequence[str]
+) -> None:
+    """Move the joints that no log names so that equality constraints hold: Newton's method on angles, then rates."""
+    logged = {int(model.joint(one).dofadr[0]) for one in joints}
+    passive = [dof for dof in range(model.nv) if dof not in logged]
+    equality = mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    for _ in range(LOOP_STEPS):
+        mujoco.mj_fwdPosition(model, data)
+        rows = np.flatnonzero(data.efc_type == equality)
+        jacobian = np.zeros((data.nefc, model.nv))
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(
+                jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+            )  # fmt: skip
+        else:
+            jacobian[:] = np.reshape(data.efc_J, jacobian.shape)
+        gap, slopes = data.efc_pos[rows], jacobian[rows]
+        if not rows.size or np.abs(gap).max() < LOOP_GAP:
+            break
+        moved = np.zeros(model.nv)
+        moved[passive] = -np.linalg.pinv(slopes[:, passive]) @ gap
+        mujoco.mj_integratePos(model, data.qpos, moved, 1.0)
+    else:
+        raise DivergedError(
+            f"no angles of the other joints close the loops at the recorded start: {np.abs(gap).max():.3g} m or rad are "
+            "left. Check zero and sign of the log's angles"
+        )
+    if rows.size and passive:
+        data.qvel[passive] = 0.0
+        data.qvel[passive] = -np.linalg.pinv(slopes[:, passive]) @ (slopes @ data.qvel)
 
 
 def _controls(
@@ -338,7 +375,7 @@ def joints_of_model(
             "name the columns as joints of the model, as position_rad.elbow"
         )
     changed = _without_motors(spec.copy(), names, settings)
-    _weld(changed, model, names)
+    _weld(changed, model, {*names, *_joints_of_loops(model)})
     return ModelJoints(
         spec=changed,
         joints=tuple(names),
@@ -346,6 +383,32 @@ def joints_of_model(
         stated=[_stated(model, one) for one in names],
         has_servos=log.command_rad is not None,
     )
+
+
+def _joints_of_loops(model: mujoco.MjModel) -> set[str]:
+    """Return the names of the joints that equality constraints move with others: those of loops and couplings."""
+    found: set[str] = set()
+    kinds = mujoco.mjtEq
+    for number in np.flatnonzero(model.eq_active0):
+        kind = int(model.eq_type[number])
+        sides = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        if kind == kinds.mjEQ_JOINT:
+            found |= {model.joint(side).name for side in sides if side >= 0}
+        if kind not in (int(kinds.mjEQ_CONNECT), int(kinds.mjEQ_WELD)):
+            continue
+        if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
+            sides = [int(model.site_bodyid[side]) for side in sides]
+        for body in sides:
+            while body > 0:
+                first = int(model.body_jntadr[body])
+                joints = range(first, first + int(model.body_jntnum[body]))
+                found |= {
+                    model.joint(one).name
+                    for one in joints
+                    if model.jnt_type[one] != mujoco.mjtJoint.mjJNT_FREE
+                }
+                body = int(model.body_parentid[body])
+    return found
 
 
 def joints_of_scene(
@@ -421,7 +484,7 @@ def _without_motors(
     return spec
 
 
-def _weld(spec: mujoco.MjSpec, model: mujoco.MjModel, names: Sequence[str]) -> None:
+def _weld(spec: mujoco.MjSpec, model: mujoco.MjModel, names: Collection[str]) -> None:
     """Remove all joints but the named ones; bodies stay where the first keyframe has them, or the model without one.
 
     Args:

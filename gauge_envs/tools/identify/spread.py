@@ -9,6 +9,8 @@ from scipy.stats import t as student
 
 from gauge_envs.scene.geometry import FloatArray
 
+NORMAL_95 = 1.96
+"""Half of the 95 % interval of a normal distribution, over its standard deviation."""
 NAMED_SHARE = 0.25
 """Share of a residual's squares from which its pattern has a name."""
 
@@ -29,7 +31,9 @@ class Spread:
     high: float
 
 
-def spread_of(values: FloatArray, stds: FloatArray) -> Spread:
+def spread_of(
+    values: FloatArray, stds: FloatArray, common_error: float = 0.0
+) -> Spread:
     """Return the spread between files, and the interval for the value of another one.
 
     Each file's value is the mean, a deviation of the file, and an error of known size. The deviation's variance has the
@@ -40,6 +44,8 @@ def spread_of(values: FloatArray, stds: FloatArray) -> Spread:
     Args:
         values: Value of each file, shape [K], two or more.
         stds: Standard error of each [same unit], shape [K].
+        common_error: Standard uncertainty that all files share, over the value, as of a load that all were fitted with;
+            no scatter between files shows it.
     """
     scale = float(max(np.ptp(values), stds.max(), 1e-300))
     scaled, errors = values / scale, stds / scale
@@ -56,7 +62,8 @@ def spread_of(values: FloatArray, stds: FloatArray) -> Spread:
     weights = 1.0 / (between**2 + errors**2 + 1e-12)
     mean = float(weights @ scaled / weights.sum())
     variance = between**2 + 1.0 / weights.sum() + float(np.median(errors**2))
-    half = float(student.ppf(0.975, len(values) - 1) * np.sqrt(variance))
+    scattered = float(student.ppf(0.975, len(values) - 1) * np.sqrt(variance))
+    half = float(np.hypot(scattered, NORMAL_95 * common_error * mean))
     return Spread(
         mean=scale * mean,
         between=scale * between,

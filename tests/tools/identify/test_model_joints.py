@@ -10,7 +10,8 @@ from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.identify import Log, identify, read_log, read_mjcf
 from gauge_envs.tools.identify.baselines import baselines, lagged
-from gauge_envs.tools.identify.mujoco_joints import joints_of_model
+from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
   <SHOULDER/><inertial pos="0 0 -.1" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>
@@ -196,3 +197,52 @@ def test_an_npz_log_names_its_joints(tmp_path):
     file = tmp_path / "log.npz"
     np.savez(file, time_s=times_s, position_rad=angles, joints=["a", "b"])
     assert read_log(file).joints == ("a", "b")
+
+
+LOOP = """<mujoco><option timestep="0.001"/><worldbody>
+<body><joint name="crank" axis="0 1 0"/><inertial pos="0 0 -.03" mass=".05" diaginertia="2e-5 2e-5 2e-6"/>
+  <body name="coupler" pos="0 0 -.06"><joint name="knee" axis="0 1 0"/>
+    <inertial pos=".05 0 0" mass=".05" diaginertia="2e-6 4e-5 4e-5"/></body></body>
+<body name="rocker" pos=".1 0 0"><joint name="rocker" axis="0 1 0"/>
+  <inertial pos="0 0 -.05" mass=".2" diaginertia="3e-4 3e-4 1e-4"/></body>
+</worldbody><equality><connect body1="coupler" body2="rocker" anchor=".1 0 0"/></equality></mujoco>"""
+"""A parallelogram: the coupler translates, and the rocker turns with the crank."""
+
+
+def loop_of(log):
+    return joints_of_model(mujoco.MjSpec.from_string(LOOP), log, {})
+
+
+def test_a_loop_starts_closed():
+    """Where the crank has turned by a, the knee has turned by -a and the rocker by a; so for rates."""
+    times_s = np.arange(20) * 0.02
+    log = Log("log", times_s, np.zeros((20, 1)), joints=("crank",))
+    machine = loop_of(log)
+    model, data = machine._motored
+    for angle, rate in ((0.4, 2.0), (-0.7, -1.0)):
+        start_at(model, data, machine, np.array([angle]), np.array([rate]))
+        signs = np.array([1.0, -1.0, 1.0])
+        assert data.qpos == pytest.approx(angle * signs, abs=1e-4)
+        assert data.qvel == pytest.approx(rate * signs, abs=1e-3)
+
+
+def test_a_loop_swings_with_the_period_of_its_closed_form():
+    """Small swings: omega^2 = g (m r of crank and rocker + coupler at the crank's tip) / (their inertias)."""
+    times_s = np.arange(0.0, 2.0, 0.005)
+    log = Log("log", times_s, np.zeros((times_s.size, 1)), joints=("crank",))
+    angles = loop_of(log).angles(log, [{}], (np.array([0.02]), np.zeros(1)))[:, 0]
+    weight = 9.81 * (0.05 * 0.03 + 0.05 * 0.06 + 0.2 * 0.05)
+    inertia = 2e-5 + 0.05 * 0.03**2 + 0.05 * 0.06**2 + 3e-4 + 0.2 * 0.05**2
+    crossings = times_s[1:][(angles[:-1] > 0.0) & (angles[1:] <= 0.0)]
+    period_s = float(np.diff(crossings).mean())
+    assert period_s == pytest.approx(2.0 * np.pi * np.sqrt(inertia / weight), rel=0.01)
+
+
+def test_angles_that_no_loop_has_are_an_error():
+    """A rocker of 20 mm and a coupler of 100 mm do not reach from 162 mm."""
+    times_s = np.arange(20) * 0.02
+    log = Log("log", times_s, np.zeros((20, 1)), joints=("crank",))
+    short = LOOP.replace('name="rocker" pos=".1 0 0"', 'name="rocker" pos=".1 0 -.04"')
+    machine = joints_of_model(mujoco.MjSpec.from_string(short), log, {})
+    with pytest.raises(DivergedError, match="close the loops"):
+        start_at(*machine._motored, machine, np.array([2.5]))

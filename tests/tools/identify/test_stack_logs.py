@@ -1,0 +1,181 @@
+"""Logs that the libraries of other programs write, against what was written."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from gauge_envs.errors import AssetError
+from gauge_envs.tools.identify.stack_logs import JOINT_STATE, TRAJECTORY, read_logs
+
+MODEL = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1"/><body><joint name="b" axis="0 1 0"/>
+<geom size=".1"/></body></body></worldbody><actuator><position name="to b" joint="b" kp="5"/>
+<position name="to a" joint="a" kp="5"/></actuator><sensor><jointvel name="rate a" joint="a"/>
+<jointpos name="at a" joint="a"/><jointpos name="at b" joint="b"/><jointvel name="rate b" joint="b"/></sensor></mujoco>"""
+COUNT = 40
+TIMES_S = 0.02 * np.arange(COUNT)
+ANGLES = np.stack([np.sin(TIMES_S), np.cos(3.0 * TIMES_S)], axis=1)
+COMMANDS = np.repeat(np.random.default_rng(0).uniform(-1.0, 1.0, (4, 2)), 10, axis=0)
+
+
+def same(log, *, joints=("a", "b"), tolerance=1e-12):
+    assert log.joints == joints
+    assert log.times_s - log.times_s[0] == pytest.approx(TIMES_S, abs=1e-6)
+    assert log.position_rad == pytest.approx(ANGLES, abs=tolerance)
+    assert log.command_rad == pytest.approx(COMMANDS, abs=tolerance)
+
+
+# --- mujoco.sysid ---
+
+
+def test_a_trajectory_of_sysid_is_read(tmp_path):
+    """Columns go to joints by the sensors and actuators of the model, whose orders differ."""
+    # The package names its classes only where all of its own optional packages are there.
+    trajectory = pytest.importorskip("mujoco.sysid._src.trajectory")
+    series = trajectory.timeseries.TimeSeries
+    spec = mujoco.MjSpec.from_string(MODEL)
+    model = spec.compile()
+    rates = 2.0 * ANGLES
+    sensed = np.stack([rates[:, 0], ANGLES[:, 0], ANGLES[:, 1], rates[:, 1]], axis=1)
+    path = tmp_path / "run.npz"
+    trajectory.SystemTrajectory(
+        model=model,
+        control=series.from_control_names(
+            TIMES_S, COMMANDS[:, ::-1], model, ["to b", "to a"]
+        ),
+        sensordata=series.from_names(
+            TIMES_S, sensed, model, ["rate a", "at a", "at b", "rate b"]
+        ),
+        initial_state=np.zeros(4),
+        state=None,
+    ).save_to_disk(path)
+    (log,) = read_logs(path, spec)
+    same(log)
+    assert np.array_equal(log.rate_rad_per_s, rates)
+    assert np.array_equal(log.only(["b"]).position_rad[:, 0], ANGLES[:, 1])
+    with pytest.raises(AssetError, match="give its MJCF"):
+        read_logs(path)
+    motors = spec.copy()
+    motors.actuator("to a").biasprm[:] = 0.0
+    with pytest.raises(AssetError, match="servos and motors"):
+        read_logs(path, motors)
+
+
+# --- ROS 2 ---
+
+
+def bag_of(folder, commands=TRAJECTORY, storage="sqlite3"):
+    """A bag of states of b and a at 50 Hz, and of a command of a and b each 0.2 s, a millisecond before the state."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    plugin = rosbag2.StoragePlugin[storage.upper()]
+    with rosbag2.Writer(folder, version=9, storage_plugin=plugin) as bag:
+        states = bag.add_connection("/joint_states", JOINT_STATE, typestore=store)
+        targets = bag.add_connection("/arm/command", commands, typestore=store)
+
+        def header(time_s):
+            stamp_ns = round(1e9 * (1000.0 + time_s))
+            time = types["builtin_interfaces/msg/Time"](
+                sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9
+            )
+            return stamp_ns, types["std_msgs/msg/Header"](stamp=time, frame_id="")
+
+        def write(connection, stamp_ns, message):
+            raw = store.serialize_cdr(message, connection.msgtype)
+            bag.write(connection, stamp_ns, raw)
+
+        def state(stamp, names, values):
+            none = np.zeros(0)
+            return types[JOINT_STATE](
+                header=stamp, name=names, position=values, velocity=none, effort=none
+            )
+
+        # A state before the first command has none, and is left out.
+        write(states, header(-0.02)[0], state(header(-0.02)[1], ["b", "a"], ANGLES[0]))
+        for row, time_s in enumerate(TIMES_S):
+            if row % 10 == 0:
+                stamp_ns, stamp = header(time_s - 0.001)
+                if commands == JOINT_STATE:
+                    message = state(stamp, ["a", "b"], COMMANDS[row])
+                else:
+                    zero = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
+                    none = np.zeros(0)
+                    point = types["trajectory_msgs/msg/JointTrajectoryPoint"](
+                        positions=COMMANDS[row], velocities=none, accelerations=none, effort=none, time_from_start=zero
+                    )  # fmt: skip
+                    message = types[TRAJECTORY](
+                        header=stamp, joint_names=["a", "b"], points=[point]
+                    )
+                write(targets, stamp_ns, message)
+            stamp_ns, stamp = header(time_s)
+            write(states, stamp_ns, state(stamp, ["b", "a"], ANGLES[row, ::-1].copy()))
+    return folder
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+@pytest.mark.parametrize("commands", [JOINT_STATE, TRAJECTORY])
+def test_a_bag_is_read(tmp_path, commands, storage):
+    """Joints have the order of the commands; a command stays until the next one."""
+    bag = bag_of(tmp_path / "bag", commands, storage)
+    (log,) = read_logs(bag)
+    same(log)
+
+
+def test_a_bag_without_joint_states_is_refused(tmp_path):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    from rosbags.typesys import Stores, get_typestore
+
+    with rosbag2.Writer(tmp_path / "bag", version=9) as bag:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        bag.add_connection("/command", JOINT_STATE, typestore=store)
+    with pytest.raises(AssetError, match="one topic joint_states"):
+        read_logs(tmp_path / "bag")
+
+
+# --- LeRobot ---
+
+
+def dataset(folder: Path, version="v3.0"):
+    """Two episodes in the layout of version 3, whose tables PyArrow writes, in degrees."""
+    arrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    feature = {"dtype": "float32", "shape": [2], "names": ["a.pos", "b.pos"]}
+    features = {"observation.state": feature, "action": feature}
+    (folder / "meta").mkdir(parents=True)
+    (folder / "meta" / "info.json").write_text(
+        json.dumps({"codebase_version": version, "fps": 50, "features": features})
+    )
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    for number in range(2):
+        numbers = np.rad2deg(np.stack([ANGLES, COMMANDS])).astype(np.float32)
+        table = {
+            "observation.state": list(numbers[0]),
+            "action": list(numbers[1]),
+            "timestamp": TIMES_S.astype(np.float32),
+            "episode_index": np.full(COUNT, number),
+        }
+        file = folder / "data" / "chunk-000" / f"file-{number:03d}.parquet"
+        parquet.write_table(arrow.table(table), file)
+    return folder
+
+
+def test_each_episode_of_a_dataset_is_a_log(tmp_path):
+    logs = read_logs(dataset(tmp_path / "set"), unit="deg")
+    assert [one.name[-9:] for one in logs] == ["episode 0", "episode 1"]
+    for log in logs:
+        same(log, tolerance=1e-6)
+
+
+def test_a_dataset_without_unit_or_of_another_version_is_refused(tmp_path):
+    with pytest.raises(AssetError, match="--angle-unit deg or --angle-unit rad"):
+        read_logs(dataset(tmp_path / "set"))
+    with pytest.raises(AssetError, match="version 3 is read"):
+        read_logs(dataset(tmp_path / "old", "v2.1"), unit="rad")
+    with pytest.raises(AssetError, match="folder of the dataset"):
+        read_logs(tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet")
