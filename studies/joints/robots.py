@@ -148,7 +148,10 @@ if __name__ == "__main__":
             for name in ROBOTS:
                 writer.writerows(rows_of(name, world))
                 stream.flush()
-    HELD = "half setting count fit_by_next fit_by_load fit_by_least_squares true_by_next true_by_load true_by_least_squares"
+    HELD = (
+        "half setting count fit_by_next fit_by_load fit_by_least_squares true_by_next true_by_load "
+        "true_by_least_squares"
+    )
     with (HERE / "robots_held.csv").open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(HELD.split())

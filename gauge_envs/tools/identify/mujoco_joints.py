@@ -277,7 +277,7 @@ def _close_loops(
         mujoco.mj_integratePos(model, data.qpos, moved, 1.0)
     else:
         raise DivergedError(
-            f"no angles of the other joints close the loops at the recorded start: {np.abs(gap).max():.3g} m or rad are "
+            f"no angles of other joints close the loops at the recorded start: {np.abs(gap).max():.3g} m or rad are "
             "left. Check zero and sign of the log's angles"
         )
     if rows.size and passive:

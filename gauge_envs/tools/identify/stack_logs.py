@@ -76,8 +76,8 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
         raise AssetError(
             path,
             "--angle-unit",
-            "LeRobot states no unit of angles: give --angle-unit deg or --angle-unit rad. Angles that were normalized to -100 to "
-            "100, its default for SO-100 and SO-101, and a gripper from 0 to 100 are neither: record with "
+            "LeRobot states no unit of angles: give --angle-unit deg or rad. Angles that were normalized to -100 "
+            "to 100, its default for SO-100 and SO-101, and a gripper from 0 to 100 are neither: record with "
             "use_degrees=true, and leave the gripper out with --joints",
         )
     info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))

@@ -8,9 +8,9 @@ import pytest
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.identify import Log, identify, read_log, read_mjcf
 from gauge_envs.tools.identify.baselines import baselines, lagged
-from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>

@@ -13,7 +13,8 @@ from gauge_envs.tools.identify.stack_logs import JOINT_STATE, TRAJECTORY, read_l
 MODEL = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1"/><body><joint name="b" axis="0 1 0"/>
 <geom size=".1"/></body></body></worldbody><actuator><position name="to b" joint="b" kp="5"/>
 <position name="to a" joint="a" kp="5"/></actuator><sensor><jointvel name="rate a" joint="a"/>
-<jointpos name="at a" joint="a"/><jointpos name="at b" joint="b"/><jointvel name="rate b" joint="b"/></sensor></mujoco>"""
+<jointpos name="at a" joint="a"/><jointpos name="at b" joint="b"/>
+<jointvel name="rate b" joint="b"/></sensor></mujoco>"""
 COUNT = 40
 TIMES_S = 0.02 * np.arange(COUNT)
 ANGLES = np.stack([np.sin(TIMES_S), np.cos(3.0 * TIMES_S)], axis=1)
@@ -173,7 +174,7 @@ def test_each_episode_of_a_dataset_is_a_log(tmp_path):
 
 
 def test_a_dataset_without_unit_or_of_another_version_is_refused(tmp_path):
-    with pytest.raises(AssetError, match="--angle-unit deg or --angle-unit rad"):
+    with pytest.raises(AssetError, match="--angle-unit deg or rad"):
         read_logs(dataset(tmp_path / "set"))
     with pytest.raises(AssetError, match="version 3 is read"):
         read_logs(dataset(tmp_path / "old", "v2.1"), unit="rad")
