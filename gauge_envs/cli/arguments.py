@@ -147,6 +147,7 @@ Asset = Annotated[
     Path | None,
     typer.Option(
         "--asset",
+        metavar="FILE",
         rich_help_panel=SCENE,
         help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.",
     ),
@@ -185,6 +186,7 @@ def backend(
     return typer.Option(
         "--backend",
         "-b",
+        metavar="ENGINE",
         autocompletion=_engines,
         rich_help_panel=panel,
         show_default=show_default,
@@ -334,7 +336,7 @@ STDOUT = "-"
 
 
 def target(
-    text: str, *, metavar: str | None = None, show_default: bool | str = True
+    text: str, *, metavar: str = "FILE", show_default: bool | str = True
 ) -> Any:
     """Return the option `--out`: a folder or a file, or several files of different suffixes."""
     return typer.Option(

@@ -27,6 +27,7 @@ Metrics = Annotated[
     list[str] | None,
     typer.Option(
         "--metric",
+        metavar="METRIC",
         rich_help_panel=arguments.SELECTION,
         show_default="all",
         help="Metrics, as rmse or dtw.",

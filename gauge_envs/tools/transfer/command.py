@@ -79,6 +79,7 @@ def transfer(
     sigmas: Annotated[
         list[float] | None,
         typer.Option(
+            metavar="number",
             rich_help_panel=arguments.SCENE,
             show_default="1",
             help="Changes of each constant in standard uncertainties, as 1,2; 0 is none.",
@@ -335,7 +336,8 @@ def transfer_randomize(
         typer.Option(
             rich_help_panel=arguments.SCENE,
             show_default="none",
-            help="Smallest and largest mass in kg that --body carries, as 0,0.5.",
+            metavar="kg",
+            help="Smallest and largest mass that --body carries, as 0,0.5.",
         ),
     ] = None,
     body: Annotated[
