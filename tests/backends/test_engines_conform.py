@@ -94,7 +94,11 @@ LONG = (
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
 ENGINES = (
-    Engine(name="mujoco", module="mujoco", long=(*LONG, "foam-start", "foam-poisson")),
+    Engine(
+        name="mujoco",
+        module="mujoco",
+        long=(*LONG, "foam-start", "foam-poisson", "foam-rests-on"),
+    ),
     Engine(
         name="rapier",
         module="rapier3d",

@@ -37,7 +37,7 @@ COMMANDS = {
     "robots": "makers",
     "scatter": "size_and_power NonsmoothContact-3-wood",
     "what_changed": "what_changed models",
-    "tosses": "cube_toss run mujoco out --every 100",
+    "tosses": "cube_toss run mujoco out --every 400",
 }
 SLOW = {"control_steps", "coverage", "joints", "laws", "models", "ranges", "scatter"}
 
