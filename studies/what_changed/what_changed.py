@@ -2,9 +2,11 @@
 
     python -m studies.what_changed.what_changed models
     python -m studies.what_changed.what_changed run thin_shelf
+    python -m studies.what_changed.what_changed checks
 
 `models` lists the cases and compiles their models. `run` needs a package index: it runs `gauge backend versions` on the
-cases of a model, or on all, and prints what `cases.csv` has of them.
+cases of a model, or on all, and prints what `cases.csv` has of them. `checks` runs the scenes of `checks.py` in all
+releases of the package index since 2.3.7, and prints their table.
 """
 
 import csv
@@ -14,9 +16,20 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import gymnasium
 import mujoco
 
+from gauge_envs.tools.versions.environments import (
+    Environment,
+    ReleaseError,
+    made_environment,
+    released_versions,
+    version_key,
+)
+
 HERE = Path(__file__).parent
+
+GYMNASIUM = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 
 
 def cases(only: str = "") -> Iterator[dict[str, str]]:
@@ -27,11 +40,20 @@ def cases(only: str = "") -> Iterator[dict[str, str]]:
                 yield row
 
 
+def subject(name: str) -> str:
+    """Return the model of a case: a file here, one of Gymnasium, or an id of the suite."""
+    files = [folder / f"{name}.xml" for folder in (HERE, GYMNASIUM)]
+    return next((str(file) for file in files if file.is_file()), name)
+
+
 def show_models() -> None:
     """Print the cases with the degrees of freedom of their models."""
     for row in cases():
-        model = mujoco.MjModel.from_xml_path(str(HERE / f"{row['model']}.xml"))
-        print(row["model"], model.nv, row["first"], row["last"], row["named"] or "same")
+        found = subject(row["model"])
+        size = ""
+        if found.endswith(".xml"):
+            size = str(mujoco.MjModel.from_xml_path(found).nv)
+        print(row["model"], size, row["first"], row["last"], row["named"] or "same")
 
 
 def run(only: str = "") -> None:
@@ -41,7 +63,7 @@ def run(only: str = "") -> None:
         words = [f"mujoco=={'..'.join(ends)}", "--bisect"]
         if not row["published"]:
             words = [f"mujoco=={end}" for end in ends]
-        command = ["gauge", "backend", "versions", str(HERE / f"{row['model']}.xml")]
+        command = ["gauge", "backend", "versions", subject(row["model"])]
         command += [*words, "--steps", row["steps"], "--json", "--quiet"]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
         line = json.loads(done.stdout)
@@ -53,8 +75,120 @@ def run(only: str = "") -> None:
         )
 
 
+# --- checks by release -----------------------------------------------------------------------------------------------
+
+RESULTS = HERE / "checks.csv"
+
+MOVED = 0.02
+"""Difference of a check, over the larger number, that is a move; numbers below `SMALL` are 0."""
+
+SMALL = {"mesh_tilt_deg": 0.05, "spin_energy_percent": 0.01, "grip_slip_mm": 0.02}
+
+
+def measure(*versions: str) -> None:
+    """Run the checks in releases of MuJoCo that `checks.csv` lacks; all that the package index has by default.
+
+    The file is written after each release, so that the command goes on where it was stopped.
+    """
+    wanted = versions
+    if not wanted:
+        here = Environment("", Path(sys.executable))
+        wanted = tuple(released_versions("mujoco", here))
+    rows = results()
+    for version in wanted:
+        if version in rows or version_key(version) < (2, 3, 7):
+            continue
+        try:
+            python = made_environment(f"mujoco=={version}").python
+        except ReleaseError as error:
+            print(error)
+            continue
+        command = [str(python), "-I", "-B", str(HERE / "checks.py")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            print(f"{version}: the checks end with code {done.returncode}")
+            continue
+        rows[version] = json.loads(done.stdout)
+        write_results(rows)
+
+
+def results() -> dict[str, dict[str, float | str]]:
+    """Return the stored number of each check, or why it has none, by release, the oldest first."""
+    found: dict[str, dict[str, float | str]] = {}
+    if RESULTS.is_file():
+        with RESULTS.open(encoding="utf-8", newline="") as stream:
+            for row in csv.DictReader(stream):
+                version = row.pop("release")
+                found[version] = {
+                    name: number_or_text(text) for name, text in row.items()
+                }
+    return found
+
+
+def number_or_text(text: str) -> float | str:
+    """Return a number, or the text that is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def write_results(rows: dict[str, dict[str, float | str]]) -> None:
+    """Write the number of each check with six digits, a line for each release."""
+    names = list(next(iter(rows.values())))
+    with RESULTS.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["release", *names])
+        for version in sorted(rows, key=version_key):
+            values = []
+            for name in names:
+                value = rows[version][name]
+                values.append(f"{value:.6g}" if isinstance(value, float) else value)
+            writer.writerow([version, *values])
+
+
+def ranges(name: str) -> list[tuple[str, str, float | str]]:
+    """Return the releases between which a check does not move: first, last, and the number at the first."""
+    found: list[tuple[str, str, float | str]] = []
+    for version, values in results().items():
+        value = values[name]
+        if found and is_same(name, found[-1][2], value):
+            found[-1] = (found[-1][0], version, found[-1][2])
+        else:
+            found.append((version, version, value))
+    return found
+
+
+def is_same(name: str, one: float | str, two: float | str) -> bool:
+    """Return whether a check did not move."""
+    if isinstance(one, str) or isinstance(two, str):
+        return one == two
+    largest = max(abs(one), abs(two))
+    return largest < SMALL.get(name, 0.0) or abs(one - two) <= MOVED * largest
+
+
+def table() -> str:
+    """Return the checks by release as a table of a page: a range of releases for each number."""
+    lines = ["| check | truth | found, by release | changelog |", "|---|---|---|---|"]
+    with (HERE / "truths.csv").open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            cells = []
+            for first, last, value in ranges(row["check"]):
+                if isinstance(value, float):
+                    small = abs(value) < SMALL.get(row["check"], 0.0)
+                    value = "0" if small else f"{value:.3g}"
+                releases = first if first == last else f"{first} to {last}"
+                cells.append(f"{releases}: {value}")
+            words = (row["title"], row["truth"], "; ".join(cells), row["changelog"])
+            lines.append(f"| {' | '.join(words)} |".replace("|  |", "| |"))
+    return "\n".join(lines)
+
+
 if __name__ == "__main__":
     if sys.argv[1:] == ["models"]:
         show_models()
+    elif sys.argv[1] == "checks":
+        measure(*sys.argv[2:])
+        print(table())
     else:
         run(*sys.argv[2:])

@@ -248,13 +248,20 @@ def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
             f"{', '.join(near)}"
         )
     if re.search(
-        r"onnection|resolution|resolve host|Network|timed out|no network|offline|dns|from versions: none",
+        r"connection|resolution|resolve host|network|timed out|offline|dns|from versions: none",
         text,
+        flags=re.I,
     ):
         cached = ", ".join(made_requirements()) or "none"
         raise ReleaseError(
             f"{requirement}: the package index does not answer ({_last_line(text)}). Environments that can be used "
             f"without it: {cached}; --python PATH names an interpreter that has the engine."
+        )
+    if "there is no version of" in text:  # The words of uv.
+        package = requirement.partition("==")[0]
+        raise ReleaseError(
+            f"{requirement}: there is no such version for this Python and platform; pip index versions {package} lists "
+            "those that there are"
         )
     raise ReleaseError(f"{requirement}: {_last_line(text)}")
 

@@ -7,6 +7,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -18,6 +19,7 @@ from gauge_envs.tools.versions.model import Quantity, Side, Verdict
 from gauge_envs.tools.versions.sides import read_side
 from gauge_envs.tools.versions.subject import read_states, read_subject
 from gauge_envs.tools.versions.words import CANNOT_TELL, comparison_document
+from studies.what_changed import checks, what_changed
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
 <body name="box" pos="0 0 0.0999"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
@@ -265,6 +267,8 @@ def test_versions_are_read():
         ("WARNING: Retrying: Failed to establish a new connection", "does not answer"),
         ("(from versions: none)", "does not answer"),
         ("OSError: [Errno 28] No space left on device", "disk is full"),
+        ("cause: Because there is no version of mujoco==9.9.0 and", "no such version"),
+        ("hint: unavailable because the network was disabled", "does not answer"),
         ("error: something else", "something else"),
     ],
 )
@@ -452,3 +456,28 @@ def test_states_of_another_model_are_refused(tmp_path):
         np.savez(file, **arrays)
         with pytest.raises(SystemExit, match=told):
             worker.saved(model, str(file))
+
+
+# --- checks by release --------------------------------------------------------------------------------------------------------
+
+
+def test_the_note_has_the_checks_by_release():
+    page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
+    assert what_changed.table() in page
+
+
+def test_the_checks_give_their_stored_numbers_here():
+    """The numbers of the installed release, which `checks.csv` has with six digits."""
+    stored = what_changed.results().get(mujoco.__version__)
+    if stored is None:
+        pytest.skip(f"no checks of MuJoCo {mujoco.__version__} are stored")
+    names = set(checks.CHECKS) - {"mesh_tilt_deg", "grip_slip_mm"}
+    for name in sorted(names):
+        assert checks.CHECKS[name]() == pytest.approx(stored[name], rel=0.02, abs=1e-3)
+
+
+def test_a_move_is_a_change_of_the_number_and_no_rounding():
+    assert what_changed.is_same("pad_depth_mm", 1.0, 1.01)
+    assert not what_changed.is_same("pad_depth_mm", 0.5, 1.0)
+    assert what_changed.is_same("mesh_tilt_deg", 1e-9, 3e-7)
+    assert not what_changed.is_same("pad_depth_mm", "XML Error", 1.0)
