@@ -281,14 +281,15 @@ def checks_with(one: Mapping[str, Any], *statuses: Status) -> list[str]:
 
 def episode_record(result: Result) -> dict[str, Any]:
     """Return outcome and scores of one episode, JSON-ready; scores that do not apply are absent."""
-    kept = (
-        "rmse_normalized",
-        "rmse_normalized_95",
-        "rmse_aligned_normalized",
-        "rmse_aligned_normalized_95",
-    )
-    kept += ("mte", "lsd_normalized", "pd_normalized", "el")
-    values = {name: getattr(result.score, name) for name in kept}
+    events = ("mte", "lsd_normalized", "pd_normalized", "el")
+    values = {name: getattr(result.score, name) for name in events}
+    if (real := result.score.validation) is not None:
+        values |= {
+            "rmse_normalized": real.rmse_normalized,
+            "rmse_normalized_95": real.rmse_normalized_95,
+            "rmse_aligned_normalized": real.rmse_aligned_normalized,
+            "rmse_aligned_normalized_95": real.rmse_aligned_normalized_95,
+        }
     if (solved := result.score.verification) is not None:
         values |= {"distance": solved.scaled, "distance_unit": solved.scale_unit}
     return {

@@ -8,7 +8,7 @@ import numpy as np
 
 from gauge_envs import load_experiment
 from gauge_envs.evaluation.laws import slide
-from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.files import versions
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 
@@ -70,7 +70,7 @@ def made(
             unit="mm",
             primary="rmse_aligned",
             rmse_aligned=2.0,
-            rmse_aligned_normalized=0.5,
+            validation=Validation(rmse_aligned_normalized=0.5),
         ),
         "task_sha256": experiment.file_sha256,
         "backend": backend,

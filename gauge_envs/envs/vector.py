@@ -301,8 +301,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
     def score_arrays(self) -> dict[str, NDArray[np.float64]]:
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
-        The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `release_offset_s`,
-        `rmse_aligned` and `rmse_aligned_normalized`. The distance from a law or a solved model is not normalized.
+        The keys are those of `Score` and of its `validation`: `rmse` and, where they apply, `rmse_normalized`,
+        `release_offset_s`, `rmse_aligned` and `rmse_aligned_normalized`.
         Entries of worlds whose episode is not over or diverged are NaN. A `Score` holds more, as intervals and
         `verification`, and takes some milliseconds for each world.
         """
@@ -358,7 +358,7 @@ class ScoreEpisodes(VectorWrapper):
         >>> _ = envs.reset(seed=0)
         >>> for _ in range(18):
         ...     *_, infos = envs.step([0, 0])
-        >>> [round(score.rmse_normalized, 2) for score in infos["score"]]
+        >>> [round(score.validation.rmse_normalized, 2) for score in infos["score"]]
         [0.41, 0.41]
     """
 

@@ -6,6 +6,7 @@ import gymnasium
 
 from gauge_envs.envs.arguments import warn_without_reward
 from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.evaluation.score import Score
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
@@ -26,7 +27,7 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         ...     *_, truncated, info = env.step(0)
         ...     if truncated:
         ...         break
-        >>> round(info["score"].rmse_normalized, 1)
+        >>> round(info["score"].validation.rmse_normalized, 1)
         14.1
     """
 
@@ -51,11 +52,12 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
 
 LOGGED = (
     "rmse",
-    "rmse_normalized",
     "rmse_aligned",
-    "rmse_aligned_normalized",
-    "percentile_aligned",
-    "verification",
+    "validation/rmse_normalized",
+    "validation/rmse_aligned_normalized",
+    "validation/percentile_aligned",
+    "verification/distance",
+    "verification/distance_in_u",
 )
 """Fields of a score that `LogScore` sends."""
 
@@ -73,13 +75,13 @@ class LogScore(gymnasium.Wrapper):
     Example:
         >>> import gymnasium as gym, gauge_envs
         >>> def log(values, step):
-        ...     print(step, round(values["score/rmse_aligned_normalized"], 2))
+        ...     print(step, round(values["score/rmse_aligned"], 2))
         >>> env = gauge_envs.LogScore(gym.make("GAUGE/SlopeSlider-2-wood"), log)
         >>> _ = env.reset(seed=0)
         >>> over = False
         >>> while not over:
         ...     *_, over, info = env.step(0)
-        18 4.95
+        18 3.33
     """
 
     def __init__(self, env: gymnasium.Env, logger: Any) -> None:
@@ -93,8 +95,7 @@ class LogScore(gymnasium.Wrapper):
         self.step_count += 1
         score = outcome[4].get("score")
         if score is not None:
-            stated = {f"score/{name}": getattr(score, name) for name in LOGGED}
-            self._send({name: one for name, one in stated.items() if one is not None})
+            self._send(_logged(score))
         return outcome
 
     def _send(self, values: dict[str, float]) -> None:
@@ -103,6 +104,18 @@ class LogScore(gymnasium.Wrapper):
             return
         for name, value in values.items():
             self._logger.add_scalar(name, value, self.step_count)
+
+
+def _logged(score: Score) -> dict[str, float]:
+    """Return what is known of the fields in `LOGGED`, by name."""
+    found = {}
+    for name in LOGGED:
+        value: Any = score
+        for part in name.split("/"):
+            value = None if value is None else getattr(value, part)
+        if value is not None:
+            found[f"score/{name}"] = value
+    return found
 
 
 def scored_env(**arguments: Any) -> ScoreEpisode:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.published import Baseline, published_variants
-from gauge_envs.references.scatter import scatter_rows
+from gauge_envs.references.scatter import HeldRow, held_rows, scatter_rows
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
@@ -139,21 +139,37 @@ def scatter_ranks(found: Sequence[Scatter | None]) -> list[int | None]:
     return [ranks[answer] for answer in answers]
 
 
-def has_starts(experiment: Experiment) -> bool:
-    """Return whether there is something that a hand places, so that the scatter of starts can be assumed."""
+def check_starts(experiment: Experiment, jitter: Jitter) -> None:
+    """Check that there is something that a hand places, so that the scatter of starts can be assumed.
+
+    Raises:
+        ParameterError: All bodies are held. It states what the published scatter of real trials is, if there is one.
+    """
     try:
-        jittered(experiment.scene, Jitter(), seed=0)
-    except ParameterError:
-        return False
-    return True
+        jittered(experiment.scene, jitter, seed=0)
+    except ParameterError as error:
+        published = scatter_text(experiment)
+        if published == "-":
+            raise
+        raise ParameterError(
+            f"{error}. The published scatter: {published} (docs/coverage.md)"
+        ) from error
 
 
 def scatter_text(experiment: Experiment) -> str:
     """Return what the test says of MuJoCo and what it can tell; `-` without published numbers."""
     if published_numbers(experiment.baselines) is None:
         return "-"
-    if not has_starts(experiment):
-        return "published; no scatter of starts is known"
+    if experiment.impossible_scores:
+        return "published in another unit: not tested"
+    held = held_rows().get(experiment.name)
+    if held is not None:
+        if held.real["rmse_std"] > held.real["rmse"]:
+            return f"one trial is {farthest_trial(held):.2g} {held.unit} off or more: tells nothing of an engine"
+        return (
+            f"marker noise of {held.noise_mm:.2g} ({held.noise_std_mm:.2g}) mm gives it, moving or not: tells nothing "
+            "of an engine"
+        )
     row = scatter_rows().get(experiment.name)
     if row is None:
         return "published; not tested"
@@ -162,6 +178,16 @@ def scatter_text(experiment: Experiment) -> str:
         "no factor up to 4" if row.factor is None else f"a factor of {row.factor:g}"
     )
     return f"MuJoCo: {answer}; tells {factor} of E_DTW"
+
+
+def farthest_trial(row: HeldRow) -> float:
+    """Return a distance that at least one real trial has, in the unit of its variant.
+
+    Distances of 0 or more with the mean m and the variance v are not all below m + v / m (Bhatia and Davis, "A better
+    bound on the variance", 2000).
+    """
+    variance = (TRIAL_COUNT - 1) / TRIAL_COUNT * row.real["rmse_std"] ** 2
+    return row.real["rmse"] + variance / row.real["rmse"]
 
 
 def scatter_test(

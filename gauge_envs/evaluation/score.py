@@ -8,6 +8,7 @@ under any grade.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, model_validator
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.deviation import (
@@ -61,22 +62,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 VERIFICATION = "verification"
 """Value of `Score.primary` for a law and a solved model."""
-
-VALIDATION_FIELDS = (
-    "rmse_95",
-    "rmse_normalized",
-    "rmse_normalized_95",
-    "dtw_normalized",
-    "dtw_normalized_95",
-    "trial_count",
-    "percentile",
-    "percentile_95",
-    "mean_abs_z",
-    "inside_1sigma",
-    "inside_2sigma",
-    "budget",
-)
-"""Fields that compare a motion with real trials. They are not set for a law and a solved model."""
 
 LEAST_SHARE = 0.01
 """Share of an error below which an input explains nothing."""
@@ -205,45 +190,80 @@ def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Validation:
+    """How far an episode is from reality, over the scatter of real trials. None is a number that the trials lack.
+
+    Attributes:
+        rmse_normalized: `rmse` of the score over the published baseline mean; 1 is the mean of real trials, and not
+            their median.
+        rmse_normalized_95: 95 % interval of `rmse_normalized`, low and high (`evaluation.uncertainty`).
+        rmse_95: 95 % interval of `rmse`, in the unit of the score.
+        rmse_aligned_normalized: `rmse_aligned` over the mean of that of the real trials, each aligned to the mean of
+            the others. None without single trials.
+        rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
+        rmse_aligned_95: 95 % interval of `rmse_aligned`.
+        dtw_normalized: `dtw` over the published baseline mean.
+        dtw_normalized_95: 95 % interval of `dtw_normalized`.
+        trial_count: Number of single real trials that percentiles are of; None without single trials.
+        percentile: Percentage of the real trials that are closer to the mean of the others than the simulation is to
+            the mean, by RMSE; None without single trials.
+        percentile_95: 95 % interval of the percentage of all such trials, also unseen ones.
+        percentile_aligned: As `percentile`, with the simulation and each trial aligned.
+        percentile_aligned_95: 95 % interval of the percentage of all such trials.
+        mean_abs_z: Mean |deviation| in units of sigma(t), over measured frames.
+        inside_1sigma: Share of measured values within 1 sigma.
+        inside_2sigma: Share within 2 sigma.
+        budget: Contributions to the uncertainty of the `primary` score, largest first.
+        refused: Intervals that the trials do not support, each with its reason, as `rmse_95: 2 trials: ...`.
+    """
+
+    rmse_normalized: float | None = None
+    rmse_normalized_95: tuple[float, float] | None = None
+    rmse_95: tuple[float, float] | None = None
+    rmse_aligned_normalized: float | None = None
+    rmse_aligned_normalized_95: tuple[float, float] | None = None
+    rmse_aligned_95: tuple[float, float] | None = None
+    dtw_normalized: float | None = None
+    dtw_normalized_95: tuple[float, float] | None = None
+    trial_count: int | None = None
+    percentile: float | None = None
+    percentile_95: tuple[float, float] | None = None
+    percentile_aligned: float | None = None
+    percentile_aligned_95: tuple[float, float] | None = None
+    mean_abs_z: float | None = None
+    inside_1sigma: float | None = None
+    inside_2sigma: float | None = None
+    budget: tuple[BudgetEntry, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
 class Score:
     """Distance of an episode from its reference. None is a metric that does not apply or has no reference.
 
-    The grade says which question is answered: `trials` and `recording` validate, `law` and `model` verify. For these
-    two, nothing is divided by the scatter of real trials: the fields of `VALIDATION_FIELDS` are not set, and
-    `verification` has the distance with its interval. `rmse` and `dtw` are then distances of g(t) from the solution.
-    Events have their published real values under any grade.
+    The grade says which question is answered, and one of two fields has the answer: `validation` for `trials` and
+    `recording`, `verification` for `law` and `model`. `rmse`, `dtw` and `rmse_aligned` are distances of g(t) from the
+    reference in its unit, under any grade. Events have their published real values under any grade.
 
     Attributes:
         grade: Grade of the band: `trials`, `recording`, `law`, `model` or `none`.
         unit: Unit of `rmse`, `dtw`, `rmse_aligned` and `signed_error`.
         primary: Field with the score that reports show first: `verification` for a law and a solved model,
             `rmse_aligned` for an experiment that starts with a release, else `rmse`; None without a band.
+        validation: How far the episode is from reality, over the scatter of real trials; None for other grades than
+            `trials` and `recording`.
+        verification: How far the episode is from the solution of its scene; None for other grades than `law` and
+            `model`, and where a model is compared by markers whose positions are not known.
+        also_verified: The same of further quantities, as the force on a rod; empty where the engine or the file does
+            not state them. Ranks are by `verification`.
         coordinates: Names of the scored coordinates, in the order of `signed_error`.
         rmse: E_RMSE of the paper, the root mean square distance from the mean of the reference.
-        rmse_95: 95 % interval of `rmse`, low and high (`evaluation.uncertainty`).
-        rmse_normalized: `rmse` over the published baseline mean; 1 is the mean, and not the median, of real trials.
-        rmse_normalized_95: 95 % interval of `rmse_normalized`, low and high (`evaluation.uncertainty`).
-        trial_count: Number of single real trials that percentiles are of; None without single trials.
-        percentile: Percentage of the real trials that are closer to the mean of the others than the simulation is to
-            the mean, by RMSE; None without single trials.
-        percentile_95: 95 % interval of the percentage of all such trials, also unseen ones.
         dtw: E_DTW of the paper.
-        dtw_normalized: `dtw` over the published baseline mean.
-        dtw_normalized_95: 95 % interval of `dtw_normalized`.
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
-        rmse_aligned_95: 95 % interval of `rmse_aligned`.
-        rmse_aligned_normalized: `rmse_aligned` over the mean of that of the real trials, each aligned to the mean of
-            the others. None without single trials.
-        rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
-        percentile_aligned: As `percentile`, with the simulation and each trial aligned.
-        percentile_aligned_95: 95 % interval of the percentage of all such trials.
         compared_frames: Number of frames with a mean.
         measured_frames: Number of those that at least half of the trials show; the others are extrapolated.
         extrapolated_share: Share of the squared error, without alignment, in extrapolated frames.
-        mean_abs_z: Mean |deviation| in units of sigma(t), over measured frames.
-        inside_1sigma: Share of measured values within 1 sigma.
-        inside_2sigma: Share within 2 sigma.
         signed_error: Mean signed deviation of each scored coordinate.
         lsd_s: Longest stationary duration of the last ball [s].
         lsd_normalized: `lsd_s` over the published mean; 1 is ideal.
@@ -264,48 +284,32 @@ class Score:
         events: Times of the cradle's last ball, simulated and recorded.
         el: Energy loss, ratio; 0 is ideal.
         implied: Physical parameters that the trajectory implies, beside those of the real trials.
-        budget: Contributions to the uncertainty of the `primary` score, largest first.
-        refused: Intervals that the trials do not support, each with its reason, as `rmse_95: 2 trials: ...`.
         explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
             without sensitivities of the engine.
         sensitivities: Engine and settings of these sensitivities.
-        verification: How far the episode is from the solution of its scene, for grades `law` and `model`. None for
-            other grades, and where a model is compared by markers whose positions are not known.
-        also_verified: The same of further quantities, as the force on a rod; empty where the engine or the file does
-            not state them. Ranks are by `verification`.
         rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
             reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.
         edited: Whether the scene is that of an asset which differs from the calibrated scene.
+
+    Raises:
+        ValueError: Both questions are answered, or that of another grade.
     """
 
     grade: str
     unit: str
     primary: str | None = None
+    validation: Validation | None = None
+    verification: Verification | None = None
+    also_verified: tuple[Verification, ...] = ()
     coordinates: tuple[str, ...] | None = None
     rmse: float | None = None
-    rmse_95: tuple[float, float] | None = None
-    rmse_normalized: float | None = None
-    rmse_normalized_95: tuple[float, float] | None = None
-    trial_count: int | None = None
-    percentile: float | None = None
-    percentile_95: tuple[float, float] | None = None
     dtw: float | None = None
-    dtw_normalized: float | None = None
-    dtw_normalized_95: tuple[float, float] | None = None
     release_offset_s: float | None = None
     rmse_aligned: float | None = None
-    rmse_aligned_95: tuple[float, float] | None = None
-    rmse_aligned_normalized: float | None = None
-    rmse_aligned_normalized_95: tuple[float, float] | None = None
-    percentile_aligned: float | None = None
-    percentile_aligned_95: tuple[float, float] | None = None
     compared_frames: int | None = None
     measured_frames: int | None = None
     extrapolated_share: float | None = None
-    mean_abs_z: float | None = None
-    inside_1sigma: float | None = None
-    inside_2sigma: float | None = None
     signed_error: tuple[float, ...] | None = None
     lsd_s: float | None = None
     lsd_normalized: float | None = None
@@ -326,25 +330,37 @@ class Score:
     events: tuple[EventTime, ...] | None = None
     el: float | None = None
     implied: tuple[ImpliedParameter, ...] = ()
-    budget: tuple[BudgetEntry, ...] = ()
-    refused: tuple[str, ...] = ()
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
-    verification: Verification | None = None
-    also_verified: tuple[Verification, ...] = ()
     rmse_without: Mapping[str, float] = field(default_factory=dict, hash=False)
     withheld: str | None = None
     edited: bool = False
 
     def __post_init__(self) -> None:
-        """Leave out what gauge-envs 0.2 and earlier divided by the scatter of real trials, for a law and a model."""
-        if self.grade not in (BandGrade.LAW, BandGrade.MODEL):
-            return
-        defaults = {one.name: one.default for one in fields(self)}
-        for name in VALIDATION_FIELDS:
-            object.__setattr__(self, name, defaults[name])
-        if self.primary is not None:
-            object.__setattr__(self, "primary", VERIFICATION)
+        """Check that the score answers the question of its grade alone."""
+        is_solved = self.grade in (BandGrade.LAW, BandGrade.MODEL)
+        other = self.validation if is_solved else self.verification
+        if other is not None:
+            name = type(other).__name__.lower()
+            raise ValueError(f"a score of grade {self.grade!r} has no {name}")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_earlier_versions(cls, values: Any) -> Any:
+        """Return the keys of this version.
+
+        gauge-envs 0.2 and earlier had no `validation`: its fields stood in the score. For a law and a model they were
+        divided by the scatter of real trials, and are left out.
+        """
+        if not isinstance(values, dict) or "validation" in values:
+            return values
+        grade, primary = values.get("grade"), values.get("primary")
+        if grade in (BandGrade.LAW, BandGrade.MODEL):
+            return values | {"primary": primary and VERIFICATION}
+        if primary is None:
+            return values
+        names = [one.name for one in fields(Validation) if one.name in values]
+        return values | {"validation": {name: values[name] for name in names}}
 
     @property
     def verifications(self) -> tuple[Verification, ...]:
@@ -358,24 +374,12 @@ class Score:
 
         That is the mean distance of real trials, or u of a solution; an exact solution leaves it in its unit.
         """
-        if self.primary == VERIFICATION:
-            return None if self.verification is None else self.verification.scaled
-        return (
-            None
-            if self.primary is None
-            else getattr(self, f"{self.primary}_normalized")
-        )
-
-    @property
-    def primary_95(self) -> tuple[float, float] | None:
-        """The 95 % interval of `primary_normalized`."""
-        if self.primary == VERIFICATION:
-            return None if self.verification is None else self.verification.scaled_95
-        return (
-            None
-            if self.primary is None
-            else getattr(self, f"{self.primary}_normalized_95")
-        )
+        if self.verification is not None:
+            return self.verification.scaled
+        if self.validation is None:
+            return None
+        value: float | None = getattr(self.validation, f"{self.primary}_normalized")
+        return value
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary of all fields."""
@@ -385,14 +389,12 @@ class Score:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Score:
-        """Build a score from `to_dict`; keys of later versions are ignored.
+        """Build a score from `to_dict`, also that of an earlier version; keys of later versions are ignored.
 
         Raises:
             pydantic.ValidationError: A value has the wrong type.
         """
-        known = {f.name for f in fields(cls)}
-        content = {key: value for key, value in values.items() if key in known}
-        return _score_adapter().validate_python(content)
+        return _score_adapter().validate_python(dict(values))
 
 
 @cache
@@ -460,14 +462,13 @@ def score_trajectory(
     events = swing_metrics(experiment, frames)
     notes = swing_notes(experiment, frames, times_s=times_s, values=values)
     scores |= (
-        _metric_fields(events, baselines)
+        _event_fields(events, baselines)
         | notes
         | event_intervals(events, notes, baselines)
     )
-    # NaN is an event that never happens, or a mean over no measured value. It is reported as None.
     scores = {
-        k: None if isinstance(v, float) and np.isnan(v) else v
-        for k, v in scores.items()
+        key: _known(value) if isinstance(value, float) else value
+        for key, value in scores.items()
     }
     return Score(
         grade=(BandGrade.NONE if band is None else band.grade).value,
@@ -490,10 +491,10 @@ def _over(value: float, baselines: Mapping[str, Baseline], metric: str) -> float
     return value / baseline.mean if baseline is not None and baseline.mean else None
 
 
-def _metric_fields(
+def _event_fields(
     raw: Mapping[str, float], baselines: Mapping[str, Baseline]
 ) -> dict[str, float | None]:
-    """Return the fields of `Score` for raw scores by metric, each with its normalized one."""
+    """Return the fields of `Score` for events by metric, each with its normalized one."""
     scores: dict[str, float | None] = {}
     for key, value in raw.items():
         metric = METRICS[key]
@@ -517,11 +518,14 @@ def _band_scores(
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
     cost, path = dtw_path(simulated[known], band.mean[known])
-    distances = {"rmse": deviations.raw.rmse, "dtw": cost / len(path)}
+    aligned = deviations.aligned
     squares = np.nansum(np.square(deviations.raw.values), axis=1)
-    baselines = normalizing_baselines(experiment, band)
-    scores: dict[str, Any] = _metric_fields(distances, baselines) | {
+    scores: dict[str, Any] = {
         "primary": VERIFICATION if band.grade.is_solution else deviations.primary,
+        "rmse": deviations.raw.rmse,
+        "dtw": cost / len(path),
+        "release_offset_s": deviations.release_offset_s,
+        "rmse_aligned": None if aligned is None else aligned.rmse,
         "coordinates": band.coordinates,
         "compared_frames": int(known.sum()),
         "measured_frames": int((known & band.measured).sum()),
@@ -532,9 +536,13 @@ def _band_scores(
         "sensitivities": None if sensitivities is None else _origin(sensitivities),
     }
     if not band.grade.is_solution:
-        path_frames = np.flatnonzero(known)[path]
-        scores |= _validation_scores(
-            band, deviations, simulated, path_frames, dtw_baseline=baselines.get("dtw")
+        scores["validation"] = _validation(
+            band,
+            deviations,
+            simulated,
+            np.flatnonzero(known)[path],
+            dtw=scores["dtw"],
+            baselines=normalizing_baselines(experiment, band),
         )
     elif band.grade is BandGrade.MODEL and (solved := solved_model(experiment.name)):
         scores["rmse_without"] = {
@@ -548,14 +556,15 @@ def _band_scores(
     return scores
 
 
-def _validation_scores(
+def _validation(
     band: Band,
     deviations: Deviations,
     simulated: FloatArray,
     path_frames: NDArray[np.intp],
     *,
-    dtw_baseline: Baseline | None,
-) -> dict[str, Any]:
+    dtw: float,
+    baselines: Mapping[str, Baseline],
+) -> Validation:
     """Return what real trials say of deviations from their mean.
 
     Args:
@@ -563,48 +572,52 @@ def _validation_scores(
         deviations: The deviations.
         simulated: Band coordinates of the simulation at the frames, shape [T, C].
         path_frames: Frames (simulated, real) of the cells of the warping path, shape [cell_count, 2].
-        dtw_baseline: Published DTW of real trials; None where nothing is divided by it.
+        dtw: E_DTW of the simulation, in the unit of the band.
+        baselines: Published scores of real trials that distances are divided by, by metric.
     """
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
-    raw, trials = deviations.raw, trial_distances(band)
-    scores: dict[str, Any] = {
-        "rmse_95": raw.interval,
+    raw, aligned, first = deviations.raw, deviations.aligned, deviations.first
+    trials = trial_distances(band)
+    found: dict[str, Any] = {
+        "rmse_normalized": _over(raw.rmse, baselines, "rmse"),
         "rmse_normalized_95": raw.normalized_interval,
-        "trial_count": None if trials is None else len(trials.raw),
-        "mean_abs_z": mean_abs_z(z),
-        "inside_1sigma": band_coverage(z, 1.0),
-        "inside_2sigma": band_coverage(z, 2.0),
+        "rmse_95": raw.interval,
+        "dtw_normalized": _over(dtw, baselines, "dtw"),
+        "mean_abs_z": _known(mean_abs_z(z)),
+        "inside_1sigma": _known(band_coverage(z, 1.0)),
+        "inside_2sigma": _known(band_coverage(z, 2.0)),
         "refused": tuple(_refused(deviations)),
     }
-    aligned = deviations.aligned
     if aligned is not None:
-        scores |= {
-            "release_offset_s": deviations.release_offset_s,
-            "rmse_aligned": aligned.rmse,
-            "rmse_aligned_95": aligned.interval,
+        found |= {
             "rmse_aligned_normalized": aligned.normalized,
             "rmse_aligned_normalized_95": aligned.normalized_interval,
+            "rmse_aligned_95": aligned.interval,
         }
     if trials is not None:
-        scores |= _percentiles("percentile", trials.raw, raw)
-        scores |= (
-            {}
-            if aligned is None
-            else _percentiles("percentile_aligned", trials.aligned, aligned)
-        )
+        found["trial_count"] = len(trials.raw)
+        found |= _percentiles("percentile", trials.raw, raw)
+        if aligned is not None:
+            found |= _percentiles("percentile_aligned", trials.aligned, aligned)
+    dtw_baseline = baselines.get("dtw")
     if raw.baseline is not None and dtw_baseline is not None and dtw_baseline.mean:
         ends = raw.errors.path_interval(path_frames, simulated, band.mean)
-        scores["dtw_normalized_95"] = (
-            None
-            if ends is None
-            else (ends[0] / dtw_baseline.mean, ends[1] / dtw_baseline.mean)
-        )
-    first = deviations.first
+        if ends is not None:
+            low, high = ends
+            found["dtw_normalized_95"] = (
+                low / dtw_baseline.mean,
+                high / dtw_baseline.mean,
+            )
     if first.baseline is not None:
-        scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
-    return scores
+        found["budget"] = first.errors.budget(first.values, baseline=first.baseline)
+    return Validation(**found)
+
+
+def _known(value: float) -> float | None:
+    """Return a value; None for NaN, as of an event that never happens, or a mean over no measured value."""
+    return None if math.isnan(value) else value
 
 
 def _percentiles(

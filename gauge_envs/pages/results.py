@@ -150,7 +150,7 @@ SCORE_METRICS: Mapping[str, Metric] = {
 """Metrics of a score by key, in the order of tables: those that need a band come before events."""
 
 PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
-"""Field of `Score` with the percentage of real trials that are closer to their mean, by metric."""
+"""Field of `Validation` with the percentage of real trials that are closer to their mean, by metric."""
 
 
 def raw_score(score: Score, metric: str) -> float | None:
@@ -168,16 +168,23 @@ def normalized_score(score: Score, metric: str) -> float | None:
     """
     if metric == VERIFICATION:
         return None if score.verification is None else score.verification.scaled
-    field = SCORE_METRICS[metric].normalized_field
-    return None if field is None else getattr(score, field)
+    return _normalized_field(score, metric, "")
 
 
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     """Return the 95 % interval of the normalized metric."""
     if metric == VERIFICATION:
         return None if score.verification is None else score.verification.scaled_95
-    field = SCORE_METRICS[metric].normalized_field
-    return None if field is None else getattr(score, f"{field}_95")
+    return _normalized_field(score, metric, "_95")
+
+
+def _normalized_field(score: Score, metric: str, suffix: str) -> Any:
+    """Return the field with the normalized score of a metric, or the one whose name ends with a suffix."""
+    found = SCORE_METRICS[metric]
+    holder = score if found.is_event else score.validation
+    if found.normalized_field is None or holder is None:
+        return None
+    return getattr(holder, f"{found.normalized_field}{suffix}")
 
 
 def scale_unit(score: Score, metric: str) -> str:
@@ -187,18 +194,27 @@ def scale_unit(score: Score, metric: str) -> str:
     return score.verification.scale_unit
 
 
+def score_percentile(score: Score, metric: str) -> float | None:
+    """Return the percentage of real trials that are closer to their mean; None without trials."""
+    if score.validation is None or metric not in PERCENTILES:
+        return None
+    percentile: float | None = getattr(score.validation, PERCENTILES[metric])
+    return percentile
+
+
 def percentile_text(score: Score, metric: str) -> str | None:
     """Return the percentage of real trials that are closer to their mean, with its 95 % interval; None without trials.
 
     Example:
-        >>> percentile_text(Score(grade="trials", unit="mm", percentile=40.0, percentile_95=(12.0, 71.5)), "rmse")
+        >>> from gauge_envs.evaluation.score import Validation
+        >>> found = Validation(percentile=40.0, percentile_95=(12.0, 71.5))
+        >>> percentile_text(Score(grade="trials", unit="mm", validation=found), "rmse")
         '40 % [12, 72]'
     """
-    field = PERCENTILES.get(metric)
-    percentile = None if field is None else getattr(score, field)
+    percentile = score_percentile(score, metric)
     if percentile is None:
         return None
-    ends = getattr(score, f"{field}_95")
+    ends = getattr(score.validation, f"{PERCENTILES[metric]}_95")
     return f"{percentile:.0f} %" + (
         "" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]"
     )
@@ -295,7 +311,8 @@ def reality_lines(name: str, score: Score) -> Iterator[str]:
             for one in score.also_verified
         )
         return
-    percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
+    percentile = score_percentile(score, score.primary)
+    count = None if score.validation is None else score.validation.trial_count
     if percentile is not None and count is not None:
         farther = count - round(0.01 * percentile * count)
         answer = (

@@ -1,7 +1,7 @@
 """Texts of names, numbers and lists that all documents share."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.files import printable
@@ -30,6 +30,20 @@ GRADE_NOTES = {
     BandGrade.MODEL: "how well an engine solves the calibrated scene",
     BandGrade.NONE: "no reference: RMSE and DTW are not scored",
 }
+
+
+def reality_of(grade: str) -> str:
+    """Return what of reality stands beside results of a grade: `events` alone where its band is a solution."""
+    return "events" if BandGrade(grade).is_solution else grade
+
+
+def reality_notes(grades: Iterable[str]) -> list[str]:
+    """Return what the grades mean that compare with real trials, or have no band."""
+    return [
+        f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}."
+        for grade in sorted(set(grades))
+        if not BandGrade(grade).is_solution
+    ]
 
 
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:

@@ -31,7 +31,10 @@ class Metric:
 
     @property
     def normalized_field(self) -> str | None:
-        """Field of `Score` that holds the score over the published mean; None without normalization."""
+        """Field with the score over the published mean; None without normalization.
+
+        It is one of `Score` for an event, which has a real value under any grade, and else of its `validation`.
+        """
         return f"{self.key}_normalized" if self.is_normalized else None
 
     def unit_of(self, observable_unit: str) -> str:

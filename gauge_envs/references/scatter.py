@@ -1,4 +1,8 @@
-"""What is known of the scatter test of each variant on MuJoCo (`scoring/scatter.csv`)."""
+"""What the published scatter of real trials tells: of bodies that start free, and of cloth and foam that is held.
+
+`scoring/scatter.csv` has the test of each variant with starts that scatter. Held cloth and foam have none; for these
+`scoring/scatter_held.csv` has the noise of markers and the late releases that would scatter as much.
+"""
 
 from collections.abc import Mapping
 from functools import cache
@@ -55,6 +59,58 @@ SCATTER_COLUMNS = (
 def scatter_file() -> Path:
     """Return the file."""
     return scoring_folder("scatter.csv")
+
+
+class HeldRow(FileModel):
+    """What would scatter as real trials of a held cloth or foam do, by one run of MuJoCo.
+
+    Attributes:
+        variant: Variant id.
+        unit: Unit of the distances.
+        real: Published numbers of real trials, by `rmse`, `rmse_std`, `dtw` and `dtw_std`.
+        motion: Root mean square of g(t) about its mean over the frames.
+        noise_mm: Standard deviation of white noise of each marker coordinate that gives the real mean E_RMSE [mm].
+        noise_dtw: E_DTW with it.
+        still_mm: The noise that a body needs which does not move [mm].
+        release_s: Spread of the release, late by |N(0, s)|, that gives the real mean E_RMSE [s]; None if none does.
+        release_dtw: E_DTW with it.
+    """
+
+    variant: str
+    unit: str
+    real: Mapping[str, float]
+    motion: float
+    noise_mm: float
+    noise_dtw: float
+    still_mm: float
+    release_s: float | None
+    release_dtw: float | None
+
+    @property
+    def noise_std_mm(self) -> float:
+        """Standard deviation of the noise among trials that gives the real one of E_RMSE [mm]."""
+        return self.noise_mm * self.real["rmse_std"] / self.real["rmse"]
+
+
+HELD_COLUMNS = (
+    "variant",
+    "unit",
+    *(f"real.{name}" for name in NUMBERS),
+    *("motion", "noise_mm", "noise_dtw", "still_mm", "release_s", "release_dtw"),
+)
+"""Columns of the file of held bodies."""
+
+
+def held_file() -> Path:
+    """Return the file of held bodies."""
+    return scoring_folder("scatter_held.csv")
+
+
+@cache
+def held_rows() -> Mapping[str, HeldRow]:
+    """Return the rows of held bodies by variant."""
+    rows = read_rows(held_file(), HELD_COLUMNS, HeldRow)
+    return {row.variant: row for _, row in rows}
 
 
 @cache

@@ -81,7 +81,6 @@ def scored(engines: tuple[str, ...]) -> Iterator[dict[str, object]]:
                     "rmse": round(float(result.score.rmse or 0.0), 4),
                     "largest": round(float(apart.max()), 4),
                     "at_end": round(float(apart[-1]), 4),
-                    "mean_abs_z": round(float(result.score.mean_abs_z or 0.0), 4),
                 }
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.evaluation.score import Score, score_trajectory
+from gauge_envs.pages.results import normalized_score, raw_score
 from gauge_envs.pages.text import markdown_row
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
@@ -184,14 +185,18 @@ def compare(
         except UnsupportedSceneError:
             score = None
         for metric, value in published.items():
-            name = METRICS[metric].normalized_field or METRICS[metric].score_field
+            reached = None
+            if score is not None:
+                is_over = METRICS[metric].is_normalized
+                read = normalized_score if is_over else raw_score
+                reached = read(score, metric)
             yield Repeated(
                 variant=variant,
                 metric=metric,
                 grade="-" if score is None else score.grade,
                 driver=load_experiment(variant).driver_provenance,
                 published=value,
-                reached=None if score is None else getattr(score, name),
+                reached=reached,
             )
 
 

@@ -120,8 +120,9 @@ def score(name, parameters="calibrated"):
     found = info["score"]
     return {
         **asdict(found),
-        "a real trial": found.rmse / found.rmse_normalized,
-        "a real trial, aligned": found.rmse_aligned / found.rmse_aligned_normalized,
+        "a real trial": found.rmse / found.validation.rmse_normalized,
+        "a real trial, aligned": found.rmse_aligned
+        / found.validation.rmse_aligned_normalized,
         "release": found.rmse - found.rmse_aligned,
     }
 

@@ -323,21 +323,24 @@ def test_scores_against_real_trials(rollout):
     for material, (rmse, dtw) in limits.items():
         score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
         assert score.grade == "trials"
-        assert score.rmse_normalized <= rmse
-        assert score.dtw_normalized <= dtw
+        assert score.validation.rmse_normalized <= rmse
+        assert score.validation.dtw_normalized <= dtw
 
 
 def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
     calibrated = rollout("BouncingBall-rubber")[2]["score"]
     effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
     recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
-    assert calibrated.rmse_normalized <= 14.5
+    assert calibrated.validation.rmse_normalized <= 14.5
     assert calibrated.release_offset_s == pytest.approx(0.056, abs=0.005)
     assert calibrated.rmse_aligned < 0.55 * calibrated.rmse
     assert effective.rmse_aligned <= 7.4
     # Nearer to the mean than any real trial.
-    assert recorded.rmse_aligned_normalized <= 0.3
-    assert (recorded.percentile_aligned, effective.percentile_aligned) == (0.0, 100.0)
+    assert recorded.validation.rmse_aligned_normalized <= 0.3
+    assert (
+        recorded.validation.percentile_aligned,
+        effective.validation.percentile_aligned,
+    ) == (0.0, 100.0)
 
 
 def test_slower_body_is_scored_as_slower(rollout):

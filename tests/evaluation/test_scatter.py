@@ -18,8 +18,10 @@ from gauge_envs.evaluation.scatter import (
     delayed,
     differs,
     dtw_of_pairs,
+    farthest_trial,
     group_models,
     group_scores,
+    published_numbers,
     refused_scatter,
     scatter_ranks,
     scatter_test,
@@ -27,7 +29,8 @@ from gauge_envs.evaluation.scatter import (
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Paragraph
 from gauge_envs.pages.table import Table
-from gauge_envs.references.published import published_baselines
+from gauge_envs.references.published import published_baselines, published_variants
+from gauge_envs.references.scatter import held_rows, scatter_rows
 from gauge_envs.runs.episodes import run_episodes, run_request
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
@@ -37,6 +40,7 @@ from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.words import comparison_document
 from gauge_envs.tools.run.words import summary_document
+from scripts.build_scatter import marker_noise, release_spread
 
 FRAMES = 12
 TIMES_S = np.arange(6 * FRAMES) / 180
@@ -221,9 +225,82 @@ def test_a_sheet_between_driven_bodies_has_no_known_starts() -> None:
     (result, *_) = run_request(
         RunRequest("TextileBending-satin", repeats=TRIAL_COUNT, jitter=Jitter())
     )
-    assert result.outcome is Outcome.DECLINED
+    assert (
+        result.outcome is Outcome.DECLINED
+        and "published in another unit" in result.error
+    )
     with pytest.raises(UnknownNameError):
         refused_scatter(load_experiment("Pendulum-metal"), "")
+
+
+def test_the_noise_of_positions_is_their_distance_over_the_root_of_their_coordinates() -> (
+    None
+):
+    markers_m = np.random.default_rng(1).standard_normal((9, 5, 3))
+    noise_mm, trials = marker_noise(
+        markers_m, lambda places_m: 1e3 * places_m.reshape(len(places_m), -1), rmse=2.0
+    )
+    # A trial is part of the mean of n, so that its distance has the share 1 - 1 / n of the variance.
+    expected_mm = 2.0 / math.sqrt(15.0 * (1.0 - 1.0 / TRIAL_COUNT))
+    assert noise_mm == pytest.approx(expected_mm, rel=0.02)
+    assert group_scores(trials)[:, 0].mean() == pytest.approx(2.0, rel=1e-3)
+
+
+def test_the_release_that_gives_a_distance_is_found_and_no_other() -> None:
+    speed_mm_per_s, spread_s = 100.0, 0.05
+    motion = np.arange(200)[:, None] * speed_mm_per_s / 30
+    late_s = np.abs(np.random.default_rng(5).standard_normal((4000, TRIAL_COUNT)))
+    from_mean = np.abs(late_s - late_s.mean(axis=1, keepdims=True)).mean()
+    rmse_mm = speed_mm_per_s * spread_s * from_mean
+    found = release_spread(motion, rmse=rmse_mm)
+    assert found is not None and found[0] == pytest.approx(spread_s, abs=0.011)
+    assert release_spread(motion, rmse=100.0 * rmse_mm) is None
+
+
+def test_one_trial_that_is_far_has_the_least_distance_that_mean_and_deviation_leave() -> (
+    None
+):
+    row = held_rows()["FoamTwisting-soft"]
+
+    def of(distances: FloatArray) -> float:
+        real = {"rmse": distances.mean(), "rmse_std": distances.std(ddof=1)}
+        return farthest_trial(row.model_copy(update={"real": real}))
+
+    one = np.zeros(TRIAL_COUNT)
+    one[3] = 7.0
+    assert of(one) == pytest.approx(7.0)
+    random = np.random.default_rng(2)
+    for _ in range(50):
+        distances = random.exponential(size=TRIAL_COUNT)
+        assert of(distances) <= distances.max()
+
+
+def test_each_published_scatter_has_an_answer_and_held_bodies_need_the_same_noise_at_rest() -> (
+    None
+):
+    answers: dict[str, set[str]] = {"scatter": set(), "held": set(), "unit": set()}
+    for name in published_variants():
+        experiment = load_experiment(name)
+        if published_numbers(experiment.baselines) is None:
+            continue
+        if experiment.impossible_scores:
+            answers["unit"].add(name)
+        elif name in held_rows():
+            answers["held"].add(name)
+        else:
+            answers["scatter"].add(name)
+    assert answers["scatter"] == set(scatter_rows())
+    assert [len(one) for one in answers.values()] == [27, 20, 6]
+    held = held_rows()
+    for name, row in held.items():
+        assert row.still_mm == pytest.approx(row.noise_mm, rel=0.06), name
+        assert row.noise_dtw < row.real["rmse"], name
+    noises_mm = {name: row.noise_mm for name, row in held.items()}
+    assert noises_mm.pop("TextileStretching-satin") > 2.0
+    assert min(noises_mm.values()) > 0.025 and max(noises_mm.values()) < 0.335
+    late = [name for name, row in held.items() if row.release_s is not None]
+    assert late == ["FoamBending-hard"]
+    assert sum(row.real["dtw"] < row.noise_dtw for row in held.values()) > 15
 
 
 def test_the_verdict_is_that_of_all_assumptions() -> None:
@@ -239,7 +316,8 @@ def test_the_verdict_is_that_of_all_assumptions() -> None:
 @pytest.mark.parametrize(("count", "is_told"), [(5, True), (10, False)])
 def test_an_interval_of_few_trials_is_printed_with_what_it_lacks(count, is_told):
     (result,) = run_episodes(RunRequest("SlopeSlider-2-wood"))
-    few = replace(result, score=replace(result.score, trial_count=count))
+    found = replace(result.score.validation, trial_count=count)
+    few = replace(result, score=replace(result.score, validation=found))
     lines = [
         part.text
         for part in summary_document([few]).parts

@@ -21,7 +21,7 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
         RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE
     )
     # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
-    assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
+    assert result.score.validation.rmse_normalized == pytest.approx(0.41, abs=0.005)
     assert (interpolated, result.backend, result.wall_s, result.seed) == (
         0,
         None,

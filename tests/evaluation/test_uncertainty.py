@@ -63,12 +63,14 @@ def test_the_aligned_score_prefers_the_real_friction_and_the_raw_one_does_not():
         run_episode(RunRequest(SLIDES[0], parameters={"cube.friction": friction})).score
         for friction in (0.257145, 0.282)
     )
-    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx(
-        (1.005, 1.24), abs=5e-3
-    )
-    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx(
-        (0.270, 7.09), abs=2e-2
-    )
+    assert (
+        real.validation.rmse_normalized,
+        real.validation.rmse_aligned_normalized,
+    ) == pytest.approx((1.005, 1.24), abs=5e-3)
+    assert (
+        wrong.validation.rmse_normalized,
+        wrong.validation.rmse_aligned_normalized,
+    ) == pytest.approx((0.270, 7.09), abs=2e-2)
     assert real.primary == wrong.primary == "rmse_aligned"
     assert real.primary_normalized < wrong.primary_normalized
 
@@ -97,8 +99,9 @@ def test_an_aligned_error_is_over_that_of_aligned_trials(scores, name):
             for late in np.arange(-0.01, 0.01, 2e-5)
         ]
         leave_one_out.append(min(shifts))
-    assert score.rmse_aligned / score.rmse_aligned_normalized == pytest.approx(
-        np.mean(leave_one_out), rel=0.02
+    assert (
+        score.rmse_aligned / score.validation.rmse_aligned_normalized
+        == pytest.approx(np.mean(leave_one_out), rel=0.02)
     )
 
 
@@ -192,8 +195,10 @@ def test_the_median_real_trial_is_not_at_1_and_the_percentile_says_so(name, medi
 def test_percentiles_are_those_of_the_real_trials(scores):
     for name, score in scores.items():
         distances = trial_distances(bundled_band(name))
-        assert score.percentile == 100.0 * np.mean(distances.raw < score.rmse)
-        assert score.percentile_aligned == 100.0 * np.mean(
+        assert score.validation.percentile == 100.0 * np.mean(
+            distances.raw < score.rmse
+        )
+        assert score.validation.percentile_aligned == 100.0 * np.mean(
             distances.aligned < score.rmse_aligned
         )
         assert (distances.aligned <= distances.raw + 1e-9).all()
@@ -201,17 +206,20 @@ def test_percentiles_are_those_of_the_real_trials(scores):
 
 def test_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
     inside = [
-        scores[name].rmse_normalized_95[0]
+        scores[name].validation.rmse_normalized_95[0]
         <= published
-        <= scores[name].rmse_normalized_95[1]
+        <= scores[name].validation.rmse_normalized_95[1]
         for name in SLIDES
         for published in published_baselines(name)["rmse"].engines.values()
     ]
     assert sum(inside) >= 8
     for score in scores.values():
         for value, (low, high) in (
-            (score.rmse_normalized, score.rmse_normalized_95),
-            (score.rmse_aligned_normalized, score.rmse_aligned_normalized_95),
+            (score.validation.rmse_normalized, score.validation.rmse_normalized_95),
+            (
+                score.validation.rmse_aligned_normalized,
+                score.validation.rmse_aligned_normalized_95,
+            ),
         ):
             assert 0.0 <= low <= value <= high
 
@@ -256,11 +264,14 @@ def test_a_pendulum_implies_its_period():
 
 def test_a_budget_is_whole_and_names_its_sources(scores):
     for score in scores.values():
-        assert sum(entry.share for entry in score.budget) == pytest.approx(
+        assert sum(entry.share for entry in score.validation.budget) == pytest.approx(
             1.0, abs=1e-4
         )
-        assert all(entry.source and entry.evaluation in "AB" for entry in score.budget)
-        kinds = {entry.kind for entry in score.budget}
+        assert all(
+            entry.source and entry.evaluation in "AB"
+            for entry in score.validation.budget
+        )
+        kinds = {entry.kind for entry in score.validation.budget}
         assert kinds >= {"sampling", "release", "baseline"} and not kinds & {
             "constant",
             "start",
@@ -381,7 +392,9 @@ def test_measured_uncertainty_is_kept_for_later_scores(tmp_path, monkeypatch):
     assert (tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json").is_file()
     stored = run_episode(RunRequest(SLIDES[0])).score
     np.testing.assert_allclose(
-        measured.rmse_normalized_95, stored.rmse_normalized_95, atol=1e-3
+        measured.validation.rmse_normalized_95,
+        stored.validation.rmse_normalized_95,
+        atol=1e-3,
     )
     finer = run_episode(
         RunRequest(SLIDES[0], uncertainty=True, settings={"timestep_s": 1 / 360})
@@ -732,7 +745,7 @@ def test_a_distance_and_its_ratio_to_the_baseline_are_refused_apart():
 
 def test_two_trials_have_a_score_without_an_interval_and_say_why():
     score = run_episode(RunRequest("SlopeSlider-2-wood")).score
-    assert score.refused == () and score.rmse_95 is not None
+    assert score.validation.refused == () and score.validation.rmse_95 is not None
     band = bundled_band(SLIDES[0])
     errors = band_errors(
         replace(band, trials=band.trials[:2], mean=band.trials[:2].mean(axis=0)), None

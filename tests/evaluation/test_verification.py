@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
+from scipy.special import erf
 
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import VALIDATION_FIELDS, VERIFICATION, Score
+from gauge_envs.evaluation.score import VERIFICATION, Score, Validation
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
     Verification,
     compared_points,
+    inverted_interval,
     solution_uncertainty,
     stated_uncertainty,
     verification_band,
@@ -69,7 +71,13 @@ def test_a_shift_of_3_mm_is_a_distance_of_3_mm_of_a_body_and_of_each_marker(
     assert found.distance == pytest.approx(3.0)
     assert found.uncertainty == pytest.approx(u_mm)
     assert found.distance_in_u == pytest.approx(6.0)
-    assert found.distance_95 == pytest.approx((3.0 - 1.96 * u_mm, 3.0 + 1.96 * u_mm))
+    ends = pytest.approx((3.0 - 1.96 * u_mm, 3.0 + 1.96 * u_mm), rel=1e-4)
+    assert found.distance_95 == ends
+    # At 3 u the other tail is as good as empty, and the lower end is that of one tail of 5 %.
+    moved[:, 1::3] -= 1.5
+    low, high = verified(band, moved).distance_95
+    assert low == pytest.approx(1.5 - 1.645 * u_mm, rel=1e-3)
+    assert high == pytest.approx(1.5 + 1.96 * u_mm)
     assert found.verdict.startswith("differs")
     # The mean square of 100 k / 39 for k = 0 to 39.
     steps = np.arange(FRAMES) / (FRAMES - 1)
@@ -102,6 +110,35 @@ def test_markers_are_needed_where_they_are_compared_and_trials_verify_nothing() 
     real = replace(solution(None), grade=BandGrade.TRIALS)
     assert verify(real, frames=np.array(real.mean), markers_m=None) is None
     assert verify(None, frames=np.array(real.mean), markers_m=None) is None
+
+
+def test_each_true_distance_is_held_in_95_percent_whatever_the_directions_of_the_error() -> (
+    None
+):
+    """The error has a share of u^2 along the true difference, and the rest across it; by quadrature over the first."""
+    observed = np.arange(0.0, 11.0, 0.01)
+    ends = np.array([inverted_interval(float(one)) for one in observed])
+    assert (ends[observed <= 1.959, 0] == 0.0).all()
+    assert (np.diff(ends, axis=0) >= 0.0).all()
+    z = np.arange(-6.0, 6.0, 0.005)
+    weights = np.exp(-0.5 * z**2) * 0.005 / np.sqrt(2.0 * np.pi)
+    for true in (0.0, 0.25, 0.5, 1.0, 1.5, 1.95, 2.0, 3.0, 5.0):
+        held = (ends[:, 0] <= true) & (true <= ends[:, 1])
+        low, high = observed[held][0], observed[held][-1]
+        shares = []
+        for along in np.linspace(0.0, 1.0, 11):
+            parallel = true + np.sqrt(along) * z
+            across = np.sqrt(max(1.0 - along, 1e-12))
+            # The chance that the part across the difference leaves the whole between both ends.
+            inside = [
+                erf(np.sqrt(np.maximum(end**2 - parallel**2, 0.0) / 2.0) / across)
+                for end in (low, high)
+            ]
+            shares.append(float(weights @ (inside[1] - inside[0])))
+        # The grid of observed distances moves each end by less than 0.01.
+        assert min(shares) >= 0.95 - 0.005
+        # With one direction it is 95 %.
+        assert shares[-1] == pytest.approx(0.95, abs=0.005)
 
 
 @pytest.mark.parametrize("shapes", [1, 2, 5, 60])
@@ -178,7 +215,8 @@ def test_the_interval_holds_the_true_distance_for_errors_with_the_stated_shape(
 def test_scores_of_earlier_versions_are_read_without_what_they_divided_by_trials() -> (
     None
 ):
-    """Version 0.2 divided the distance from a law by the scatter of real trials, and named `rmse` the first score."""
+    """Version 0.2 divided the distance from a law by the scatter of real trials, and named `rmse` the first score. What
+    is divided by it stood beside `rmse`."""
     old = {
         "unit": "mm",
         "primary": "rmse",
@@ -195,15 +233,31 @@ def test_scores_of_earlier_versions_are_read_without_what_they_divided_by_trials
     # Result files are read by their types, and not by `from_dict`.
     assert law == TypeAdapter(Score).validate_python(old | {"grade": "law"})
     assert (law.rmse, law.dtw, law.mte_normalized) == (0.25, 0.2, 0.97)
-    assert all(not getattr(law, name) for name in VALIDATION_FIELDS)
-    assert (law.primary, law.primary_normalized, law.primary_95) == (
-        VERIFICATION,
-        None,
-        None,
-    )
+    assert law.validation is None
+    assert (law.primary, law.primary_normalized) == (VERIFICATION, None)
     trials = Score.from_dict(old | {"grade": "trials"})
     assert (trials.primary, trials.primary_normalized) == ("rmse", 0.125)
-    assert trials.dtw_normalized == 0.1
+    assert trials.validation == Validation(
+        rmse_normalized=0.125,
+        rmse_normalized_95=(0.0, 0.5),
+        dtw_normalized=0.1,
+        inside_1sigma=1.0,
+    )
+    assert Score.from_dict(trials.to_dict()) == trials
+    assert Score.from_dict(old | {"grade": "none", "primary": None}).validation is None
+
+
+def test_a_score_answers_one_question() -> None:
+    solved = verified(solution(np.ones((FRAMES, 3))), np.zeros((FRAMES, 3)))
+    assert Score(grade="model", unit="mm", verification=solved).primary_normalized
+    for grade, given in (
+        ("law", {"validation": Validation()}),
+        ("trials", {"verification": solved}),
+    ):
+        with pytest.raises(ValueError, match="has no v"):
+            Score(grade=grade, unit="mm", **given)
+        with pytest.raises(ValidationError, match="has no v"):
+            Score.from_dict({"grade": grade, "unit": "mm"} | given)
 
 
 def references() -> list[tuple[str, Band]]:

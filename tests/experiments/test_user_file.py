@@ -255,11 +255,11 @@ def test_scores_are_normalized_by_the_files_baseline(changed):
     """Where the band is of real trials: a law has no real scatter."""
     baseline = ("[provenance]", "[baseline.rmse]\nmean = 2.0\n[provenance]")
     law = run_episode(RunRequest(str(changed(baseline)))).score
-    assert law.rmse_normalized is None
+    assert law.validation is None
     trials = ('grade = "law"', 'grade = "trials"\ntrial_count = 3')
     score = run_episode(RunRequest(str(changed(trials)))).score
-    assert score.rmse_normalized == score.rmse / 2.0
-    assert score.dtw_normalized is None
+    assert score.validation.rmse_normalized == score.rmse / 2.0
+    assert score.validation.dtw_normalized is None
 
 
 def test_a_file_drives_kinematic_bodies(changed):

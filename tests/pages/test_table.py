@@ -12,7 +12,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.evaluation.score import Explained, Score
+from gauge_envs.evaluation.score import Explained, Score, Validation
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.results import (
@@ -293,9 +293,9 @@ def test_results_are_told_in_the_approved_words(approved):
         unit="mm",
         primary="rmse",
         rmse=2.5,
-        percentile=40.0,
-        percentile_95=(12.0, 71.5),
-        trial_count=20,
+        validation=Validation(
+            percentile=40.0, percentile_95=(12.0, 71.5), trial_count=20
+        ),
         explained=tuple(
             Explained(
                 name=name,
@@ -314,7 +314,9 @@ def test_results_are_told_in_the_approved_words(approved):
             )
         ),
     )
-    law = replace(trials, grade="law", verification=solved)
+    law = replace(trials, grade="law", validation=None, verification=solved)
+    far = Validation(percentile=100.0, trial_count=20)
+    near = Validation(percentile=97.5, trial_count=40)
     row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
     row |= {"points_rms_mm": 0.071, "refined": 900.4, "default": 120.6}
     rows = {
@@ -328,8 +330,8 @@ def test_results_are_told_in_the_approved_words(approved):
         *reality_lines("law", law),
         *reality_lines("markers", replace(law, verification=None)),
         *reality_lines("trials", trials),
-        *reality_lines("far", replace(trials, percentile=100.0, explained=None)),
-        *reality_lines("near", replace(trials, percentile=97.5, trial_count=40)),
+        *reality_lines("far", replace(trials, validation=far, explained=None)),
+        *reality_lines("near", replace(trials, validation=near)),
         *reality_lines("no primary", replace(trials, primary=None)),
         *(
             convergence_text(known, has_cells=cells, with_unit=unit)

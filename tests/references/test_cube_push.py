@@ -171,7 +171,7 @@ def test_friction_of_the_task_is_that_of_even_slides():
 def test_an_engine_is_within_the_scatter():
     score = run_episode(RunRequest(NAME)).score
     assert score is not None and score.rmse is not None
-    assert score.trial_count == 20 and score.compared_frames == FRAMES
+    assert score.validation.trial_count == 20 and score.compared_frames == FRAMES
     assert score.rmse < 1.5
 
 
@@ -201,7 +201,7 @@ def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it():
     for trial in (3, 16):
         path, score, info = played(env, trial=trial)
         np.testing.assert_allclose(path[0, :2], cubes_mm[trial, 0, :2], atol=1e-3)
-        assert info["trial"] == trial and score.trial_count is None
+        assert info["trial"] == trial and score.validation.trial_count is None
         assert score.rmse == pytest.approx(
             np.sqrt(np.mean(np.square(path - cubes_mm[trial])[:, 0])), abs=2e-3
         )
@@ -215,7 +215,7 @@ def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it():
     # The next reset without a trial has the mean path and all trials again.
     again, score, info = played(env)
     np.testing.assert_array_equal(again, mean)
-    assert "trial" not in info and (score.rmse, score.trial_count) == (
+    assert "trial" not in info and (score.rmse, score.validation.trial_count) == (
         mean_score.rmse,
         20,
     )

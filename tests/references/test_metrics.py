@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.references.metrics import (
     EVENT_METRICS,
     METRICS,
@@ -16,7 +16,7 @@ from gauge_envs.references.published import published_baselines, published_varia
 
 
 def test_every_metric_names_fields_of_the_score():
-    known = {field.name for field in fields(Score)}
+    known = {field.name for field in (*fields(Score), *fields(Validation))}
     named = {metric.score_field for metric in METRICS.values()}
     normalized = {
         metric.normalized_field for metric in METRICS.values() if metric.is_normalized

@@ -284,7 +284,7 @@ def test_default_settings_are_as_far_off_as_their_refinement_says(foam):
     )
     assert score.rmse_without["mujoco"] != score.rmse_without["newton"]
     assert score.release_offset_s is None
-    assert score.percentile is None
+    assert score.validation is None
 
 
 def test_words_say_model_and_never_real(foam):

@@ -368,7 +368,7 @@ def test_a_score_on_a_withheld_band_says_so(rollout):
         ("x", "y", "z"),
         None,
     )
-    assert plain.rmse_normalized is None
+    assert plain.validation is None
     asked = rollout("SlopeContact-wood", use_withheld=True)[2]["score"]
     assert (asked.grade, asked.coordinates) == ("recording", ("slide",))
     assert "frames 0 to 6" in asked.withheld
@@ -396,7 +396,12 @@ def test_what_lies_on_a_recording_scores_zero_however_it_goes_on():
     band = bundled_band("SlopeSlider-3-metal")
     g = np.where(np.isfinite(band.mean), band.mean, 1e4)
     score = score_trajectory(experiment, band, times_s=np.arange(60) / 30, values=g)
-    assert (score.rmse, score.dtw, score.mean_abs_z, score.inside_1sigma) == (
+    assert (
+        score.rmse,
+        score.dtw,
+        score.validation.mean_abs_z,
+        score.validation.inside_1sigma,
+    ) == (
         0.0,
         0.0,
         0.0,
@@ -421,8 +426,8 @@ def test_mujoco_is_scored_on_the_turntable(rollout, turntable):
         "recording",
         ("x", "y"),
     )
-    assert score.rmse_normalized == pytest.approx(score.rmse / 13.26)
-    assert score.rmse_normalized < 1
+    assert score.validation.rmse_normalized == pytest.approx(score.rmse / 13.26)
+    assert score.validation.rmse_normalized < 1
     assert score.withheld is None
     axis = 1e3 * np.asarray(turntable.scene.body("plate").pose.position_m[:2])
     arm = trajectory.samples[:, :2] - axis

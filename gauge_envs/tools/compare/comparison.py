@@ -13,7 +13,6 @@ from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.results import (
-    PERCENTILES,
     SCORE_METRICS,
     VERIFIED,
     configuration_labels,
@@ -21,6 +20,7 @@ from gauge_envs.pages.results import (
     normalized_score,
     raw_score,
     score_interval,
+    score_percentile,
 )
 from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.grades import BandGrade
@@ -107,10 +107,7 @@ class Cell:
 
     def percentile(self, metric: str) -> float | None:
         """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
-        field = PERCENTILES.get(metric)
-        known = (
-            [getattr(result.score, field) for result in self.results] if field else []
-        )
+        known = [score_percentile(result.score, metric) for result in self.results]
         spread = ScoreSpread.of([value for value in known if value is not None])
         return None if spread is None else spread.mean
 
@@ -219,10 +216,11 @@ class ExperimentComparison:
     def graded(self) -> GradedExperiment:
         """Return the scores of this experiment for a comparison within its grade."""
         counts = [
-            result.score.trial_count
+            result.score.validation.trial_count
             for cell in self.cells
             if cell is not None
             for result in cell.results
+            if result.score.validation is not None
         ]
         return GradedExperiment(
             id=self.id,

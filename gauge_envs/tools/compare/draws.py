@@ -132,7 +132,8 @@ def score_draws(
     raw: list[float] = []
     drawn: list[tuple[float, FloatArray, FloatArray]] = []
     for result in results:
-        if result.trajectory is None or result.score.rmse_normalized is None:
+        found = result.score.validation
+        if result.trajectory is None or found is None or found.rmse_normalized is None:
             return None
         times_s, values = result.trajectory.arrays(later=True)
         deviations = band_deviations(experiment, band, times_s=times_s, values=values)

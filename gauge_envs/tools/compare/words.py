@@ -23,13 +23,14 @@ from gauge_envs.pages.results import (
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     COST_TITLE,
-    GRADE_NOTES,
     NORMALIZED_NOTE,
     QUESTIONS,
     counted,
     interval_text,
     plus_minus_text,
     quantity_text,
+    reality_notes,
+    reality_of,
     score_text,
     short_id,
     with_unit,
@@ -62,7 +63,7 @@ EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 GRADE = Column(
     "",
     "grade",
-    lambda row: grade_name(row["grade"], withheld=row["withheld"]),
+    lambda row: grade_name(reality_of(row["grade"]), withheld=row["withheld"]),
     place=Place.HEADING,
 )
 
@@ -519,8 +520,9 @@ def _score_notes(
             "starts with a release."
         )
     shown = {row["id"] for row in rows}
-    grades = sorted({one.grade for one in comparison.experiments if one.id in shown})
-    yield f"Grades: {'; '.join(f'{grade}: {GRADE_NOTES[BandGrade(grade)]}' for grade in grades)}."
+    yield from reality_notes(
+        one.grade for one in comparison.experiments if one.id in shown
+    )
     yield from _configuration_notes(comparison.configurations)
     yield from (f"Note: {note}." for note in comparison.notes)
 

@@ -70,6 +70,7 @@ def _diagnoses(
     measured_only: bool,
 ) -> tuple[list[tuple[Result, Diagnosis]], int]:
     """Return results with their diagnoses, and the number of skipped files; report what is left out."""
+    from gauge_envs.pages.results import normalized_score
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.diagnose.error_budget import (
         DiagnosisError,
@@ -101,7 +102,9 @@ def _diagnoses(
     if results and not pairs:
         raise DiagnosisError("; ".join(reasons))
     # The farthest from the real trials, over their scatter, comes first, then those with another reference.
-    pairs.sort(key=lambda pair: pair[0].score.rmse_normalized or 0.0, reverse=True)
+    pairs.sort(
+        key=lambda pair: normalized_score(pair[0].score, "rmse") or 0.0, reverse=True
+    )
     for reason in reasons:
         message(reason, "left out")
     return pairs, skipped

@@ -354,7 +354,7 @@ def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:
     remarks = []
     if options.speed != 1.0:
         remarks.append(f"speed x {options.speed:.3g}")
-    if any(take.result.score.rmse_normalized is not None for take in takes):
+    if any(take.result.score.validation is not None for take in takes):
         remarks.append("score 1: mean distance of single real trials")
     return Caption(
         title=experiment.name,

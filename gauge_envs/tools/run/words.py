@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from gauge_envs.evaluation.score import Score
+from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
@@ -22,10 +23,11 @@ from gauge_envs.pages.results import (
 )
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
-    GRADE_NOTES,
     NORMALIZED_NOTE,
     QUESTIONS,
     interval_text,
+    reality_notes,
+    reality_of,
     score_text,
     short_id,
     shortened,
@@ -79,7 +81,7 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
         tables.append(verification_table(verified))
     if any(result.scatter is not None for result in ran):
         tables.append(scatter_table(ran))
-    if budget and any(result.score.budget for result in ran):
+    if budget and any(_budget(result) for result in ran):
         tables.append(_budget_table(ran))
     if any(result.deformation is not None for result in ran):
         tables.append(_deformation_table(ran))
@@ -88,12 +90,11 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
 
 
 def _score_table(rows: Sequence[dict[str, Any]], *, title: str) -> Table:
-    grades = sorted({str(row["grade"]) for row in rows})
     return Table(
         title=title,
         columns=(
             EXPERIMENT,
-            Column("grade", "grade", place=Place.HEADING),
+            Column("grade", "grade", reality_of, place=Place.HEADING),
             LABEL,
             Column("metric", "metric"),
             Column("percentile", "real trials closer", is_number=True),
@@ -131,7 +132,7 @@ def _score_table(rows: Sequence[dict[str, Any]], *, title: str) -> Table:
             NORMALIZED_NOTE,
             "Real trials closer: to the mean of the others than the simulation is to the mean. Aligned: after the best "
             "time shift. In brackets: 95 % intervals. --format wide shows more columns.",
-            *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
+            *reality_notes(row["grade"] for row in rows),
         ),
     )
 
@@ -166,7 +167,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             "score": None
             if raw is None
             else with_unit(
-                interval_text(raw, getattr(score, f"{key}_95", None)),
+                interval_text(raw, getattr(score.validation, f"{key}_95", None)),
                 metric.unit_of(score.unit),
             ),
             "normalized": None
@@ -176,7 +177,8 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             "engines": None if line is None or is_partial else line.engines,
         }
         if key == "rmse":
-            row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
+            row["z"] = None if score.validation is None else score.validation.mean_abs_z
+            row["extrapolated"] = score.extrapolated_share
             row["convergence"] = discretization_text(
                 result, convergence_rows(result.backend, result.id)
             )
@@ -287,10 +289,15 @@ def _budget_table(results: Sequence[Result]) -> Table:
         rows=[
             {"id": result.id, "label": result_label(result), **asdict(entry)}
             for result in results
-            for entry in result.score.budget
+            for entry in _budget(result)
         ],
         notes=(BUDGET_NOTE, *(f"Sensitivities: {origin}." for origin in origins)),
     )
+
+
+def _budget(result: Result) -> tuple[BudgetEntry, ...]:
+    found = result.score.validation
+    return () if found is None else found.budget
 
 
 def _deformation_table(results: Sequence[Result]) -> Table:
@@ -352,10 +359,11 @@ def _remarks(result: Result) -> Iterator[str]:
     name = short_id(result.id)
     if result.score.verification is None:
         yield from reality_lines(name, result.score)
-    yield from (f"{name}: no interval of {reason}." for reason in result.score.refused)
-    count = result.score.trial_count
-    if count and count < FEW_TRIALS and result.score.rmse_95 is not None:
-        yield f"{name}: {count} trials. {FEW_TRIALS_NOTE}"
+    if (found := result.score.validation) is not None:
+        yield from (f"{name}: no interval of {reason}." for reason in found.refused)
+        count = found.trial_count
+        if count and count < FEW_TRIALS and found.rmse_95 is not None:
+            yield f"{name}: {count} trials. {FEW_TRIALS_NOTE}"
     if result.score.implied:
         yield _implied_line(name, result.score)
     if result.score.withheld:

@@ -395,8 +395,8 @@ def _uncertainty(site: Site, results: Results) -> Parts:
     parts: list[Html] = []
     titles = ("contribution", "type", "u", "share of the variance", "source")
     for index, result in results.items():
-        budget = result.score.budget
-        if not budget:
+        found = result.score.validation
+        if found is None or not found.budget:
             continue
         rows = [
             (
@@ -406,13 +406,13 @@ def _uncertainty(site: Site, results: Results) -> Parts:
                 f"{100.0 * one.share:.0f} %",
                 one.source,
             )
-            for one in budget
+            for one in found.budget
         ]
         summary = join(
             [
                 site.swatch(index),
                 element("b", site.labels[index]),
-                f": most is {budget[0].name}",
+                f": most is {found.budget[0].name}",
             ]
         )
         parts.append(folded(summary, grid(titles, rows).html()))

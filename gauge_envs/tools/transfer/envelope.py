@@ -214,10 +214,8 @@ def _batch(
         for score, episode in zip(envs.scores(), envs.episodes, strict=True):
             distance = None
             if score is not None:
-                is_over_trials = (
-                    experiment.trial is None and BandGrade(score.grade).is_real
-                )
-                distance = score.rmse_normalized if is_over_trials else score.rmse
+                real = score.validation if experiment.trial is None else None
+                distance = score.rmse if real is None else real.rmse_normalized
             found.append(
                 (
                     distance,

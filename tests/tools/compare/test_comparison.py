@@ -11,7 +11,7 @@ from rich.console import Console
 
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import Score, score_trajectory
+from gauge_envs.evaluation.score import Score, Validation, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
@@ -92,7 +92,7 @@ def made(
     score = Score(
         grade=GRADES[name],
         unit="mm",
-        rmse_normalized=rmse,
+        validation=None if GRADES[name] == "law" else Validation(rmse_normalized=rmse),
         rmse=None if rmse is None else 18.0 * rmse,
     )
     values = {
@@ -421,7 +421,10 @@ def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
     ]
     assert grade(alone, "trials") == grade(together, "trials")
     ours = grade(together, "trials").scores[0]
-    aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
+    aligned = [
+        real[name].score.validation.rmse_aligned_normalized
+        for name in (SLIDER, PLASTIC)
+    ]
     assert ours.mean.value == pytest.approx(np.mean(aligned))
     assert ours.mean_rank.value == 1.5
     assert grade(together, "law").scores[0].mean.value == pytest.approx(
@@ -592,9 +595,9 @@ def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are
 
 
 def test_a_score_of_another_reference_is_not_compared_in_pairs(real):
-    stale = replace(
-        real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3)
-    )
+    score = real[SLIDER].score
+    wrong = replace(score.validation, rmse_normalized=0.3)
+    stale = replace(real[SLIDER], score=replace(score, validation=wrong))
     comparison = compare([stale, as_newton(real[SLIDER])])
     assert grade(comparison, "trials").pairs == ()
     assert any(
@@ -636,6 +639,8 @@ def test_results_of_two_references_are_not_averaged(real):
 )
 def test_each_normalized_metric_has_an_interval(metric):
     values = {f"{metric}_normalized": 0.5, f"{metric}_normalized_95": (0.25, 1.5)}
+    if not SCORE_METRICS[metric].is_event:
+        values = {"validation": Validation(**values)}
     score = Score(
         grade="none", unit="mm", **values | {SCORE_METRICS[metric].score_field: 9.0}
     )
@@ -811,11 +816,11 @@ def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(
     figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
     primary, raw, solved = figure.axes
     score = real[SLIDER].score
-    assert score.rmse_aligned_normalized in places_of(primary)
+    assert score.validation.rmse_aligned_normalized in places_of(primary)
     # The distance from an exact solution has an axis of its own, in its unit, and no line at 1.
     assert places_of(solved) == {real[HOLD].score.verification.distance}
     assert "[mm]" in solved.get_xlabel()
-    assert score.rmse_normalized in places_of(raw)
+    assert score.validation.rmse_normalized in places_of(raw)
     published = {
         name: set(published_baselines(name)["rmse"].engines.values())
         for name in (SLIDER, HOLD)
@@ -829,7 +834,7 @@ def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(
         for path in bar.get_paths()
     ]
     assert any(
-        bar == pytest.approx(score.rmse_aligned_normalized_95)
+        bar == pytest.approx(score.validation.rmse_aligned_normalized_95)
         for bar in bars
         if len(bar) == 2
     )

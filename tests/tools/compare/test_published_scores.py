@@ -28,8 +28,8 @@ def test_rows_hold_the_score_of_the_run():
     score = run_episode(
         RunRequest("BouncingBall-rubber", settings={"preset": "contact"})
     ).score
-    assert rows["rmse"].reached == score.rmse_normalized
-    assert rows["dtw"].reached == score.dtw_normalized
+    assert rows["rmse"].reached == score.validation.rmse_normalized
+    assert rows["dtw"].reached == score.validation.dtw_normalized
     assert (
         rows["rmse"].published
         == published_baselines("BouncingBall-rubber")["rmse"].engines["newton"]

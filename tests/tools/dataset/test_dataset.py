@@ -207,7 +207,7 @@ def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     assert np.isnan(band.mean[7]).all() and np.isnan(band.sigma[7]).all()
     assert np.flatnonzero(~band.measured).tolist() == [7]
     score = run_episode(RunRequest(SLIDER, **IMPORTED)).score
-    assert score.rmse is not None and score.mean_abs_z is not None
+    assert score.rmse is not None and score.validation.mean_abs_z is not None
 
 
 def test_a_marker_out_of_sight_hides_its_faces_alone(tmp_path):

@@ -266,11 +266,11 @@ def test_what_a_reference_is_in_words():
 
 def test_a_line_of_scores_has_the_numbers_of_the_result(take):
     score = take.result.score
-    assert score.rmse_aligned_normalized_95 is not None
-    low, high = score.rmse_aligned_normalized_95
+    assert score.validation.rmse_aligned_normalized_95 is not None
+    low, high = score.validation.rmse_aligned_normalized_95
     line = score_line(take.result, take.band)
     assert line.startswith(
-        f"RMSE aligned {score.rmse_aligned_normalized:.2f} [{low:.2f}, {high:.2f}]"
+        f"RMSE aligned {score.validation.rmse_aligned_normalized:.2f} [{low:.2f}, {high:.2f}]"
     )
     lost = replace(
         take.result, outcome=Outcome.DIVERGED, diverged_reason="left the room"
