@@ -51,12 +51,13 @@ from gauge_envs.tools.sanity.robot.rollout import (
     lone_half_step_s,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
-from gauge_envs.tools.sanity.robot.whole_rows import mirror_pairs
+from gauge_envs.tools.sanity.robot.sides import mirror_pairs
 
 ORDER = (
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
     *("robot-inertia", "robot-gravcomp", "robot-medium"),
-    *("robot-range", "robot-unlimited", "robot-mirror", "robot-overlap"),
+    *("robot-range", "robot-unlimited", "robot-command", "robot-mirror"),
+    *("robot-sides", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
@@ -511,11 +512,14 @@ def _range(robot: Robot) -> Iterator[Remedy]:
     )
 
 
+EITHER_SIDE = "either side can be the wrong one, and the model does not say which"
+
 NO_REMEDY: Mapping[str, str] = {
     "robot-size": "lengths stand in every pos, size, fromto and mesh: scale them in the file; the rest is judged then",
     "robot-balance": "masses, axes or the pose can be wrong, and the model does not say which",
     "robot-level": "either leg can be the wrong one, and the model does not say which",
-    "robot-mirror": "either side can be the wrong one, and the model does not say which",
+    "robot-mirror": EITHER_SIDE,
+    "robot-sides": EITHER_SIDE,
     "robot-unlimited": "a joint without a range turns as far as the real one, which the model does not say",
 }
 """Why no change of a number mends a row for certain, of rows that may have no remedy."""
@@ -529,7 +533,12 @@ def _mirror(robot: Robot) -> Iterator[Remedy]:
     """Yield the axis, then the range, of each of two sides, unless that of the other one does as well."""
     model = robot.model
     high = facts("robot_rows")["robot-mirror"]["interval"][1]
-    pairs = [pair for pair in mirror_pairs(robot) if pair.apart_rad > high]
+    pairs = [
+        pair
+        for pair in mirror_pairs(robot)
+        if model.jnt_limited[[pair.joint, pair.other]].all()
+        and pair.range_apart_rad > high
+    ]
     for field in ("jnt_axis", "jnt_range"):
         sides: list[Remedy] = []
         for several in zip(*[(one.joint, one.other) for one in pairs], strict=True):

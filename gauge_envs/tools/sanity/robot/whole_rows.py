@@ -1,8 +1,8 @@
 """Judge the robot as a whole: its size and medium, what its stops and couplings hold, and how it stands on its feet."""
 
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -12,9 +12,11 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import (
+    SIGNS,
     Finding,
     NotApplicableError,
     body_name,
+    box_corners,
     by_joint,
     driven_dofs,
     fingers,
@@ -32,9 +34,6 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     support_m,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, joints_of_motors
-
-SIGNS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-"""Signs of the corners of a box, shape [8, 3]."""
 
 SAME_PLACE = 0.3
 """Overlap of the boxes around two sets of geoms, over the box around both, from which on they show the same part."""
@@ -55,7 +54,7 @@ LYING_SHARE = 0.2
 """Height of the centre of mass over the size of a robot below which it lies; 0.5 of a standing one."""
 
 SAME_LEG_M = 0.01
-"""Distance of a joint from the mirror image of another one up to which they are a pair [m]."""
+"""Distance up to which two legs part from the same place [m]."""
 
 
 # --- size, mass, medium ----------------------------------------------------------------------------------------------
@@ -137,17 +136,9 @@ def _visual_mass(robot: Robot) -> Finding:
 
 def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> float:
     """Return the volume that the boxes around two sets of geoms of a body share, over that of the box around both."""
-    boxes = []
-    for geoms in (first, second):
-        corners = []
-        for geom in geoms:
-            turn = np.zeros(9)
-            mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-            box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
-            corners.append(model.geom_pos[geom] + box @ turn.reshape(3, 3).T)
-        every = np.vstack(corners)
-        boxes.append((every.min(axis=0), every.max(axis=0)))
-    (low, high), (other_low, other_high) = boxes
+    corners, others = box_corners(model, first), box_corners(model, second)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    other_low, other_high = others.min(axis=0), others.max(axis=0)
     shared = np.clip(np.minimum(high, other_high) - np.maximum(low, other_low), 0, None)
     around = np.maximum(high, other_high) - np.minimum(low, other_low)
     return float(shared.prod() / max(around.prod(), 1e-18))
@@ -255,6 +246,7 @@ def _stops(robot: Robot) -> Finding:
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     data, gives_mrad, changes = start(robot, model), {}, {}
     begin = data.qpos.copy()
+    outside_mrad: dict[str, float] = {}
     for dof, limit_nm in driven_dofs(robot):
         joint = int(model.dof_jntid[dof])
         low, high = model.jnt_range[joint]
@@ -266,6 +258,9 @@ def _stops(robot: Robot) -> Finding:
             data.qpos[:] = begin
             data.qpos[place] = high + angle
 
+        begins_rad = float(begin[place])
+        outside_rad = max(float(low) - begins_rad, begins_rad - float(high), 0.0)
+        outside_mrad[f"{joint_name(robot, dof)} where it starts"] = 1e3 * outside_rad
         load_nm = STOP_RAD_PER_S2 / max(float(model.dof_invweight0[dof]), 1e-9)
         gives_mrad[dof] = 1e3 * give(model, data, beyond, dof, min(load_nm, limit_nm))
         if gives_mrad[dof] > facts("robot_rows")["robot-stops"]["interval"][1]:
@@ -274,6 +269,14 @@ def _stops(robot: Robot) -> Finding:
     if not gives_mrad:
         return Finding(declined="no driven hinge has a limit")
     dof = max(gives_mrad, key=lambda one: gives_mrad[one])
+    farthest = max(outside_mrad, key=lambda one: outside_mrad[one])
+    if outside_mrad[farthest] > gives_mrad[dof]:
+        return Finding(
+            value=outside_mrad[farthest],
+            parts=by_joint(robot, gives_mrad) | outside_mrad,
+            remark=farthest,
+            advice=f"a range, or a pose, with {farthest} inside",
+        )
     name, joint = joint_name(robot, dof), int(model.dof_jntid[dof])
     return Finding(
         value=gives_mrad[dof],
@@ -309,7 +312,12 @@ def _coupling(robot: Robot) -> Finding:
         dofs = [int(model.jnt_dofadr[one]) for one in (joint, other)]
         load = max(float(forces[dof]) for dof in dofs)
         place, lead = int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[other])
-        if load <= 0.0 or not data.eq_active[number]:
+        name = joint_name(robot, dofs[0])
+        if load <= 0.0:
+            continue
+        if not data.eq_active[number]:
+            gives[name] = 1.0
+            changes[f"eq_active0[{number}]"] = 1
             continue
         coupled = _coupled(model, number, float(begin[lead]))
 
@@ -318,7 +326,6 @@ def _coupling(robot: Robot) -> Finding:
             data.qpos[place] = at + distance
 
         span = float(np.ptp(model.jnt_range[joint])) or 1.0
-        name = model.joint(joint).name or f"joint {joint}"
         gives[name] = give(model, data, apart, dofs[0], load) / span
         if gives[name] > largest:
             changes[f"eq_solref[{number}]"] = np.array([0.005, 1.0])
@@ -381,7 +388,10 @@ def _off(model: mujoco.MjModel, number: int, place: float, lead: float) -> float
     ends = [_coupled(model, number, float(end)) for end in model.jnt_range[other]]
     # A joint that leaves its range on one side, and does not reach the other side, has another zero.
     beyond = [max(ends) - high, min(ends) - low]
-    shift = min(beyond, key=abs) if beyond[0] * beyond[1] > 0.0 else 0.0
+    is_one_side = beyond[0] * beyond[1] > 0.0
+    # A coupling of another ratio leaves it on both sides, by more than the range itself.
+    is_far = min(beyond[0], -beyond[1]) > high - low
+    shift = min(beyond, key=abs) if is_one_side or is_far else 0.0
     return max(apart, shift, key=abs)
 
 
@@ -518,90 +528,3 @@ def outside(points: FloatArray, place: FloatArray) -> float:
     share = ((place - first) * along).sum(axis=1) / (along**2).sum(axis=1)
     nearest = first + np.clip(share, 0.0, 1.0)[:, None] * along
     return float(np.linalg.norm(nearest - place, axis=1).min())
-
-
-@dataclass(frozen=True, kw_only=True)
-class MirrorPair:
-    """Two driven hinges of which one is the mirror image of the other.
-
-    Attributes:
-        joint: Joint of one side.
-        other: That of the other side.
-        ranges_rad: Range of each, from the pose of the model [rad], shape [2].
-        is_turned: Whether the axis of one is the mirror image of that of the other, turned round.
-    """
-
-    joint: int
-    other: int
-    ranges_rad: Mapping[int, FloatArray]
-    is_turned: bool
-
-    @property
-    def apart_rad(self) -> float:
-        """Largest difference of a limit from that of the other side [rad]."""
-        return float(
-            np.abs(self.range_of(self.other) - self.ranges_rad[self.other]).max()
-        )
-
-    def range_of(self, joint: int) -> FloatArray:
-        """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
-        (other,) = {self.joint, self.other} - {joint}
-        mirrored: FloatArray = self.ranges_rad[other]
-        return -mirrored[::-1] if self.is_turned else mirrored
-
-
-def mirror_pairs(robot: Robot) -> list[MirrorPair]:
-    """Return the driven hinges with limits whose mirror image in the robot's own plane is another one."""
-    model, standing = robot.model, standing_of(robot)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    root = standing.body
-    frame = data.xmat[root].reshape(3, 3)
-    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
-    joints = [joint for joint in joints if model.jnt_limited[joint]]
-    anchors = {j: (data.xanchor[j] - data.xpos[root]) @ frame for j in joints}
-    axes = {j: data.xaxis[j] @ frame for j in joints}
-    ranges = {j: model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]] for j in joints}
-    best: dict[int, MirrorPair] = {}
-    for across in (1, 0):
-        flip = np.ones(3)
-        flip[across] = -1.0
-        found: dict[int, MirrorPair] = {}
-        for joint in joints:
-            if anchors[joint][across] <= SAME_LEG_M:
-                continue
-            for other in joints:
-                # The mirror image of an axis of rotation is turned once more.
-                along = float(-flip * axes[joint] @ axes[other])
-                away = np.linalg.norm(flip * anchors[joint] - anchors[other])
-                if away > SAME_LEG_M or abs(along) < 0.99:
-                    continue
-                pair = MirrorPair(
-                    joint=joint,
-                    other=other,
-                    ranges_rad={one: ranges[one] for one in (joint, other)},
-                    is_turned=along < 0.0,
-                )
-                if other not in found or pair.apart_rad < found[other].apart_rad:
-                    found[other] = pair
-        if len(found) > len(best):
-            best = found
-    return list(best.values())
-
-
-@row("robot-mirror")
-def _mirror(robot: Robot) -> Finding:
-    model, pairs = robot.model, mirror_pairs(robot)
-    if not pairs:
-        return Finding(declined="no two driven hinges with limits mirror each other")
-    parts = {
-        model.joint(one.other).name or f"joint {one.other}": one.apart_rad
-        for one in pairs
-    }
-    name = max(parts, key=lambda one: parts[one])
-    return Finding(
-        value=parts[name],
-        parts=parts,
-        remark=f"{name}, of {len(pairs)} pairs",
-        advice=f"the axis and range of {name} as on the other side: which way does it bend?",
-    )

@@ -1,0 +1,249 @@
+"""Judge whether the left and the right side of a robot are mirror images of each other."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.model_rows import (
+    Finding,
+    driven_dofs,
+    geoms_of,
+    rate_gains,
+    row,
+    stiffness,
+    torque_limits,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot, once
+
+SAME_PLACE_M = 0.01
+"""Distance of a joint from the mirror image of another one up to which they are in the same place [m]."""
+
+NO_IMAGE_M = 1e3
+"""Distance that keeps joints from being assigned to each other [m]."""
+
+SYMMETRIC_SHARE = 0.5
+"""Share of joints with a mirror image in its place from which on the robot has two like sides."""
+
+LEAST_SIZE_M = 0.01
+"""Radius of a link without geoms [m]."""
+
+NOT_SYMMETRIC = "the robot has no two sides that mirror each other"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MirrorPair:
+    """Two joints of which one is the mirror image of the other.
+
+    Attributes:
+        joint: Joint of one side.
+        other: That of the other side.
+        apart_m: Distance of one from the mirror image of the other [m].
+        distance_m: Distance of the joint from the origin of the robot [m].
+        cosine: Cosine of the angle between an axis and the mirror image of the other one.
+        centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
+        middles_apart_m: The same of the middles of the boxes around their geoms [m].
+        ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
+    """
+
+    joint: int
+    other: int
+    apart_m: float
+    distance_m: float
+    cosine: float
+    centres_apart_m: FloatArray
+    middles_apart_m: FloatArray
+    ranges_rad: Mapping[int, FloatArray]
+
+    @property
+    def range_apart_rad(self) -> float:
+        """Largest difference of a limit from that of the other side [rad]."""
+        mirrored = self.range_of(self.other)
+        return float(np.abs(mirrored - self.ranges_rad[self.other]).max())
+
+    def range_of(self, joint: int) -> FloatArray:
+        """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
+        (other,) = {self.joint, self.other} - {joint}
+        mirrored: FloatArray = self.ranges_rad[other]
+        return -mirrored[::-1] if self.cosine < 0.0 else mirrored
+
+
+@once
+def mirror_pairs(robot: Robot) -> list[MirrorPair]:
+    """Return the pairs of joints that mirror each other in the plane with most of them; empty without two like sides.
+
+    Joints are assigned to the mirror images of joints behind as many others, so that the sum of distances is least.
+    """
+    model = robot.model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    root = 0 if robot.standing is None else robot.standing.body
+    frame = data.xmat[root].reshape(3, 3)
+    is_own = np.isin(model.jnt_bodyid, robot.bodies)
+    joints = np.flatnonzero(is_own & joints_of(model, "HINGE", "SLIDE"))
+    bodies = model.jnt_bodyid[joints]
+    anchors_m = (data.xanchor[joints] - data.xpos[root]) @ frame
+    axes = data.xaxis[joints] @ frame
+    centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
+    middles_m = np.array([_middle_m(robot, data, body) for body in bodies])
+    middles_m = (middles_m - data.xanchor[joints]) @ frame
+    depths = np.array([_depth(model, int(joint)) for joint in joints])
+    is_aside = np.abs(anchors_m) > SAME_PLACE_M
+    couplings = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
+    coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
+    best: list[MirrorPair] = []
+    most = 0
+    for across in (1, 0):
+        flip = np.ones(3)
+        flip[across] = -1.0
+        away_m = np.linalg.norm(flip * anchors_m[:, None] - anchors_m, axis=-1)
+        away_m[depths[:, None] != depths] = NO_IMAGE_M
+        itself = np.flatnonzero(is_aside[:, across])
+        away_m[itself, itself] = NO_IMAGE_M
+        _, images = linear_sum_assignment(away_m)
+        pairs = [
+            MirrorPair(
+                joint=int(joints[one]),
+                other=int(joints[other]),
+                apart_m=float(away_m[one, other]),
+                distance_m=float(np.linalg.norm(anchors_m[one])),
+                # The mirror image of an axis of rotation is turned once more.
+                cosine=float(-flip * axes[one] @ axes[other]),
+                centres_apart_m=flip * centres_m[one] - centres_m[other],
+                middles_apart_m=flip * middles_m[one] - middles_m[other],
+                ranges_rad={
+                    int(j): model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]]
+                    for j in joints[[one, other]]
+                },
+            )
+            for one, other in enumerate(images)
+            if one < other
+            and images[other] == one
+            and is_aside[[one, other], across].all()
+            and frozenset(joints[[one, other]].tolist()) not in coupled
+        ]
+        alike = sum(pair.apart_m <= SAME_PLACE_M for pair in pairs)
+        if alike > most and alike >= SYMMETRIC_SHARE * len(pairs):
+            best, most = pairs, alike
+    return best
+
+
+def _middle_m(robot: Robot, data: mujoco.MjData, body: int) -> FloatArray:
+    """Return the middle of the box around the geoms of a body that can touch and the next bodies [m], shape [3]."""
+    model = robot.model
+    children = np.flatnonzero(model.body_parentid == body)
+    points = [
+        data.xpos[body],
+        *data.xpos[children],
+        *data.geom_xpos[geoms_of(robot, body)],
+    ]
+    middle: FloatArray = 0.5 * (np.max(points, axis=0) + np.min(points, axis=0))
+    return middle
+
+
+def _depth(model: mujoco.MjModel, joint: int) -> int:
+    """Return the number of joints between the world and a joint."""
+    count, dof = 0, int(model.jnt_dofadr[joint])
+    while dof >= 0:
+        count, dof = count + 1, int(model.dof_parentid[dof])
+    return count
+
+
+@row("robot-mirror")
+def _mirror(robot: Robot) -> Finding:
+    model = robot.model
+    driven = {int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)}
+    limited = driven & set(np.flatnonzero(model.jnt_limited).tolist())
+    pairs = [one for one in mirror_pairs(robot) if {one.joint, one.other} <= limited]
+    parts = {name_of(robot, one.other): one.range_apart_rad for one in pairs}
+    if not parts:
+        return Finding(declined="no two driven hinges with limits mirror each other")
+    name = max(parts, key=lambda one: parts[one])
+    return Finding(
+        value=parts[name],
+        parts=parts,
+        remark=f"{name}, of {len(pairs)} pairs",
+        advice=f"the axis and range of {name} as on the other side: which way does it bend?",
+    )
+
+
+def name_of(robot: Robot, joint: int) -> str:
+    """Return the name of a joint, or its number."""
+    return robot.model.joint(joint).name or f"joint {joint}"
+
+
+@row("robot-sides")
+def _sides(robot: Robot) -> Finding:
+    parts: dict[str, float] = {}
+    for pair in mirror_pairs(robot):
+        names = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
+        for quantity, difference in differences(robot, pair):
+            parts[f"{quantity} of {names}"] = difference
+    if not parts:
+        return Finding(declined=NOT_SYMMETRIC)
+    worst = max(parts, key=lambda one: parts[one])
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=worst if parts[worst] > 1e-3 else "",
+        advice=f"the same on both sides: {worst}",
+    )
+
+
+def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
+    """Yield quantities of two joints and their links, and how they differ over the larger one; 2 for another sign."""
+    model = robot.model
+    bodies = model.jnt_bodyid[[pair.joint, pair.other]].tolist()
+    geoms = [geom for body in bodies for geom in geoms_of(robot, body)]
+    size_m = 2.0 * max([LEAST_SIZE_M, *model.geom_rbound[geoms]])
+    yield "place", max(pair.apart_m - SAME_PLACE_M, 0.0) / pair.distance_m
+    yield "axis", float(np.sqrt(max(1.0 - pair.cosine**2, 0.0)))
+    yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
+    yield "shape", float(np.linalg.norm(pair.middles_apart_m)) / size_m
+    for name, values in quantities(robot).items():
+        if name in OF_LINKS:
+            places = model.jnt_bodyid[[pair.joint, pair.other]]
+        else:
+            places = model.jnt_dofadr[[pair.joint, pair.other]]
+        first, second = values[places]
+        if np.isfinite([first, second]).all():
+            largest = max(abs(first), abs(second), 1e-12)
+            yield name, float(abs(first - second) / largest)
+
+
+OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction"})
+"""Quantities of links; the others are of joints."""
+
+
+@once
+def quantities(robot: Robot) -> dict[str, FloatArray]:
+    """Return what two sides share, by its name: of each body, shape [nbody], or of each degree of freedom, shape [nv].
+
+    Damping is that of the joint and of its servo. A value that is not finite is not compared.
+    """
+    model = robot.model
+    collisions, friction = np.zeros(model.nbody), np.full(model.nbody, np.nan)
+    touching = np.unique(robot.pairs.geoms)
+    for body in robot.bodies:
+        geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
+        if geoms:
+            collisions[body] = 1.0
+            has_friction = model.geom_condim[geoms] > 1
+            friction[body] = (model.geom_friction[geoms, 0] * has_friction).min()
+    return {
+        "mass": model.body_mass,
+        "inertia": model.body_inertia.sum(axis=1),
+        "collisions": collisions,
+        "friction": friction,
+        "kp": np.array([stiffness(model, dof) for dof in range(model.nv)]),
+        "damping": model.dof_damping + rate_gains(model),
+        "armature": model.dof_armature,
+        "frictionloss": model.dof_frictionloss,
+        "largest torque": torque_limits(model),
+    }
