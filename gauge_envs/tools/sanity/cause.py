@@ -7,7 +7,7 @@ and phenomena are measured again.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -27,6 +27,9 @@ from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""
+
+MANY_BODIES = 20
+"""Number of bodies from which on a rollout takes longer than all others together."""
 
 SEEN_DEVIATION = 0.05
 """Least change of a deviation, in half-widths of the interval, that counts as an effect of a setting."""
@@ -48,6 +51,7 @@ def find_cause(
     configured: Measured,
     default: Measured,
     dialect: Dialect = TOML,
+    named: Collection[str] = (),
 ) -> Cause | None:
     """Find the settings that are responsible for a visible or wrong phenomenon.
 
@@ -65,6 +69,8 @@ def find_cause(
         configured: Outcome in the configuration.
         default: Outcome with this package's preset.
         dialect: Dialect of the target.
+        named: Settings that are responsible for other rows. In a scene of many bodies no others are tried where one
+            of them explains the row.
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
@@ -75,13 +81,20 @@ def find_cause(
     )
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
-    search = _Search(measurements, phenomenon, settings, configured, default, dialect)
+    search = _Search(
+        measurements, phenomenon, settings, configured, default, dialect, named
+    )
     return (
         search.put_back_one()
         or search.default_is_no_better()
         or search.each_alone()
         or search.together()
     )
+
+
+def has_many_bodies(phenomenon: Phenomenon) -> bool:
+    """Return whether a rollout of a phenomenon takes longer than those of all others together."""
+    return len(phenomenon.scenario.scene.bodies) > MANY_BODIES
 
 
 @dataclass
@@ -94,6 +107,7 @@ class _Search:
     configured: Measured
     default: Measured
     dialect: Dialect
+    named: Collection[str]
 
     def __post_init__(self) -> None:
         self._others = alternatives(
@@ -119,9 +133,15 @@ class _Search:
 
     def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
-        for name in sorted(self._others, key=lambda one: one == STEP):
+        first = self.named if has_many_bodies(self.phenomenon) else ()
+        for name in sorted(
+            self._others, key=lambda one: (one == STEP, one not in first)
+        ):
             if name == STEP and self._needs_no_step():
                 continue
+            tried = [self._put_back[one] for one in first if one in self._put_back]
+            if name not in first and any(map(self._explains, tried)):
+                break
             several = self._others[name]
             measured = [(self._changed({name: one.value}), one) for one in several]
             # Of several values that mend the row, the first is taken: the engine's documented default.
@@ -183,7 +203,7 @@ class _Search:
         """Return text about a second setting that completes the change; empty when there is none."""
         pairs = {
             other: self._with_put_back((name, other))
-            for other in self._others
+            for other in self._put_back
             if other != name
         }
         best = min(pairs, key=lambda other: pairs[other].deviation, default=None)

@@ -19,6 +19,7 @@ from gauge_envs.tools.sanity.cause import (
     STEP,
     Alternative,
     alternatives,
+    has_many_bodies,
 )
 from gauge_envs.tools.sanity.measure import Measurements, Subject, subject_of
 from gauge_envs.tools.sanity.model import (
@@ -437,6 +438,11 @@ def candidates_of(
             for few in FEW_ITERATIONS
         ]
         least = found[0]
+    # What a change does to a scene of many bodies is measured once it is chosen.
+    few = [one for one in flagged if not has_many_bodies(one.phenomenon)]
+    if few:
+        flagged = few
+        others = [one for one in others if not has_many_bodies(one.phenomenon)]
     mending = list(_greedy(flagged, (), dialect, named))
     if mending and _new_flags(others, mending[-1]):
         mending = list(_greedy(flagged, others, dialect, named))

@@ -149,6 +149,7 @@ class _Run:
         self._measurements = measurements
         self._configuration = configuration
         self._subjects: list[Subject] = []
+        self._named: list[str] = []
         self._dialect = dialect(configuration.language)
         self.is_cut_short = False
 
@@ -206,7 +207,10 @@ class _Run:
         if self._explain and not advisory and default is not None:
             settings = subject.sets[geoms]
             search = (self._measurements, phenomenon, settings, configured, default)
-            cause = self._in_time(partial(find_cause, *search, self._dialect))
+            find = partial(find_cause, *search, self._dialect, self._named)
+            cause = self._in_time(find)
+            if cause is not None:
+                self._named += cause.settings
         # What an engine cannot simulate at all is no part of a check.
         is_unknown = default is not None and {configured.verdict, default.verdict} == {
             Verdict.DECLINED

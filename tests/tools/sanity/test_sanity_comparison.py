@@ -304,7 +304,10 @@ def test_the_command_names_masses_and_gains_and_fails(tmp_path, gauge):
         "1 of 4 rows change; 1 not compared; most of all stiffness of a servo (kp) (FL_hip)"
     )
     assert "FL_hip 80 to 40, FL_knee 80 to 40" in outcome.stdout
-    assert "not compared, the task states no delay: robot-delay" in outcome.stdout
+    assert (
+        "not compared, neither the task nor an actuator states a delay: robot-delay"
+        in outcome.stdout
+    )
     same = gauge("sanity", "a.xml", "--against", "a.xml", "--only", "mass,kp")
     assert (same.exit_code, same.stdout.split("\n")[0]) == (
         0,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import robot_faults
 from arm_faults import LATER, MISTAKES, good_xml
-from more_faults import FRESH, GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
+from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.mended import write_mended
@@ -80,7 +80,7 @@ def _with_comments(text):
 BY_HAND = {"robot-size", "robot-balance", "robot-level", "robot-mirror", "robot-range"}
 """Rows that no change of a number mends for certain: the shape or the unit of the whole robot is wrong."""
 
-ALL = MORE_MISTAKES | MORE_LATER | FRESH
+ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
 LAG_IS_LEFT = {"hand, armature in g cm^2"}
 """Mistakes after whose cure another row is still flagged."""

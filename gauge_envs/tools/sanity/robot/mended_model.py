@@ -51,12 +51,19 @@ def class_words(robot: Robot, changes: Settings) -> str:
         if found is None:
             continue
         kind, field, index = _place(robot.model, found)
+        in_degrees = robot.spec is not None and bool(robot.spec.compiler.degree)
+        if in_degrees and name.startswith("jnt_range") and _is_hinge(robot, index):
+            value = np.degrees(value)
         several = groups.setdefault((kind, field, _text(value)), [])
         if index not in several:
             several.append(index)
     return " and ".join(
         text for key, several in groups.items() for text in _words(robot, key, several)
     )
+
+
+def _is_hinge(robot: Robot, joint: int) -> bool:
+    return bool(robot.model.jnt_type[joint] == int(mujoco.mjtJoint.mjJNT_HINGE))
 
 
 def element_words(

@@ -348,9 +348,10 @@ def _bound(robot: Robot) -> Finding:
 @row("robot-gravcomp")
 def _gravcomp(robot: Robot) -> Finding:
     model = robot.model
-    if not robot.is_floating:
-        return Finding(declined=NOT_STANDING)
     lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
+    heavy = [body for body in robot.bodies if model.body_mass[body] > MASSLESS_KG]
+    if not robot.is_floating and len(lifted) in (0, len(heavy)):
+        return Finding(declined="a controller of a fixed base may carry all its links")
     share = float(
         (model.body_gravcomp * model.body_mass)[robot.bodies].sum()
         / model.body_mass[robot.bodies].sum()
@@ -383,7 +384,9 @@ def _inertia(robot: Robot) -> Finding:
         low_m, high_m = _box(robot, body)
         centre_m, size_m = robot.model.body_ipos[body], high_m - low_m
         beyond_m = np.maximum(np.maximum(low_m - centre_m, centre_m - high_m), 0.0)
-        away = float(np.linalg.norm(beyond_m) / max(np.linalg.norm(size_m), 1e-9))
+        away = float(np.linalg.norm(beyond_m)) / max(
+            float(np.linalg.norm(size_m)), 1e-9
+        )
         if away > FAR_CENTRE:
             far.append((away, body_name(robot, body)))
         name, inertia = body_name(robot, body), robot.model.body_inertia[body]
@@ -808,9 +811,7 @@ def _torque(robot: Robot) -> Finding:
         return Finding(declined="no hinge of the robot is driven")
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
-    # The motor has to turn its gear before it moves anything.
-    loads = bias_nm + np.maximum(model.dof_frictionloss, 0.0)
-    weights_nm = {dof: float(loads[dof]) for dof in limits_nm}
+    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
     ratios = {
         dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
         for dof, limit in limits_nm.items()
@@ -951,20 +952,6 @@ def _drag(
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
     is_own = np.isin(model.dof_bodyid, robot.bodies)
-    if name == "damping":
-        rates = values + rate_gains(model)
-        feeding = [
-            dof for dof in np.flatnonzero(is_own & (rates < 0.0)) if values[dof] >= 0.0
-        ]
-        if feeding:
-            joints = ", ".join(joint_name(robot, dof) for dof in feeding[:3])
-            least = float(rates[feeding].min())
-            return Finding(
-                value=least,
-                parts=by_joint(robot, {dof: rates[dof] for dof in feeding}),
-                remark=f"the servo of {joints} feeds the motion that it should brake, by {least:.3g} Nm s",
-                advice=f"a positive kv for {joints}",
-            )
     feeding = np.flatnonzero(is_own & (values < 0.0)).tolist()
     if feeding:
         least = min(feeding, key=lambda dof: float(values[dof]))
@@ -992,7 +979,8 @@ def _drag(
             robot, {dof: share(dof, limit) for dof, limit in limits.items()}
         ),
         remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
-        advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it',
+        advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
+        "or its largest torque in Nm",
         changes={
             f"dof_{name}[{dof}]": value
             for dof, value in fair.items()
@@ -1004,6 +992,20 @@ def _drag(
 @row("robot-damping")
 def _damping(robot: Robot) -> Finding:
     damping = robot.model.dof_damping
+    rates = {
+        dof: float(damping[dof] + rate_gains(robot.model)[dof])
+        for dof, _ in driven_dofs(robot)
+    }
+    feeding = {dof: one for dof, one in rates.items() if one < 0.0 <= damping[dof]}
+    if feeding:
+        worst = min(feeding, key=lambda dof: feeding[dof])
+        name = joint_name(robot, worst)
+        return Finding(
+            value=feeding[worst],
+            parts=by_joint(robot, feeding),
+            remark=f"the servo of {name} feeds the motion that it should brake, by {feeding[worst]:.3g} Nm s",
+            advice=f"a positive kv for {name}",
+        )
     return _drag(
         robot,
         "damping",
@@ -1117,6 +1119,12 @@ def _range(robot: Robot) -> Finding:
         ranges_rad, key=lambda n: max(low_rad / ranges_rad[n], ranges_rad[n] / high_rad)
     )
     is_small = ranges_rad[name] < 1.0
+    factor = np.degrees(1.0) if is_small else np.radians(1.0)
+    changes = {
+        f"jnt_range[{joint}]": factor * model.jnt_range[joint]
+        for joint in joints
+        if (model.joint(joint).name or f"joint {joint}") in off
+    }
     unit = "radians read as degrees" if is_small else "degrees read as radians"
     advice = f"the range of {', '.join(off[:3])} in the unit of the compiler's angles"
     if 2 * len(off) > len(ranges_rad):
@@ -1126,6 +1134,7 @@ def _range(robot: Robot) -> Finding:
         parts=ranges_rad,
         remark=f"{name}, {len(off)} of {len(ranges_rad)}: {unit}?" if off else "",
         advice=advice,
+        changes=changes,
     )
 
 
@@ -1134,6 +1143,8 @@ def _command(robot: Robot) -> Finding:
     model = robot.model
     is_on_joint = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
     shares: dict[str, float] = {}
+    changes: dict[str, FloatArray] = {}
+    least = facts("robot_rows")["robot-command"]["interval"][0]
     for actuator in np.flatnonzero(servos(model) & is_on_joint).tolist():
         joint = int(model.actuator_trnid[actuator, 0])
         gain = float(model.actuator_gainprm[actuator, 0])
@@ -1144,17 +1155,23 @@ def _command(robot: Robot) -> Finding:
         name = model.joint(joint).name or f"joint {joint}"
         # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
         per_control = -gain / (float(bias[1]) * gear)
+        shares[name] = 1.0
         if per_control < 0.0:
             shares[name] = -1.0
+            changes[f"actuator_gear[{actuator}]"] = np.abs(
+                model.actuator_gear[actuator]
+            )
         elif model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]:
             zero = -float(bias[0]) / (float(bias[1]) * gear)
             ends = zero + per_control * model.actuator_ctrlrange[actuator]
             low, high = model.jnt_range[joint]
-            shares[name] = float(
-                (min(ends[1], high) - max(ends[0], low)) / (high - low)
-            )
+            reached_rad = min(ends[1], high) - max(ends[0], low)
+            shares[name] = float(reached_rad / (high - low))
+            if shares[name] < least:
+                ends = (model.jnt_range[joint] - zero) / per_control
+                changes[f"actuator_ctrlrange[{actuator}]"] = ends
     if not shares:
-        return Finding(declined="no servo states the range of its commands")
+        return Finding(declined="no servo of the robot takes a position")
     name = min(shares, key=lambda one: shares[one])
     is_turned = shares[name] < 0.0
     return Finding(
@@ -1164,6 +1181,7 @@ def _command(robot: Robot) -> Finding:
         advice=f"a positive gear and gain for {name}"
         if shares[name] == -1.0
         else f"the ctrlrange of {name} in the unit of its joint, or inheritrange",
+        changes=changes,
     )
 
 

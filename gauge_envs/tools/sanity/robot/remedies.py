@@ -27,6 +27,7 @@ from gauge_envs.tools.sanity.robot.mended_model import (
 from gauge_envs.tools.sanity.robot.model_rows import (
     FAIR_RAD_PER_S2,
     LEAST_RAD_PER_S2,
+    MOST_RAD_PER_S2,
     SERVO_ERROR_RAD,
     driven_dofs,
     judged_row,
@@ -51,7 +52,7 @@ from gauge_envs.tools.sanity.robot.rollout import (
     lone_half_step_s,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
-from gauge_envs.tools.sanity.robot.sides import mirror_pairs
+from gauge_envs.tools.sanity.robot.sides import differences, mirror_pairs, quantities
 
 ORDER = (
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
@@ -81,6 +82,14 @@ OF_BODIES = frozenset(
 )
 """Rows that joints, actuators and options do not change."""
 
+OF_DRIVES = frozenset(
+    {
+        *("robot-frictionloss", "robot-dry", "robot-armature", "robot-rotor"),
+        *("robot-stiffness", "robot-sag", "robot-lag", "robot-torque", "robot-sides"),
+    }
+)
+"""Rows on what drives and brakes joints, whose remedies let no servo become slower."""
+
 OF_CONTACTS = frozenset(
     {
         *("robot-holds", "robot-stands", "robot-loads", "robot-saturation"),
@@ -109,7 +118,7 @@ WORSE = 1.1
 """Growth of an error, a time or the used share of a limit that counts as worse."""
 
 FAIR_STEP_S = 0.14
-"""Half of a step of 0.3 rad in the slowest servo of makers' models [s]; a faster step is no merit."""
+"""Half of a step of 0.3 rad in the slowest servo of makers' models [s]."""
 
 FAIR_POSE_RAD = 0.1
 """Error of a held pose that is no merit to fall below: servos of makers' models sag by up to 97 mrad [rad]."""
@@ -132,10 +141,12 @@ class Remedy:
         changes: The same, by names that `Robot.changed` knows.
         scales_gains: Whether it makes servos weaker or stronger at will, so that they must hold what they held.
         rival: Remedy of which the model does not say whether it is the right one instead; None without one.
+        fair_step_s: Half of a step of like joints of the robot, slower than which no servo becomes [s].
     """
 
     text: str
     changes: Settings
+    fair_step_s: float = 0.0
     scales_gains: bool = False
     rival: "Remedy | None" = None
 
@@ -368,9 +379,14 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
         was, now = before.pose_error_rad, after.pose_error_rad
         if now > max(WORSE * was + 1e-3, least):
             return f"it holds its pose within {1e3 * now:.3g} mrad instead of {1e3 * was:.3g}"
+    fastest_s = 1e-3 * facts("robot_rows")["robot-lag"]["interval"][0]
     for actuator in _position_servos(before.robot):
         was, now = before.step_s(actuator), after.step_s(actuator)
-        if now > max(WORSE * was, FAIR_STEP_S) and not np.isnan(was):
+        # A step that was faster than joints turn, or that a fault of the body made fast, was no merit.
+        is_no_merit = was < fastest_s or name not in OF_DRIVES
+        least_s = max(remedy.fair_step_s, FAIR_STEP_S if is_no_merit else 0.0)
+        rounding_s = float(before.robot.model.opt.timestep)
+        if now > max(WORSE * was + rounding_s, least_s) and not np.isnan(was):
             (servo,) = element_names(before.robot, "actuator", [actuator])
             return f"{servo} takes {1e3 * now:.3g} ms to half a step instead of {1e3 * was:.3g}"
     return ""
@@ -510,6 +526,7 @@ def _range(robot: Robot) -> Iterator[Remedy]:
         text=f'<compiler angle="{word}"/>',
         changes={"compiler_degree": not is_degree},
     )
+    yield from _elements(robot, dict(ROWS["robot-range"](robot).changes))
 
 
 EITHER_SIDE = "either side can be the wrong one, and the model does not say which"
@@ -552,6 +569,85 @@ def _mirror(robot: Robot) -> Iterator[Remedy]:
             sides.append(Remedy(text=class_words(robot, changes), changes=changes))
         for one, rival in permutations(sides, 2):
             yield replace(one, rival=rival)
+
+
+@remedies_of("robot-command")
+def _command(robot: Robot) -> Iterator[Remedy]:
+    yield from _elements(robot, dict(ROWS["robot-command"](robot).changes))
+
+
+@remedies_of("robot-sides")
+def _sides(robot: Robot) -> Iterator[Remedy]:
+    """Yield the values of the right side for the wrong one, where most joints behind as many others say which it is."""
+    high = facts("robot_rows")["robot-sides"]["interval"][1]
+    pairs, known = mirror_pairs(robot), quantities(robot)
+    changes: dict[str, Any] = {}
+    words: list[str] = []
+    fair_s = 0.0
+    for pair in pairs:
+        alike = [one for one in pairs if one.depth == pair.depth]
+        joints = [joint for one in alike for joint in (one.joint, one.other)]
+        for quantity, difference in differences(robot, pair):
+            if difference <= high or quantity not in ADJUSTABLE:
+                continue
+            values = known[quantity][robot.model.jnt_dofadr]
+            middle = float(np.median(values[joints]))
+            both = (pair.joint, pair.other)
+            wrong = max(both, key=lambda joint: abs(values[joint] - middle))
+            (right,) = {*both} - {wrong}
+            if len(alike) < 2 or not np.isclose(values[right], middle, rtol=0.05):
+                continue
+            dofs = robot.model.jnt_dofadr[[wrong, right]]
+            changes |= _adjusted(robot, quantity, int(dofs[0]), middle, changes)
+            words.append(f"{quantity} {middle:.3g} for {robot.model.joint(wrong).name}")
+            fair_s = max(fair_s, _fair_step_s(robot, [int(dofs[1])]))
+    if changes:
+        yield Remedy(text=" and ".join(words), changes=changes, fair_step_s=fair_s)
+
+
+def _fair_step_s(robot: Robot, dofs: Collection[int]) -> float:
+    """Return the time in which the slowest servo on degrees of freedom covers half of a step [s]; 0 without one."""
+    servos_on = [a for a in _position_servos(robot) if _dof(robot, a) in dofs]
+    times_s = [half_step_s(robot, actuator) for actuator in servos_on]
+    return max((one for one in times_s if np.isfinite(one)), default=0.0)
+
+
+ADJUSTABLE = ("armature", "frictionloss", "damping", "kp", "largest torque")
+"""Quantities of two sides of which one number of a joint or its actuator is the reason."""
+
+
+def _adjusted(
+    robot: Robot, quantity: str, dof: int, value: float, known: Settings
+) -> dict[str, Any]:
+    """Return the changes that give a quantity of `quantities` another value on a degree of freedom.
+
+    Args:
+        robot: The robot.
+        quantity: Its name.
+        dof: The degree of freedom.
+        value: The value.
+        known: Changes that are made already.
+    """
+    model = robot.model
+    if quantity in ("armature", "frictionloss"):
+        return {f"dof_{quantity}[{dof}]": value}
+    motors = [a for a in _motors(robot) if _dof(robot, a) == dof]
+    if len(motors) != 1:
+        return {}
+    (motor,) = motors
+    gear = abs(float(model.actuator_gear[motor, 0]))
+    if quantity == "largest torque":
+        limit_nm = value / gear
+        return {f"actuator_forcerange[{motor}]": np.array([-limit_nm, limit_nm])}
+    stated = known.get(f"actuator_biasprm[{motor}]", model.actuator_biasprm[motor])
+    bias, scaled = np.array(stated), model.actuator_gainprm[motor].copy()
+    if quantity == "damping":
+        bias[2] = -(value - float(model.dof_damping[dof])) / gear**2
+        return {f"actuator_biasprm[{motor}]": bias}
+    factor = value / stiffness(model, dof)
+    scaled[0] *= factor
+    bias[1] *= factor
+    return {f"actuator_gainprm[{motor}]": scaled, f"actuator_biasprm[{motor}]": bias}
 
 
 @remedies_of("robot-coupling")
@@ -649,10 +745,26 @@ def _motors(robot: Robot) -> list[int]:
 def _rotor(robot: Robot) -> Iterator[Remedy]:
     limits = loads_nm(robot)
     armatures = {dof: float(robot.model.dof_armature[dof]) for dof in limits}
-    bare = [dof for dof, armature in armatures.items() if armature <= 0.0]
+    bare = [dof for dof in limits if MOST_RAD_PER_S2 * armatures[dof] < limits[dof]]
+    strong = [d for d in bare if limits[d] > STRONG * np.median(list(limits.values()))]
+    motors = [a for a in _motors(robot) if _dof(robot, a) in strong]
+    for unit in (1e3, 100.0):
+        yield from _elements(
+            robot,
+            {
+                f"actuator_forcerange[{a}]": robot.model.actuator_forcerange[a] / unit
+                for a in motors
+            },
+        )
     found = _from_others(armatures, limits, bare)
-    yield from _elements(robot, {f"dof_armature[{d}]": v for d, v in found.items()})
+    right = set(limits) - set(bare)
+    for one in _elements(robot, {f"dof_armature[{d}]": v for d, v in found.items()}):
+        yield replace(one, fair_step_s=WORSE * _fair_step_s(robot, right))
     yield from _rotors(robot)
+
+
+STRONG = 20.0
+"""Largest torque, over the middle one of all joints, from which on it can be in N mm or N cm."""
 
 
 def _rotors(robot: Robot) -> Iterator[Remedy]:

@@ -42,21 +42,21 @@ class MirrorPair:
     Attributes:
         joint: Joint of one side.
         other: That of the other side.
+        depth: Number of joints between the world and each.
         apart_m: Distance of one from the mirror image of the other [m].
         distance_m: Distance of the joint from the origin of the robot [m].
         cosine: Cosine of the angle between an axis and the mirror image of the other one.
         centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
-        middles_apart_m: The same of the middles of the boxes around their geoms [m].
         ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
     """
 
     joint: int
     other: int
+    depth: int
     apart_m: float
     distance_m: float
     cosine: float
     centres_apart_m: FloatArray
-    middles_apart_m: FloatArray
     ranges_rad: Mapping[int, FloatArray]
 
     @property
@@ -90,8 +90,6 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     anchors_m = (data.xanchor[joints] - data.xpos[root]) @ frame
     axes = data.xaxis[joints] @ frame
     centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
-    middles_m = np.array([_middle_m(robot, data, body) for body in bodies])
-    middles_m = (middles_m - data.xanchor[joints]) @ frame
     depths = np.array([_depth(model, int(joint)) for joint in joints])
     is_aside = np.abs(anchors_m) > SAME_PLACE_M
     couplings = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
@@ -111,12 +109,12 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
             MirrorPair(
                 joint=int(joints[one]),
                 other=int(joints[other]),
+                depth=int(depths[one]),
                 apart_m=float(away_m[one, other]),
                 distance_m=float(np.linalg.norm(anchors_m[one])),
                 # The mirror image of an axis of rotation is turned once more.
                 cosine=float(-flip * axes[one] @ axes[other]),
                 centres_apart_m=flip * centres_m[one] - centres_m[other],
-                middles_apart_m=flip * middles_m[one] - middles_m[other],
                 ranges_rad={
                     int(j): model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]]
                     for j in joints[[one, other]]
@@ -132,19 +130,6 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
         if alike > most and alike >= SYMMETRIC_SHARE * len(pairs):
             best, most = pairs, alike
     return best
-
-
-def _middle_m(robot: Robot, data: mujoco.MjData, body: int) -> FloatArray:
-    """Return the middle of the box around the geoms of a body that can touch and the next bodies [m], shape [3]."""
-    model = robot.model
-    children = np.flatnonzero(model.body_parentid == body)
-    points = [
-        data.xpos[body],
-        *data.xpos[children],
-        *data.geom_xpos[geoms_of(robot, body)],
-    ]
-    middle: FloatArray = 0.5 * (np.max(points, axis=0) + np.min(points, axis=0))
-    return middle
 
 
 def _depth(model: mujoco.MjModel, joint: int) -> int:
@@ -205,7 +190,6 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     yield "place", max(pair.apart_m - SAME_PLACE_M, 0.0) / pair.distance_m
     yield "axis", float(np.sqrt(max(1.0 - pair.cosine**2, 0.0)))
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
-    yield "shape", float(np.linalg.norm(pair.middles_apart_m)) / size_m
     for name, values in quantities(robot).items():
         if name in OF_LINKS:
             places = model.jnt_bodyid[[pair.joint, pair.other]]

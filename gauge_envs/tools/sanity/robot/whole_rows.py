@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -302,7 +303,8 @@ def _coupling(robot: Robot) -> Finding:
         if model.eq_obj2id[number] >= 0
         and int(model.jnt_bodyid[model.eq_obj1id[number]]) in robot.bodies
     ]
-    data, gives, changes = start(robot, model), {}, {}
+    data, gives = start(robot, model), {}
+    changes: dict[str, Any] = {}
     begin, forces = data.qpos.copy(), _motor_forces(model, data)
     zeros: dict[str, float] = {}
     zero_changes: dict[str, FloatArray] = {}
