@@ -31,6 +31,7 @@ from gauge_envs.tools.versions.model import (
     Side,
     Verdict,
 )
+from gauge_envs.tools.versions.overlap import Solid, depth_m
 from gauge_envs.tools.versions.subject import read_subject
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -53,6 +54,12 @@ END_TOLERANCE_M = 1e-3
 
 SOLVER_LIMIT = 1e-3
 """Distance from the solution of an engine's own equations that counts, over the acceleration."""
+
+DEPTH_LIMIT = 0.1
+"""Miss of a depth that counts, over the depth: of nearly equal ways out an engine may take the second."""
+
+DEEP_ENOUGH_M = 1e-5
+"""Depth from which it is judged [m]; less is the tolerance of convex solvers."""
 
 LAW_RATIO = 10.0
 """A side is right if the other one misses the law by more than this multiple."""
@@ -137,9 +144,12 @@ class Bench:
         out = self._work(side, {"run": self._motion})
         return Observed(side, _words(out)), Path(f"{out}.run.npz")
 
-    def probe(self, side: Side, files: Sequence[Path]) -> Observed:
-        """Compute one step from each state of files."""
-        out = self._work(side, {"states": [str(file) for file in files]})
+    def probe(
+        self, side: Side, files: Sequence[Path], *, has_poses: bool = False
+    ) -> Observed:
+        """Compute one step from each state of files; with the poses of all geoms if they are wanted."""
+        job = {"states": [str(file) for file in files], "has_poses": has_poses}
+        out = self._work(side, job)
         probes = tuple(
             _arrays(Path(f"{out}.probe{index}.npz")) for index in range(len(files))
         )
@@ -254,7 +264,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         rulings = [*_law_rulings(visits, sides)]
         worst = _worst_states(visits)
         if worst is not None:
-            rulings.append(_solver_ruling(bench, sides, worst, pool))
+            rulings += _solved_rulings(bench, sides, worst, _common(visits), pool)
     partings = [visit.first() for visit in visits]
     largest = max((visit.worst() for visit in visits), key=_acceleration)
     differing = sum(int(np.sum(visit.gap.differs)) for visit in visits)
@@ -531,26 +541,76 @@ def _worst_states(visits: Sequence[Visit]) -> dict[str, NDArray[Any]] | None:
     }
 
 
-def _solver_ruling(
+def _solved_rulings(
     bench: Bench,
     sides: Sequence[Side],
     states: dict[str, Any],
+    common: set[tuple[int, int]],
     pool: ThreadPoolExecutor,
-) -> Ruling:
-    """Return by how much each side misses the solution of its own equations."""
+) -> Iterator[Ruling]:
+    """Yield by how much each side misses the solution of its own equations, and the depths of its shapes."""
     file = bench.kept(states)
     jobs = [*sides]
     for side in sides:
         jobs.append(replace(side, settings={**side.settings, **EXACT}))
-    plain = [
-        observed.probes[0]
-        for observed in pool.map(lambda one: bench.probe(one, [file]), jobs)
-    ]
+    found = list(pool.map(lambda one: bench.probe(one, [file], has_poses=True), jobs))
+    plain = [observed.probes[0] for observed in found]
     worst = []
     for given, solved in ((plain[0], plain[2]), (plain[1], plain[3])):
         worst.append(float(np.max(Gap(given, solved).relative)))
     law = "the solver reaches the solution of the engine's own equations (dense Newton, 1000 iterations)"
-    return _ruling(law, worst, SOLVER_LIMIT, len(states["qpos"]), sides)
+    yield _ruling(law, worst, SOLVER_LIMIT, len(states["qpos"]), sides)
+    misses = _depth_misses(found[0].words, plain[:2], common)
+    if len(misses):
+        worst = [float(value) for value in np.max(misses, axis=0)]
+        law = "boxes and balls are as deep in each other as their geometry says (separating axes)"
+        yield _ruling(law, worst, DEPTH_LIMIT, len(misses), sides)
+
+
+def _common(visits: Sequence[Visit]) -> set[tuple[int, int]]:
+    """Return the pairs of geoms that touch on both sides; a release may leave other pairs out on purpose."""
+    touching = []
+    for side in ("before", "after"):
+        rows = [getattr(visit.gap, side)["contact_pair"] for visit in visits]
+        touching.append({(int(one), int(two)) for one, two in np.concatenate(rows)})
+    return touching[0] & touching[1]
+
+
+def _depth_misses(
+    words: Mapping[str, Any], sides: Sequence[Arrays], common: set[tuple[int, int]]
+) -> NDArray[np.float64]:
+    """Return by how much each side misses the depth of each pair of boxes and balls, over it, shape [pair, side]."""
+    kinds, sizes = words["fields"]["geom_type"], np.array(words["fields"]["geom_size"])
+    misses = []
+    for index in range(len(sides[0]["qacc"])):
+        depths = [_depths(side, index) for side in sides]
+        for pair in sorted({*depths[0], *depths[1]} & common):
+            solids = []
+            for geom in pair:
+                solid = _solid(kinds[geom], sizes[geom], sides[0], index, geom)
+                solids.append(solid)
+            if solids[0] is None or solids[1] is None:
+                continue
+            true_m = depth_m(solids[0], solids[1])
+            if true_m > DEEP_ENOUGH_M:
+                stated = [-min(found.get(pair, [0.0])) for found in depths]
+                misses.append(np.abs(np.array(stated) - true_m) / true_m)
+    return np.array(misses)
+
+
+def _solid(
+    kind: str, size: NDArray[np.float64], side: Arrays, index: int, geom: int
+) -> Solid | None:
+    """Return the box or ball that a geom is at a state; None for another shape."""
+    is_ball = kind == "mjGEOM_SPHERE"
+    if not is_ball and kind != "mjGEOM_BOX":
+        return None
+    return Solid(
+        half_sizes_m=None if is_ball else size,
+        radius_m=float(size[0]) if is_ball else 0.0,
+        position_m=side["geom_xpos"][index, geom],
+        rotation=side["geom_xmat"][index, geom].reshape(3, 3),
+    )
 
 
 # --- the compiled model ----------------------------------------------------------------------------------------------

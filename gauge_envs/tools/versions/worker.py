@@ -6,7 +6,8 @@ The process runs in the environment of the release, without this package. The jo
      "states": ["states.npz"], "out": "side"}
 
 With `run`, the model moves through its segments, and the states go to `OUT.run.npz`. Each state of the files `states`
-is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on. `OUT.json` has
+is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on, with the poses of
+all geoms if `has_poses` is true. `OUT.json` has
 the compiled model in words.
 """
 
@@ -587,7 +588,7 @@ def spins(model: Any, data: Any) -> Any:
     return found if np.any(found) else None
 
 
-def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
+def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any]:
     """Return what one step from each state computes; the state alone decides, with its saved warm start."""
     count = len(rows["qpos"])
     found = {
@@ -601,6 +602,9 @@ def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
     )
     found["spin"] = np.full(count, np.nan)
     found["solver_error"] = np.zeros(count)
+    if has_poses:
+        found["geom_xpos"] = np.zeros((count, model.ngeom, 3))
+        found["geom_xmat"] = np.zeros((count, model.ngeom, 9))
     touching, pairs, distances = [], [], []
     noise = np.random.RandomState(0)
     data = mujoco.MjData(model)
@@ -610,6 +614,8 @@ def probe(model: Any, rows: Mapping[str, Any]) -> dict[str, Any]:
         put(data, state)
         mujoco.mj_forward(model, data)
         found["qacc"][index] = data.qacc
+        for name in set(found) & {"geom_xpos", "geom_xmat"}:
+            found[name][index] = getattr(data, name)
         found["smooth"][index] = data.qacc_smooth
         found["constraint"][index] = data.qfrc_constraint
         found["iterations"][index] = iterations(data)
@@ -676,9 +682,9 @@ def main(file: Path) -> None:
         states, words["ends"] = run(model, job)
         np.savez(job["out"] + ".run.npz", **states)
     for index, states_file in enumerate(job.get("states", [])):
-        np.savez(
-            f"{job['out']}.probe{index}.npz", **probe(model, saved(model, states_file))
-        )
+        rows = saved(model, states_file)
+        found = probe(model, rows, job.get("has_poses", False))
+        np.savez(f"{job['out']}.probe{index}.npz", **found)
     Path(job["out"] + ".json").write_text(json.dumps(words), encoding="utf-8")
 
 

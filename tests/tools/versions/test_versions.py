@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from places import ROOT
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -16,6 +18,7 @@ from gauge_envs.tools.versions import bisection, comparison, environments, worke
 from gauge_envs.tools.versions.comparison import Bench, compare, field_changes
 from gauge_envs.tools.versions.environments import ReleaseError
 from gauge_envs.tools.versions.model import Quantity, Side, Verdict
+from gauge_envs.tools.versions.overlap import Solid, depth_m
 from gauge_envs.tools.versions.sides import read_side
 from gauge_envs.tools.versions.subject import read_states, read_subject
 from gauge_envs.tools.versions.words import CANNOT_TELL, comparison_document
@@ -146,6 +149,38 @@ def test_a_side_that_misses_its_own_equations_is_wrong(tmp_path):
     found = compared(tmp_path, unbalanced)
     assert found.right == "old"
     assert {ruling.right for ruling in found.rulings} == {"old"}
+
+
+def test_a_side_whose_boxes_and_balls_are_as_deep_as_their_geometry_is_right(tmp_path):
+    """A box and a ball in a box: planted, half of their depth. A pair that one side leaves out is not judged."""
+    xml = SCENE.replace(
+        "<body",
+        '<geom name="block" type="box" size="1 1 0.05" pos="0 0 -0.04"/><body',
+        1,
+    ).replace(
+        'name="arm" type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"',
+        'name="arm" size="0.3"',
+    )
+    deep = xml.replace('pos="0.6 0 0.8"', 'pos="0.6 0 0.2"').replace("0.0999", "0.1")
+
+    def halved(found):
+        found["contact_dist"] /= 2.0
+        found["qacc"] *= 1.1
+
+    def left_out(found):
+        for name in ("contact_state", "contact_pair", "contact_dist"):
+            found[name] = found[name][:0]
+        found["qacc"] *= 1.1
+
+    for plant, right in ((halved, "old"), (left_out, "")):
+        bench = Planted(tmp_path, plant, steps=5)
+        bench.model.write_text(deep, encoding="utf-8")
+        found = compare(bench, side("old"), side("new"))
+        depths = [one for one in found.rulings if "as deep" in one.law]
+        assert [one.right for one in depths] == [right] * bool(right)
+        if depths:
+            assert depths[0].before < 1e-6
+            assert depths[0].after == pytest.approx(0.5, rel=1e-6)
 
 
 def test_another_default_is_a_field_and_no_law_tells(tmp_path):
@@ -418,6 +453,9 @@ def test_a_driven_body_of_an_id_moves_as_its_driver(tmp_path):
     with np.load(file) as states, np.load(read.motion) as motions:
         moving = states["segment"] == 0
         angle = 2.0 * np.arctan2(states["qpos"][moving, 13], states["qpos"][moving, 10])
+        assert states["qvel"][moving][250, 6:] == pytest.approx(
+            motions["plate"][5, 7:13]
+        )
         driven = 2.0 * np.arctan2(motions["plate"][:, 6], motions["plate"][:, 3])
     assert driven[5] > 1e-6
     assert angle[250] == pytest.approx(driven[5], rel=1e-3)
@@ -458,7 +496,61 @@ def test_states_of_another_model_are_refused(tmp_path):
             worker.saved(model, str(file))
 
 
-# --- checks by release --------------------------------------------------------------------------------------------------------
+# --- depths ----------------------------------------------------------------------------------------------------------
+
+
+def turned(axis, angle):
+    return Rotation.from_rotvec(angle * np.array(axis, dtype=float)).as_matrix()
+
+
+def box(position, rotation=None, size=(0.1, 0.2, 0.3)):
+    rotation = np.eye(3) if rotation is None else rotation
+    return Solid(np.array(size), 0.0, np.array(position, dtype=float), rotation)
+
+
+def ball(position, radius=0.1):
+    return Solid(None, radius, np.array(position, dtype=float), np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "expected"),
+    [
+        (box((0, 0, 0)), box((0.19, 0, 0)), 0.01),
+        (box((0, 0, 0)), box((0.25, 0, 0)), -0.05),
+        # A corner of a box turned by 45 degrees reaches 0.1 sqrt(2).
+        (
+            box((0, 0, 0)),
+            box((0.24, 0, 0), turned((0, 0, 1), np.pi / 4), (0.1, 0.1, 0.1)),
+            0.1 * 2**0.5 - 0.14,
+        ),
+        # Two square bars cross edge on edge.
+        (
+            box((0, 0, 0), turned((1, 0, 0), np.pi / 4), (0.5, 0.1, 0.1)),
+            box((0, 0, 0.28), turned((0, 1, 0), np.pi / 4), (0.1, 0.5, 0.1)),
+            0.2 * 2**0.5 - 0.28,
+        ),
+        (ball((0, 0, 0)), ball((0, 0.15, 0)), 0.05),
+        (box((0, 0, 0)), ball((0.15, 0, 0)), 0.05),
+        # The centre is 0.02 m below the nearest face.
+        (ball((0.08, 0, 0)), box((0, 0, 0)), 0.12),
+        (box((0, 0, 0)), ball((0.13, 0.24, 0)), 0.05),
+    ],
+)
+def test_a_depth_is_the_shortest_way_out(one, two, expected):
+    assert depth_m(one, two) == pytest.approx(expected, abs=1e-12)
+    turn, shift = turned((0.3, -0.5, 0.2), 1.0), np.array([1.0, -2.0, 0.5])
+    moved = [
+        replace(
+            solid,
+            position_m=turn @ solid.position_m + shift,
+            rotation=turn @ solid.rotation,
+        )
+        for solid in (one, two)
+    ]
+    assert depth_m(*moved) == pytest.approx(expected, abs=1e-12)
+
+
+# --- checks by release -----------------------------------------------------------------------------------------------
 
 
 def test_the_note_has_the_checks_by_release():
