@@ -75,11 +75,6 @@ class RecordedBand:
     uncertainty: FloatArray
     sigma: float | None
 
-    @property
-    def measured(self) -> NDArray[np.bool_]:
-        """Frames at which a coordinate was measured, shape [frame_count]."""
-        return np.isfinite(self.mean).any(axis=1)
-
 
 def read_table(file: Path) -> dict[str, FloatArray]:
     """Return the columns of a table of measurements, NaN where a field is empty; its header comments start with `#`."""
@@ -204,29 +199,36 @@ def placement_sigma(
     return np.sqrt(np.square(parts).sum(axis=0))
 
 
-def band_csv(band: RecordedBand) -> str:
-    """Return the text of a band's table, down to the last measured frame."""
+def frames_csv(
+    names: Sequence[str],
+    mean: FloatArray,
+    uncertainty: FloatArray,
+    *,
+    decimals: int,
+    states_measured: bool = False,
+) -> str:
+    """Return the text of a table of values at 30 Hz, down to the last measured frame.
+
+    Args:
+        names: Names of the values.
+        mean: Values, shape [frame_count, len(names)]; NaN: not measured.
+        uncertainty: Their 1-sigma uncertainty, same shape.
+        decimals: Number of decimals.
+        states_measured: Whether a column says at which frames a value was measured.
+    """
     columns = [
-        f"{quantity}.{name}"
-        for quantity in ("mean", "uncertainty")
-        for name in band.names
+        f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in names
     ]
-    lines = [",".join(["frame", "time_s", "measured", *columns])]
-    for frame in range(int(np.flatnonzero(band.measured)[-1]) + 1):
-        numbers = np.concatenate([band.mean[frame], band.uncertainty[frame]])
-        fields = [
-            "" if math.isnan(number) else f"{number + 0.0:.2f}" for number in numbers
-        ]
-        lines.append(
-            ",".join(
-                [
-                    str(frame),
-                    f"{frame / FRAME_RATE_HZ:.6f}",
-                    str(int(band.measured[frame])),
-                    *fields,
-                ]
-            )
-        )
+    flag = ["measured"] if states_measured else []
+    measured = np.isfinite(mean).any(axis=1)
+    lines = [",".join(["frame", "time_s", *flag, *columns])]
+    for frame in range(int(np.flatnonzero(measured)[-1]) + 1):
+        fields = [str(frame), f"{frame / FRAME_RATE_HZ:.6f}"]
+        if states_measured:
+            fields.append(str(int(measured[frame])))
+        for number in (*mean[frame], *uncertainty[frame]):
+            fields.append("" if math.isnan(number) else f"{number + 0.0:.{decimals}f}")
+        lines.append(",".join(fields))
     return "\n".join(lines) + "\n"
 
 
@@ -314,19 +316,6 @@ def supported(folder: Path) -> Iterator[tuple[str, dict[str, Any], dict[str, Any
 # --- statistics of deformation ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class RecordedStatistics:
-    """Statistics of deformation of one variant, before they are text.
-
-    Attributes:
-        mean: Statistics at the 30 Hz frames of the experiment, shape [frame_count, statistic_count]; NaN: not measured.
-        uncertainty: 1-sigma uncertainty, same shape.
-    """
-
-    mean: FloatArray
-    uncertainty: FloatArray
-
-
 def marker_positions_m(
     stated: Mapping[str, Any], table: Mapping[str, FloatArray]
 ) -> FloatArray:
@@ -408,11 +397,11 @@ def recorded_statistics(
     recording: Mapping[str, Any],
     stated: Mapping[str, Any],
     table: Mapping[str, FloatArray],
-) -> RecordedStatistics:
-    """Return the statistics of deformation of a variant from the markers of one recording.
+) -> tuple[FloatArray, FloatArray]:
+    """Return the statistics of deformation of a variant from the markers of one recording, and their uncertainty.
 
-    Rest is the mean over the pictures before frame 0. Their scatter is the noise that the non-affine residual is
-    corrected for, unless the markers were read by hand.
+    Both have shape [frame_count, statistic_count]; NaN: not measured. Rest is the mean over pictures before frame 0.
+    Their scatter is the noise that the non-affine residual is corrected for, unless the markers were read by hand.
 
     Raises:
         ValueError: The markers of the experiment are on no solid, or no statistic is known at any frame.
@@ -448,9 +437,7 @@ def recorded_statistics(
         uncertainty.append(np.hypot(at_frame, recording["time_sigma_s"] * rate))
     if not np.isfinite(mean).any():
         raise ValueError(f"{variant}: no statistic is known at any frame")
-    return RecordedStatistics(
-        mean=np.column_stack(mean), uncertainty=np.column_stack(uncertainty)
-    )
+    return np.column_stack(mean), np.column_stack(uncertainty)
 
 
 def picture_statistics(
@@ -503,15 +490,10 @@ def statistic_uncertainty(
     Returns:
         Uncertainty of each statistic in its unit, shape [10]; NaN where the statistic is.
     """
-    noise, markers = (
-        np.asarray(noise_m, dtype=np.float64),
-        np.asarray(markers_m, dtype=np.float64),
-    )
-    unseen = (
-        np.zeros((0, *markers.shape))
-        if unseen_m is None
-        else np.asarray(unseen_m, dtype=np.float64)
-    )
+    noise, markers = np.asarray(noise_m), np.asarray(markers_m)
+    if unseen_m is None:
+        unseen_m = np.zeros((0, *markers.shape))
+    unseen = np.asarray(unseen_m)
     patterns = np.concatenate([noise, unseen])
     value = deformation_statistics(rest_m, markers[None], solid, noise_m=noise)[0]
     forward, backward = (
@@ -532,25 +514,6 @@ def statistic_uncertainty(
     )
     sigma[9] = np.sqrt(value[9] ** 2 + square_sigma) - value[9]
     return sigma
-
-
-def statistics_csv(statistics: RecordedStatistics, names: Sequence[str]) -> str:
-    """Return the text of a table of statistics, down to the last measured frame."""
-    columns = [
-        f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in names
-    ]
-    lines = [",".join(["frame", "time_s", *columns])]
-    for frame in range(
-        int(np.flatnonzero(np.isfinite(statistics.mean).any(axis=1))[-1]) + 1
-    ):
-        numbers = np.concatenate(
-            [statistics.mean[frame], statistics.uncertainty[frame]]
-        )
-        fields = [
-            "" if math.isnan(number) else f"{number + 0.0:.4f}" for number in numbers
-        ]
-        lines.append(",".join([str(frame), f"{frame / FRAME_RATE_HZ:.6f}", *fields]))
-    return "\n".join(lines) + "\n"
 
 
 def statistics_toml(
@@ -591,9 +554,9 @@ def statistics_files(scoring: Path) -> dict[Path, str]:
             read_table(folder / f"{stated['table']}.csv"),
         )
         for variant in recording["variants"]:
-            statistics = recorded_statistics(variant, recording, stated, table)
-            files[scoring / "statistics" / f"{variant}.csv"] = statistics_csv(
-                statistics, stated["statistics"]
+            mean, uncertainty = recorded_statistics(variant, recording, stated, table)
+            files[scoring / "statistics" / f"{variant}.csv"] = frames_csv(
+                stated["statistics"], mean, uncertainty, decimals=4
             )
             files[scoring / "statistics" / f"{variant}.toml"] = statistics_toml(
                 variant, recording, stated
@@ -610,7 +573,13 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         table = read_table(folder / f"{name}.csv")
         for variant in recording["variants"]:
             band = recorded_band(variant, recording, layout, table)
-            files[scoring / "bands" / f"{variant}.csv"] = band_csv(band)
+            files[scoring / "bands" / f"{variant}.csv"] = frames_csv(
+                band.names,
+                band.mean,
+                band.uncertainty,
+                decimals=2,
+                states_measured=True,
+            )
             files[scoring / "bands" / f"{variant}.toml"] = band_toml(
                 variant, band, name, recording, layout
             )
