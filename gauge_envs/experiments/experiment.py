@@ -13,6 +13,7 @@ from gauge_envs.observables.kinds import coordinate_names, largest_distance
 from gauge_envs.references.published import Baseline, Reference, published_baselines
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 class AssetKind(StrEnum):
@@ -120,23 +121,33 @@ class Experiment:
     @property
     def impossible_scores(self) -> str:
         """Published scores that geometry forbids, so that they have another unit or observable; empty without any."""
-        most = largest_distance(
-            self.score.observable, self.scene, recorded=self.recorded
+        found: dict[str, list[str]] = {}
+        for metric, line in self.baselines.items():
+            most = self._largest_score(line)
+            for engine, over in {
+                "real trials": line.mean and 1.0,
+                **line.engines,
+            }.items():
+                # The energy loss of real trials is 0, so that of engines is not divided by it.
+                value = (over or 0.0) * (line.mean or 1.0)
+                if abs(value) > most:
+                    text = f"{metric.upper()} of {engine} {value:.3g} {line.unit}"
+                    found.setdefault(f"{most:.3g} {line.unit}", []).append(text)
+        return "; ".join(
+            f"at most {most} is possible, and published are {', '.join(texts)}: their unit or observable is another one"
+            for most, texts in found.items()
         )
-        found = [
-            f"{metric.upper()} of {engine} {line.mean * over:.3g} {line.unit}"
-            for metric, line in self.baselines.items()
-            for engine, over in {"real trials": 1.0, **line.engines}.items()
-            if metric in ("rmse", "dtw") and over is not None
-            if line.mean * over > most
-        ]
-        if not found:
-            return ""
-        unit = self.score.observable.unit
-        return (
-            f"{len(self.coordinates)} coordinates of g(t) differ by {most:.3g} {unit} at most, and published are "
-            f"{', '.join(found)}: their unit or observable is another one"
-        )
+
+    def _largest_score(self, line: Baseline) -> float:
+        """Return a bound on a score, in its unit: of distances by the geometry of g(t), of times the duration.
+
+        The momentum that arrives and the energy that is lost are at most those at the start.
+        """
+        if line.metric in ("rmse", "dtw"):
+            return largest_distance(
+                self.score.observable, self.scene, recorded=self.recorded
+            )
+        return line.frames / FRAME_RATE_HZ if line.unit == "s" else 1.0
 
     @property
     def coordinates(self) -> tuple[str, ...]:
