@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.evaluation.deformation import deformation_reference, real_statistics
 from gauge_envs.evaluation.deviation import normalizing_baselines
+from gauge_envs.evaluation.likely_mistakes import marker_mistake, value_mistake
 from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.scatter import (
     LEVEL,
@@ -25,7 +27,11 @@ from gauge_envs.evaluation.scatter import (
     published_numbers,
     scatter_text,
 )
-from gauge_envs.evaluation.verification import solution_uncertainty, verification_band
+from gauge_envs.evaluation.verification import (
+    solution_uncertainty,
+    verification_band,
+)
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
@@ -34,6 +40,7 @@ from gauge_envs.references.grips import solved_loads
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.scatter import FAULTS, ScatterRow, held_rows, scatter_rows
+from gauge_envs.tools.catalog.words import deformation_text
 from scripts.generated import ROOT, SCORING, markdown_table, with_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"
@@ -74,8 +81,9 @@ class Row:
     leaves_open: str
     driver: str
     over_real: str
-    tells: str
-    tells_not: str
+    told: Mapping[str, float]
+    not_told: Sequence[str]
+    refuses_zeros: bool | None
     scatter_answer: str
 
     def cells(self) -> list[str]:
@@ -91,8 +99,8 @@ class Row:
             self.leaves_open,
             self.driver,
             self.over_real,
-            self.tells,
-            self.tells_not,
+            ", ".join(f"{name} {size:.0f}" for name, size in self.told.items()) or "-",
+            ", ".join(self.not_told) or "-",
             self.scatter_answer,
         ]
 
@@ -122,11 +130,21 @@ def coverage(variant: Variant) -> Row:
         leaves_open="-" if band is None else leaves_open(band),
         driver=experiment.driver_provenance or "-",
         over_real=", ".join(metric.upper() for metric in metrics) or "-",
-        tells="-"
-        if power is None
-        else ", ".join(f"{name} {size:.0f}" for name, size in power.told.items()),
-        tells_not="-" if power is None else ", ".join(power.not_told) or "-",
+        told={} if power is None else power.told,
+        not_told=[] if power is None else power.not_told,
+        refuses_zeros=None if used is None else refuses_zeros(experiment, used),
         scatter_answer=scatter_text(experiment),
+    )
+
+
+def refuses_zeros(experiment: Experiment, band: Band) -> bool:
+    """Return whether the first frame refuses a file of zeros."""
+    values = np.zeros((experiment.frame_count, len(experiment.coordinates)))
+    if value_mistake(experiment, values, band=band):
+        return True
+    markers = experiment.scene.markers
+    return markers is not None and bool(
+        marker_mistake(experiment, np.zeros((1, len(markers.positions_m), 3)))
     )
 
 
@@ -160,6 +178,8 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         "",
         *markdown_table((*head, "tells not", "scatter"), [row.cells() for row in rows]),
         "",
+        *told_lines(rows),
+        "",
         "Why bands are withheld:",
         "",
     ]
@@ -168,8 +188,60 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         if row.withheld:
             reasons.setdefault(row.withheld, []).append(row.variant)
     lines += [f"- {', '.join(names)}: {reason}." for reason, names in reasons.items()]
-    lines += [*unsolved_lines(), *force_lines(), *scatter_lines(), *held_lines()]
-    return "\n".join(lines)
+    lines += [*unsolved_lines(), *force_lines(), *deformation_lines()]
+    return "\n".join([*lines, *scatter_lines(), *held_lines()])
+
+
+TOLD_HEAD = """
+The same by change. `tells`: ids whose score or force moves by 5 or more over what the reference leaves open. A file of
+zeros is refused by its first frame.
+"""
+
+ZEROS = "a file of zeros"
+
+
+def told_lines(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield the ids that tell each change, and those that do not."""
+    tell: dict[str, list[str]] = {ZEROS: []}
+    tell_not: dict[str, list[str]] = {ZEROS: []}
+    for row in rows:
+        if row.refuses_zeros is not None:
+            (tell if row.refuses_zeros else tell_not)[ZEROS].append(row.variant)
+        for name in row.told:
+            tell.setdefault(name.partition(" by ")[0], []).append(row.variant)
+        for name in row.not_told:
+            tell_not.setdefault(name, []).append(row.variant)
+    changes = sorted({*tell, *tell_not} - {ZEROS, "nothing moves"})
+    yield from (TOLD_HEAD.strip(), "")
+    yield from markdown_table(
+        ("change", "tells", "ids", "tells not", "ids"),
+        [
+            [
+                change,
+                str(len(tell.get(change, ()))),
+                by_family(tell.get(change, ())),
+                str(len(tell_not.get(change, ()))),
+                by_family(tell_not.get(change, ())),
+            ]
+            for change in ("nothing moves", ZEROS, *changes)
+        ],
+    )
+
+
+def by_family(names: Sequence[str]) -> str:
+    """Return ids by their family, as `TextileBending-rayon, satin`; without materials where it is all of them."""
+    groups: dict[str, list[str]] = {}
+    sizes = Counter(one.name.rpartition("-")[0] for one in variants())
+    for name in names:
+        family, _, material = name.rpartition("-")
+        groups.setdefault(family, []).append(material)
+    texts = [
+        family
+        if len(materials) == sizes[family]
+        else f"{family}-{', '.join(materials)}"
+        for family, materials in groups.items()
+    ]
+    return "; ".join(texts) or "-"
 
 
 SCATTER_HEAD = """
@@ -322,6 +394,22 @@ def force_lines() -> Iterator[str]:
     """Yield how many ids have solved forces of rods and grips."""
     solved = sum(bool(solved_loads(one.name)) for one in variants())
     yield from ("", f"Forces of rods and grips are solved for {solved} ids.")
+
+
+def deformation_lines() -> Iterator[str]:
+    """Yield the real statistics of deformation, by the ids that share them."""
+    sharing: dict[str, list[str]] = {}
+    for variant in variants():
+        reference = deformation_reference(load_experiment(variant))
+        if reference is not None:
+            rows = [asdict(one) for one in real_statistics(reference)]
+            sharing.setdefault(deformation_text(rows), []).append(variant.name)
+    yield from (
+        "",
+        "Real deformation, with which runs of these ids are compared ([statistics](scores.md#deformation-of-foam)):",
+        "",
+    )
+    yield from (f"- {', '.join(names)}: {text}." for text, names in sharing.items())
 
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:

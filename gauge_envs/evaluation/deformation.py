@@ -63,6 +63,27 @@ class StatisticScore:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RealStatistic:
+    """One statistic of deformation of real trials.
+
+    Attributes:
+        name: Name, as in `StatisticScore`.
+        unit: `mm` or `1`.
+        frame: Frame of the value.
+        value: Mean over the trials.
+        reach_95: Half width of its 95 % interval.
+        trial_count: Number of trials.
+    """
+
+    name: str
+    unit: str
+    frame: int
+    value: float
+    reach_95: float
+    trial_count: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class DeformationScore:
     """Statistics of the deformation of an episode beside real ones.
 
@@ -181,6 +202,8 @@ def _score(
         return None
     frame = int(np.flatnonzero(known)[-1])
     usable = known & (sigma > 0.0)
+    difference = float(simulated[frame] - mean[frame])
+    reach = reach_95(float(sigma[frame]), trial_count)
     z = np.divide(simulated - mean, sigma, out=np.full(len(mean), np.nan), where=usable)
     return StatisticScore(
         name=name,
@@ -191,27 +214,39 @@ def _score(
         uncertainty=float(sigma[frame]),
         z=float(z[frame]) if usable[frame] else None,
         z_rms=float(np.sqrt(np.square(z[usable]).mean())) if usable.any() else None,
-        difference_95=interval_95(
-            float(simulated[frame]),
-            float(mean[frame]),
-            float(sigma[frame]),
-            trial_count,
-        ),
+        difference_95=(difference - reach, difference + reach),
     )
 
 
-def interval_95(
-    simulated: float, real: float, sigma: float, trial_count: int
-) -> tuple[float, float]:
-    """Return the 95 % interval of simulated minus real, low and high.
+def reach_95(sigma: float, trial_count: int) -> float:
+    """Return the half width of the 95 % interval of a real value.
 
     Args:
-        simulated: Simulated value.
-        real: Real value, the mean over trials.
         sigma: Standard uncertainty of the value of one recording, or scatter of several trials.
-        trial_count: Number of trials.
+        trial_count: Number of trials, of which the value is the mean.
     """
-    reach = COVERAGE_FACTOR * sigma
-    if trial_count > 1:
-        reach = float(stdtrit(trial_count - 1, 0.975)) * sigma / math.sqrt(trial_count)
-    return simulated - real - reach, simulated - real + reach
+    if trial_count == 1:
+        return COVERAGE_FACTOR * sigma
+    return float(stdtrit(trial_count - 1, 0.975)) * sigma / math.sqrt(trial_count)
+
+
+def real_statistics(reference: DeformationReference) -> tuple[RealStatistic, ...]:
+    """Return the statistics of real trials, each at the last frame where it is known."""
+    from gauge_envs.observables.deformation import statistic_unit
+
+    found = []
+    for name, mean, sigma in zip(
+        reference.statistics, reference.mean.T, reference.sigma.T, strict=True
+    ):
+        frame = int(np.flatnonzero(np.isfinite(mean) & np.isfinite(sigma))[-1])
+        found.append(
+            RealStatistic(
+                name=name,
+                unit=statistic_unit(name),
+                frame=frame,
+                value=float(mean[frame]),
+                reach_95=reach_95(float(sigma[frame]), reference.trial_count),
+                trial_count=reference.trial_count,
+            )
+        )
+    return tuple(found)

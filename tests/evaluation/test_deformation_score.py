@@ -19,7 +19,8 @@ from gauge_envs.errors import ShapeError, TrajectoryFileError
 from gauge_envs.evaluation.deformation import (
     DeformationScore,
     deformation_reference,
-    interval_95,
+    reach_95,
+    real_statistics,
     score_deformation,
 )
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
@@ -97,8 +98,8 @@ def test_the_interval_of_the_difference_covers_as_stated(trial_count: int) -> No
     for _ in range(worlds):
         trials = strain - truth + scatter * rng.standard_normal(trial_count)
         sigma = scatter if trial_count == 1 else float(trials.std(ddof=1))
-        found = interval_95(strain, float(trials.mean()), sigma, trial_count)
-        covered += found[0] <= truth <= found[1]
+        error = strain - float(trials.mean()) - truth
+        covered += abs(error) <= reach_95(sigma, trial_count)
     assert covered / worlds == pytest.approx(
         0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / worlds)
     )
@@ -109,8 +110,11 @@ def test_the_interval_of_the_difference_covers_as_stated(trial_count: int) -> No
     score = score_deformation(EXPERIMENT, markers, reference=reference)
     assert score is not None
     statistic = score["strain.zz"]
-    expected = interval_95(strain, 0.01, 0.01, trial_count)
+    reach = reach_95(0.01, trial_count)
+    expected = (strain - 0.01 - reach, strain - 0.01 + reach)
     assert statistic.difference_95 == pytest.approx(expected, abs=1e-6)
+    (real,) = real_statistics(reference)
+    assert (real.value, real.reach_95) == pytest.approx((0.01, reach))
     assert statistic.differs is (trial_count != 2)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
 from gauge_envs.envs.episode import is_reward_bounded, reward_text
+from gauge_envs.evaluation.deformation import deformation_reference, real_statistics
 from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import (
     grade_of,
@@ -255,6 +256,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     used = reference_band(experiment)
     shown = band if used is None else used
     unsolved = unsolved_scenes().get(experiment.name) if reference is None else None
+    deformation = deformation_reference(experiment)
     return {
         "grade": grade_of(experiment).value,
         "trial_count": shown and shown.trial_count,
@@ -274,6 +276,10 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "reward": reward_text(used, is_bounded=is_reward_bounded(experiment)),
         "power": _power(experiment, used),
         "scatter": scatter_text(experiment),
+        "deformation": [
+            dataclasses.asdict(one)
+            for one in (real_statistics(deformation) if deformation else ())
+        ],
     }
 
 

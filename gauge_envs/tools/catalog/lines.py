@@ -157,6 +157,26 @@ class PowerFacts(TypedDict):
     not_told: Sequence[str]
 
 
+class RealStatisticFacts(TypedDict):
+    """One statistic of the deformation of real trials.
+
+    Attributes:
+        name: Name, as `strain.zz`.
+        unit: Unit; 1 for a pure number.
+        frame: Frame of the value.
+        value: Mean over the trials.
+        reach_95: Half width of its 95 % interval.
+        trial_count: Number of trials.
+    """
+
+    name: str
+    unit: str
+    frame: int
+    value: float
+    reach_95: float
+    trial_count: int
+
+
 class ReferenceFacts(TypedDict):
     """What an experiment is or could be scored against.
 
@@ -177,6 +197,7 @@ class ReferenceFacts(TypedDict):
         reward: The reward of a step.
         power: Which changes of the scene the reference tells.
         scatter: Scatter of starts that real trials have.
+        deformation: Real statistics of deformation, with which every run is compared beside its score.
     """
 
     grade: BandGrade
@@ -195,6 +216,7 @@ class ReferenceFacts(TypedDict):
     reward: str
     power: PowerFacts | None
     scatter: str
+    deformation: Sequence[RealStatisticFacts]
 
 
 class EngineFacts(TypedDict):

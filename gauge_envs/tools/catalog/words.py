@@ -93,6 +93,10 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
     }
     if reference["scatter"] != "-":
         facts["scatter"] = reference["scatter"]
+    if reference["deformation"]:
+        facts["real"] = (
+            f"{deformation_text(reference['deformation'])}; runs are compared beside the score"
+        )
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         if asset["kind"] != AssetKind.EXPERIMENT:
@@ -124,6 +128,19 @@ def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
     if power["not_told"]:
         facts["tells not"] = ", ".join(power["not_told"])
     return facts
+
+
+def deformation_text(statistics: Sequence[Mapping[str, Any]]) -> str:
+    """Return real statistics of deformation with their 95 % intervals."""
+    texts = [
+        f"{one['name']} {one['value']:.3g} +- {one['reach_95']:.2g}"
+        + ("" if one["unit"] == "1" else f" {one['unit']}")
+        for one in statistics
+    ]
+    count = statistics[0]["trial_count"]
+    source = "one recording" if count == 1 else f"{count} trials"
+    frame = statistics[0]["frame"]
+    return f"{', '.join(texts)} at frame {frame} (95 %, {source})"
 
 
 def grade_text(reference: Mapping[str, Any]) -> str:
