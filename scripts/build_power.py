@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
@@ -138,10 +138,16 @@ def _with_joints(scene: Scene, name: str, title: str) -> Iterator[tuple[str, Sce
             yield f"joint {title} {text}", replace(scene, joints=tuple(changed))
 
 
-def motion(experiment: Experiment, scene: Scene, *, last_frame: int) -> Episode:
-    """Return the episode of a scene up to a frame."""
+def motion(
+    experiment: Experiment,
+    scene: Scene,
+    *,
+    last_frame: int,
+    settings: Mapping[str, Any] | None = None,
+) -> Episode:
+    """Return the episode of a scene up to a frame, with MuJoCo's default settings where none are given."""
     engine = backend_for("mujoco", experiment.model_file)
-    simulation = engine.build(scene, None)
+    simulation = engine.build(scene, settings)
     try:
         simulation.reset(0)
         episode = Episode(
