@@ -2,15 +2,13 @@
 
 - A cloth that moves alike across its width: the undamped sheet (`scripts/sheet.py`) with finer cells, and MuJoCo.
 - A cloth in a frame that a rod pushes: a membrane at rest by finite elements (`scripts/membrane.py`), and MuJoCo.
-- A bar along which its grips pull: E A e, with the clamps by finite elements of an own (`scripts/bar.py`).
-- Other scenes: MuJoCo alone, with finer cells and a finer step.
+- A foam that grips or a cube move: a block at rest by finite elements (`scripts/solid.py`), and MuJoCo.
 
 A load is the mean over a window of frames, since waves run through an undamped cloth. The windows were set before any
 power was known: seconds of a swing, a few parts of a short motion. u has two or more parts:
 
 - the change by refinement,
 - the part of the distance to MuJoCo that MuJoCo's own refinement does not explain,
-- of a foam, half the strain, by which elastic laws of the same modulus differ,
 - of a pushed cloth, the friction and the edge of the tip.
 """
 
@@ -35,12 +33,11 @@ from gauge_envs.files import write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.grips import COMPONENTS
 from gauge_envs.scene import SoftBody
-from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from scripts.bar import axial_factor
 from scripts.generated import SCORING, Request
 from scripts.membrane import probe_forces_n
 from scripts.sheet import sheet_of, solve_sheet
+from scripts.solid import held_wrenches
 
 FloatArray = NDArray[np.float64]
 
@@ -49,6 +46,9 @@ LEAST_SHARE = 0.005
 
 SAFETY = 1.25
 """Factor on the change by refinement (Roache)."""
+
+BLOCK_CELLS = (3, 2)
+"""Cells across a block of the solution and of the coarser one."""
 
 SWING = ((1, 30), (31, 60))
 FALL = ((1, 6), (7, 15), (16, 30), (31, 45))
@@ -66,7 +66,6 @@ class Load:
         bodies: Weight of each body.
         components: Entries of the wrench.
         windows: First and last frame of each window.
-        is_along_bar: Whether the load is that of a bar along which grips pull.
     """
 
     quantity: str
@@ -74,7 +73,6 @@ class Load:
     bodies: dict[str, float]
     components: tuple[str, ...]
     windows: tuple[tuple[int, int], ...]
-    is_along_bar: bool = False
 
     def of(self, holders: tuple[str, ...], wrenches: FloatArray) -> FloatArray:
         """Return the load, shape [W, C]; wrenches have shape [frame_count, holder_count, 6]."""
@@ -97,14 +95,12 @@ AXIAL = (
         bodies=HALF_APART,
         components=("z",),
         windows=STRAIN,
-        is_along_bar=True,
     ),
     Load(
         quantity="weight in the grips",
         bodies=BASES,
         components=("z",),
         windows=((1, 29),),
-        is_along_bar=True,
     ),
 )
 LOADS: dict[str, tuple[Load, ...]] = {
@@ -170,6 +166,21 @@ LOADS: dict[str, tuple[Load, ...]] = {
             windows=((1, 21), (22, 42), (43, 64)),
         ),
     ),
+    # The cube touches the foam in frame 12; the solution of the positions ends at frame 17 or 19.
+    "FoamBending-*": (
+        Load(
+            quantity="weight and push in the grips",
+            bodies=BASES,
+            components=("z",),
+            windows=((13, 17),),
+        ),
+        Load(
+            quantity="weight in the grips",
+            bodies=BASES,
+            components=("z",),
+            windows=((1, 10),),
+        ),
+    ),
 }
 """Loads of the variants."""
 
@@ -205,10 +216,7 @@ def simulated(
     while episode.frame != last_frame:
         episode.advance(episode.no_rates, after_sample=read)
         assert episode.end_frame() is None, f"{experiment.name}: {episode.fault}"
-    rows = np.array(samples).reshape(
-        last_frame, SAMPLES_PER_FRAME, len(scene.holders), 6
-    )
-    whole = np.concatenate([np.full_like(rows[:1, 0], np.nan), rows.mean(axis=1)])
+    whole = frame_means(np.array(samples))
     file.parent.mkdir(parents=True, exist_ok=True)
     np.save(file, whole)
     return whole
@@ -230,6 +238,18 @@ def refined_settings(experiment: Experiment) -> list[dict[str, Any]]:
     ]
 
 
+def frame_means(samples: FloatArray) -> FloatArray:
+    """Return the means over frames of samples, which begin after frame 0, shape [frame_count, ...]; NaN at frame 0."""
+    means = samples.reshape(-1, SAMPLES_PER_FRAME, *samples.shape[1:]).mean(axis=1)
+    return np.concatenate([np.full_like(means[:1], np.nan), means])
+
+
+def sample_times_s(last_frame: int) -> FloatArray:
+    """Return the times of the samples after frame 0 [s], shape [last_frame SAMPLES_PER_FRAME]."""
+    count = last_frame * SAMPLES_PER_FRAME
+    return np.arange(1, count + 1) / (SAMPLES_PER_FRAME * FRAME_RATE_HZ)
+
+
 def sheet_wrenches(
     experiment: Experiment, frames: int, *, cells: int
 ) -> FloatArray | None:
@@ -247,26 +267,35 @@ def sheet_wrenches(
     return found
 
 
-def probe_wrenches(
-    experiment: Experiment, frames: int
-) -> tuple[FloatArray, list[FloatArray]] | None:
-    """Return the wrench of the frame of a cloth that a rod pushes, and what is open of it; None for another scene.
+def solution(
+    experiment: Experiment, last_frame: int
+) -> tuple[FloatArray, list[FloatArray], str]:
+    """Return the wrenches of a scene, what its solver leaves open of them, and what the solver is.
 
-    Arrays have shape [frames, 1, 6], with the force along the push and upward alone.
+    Arrays have shape [last_frame + 1, holder_count, 6], in the mean over each frame.
     """
-    times_s = np.arange(1, (frames - 1) * SAMPLES_PER_FRAME + 1) / (
-        SAMPLES_PER_FRAME * FRAME_RATE_HZ
+    coarse, fine = (
+        sheet_wrenches(experiment, last_frame + 1, cells=cells) for cells in (80, 160)
     )
-    found = probe_forces_n(experiment.scene, times_s)
-    if found is None:
-        return None
+    if coarse is not None and fine is not None:
+        return fine, [SAFETY * (fine - coarse)], "an undamped one-dimensional sheet"
+    times_s = sample_times_s(last_frame)
+    probed = probe_forces_n(experiment.scene, times_s)
+    if probed is not None:
+        mean, *parts = (_of_rim(forces_n) for forces_n in (probed[0], *probed[1]))
+        return mean, parts, "a membrane at rest by finite elements"
+    blocks = [
+        held_wrenches(experiment.scene, times_s, cells=cells) for cells in BLOCK_CELLS
+    ]
+    fine, coarse = (frame_means(one) for one in blocks if one is not None)
+    return fine, [fine - coarse], "a block at rest by finite elements"
 
-    def wrenches(forces_n: FloatArray) -> FloatArray:
-        rows = np.full((frames, 1, 6), np.nan)
-        rows[1:, 0, [0, 2]] = forces_n.reshape(-1, SAMPLES_PER_FRAME, 2).mean(axis=1)
-        return rows
 
-    return wrenches(found[0]), [wrenches(part) for part in found[1]]
+def _of_rim(forces_n: FloatArray) -> FloatArray:
+    """Return the wrench of a frame in the mean over frames, with the force along the push and upward alone."""
+    wrenches = np.full((len(forces_n), 1, 6), np.nan)
+    wrenches[:, 0, [0, 2]] = forces_n
+    return frame_means(wrenches)
 
 
 def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
@@ -274,34 +303,18 @@ def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
     experiment = load_experiment(name)
     loads, holders = loads_of(name), experiment.scene.holders
     last_frame = max(last for load in loads for _, last in load.windows)
-    is_bar = any(load.is_along_bar for load in loads)
     settings = refined_settings(experiment)
     runs = [simulated(experiment, last_frame, one, folder) for one in settings]
-    sheets = [
-        sheet_wrenches(experiment, last_frame + 1, cells=cells) for cells in (80, 160)
-    ]
-    probed = probe_wrenches(experiment, last_frame + 1)
+    solved, left_open, source = solution(experiment, last_frame)
     rows = []
     for load in loads:
         base, step, cell = (load.of(holders, run) for run in runs)
         finest = base + (step - base) + (cell - base)
         changed = np.hypot(step - base, cell - base)
-        if sheets[0] is not None and sheets[1] is not None:
-            coarse, mean = (load.of(holders, one) for one in sheets if one is not None)
-            parts = [SAFETY * (mean - coarse), unexplained(mean - finest, changed)]
-            source = "an undamped one-dimensional sheet, checked with MuJoCo"
-        elif probed is not None:
-            mean = load.of(holders, probed[0])
-            parts = [load.of(holders, part) for part in probed[1]]
-            parts.append(unexplained(mean - finest, changed))
-            source = "a membrane at rest by finite elements, checked with MuJoCo"
-        elif is_bar:
-            mean, share, law = bar_load(experiment, load)
-            parts = [share * mean, law * mean, unexplained(mean - finest, changed)]
-            source = "E A e of a linear bar, with clamps by finite elements, checked with MuJoCo"
-        else:
-            mean, parts = finest, [3.0 * changed]
-            source = "MuJoCo alone, refined in step and cells"
+        mean = load.of(holders, solved)
+        parts = [load.of(holders, part) for part in left_open]
+        # What MuJoCo's own refinement does not explain of the distance to it.
+        parts.append(np.maximum(np.abs(mean - finest) - changed, 0.0))
         size = load_length(mean)
         squares = sum(np.square(part) for part in parts)
         uncertainty = np.sqrt(squares + (LEAST_SHARE * size) ** 2)
@@ -314,7 +327,7 @@ def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
                 "windows": load.windows,
                 "mean": rounded(mean),
                 "uncertainty": rounded(uncertainty),
-                "source": source,
+                "source": f"{source}, checked with MuJoCo",
             }
         )
         print(
@@ -323,54 +336,6 @@ def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
             flush=True,
         )
     return rows
-
-
-def unexplained(distance: FloatArray, changed: FloatArray) -> FloatArray:
-    """Return the part of a distance to MuJoCo that the change by its refinement does not explain."""
-    return np.maximum(np.abs(distance) - changed, 0.0)
-
-
-def bar_load(experiment: Experiment, load: Load) -> tuple[FloatArray, float, float]:
-    """Return the load of a bar, and shares of it: what the mesh of the clamps and the law of elasticity leave open."""
-    scene = experiment.scene
-    (bar,), (driver,) = scene.deformables, scene.drivers
-    assert isinstance(bar, SoftBody)
-    if load.bodies == BASES:
-        return np.array([[bar.mass_kg * GRAVITY_M_PER_S2]]), 0.0, 0.0
-    width_m, _, height_m = bar.shape.size_m
-    free_m = height_m - sum(one.region.depth_m for one in scene.attachments)
-    start = scene.body(driver.body).pose
-    count = load.windows[-1][1] * SAMPLES_PER_FRAME + 1
-    strains = (
-        np.array(
-            [
-                driver.state(start, sample / SAMPLES_PER_FRAME / FRAME_RATE_HZ)[
-                    0
-                ].position_m[2]
-                - start.position_m[2]
-                for sample in range(count)
-            ]
-        )
-        / free_m
-    )
-    fine, coarse = (
-        axial_factor(width_m, free_m, bar.poisson_ratio, cells_across=cells)
-        for cells in (8, 4)
-    )
-    # Second order in the cells, less at the corners of the clamps.
-    factor = fine + (fine - coarse) / 3.0
-    pull_n = bar.young_modulus_pa * width_m**2 * factor * strains
-    mean = np.array(
-        [
-            [
-                pull_n[
-                    (first - 1) * SAMPLES_PER_FRAME + 1 : last * SAMPLES_PER_FRAME + 1
-                ].mean()
-            ]
-            for first, last in load.windows
-        ]
-    )
-    return mean, abs(fine - factor), 0.5 * float(np.abs(strains).max())
 
 
 def rounded(values: FloatArray) -> list[list[float]]:

@@ -94,7 +94,7 @@ class Cloth:
 
 @dataclass(frozen=True, kw_only=True)
 class SoftBody:
-    """Isotropic elastic box of uniform density."""
+    """Isotropic elastic box of uniform density, linear in the strains of its co-rotated frame."""
 
     name: str
     shape: Box
