@@ -246,17 +246,6 @@ def inverted_interval(distance: float) -> tuple[float, float]:
     return low, distance + COVERAGE_FACTOR
 
 
-def frame_errors(
-    band: Band, *, frames: FloatArray, markers_m: FloatArray | None
-) -> FloatArray | None:
-    """Return the distance from the mean at each frame, root mean square over markers, shape [frame_count].
-
-    It is NaN where the mean or the motion is not known. Arguments and None are those of `frame_deviation`.
-    """
-    deviation = frame_deviation(band, frames=frames, markers_m=markers_m)
-    return None if deviation is None else point_lengths(deviation, band.points or band)
-
-
 def frame_deviation(
     band: Band, *, frames: FloatArray, markers_m: FloatArray | None
 ) -> FloatArray | None:

@@ -12,10 +12,7 @@ from gauge_envs.evaluation.score import VERIFICATION, Score, Validation
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
     Verification,
-    compared_points,
     inverted_interval,
-    solution_uncertainty,
-    stated_uncertainty,
     verification_band,
     verify,
 )
@@ -24,6 +21,7 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
+from studies.coverage.verification import worlds
 
 FRAMES = 40
 
@@ -172,44 +170,14 @@ def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directi
 def test_the_interval_holds_the_true_distance_for_errors_with_the_stated_shape(
     name: str, correlation_frames: float, shared: bool
 ) -> None:
-    """Errors have the stated u of each frame and coordinate; they are alike over few, some or all frames, in all
-    coordinates or in each alone."""
-    band = reference_band(load_experiment(name))
-    compared = verification_band(band)
-    assert band is not None and compared is not None
-    known = np.isfinite(compared.mean).any(axis=1)
-    spread = stated_uncertainty(compared)[known]
-    count, width = spread.shape
-    apart = np.subtract.outer(np.arange(count), np.arange(count)) / correlation_frames
-    root = np.linalg.cholesky(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(count))
-    random = np.random.default_rng([11, *name.encode(), int(correlation_frames)])
-    size = np.sqrt(count * compared_points(compared))
-    u = solution_uncertainty(band)
-    assert u == pytest.approx(np.linalg.norm(spread) / size)
-    worlds = 200
-    for true_in_u in (0.0, 0.5, 1.0, 2.0, 5.0):
-        inside = 0
-        for _ in range(worlds):
-            error = spread * (
-                root @ random.standard_normal((count, 1 if shared else width))
-            )
-            # An engine that is off at a constant rate, in a direction of its own.
-            offset = np.outer(
-                np.linspace(0.0, 1.0, count), random.standard_normal(width)
-            )
-            offset *= true_in_u * u * size / np.linalg.norm(offset)
-            motion = np.nan_to_num(compared.mean)
-            motion[known] += offset - error
-            markers = (
-                None
-                if band.points is None
-                else 1e-3 * motion.reshape(-1, width // 3, 3)
-            )
-            found = verify(band, frames=motion, markers_m=markers)
-            assert found is not None and found.distance_95 is not None
-            low, high = found.distance_95
-            inside += low <= true_in_u * u <= high
-        assert inside / worlds >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / worlds)
+    """Errors have the stated u of each frame and coordinate; an engine is off at a constant rate."""
+    inside: dict[float, list[bool]] = {}
+    for true, _, (low, high) in worlds(
+        name, correlation_frames, shared=shared, offset="rate"
+    ):
+        inside.setdefault(true, []).append(low <= true <= high)
+    for held in inside.values():
+        assert np.mean(held) >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(held))
 
 
 def test_scores_of_earlier_versions_are_read_without_what_they_divided_by_trials() -> (
