@@ -228,21 +228,16 @@ def held_row(name: str) -> dict[str, Any]:
     motion = observed(markers_m)
     still_m = np.broadcast_to(markers_m[0], markers_m.shape)
     noise_mm, noisy = marker_noise(markers_m, observed, rmse=numbers[0])
-    found = release_spread(motion, rmse=numbers[0])
+    release_s = release_spread(motion, rmse=numbers[0])
     row: dict[str, Any] = {
         "variant": name,
         "unit": experiment.baselines["rmse"].unit,
         "motion": f"{np.sqrt(np.square(motion - motion.mean(axis=0)).sum(axis=1).mean()):.3g}",
         "noise_mm": f"{noise_mm:.3g}",
-        "noise_dtw": f"{mean_dtw(noisy):.3g}",
+        "noise_dtw": f"{group_scores(noisy)[:, 2].mean():.3g}",
         "still_mm": f"{marker_noise(still_m, observed, rmse=numbers[0])[0]:.3g}",
-        "release_s": "",
-        "release_dtw": "",
+        "release_s": "" if release_s is None else f"{release_s:.3g}",
     }
-    if found is not None:
-        release_s, late = found
-        row["release_s"] = f"{release_s:.3g}"
-        row["release_dtw"] = f"{mean_dtw(late):.3g}"
     return row | {
         f"real.{key}": f"{value:g}" for key, value in zip(NUMBERS, numbers, strict=True)
     }
@@ -256,11 +251,6 @@ def mean_rmse(trials: FloatArray) -> float:
     """
     squares = np.square(trials - trials.mean(axis=1, keepdims=True)).sum(axis=-1)
     return float(np.sqrt(squares.mean(axis=-1)).mean())
-
-
-def mean_dtw(trials: FloatArray) -> float:
-    """Return E_DTW of trials against the mean of their group, mean over trials and groups; shape as `mean_rmse`."""
-    return float(group_scores(trials)[:, 2].mean())
 
 
 def marker_noise(
@@ -287,9 +277,7 @@ def marker_noise(
     return noise_mm, trials
 
 
-def release_spread(
-    motion: FloatArray, *, rmse: float
-) -> tuple[float, FloatArray] | None:
+def release_spread(motion: FloatArray, *, rmse: float) -> float | None:
     """Return the least spread of late releases with which trials of one motion have a given E_RMSE.
 
     Args:
@@ -297,8 +285,7 @@ def release_spread(
         rmse: E_RMSE in its unit.
 
     Returns:
-        The spread s of |N(0, s)| [s], and g(t) of such trials as `marker_noise` returns it; None if no spread of up to
-        0.3 s is enough.
+        The spread s of |N(0, s)| [s]; None if no spread of up to 0.3 s is enough.
     """
     shape = (4 * NOISE_GROUPS, TRIAL_COUNT)
     delays = np.abs(np.random.default_rng(0).standard_normal(shape))
@@ -309,5 +296,5 @@ def release_spread(
         share = (places - before)[..., None]
         trials = (1.0 - share) * motion[before] + share * motion[before + 1]
         if mean_rmse(trials) >= rmse:
-            return float(spread_s), trials[:NOISE_GROUPS]
+            return float(spread_s)
     return None

@@ -73,7 +73,6 @@ class HeldRow(FileModel):
         noise_dtw: E_DTW with it.
         still_mm: The noise that a body needs which does not move [mm].
         release_s: Spread of the release, late by |N(0, s)|, that gives the real mean E_RMSE [s]; None if none does.
-        release_dtw: E_DTW with it.
     """
 
     variant: str
@@ -84,7 +83,6 @@ class HeldRow(FileModel):
     noise_dtw: float
     still_mm: float
     release_s: float | None
-    release_dtw: float | None
 
     @property
     def noise_std_mm(self) -> float:
@@ -96,7 +94,7 @@ HELD_COLUMNS = (
     "variant",
     "unit",
     *(f"real.{name}" for name in NUMBERS),
-    *("motion", "noise_mm", "noise_dtw", "still_mm", "release_s", "release_dtw"),
+    *("motion", "noise_mm", "noise_dtw", "still_mm", "release_s"),
 )
 """Columns of the file of held bodies."""
 

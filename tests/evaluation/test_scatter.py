@@ -253,7 +253,7 @@ def test_the_release_that_gives_a_distance_is_found_and_no_other() -> None:
     from_mean = np.abs(late_s - late_s.mean(axis=1, keepdims=True)).mean()
     rmse_mm = speed_mm_per_s * spread_s * from_mean
     found = release_spread(motion, rmse=rmse_mm)
-    assert found is not None and found[0] == pytest.approx(spread_s, abs=0.011)
+    assert found == pytest.approx(spread_s, abs=0.011)
     assert release_spread(motion, rmse=100.0 * rmse_mm) is None
 
 
