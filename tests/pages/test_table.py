@@ -26,6 +26,8 @@ from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
     counted,
     quantity_text,
+    reality_notes,
+    reality_of,
     score_text,
     shortened,
     value_text,
@@ -64,6 +66,13 @@ def printed(shown, width=80, *, wide=False):
     stream = StringIO()
     Console(file=stream, width=width).print(Terminal(shown, wide))
     return stream.getvalue().splitlines()
+
+
+def test_a_table_of_validation_names_no_solution() -> None:
+    named = [reality_of(grade) for grade in ("trials", "recording", "law", "model")]
+    assert named == ["trials", "recording", "events", "events"]
+    (note,) = reality_notes(["model", "trials", "law", "trials"])
+    assert note.startswith("Grade trials: ") and "solve" not in note
 
 
 def test_a_terminal_has_headings_cells_and_lines_below():
