@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from gauge_envs import load_experiment
@@ -15,9 +13,6 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
 STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))
 RATE_HZ = 180
-
-Travel = Callable[[float, float, float], float]
-"""Distance [m] along the slope of an engine: acceleration [m/s^2], time [s], step [s]."""
 
 
 def euler(acceleration, time_s, step_s, *, step_error=0.0):

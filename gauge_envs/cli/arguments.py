@@ -335,9 +335,7 @@ STDOUT = "-"
 """Path that stands for stdout, in the metavar of an option that takes it."""
 
 
-def target(
-    text: str, *, metavar: str = "FILE", show_default: bool | str = True
-) -> Any:
+def target(text: str, *, metavar: str = "FILE", show_default: bool | str = True) -> Any:
     """Return the option `--out`: a folder or a file, or several files of different suffixes."""
     return typer.Option(
         "--out",

@@ -51,14 +51,6 @@ ARGUMENTS = [
 ]
 
 
-def env_after(*calls, name=SLIDE, **arguments):
-    """An environment on which methods were called."""
-    env = GaugeEnv(name, **arguments)
-    for call in calls:
-        getattr(env, call)()
-    return env
-
-
 def worlds(count=2, name=SLIDE, **arguments):
     return gymnasium.make_vec(f"GAUGE/{name}", num_envs=count, **arguments).unwrapped
 

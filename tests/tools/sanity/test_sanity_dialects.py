@@ -2,12 +2,10 @@
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from math import radians
-from pathlib import Path
 from types import ModuleType, SimpleNamespace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -295,8 +293,6 @@ def of_toml(text, folder):
     )
     return dict(configuration(file).settings)
 
-
-Reading = Callable[[str, Path], dict[str, Any]]
 
 READINGS = {
     "mjcf": (of_mjcf, MUJOCO),

@@ -126,9 +126,6 @@ FAIR_POSE_RAD = 0.1
 LARGEST_SAG_RAD = 0.15
 """Largest angle by which the weight may deflect a servo whose gain is scaled [rad]."""
 
-STEADY_GROWTH = 1.001
-"""Growth of a small motion in one step below which a servo counts as stable while gains are scaled."""
-
 PER_DEGREE = float(np.degrees(1.0))
 
 
