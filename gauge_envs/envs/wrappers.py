@@ -57,7 +57,7 @@ LOGGED = (
     "validation/rmse_aligned_normalized",
     "validation/percentile_aligned",
     "verification/distance",
-    "verification/distance_in_u",
+    "verification/scaled",
 )
 """Fields of a score that `LogScore` sends."""
 

@@ -93,11 +93,6 @@ class Verification:
         return low / self.scale, high / self.scale
 
     @property
-    def distance_in_u(self) -> float | None:
-        """The distance over u; None without u."""
-        return self.distance / self.uncertainty if self.uncertainty else None
-
-    @property
     def power(self) -> float | None:
         """The distance of a scene in which nothing moves, over u; None without u."""
         return self.frozen / self.uncertainty if self.uncertainty else None

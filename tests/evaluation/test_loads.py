@@ -80,7 +80,7 @@ def right_score(name):
 
 def in_u(found):
     """Return the distances in u, by quantity."""
-    return {one.quantity: one.distance_in_u for one in found.verifications}
+    return {one.quantity: one.scaled for one in found.verifications}
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_a_frozen_cloth_a_stiff_sheet_and_a_wrong_density_each_fail_a_number_of_
     assert right.verification.power > LEAST_POWER
     scene = load_experiment(name).scene
     stiff = score(name, changed(scene, bend_stiffness_n_m_per_rad=1e4), settings)
-    assert stiff.verification.distance_in_u > LEAST_POWER
+    assert stiff.verification.scaled > LEAST_POWER
     light = score(name, lighter(scene), settings)
     assert in_u(light)["force of the rod"] > LEAST_POWER
 

@@ -68,7 +68,7 @@ def test_a_shift_of_3_mm_is_a_distance_of_3_mm_of_a_body_and_of_each_marker(
     found = verified(band, moved)
     assert found.distance == pytest.approx(3.0)
     assert found.uncertainty == pytest.approx(u_mm)
-    assert found.distance_in_u == pytest.approx(6.0)
+    assert found.scaled == pytest.approx(6.0)
     ends = pytest.approx((3.0 - 1.96 * u_mm, 3.0 + 1.96 * u_mm), rel=1e-4)
     assert found.distance_95 == ends
     # At 3 u the other tail is as good as empty, and the lower end is that of one tail of 5 %.

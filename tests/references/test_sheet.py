@@ -210,11 +210,11 @@ def test_a_frozen_scene_and_a_softer_or_lighter_fabric_differ_from_the_reference
         found[title] = verify(
             band, frames=np.zeros((frames, len(band.coordinates))), markers_m=places_m
         )
-    assert found["as it is"].distance_in_u < 1.96
+    assert found["as it is"].scaled < 1.96
     assert found["as it is"].power > 5.0
     if "Bending" in name:
-        assert found["soft"].distance_in_u > 5.0
-        assert found["light"].distance_in_u > 5.0
+        assert found["soft"].scaled > 5.0
+        assert found["light"].scaled > 5.0
 
 
 def test_a_held_end_changes_the_momentum_of_the_sheet_by_its_force():

@@ -233,8 +233,8 @@ def verification_table(results: Sequence[Result]) -> Table:
                     "quantity": one.quantity,
                     "distance": with_unit(score_text(one.distance), one.unit),
                     "in_u": None
-                    if one.distance_in_u is None
-                    else interval_text(one.distance_in_u, one.scaled_95),
+                    if not one.uncertainty
+                    else interval_text(one.scaled, one.scaled_95),
                     "frozen": with_unit(score_text(one.frozen), one.unit),
                     "power": one.power,
                     "verdict": one.verdict,

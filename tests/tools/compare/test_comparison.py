@@ -432,7 +432,7 @@ def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
     )
     assert grade(together, "model").ids == (f"GAUGE/{SOLVED}",)
     assert grade(together, "model").scores[0].mean.value == pytest.approx(
-        real[SOLVED].score.verification.distance_in_u
+        real[SOLVED].score.verification.scaled
     )
 
 
