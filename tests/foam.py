@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gauge_envs.scene import Box, Pose, SoftBody
+from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.scene import Box, Pose, Region, SoftBody
 
 EDGE_M = 0.05
 AREA_M2 = EDGE_M**2
@@ -30,3 +31,9 @@ def block(
         young_modulus_pa=young_pa,
         poisson_ratio=poisson,
     )
+
+
+def held(side, motion, depth_m=0.0, axis="z", body=""):
+    """To a plate, or another body, at the world's origin: `low` and `high` are the names of plates."""
+    region = Region(axis=axis, side=side, depth_m=depth_m)
+    return RigidAttachment(region=region, body=body or side, motion=motion, pose=ORIGIN)

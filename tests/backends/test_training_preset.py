@@ -5,7 +5,6 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.envs.env import GaugeEnv
 
 SCENES = (
     "TextileFlinging-satin",
@@ -58,16 +57,12 @@ def test_every_scene_has_a_training_preset_that_is_not_finer(engine, name):
         ("SlopeSlider-2-wood", 12, 0.8),
     ],
 )
-def test_a_trajectory_for_training_is_near(name, frames, limit_mm):
+def test_a_trajectory_for_training_is_near(name, frames, limit_mm, rollout):
     paths = []
     for settings in ({}, {"preset": "training"}):
-        env = GaugeEnv(name, settings=settings, marker_proxy="material")
-        env.reset(seed=0)
-        for _ in range(frames):
-            env.step(
-                np.zeros(env.action_space.shape or ()) if env.action_space.shape else 0
-            )
-        trajectory = env.trajectory()
+        env, trajectory, _ = rollout(
+            name, frames=frames, settings=settings, marker_proxy="material"
+        )
         paths.append(
             1e3
             * (

@@ -87,12 +87,23 @@ def test_an_engine_that_hangs_costs_its_episode(installed):
     )
 
 
-def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(installed):
-    installed("crash")
-    requests = [RunRequest(variant, backend="crash") for variant in (PLASTIC, METAL)]
-    results = list(run_many(requests, isolate=True))
+@pytest.mark.parametrize(
+    ("name", "limits", "cause"),
+    [
+        ("crash", {"isolate": True}, "signal 11 (segmentation fault)"),
+        (
+            "greedy",
+            {"isolate": None, "time_limit_s": 30.0, "memory_limit_gb": 0.8},
+            "memory limit of 0.8 GB",
+        ),
+    ],
+)
+def test_a_run_goes_on_after_an_engine_that_ended(name, limits, cause, installed):
+    installed(name)
+    requests = [RunRequest(variant, backend=name) for variant in (PLASTIC, METAL)]
+    results = list(run_many(requests, **limits))
     assert [result.outcome.value for result in results] == ["failed", "finished"]
-    assert "signal 11 (segmentation fault)" in str(results[0].error)
+    assert cause in str(results[0].error)
 
 
 def test_a_setting_that_json_does_not_have_costs_its_episode(installed, tmp_path):
@@ -228,16 +239,6 @@ def test_a_memory_limit_ends_the_call_and_not_the_program():
         ):
             worker.call(take_memory, 1.0)
         assert worker.call(os.getpid) > 0
-
-
-def test_a_run_under_a_memory_limit_goes_on(installed):
-    installed("greedy")
-    requests = [RunRequest(variant, backend="greedy") for variant in (PLASTIC, METAL)]
-    results = list(
-        run_many(requests, isolate=None, time_limit_s=30.0, memory_limit_gb=0.8)
-    )
-    assert [result.outcome.value for result in results] == ["failed", "finished"]
-    assert "memory limit of 0.8 GB" in str(results[0].error)
 
 
 @pytest.mark.parametrize("limit_gb", [0.0, -1.0, float("nan")])

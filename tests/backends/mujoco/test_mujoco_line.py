@@ -5,11 +5,10 @@ from math import pi
 import mujoco
 import numpy as np
 import pytest
-from foam import ORIGIN
+from foam import held
 
 from gauge_envs.backends.mujoco.line import add_rod
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Region, Rod
+from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Rod
 
 ROD_M, ROD_RADIUS_M = 0.15, 0.005
 SOFT_PA, HARD_PA = 9285115.0, 1e9
@@ -43,9 +42,8 @@ class Bench:
             young_modulus_pa=young_pa,
             poisson_ratio=0.49,
         )
-        high = Region(axis="z", side="high")
-        held = RigidAttachment(region=high, body="base", motion=motion, pose=ORIGIN)
-        self.part = add_rod(self.spec, rod, attachments=[held], damping_s=0.01)
+        grip = held("high", motion, body="base")
+        self.part = add_rod(self.spec, rod, attachments=[grip], damping_s=0.01)
         self.finish()
 
     def finish(self):

@@ -3,26 +3,15 @@
 import mujoco
 import numpy as np
 import pytest
-from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, ORIGIN, YOUNG_PA, block
+from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block, held
 from hexahedra import extrapolated_end_force
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco import soft
 from gauge_envs.backends.mujoco.soft import add_soft
-from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Motion, Region
-
-
-def held(side, motion, depth_m=0.0, axis="z"):
-    """To a plate at the world's origin: `low` and `high` are their names."""
-    return RigidAttachment(
-        region=Region(axis=axis, side=side, depth_m=depth_m),
-        body=side,
-        motion=motion,
-        pose=ORIGIN,
-    )
+from gauge_envs.scene import Motion
 
 
 def part_of(spec, row, *, cells=None, damping_s=1e-4):

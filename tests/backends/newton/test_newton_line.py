@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from foam import ORIGIN
+from foam import held
 
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.scene import Motion, Pose, Region, Rod
+from gauge_envs.scene import Motion, Pose, Rod
 
 newton = pytest.importorskip("newton")
 
@@ -24,12 +23,7 @@ def test_segments_have_the_mass_and_inertia_of_their_pieces():
         young_modulus_pa=9285115.0,
         poisson_ratio=0.49,
     )
-    grip = RigidAttachment(
-        region=Region(axis="z", side="high", depth_m=depth_m),
-        body="top",
-        motion=Motion.FIXED,
-        pose=ORIGIN,
-    )
+    grip = held("high", Motion.FIXED, depth_m, body="top")
     settings = SettingsLines(preset="bench", timestep_s=1 / 3600)
     builder = newton.ModelBuilder()
     part = add_line(

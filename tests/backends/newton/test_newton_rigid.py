@@ -2,7 +2,6 @@
 
 import importlib
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -19,18 +18,13 @@ NEWTON = backend("newton")
 
 
 @pytest.mark.slow
-def test_the_same_scene_in_two_engines_moves_alike():
+def test_the_same_scene_in_two_engines_moves_alike(rollout):
     for name in ("Turntable-2-metal", "NonsmoothContact-1-wood", "Pendulum-metal"):
         courses = []
         for engine in ("mujoco", "newton"):
-            env = gymnasium.make(f"GAUGE/{name}", backend=engine).unwrapped
-            env.reset(seed=0)
             # Two swings of the pendulum, whose episode has 3000 frames.
-            for _ in range(min(66, env.experiment.frame_count - 1)):
-                env.step(
-                    np.zeros(env.action_space.shape) if env.action_space.shape else 0
-                )
-            courses.append(env.trajectory().samples)
+            _, course, _ = rollout(name, frames=66, backend=engine)
+            courses.append(course.samples)
         moved = np.linalg.norm(np.ptp(courses[0], axis=0))
         assert (
             np.sqrt(np.square(courses[0] - courses[1]).sum(axis=1).mean())

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, ORIGIN, YOUNG_PA, block
+from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block, held
 from hexahedra import extrapolated_end_force
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import spsolve
@@ -16,18 +16,8 @@ from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxe
 from gauge_envs.backends.newton.parts import add_soft  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsMPM, SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
-from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
 from gauge_envs.backends.shared.soft_rows import SoftRow  # noqa: E402
-from gauge_envs.scene import Motion, Region  # noqa: E402
-
-
-def plate(side, motion, depth_m=0.0, axis="z"):
-    return RigidAttachment(
-        region=Region(axis=axis, side=side, depth_m=depth_m),
-        body=side,
-        motion=motion,
-        pose=ORIGIN,
-    )
+from gauge_envs.scene import Motion  # noqa: E402
 
 
 def vbd(**changes):
@@ -49,7 +39,7 @@ class Bench:
     ):
         wp.config.log_level = wp.LOG_WARNING
         self.builder = newton.ModelBuilder(gravity=gravity)
-        row = SoftRow.of(bodies, {bodies[0].name: [plate("low", Motion.FIXED)]})
+        row = SoftRow.of(bodies, {bodies[0].name: [held("low", Motion.FIXED)]})
         settings = vbd(**changes)
         self.part = add_soft(self.builder, row, indices={}, settings=settings)
         self.builder.color()
@@ -115,9 +105,9 @@ def linear_stiffness(builder, young_pa, poisson):
 
 def mesh(*bodies, high=Motion.FIXED, **options):
     builder = newton.ModelBuilder()
-    attachments = {bodies[0].name: [plate("low", Motion.FIXED)]}
+    attachments = {bodies[0].name: [held("low", Motion.FIXED)]}
     if high:
-        attachments.setdefault(bodies[-1].name, []).append(plate("high", high))
+        attachments.setdefault(bodies[-1].name, []).append(held("high", high))
     return builder, add_soft(
         builder, SoftRow.of(bodies, attachments), indices={}, settings=vbd(**options)
     )
@@ -297,8 +287,8 @@ class BenchMPM(Bench):
         wp.config.log_level = wp.LOG_WARNING
         attachments = {
             body.name: [
-                plate("low", Motion.FIXED, 0.01285),
-                plate("high", Motion.KINEMATIC, 0.01285),
+                held("low", Motion.FIXED, 0.01285),
+                held("high", Motion.KINEMATIC, 0.01285),
             ]
         }
         settings = SettingsMPM(preset="bench", timestep_s=step_s, cell_m=voxel_m)

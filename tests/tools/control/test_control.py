@@ -29,7 +29,7 @@ from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
 from gauge_envs.tools.control.pendulum import PendulumLimit
-from gauge_envs.tools.control.play import engine_limit, play
+from gauge_envs.tools.control.play import engine_limit, play, play_paid
 from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
 from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 from gauge_envs.tools.control.turntable import TurntableLimit
@@ -385,14 +385,14 @@ def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known():
 def test_pendulum_returns_at_most_one():
     env = make("Pendulum-Limit-metal")
     for fraction in (0.9, 0.98):
-        paid, _ = rewards(env, lambda _, fraction=fraction: env.law_action(fraction))
+        paid, _ = play_paid(env, lambda _, fraction=fraction: env.law_action(fraction))
         # At the target x = 1, and the work is 1 / fraction.
-        assert sum(paid) == pytest.approx(2.0 - 1.0 / fraction, abs=2e-3)
+        assert paid == pytest.approx(2.0 - 1.0 / fraction, abs=2e-3)
     assert env.report().limit.value == pytest.approx(1.0 / (0.3175 * GRAVITY_M_PER_S2))
-    paid, _ = rewards(env, lambda _: env.law_action(1.02))
-    assert env.report().ending is Ending.MISSED
-    assert env.report().reached == 0.0
-    assert sum(paid) == pytest.approx(1.0 / 1.02, abs=2e-3)
+    paid, report = play_paid(env, lambda _: env.law_action(1.02))
+    assert report.ending is Ending.MISSED
+    assert report.reached == 0.0
+    assert paid == pytest.approx(1.0 / 1.02, abs=2e-3)
 
 
 def test_pendulum_braking_is_not_paid_back():

@@ -11,7 +11,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.carry import CarryLimit
 from gauge_envs.tools.control.least_time import REST_M_PER_S, TOLERANCE_M, TOLERANCE_RAD
 from gauge_envs.tools.control.limit import Ending, pair_friction
-from gauge_envs.tools.control.play import play
+from gauge_envs.tools.control.play import play, play_paid
 from gauge_envs.tools.control.push import PushLimit
 from gauge_envs.tools.control.stage import FRAME_S, acceleration_to_rest
 
@@ -23,14 +23,8 @@ SETTINGS = {CarryLimit: FAST, PushLimit: SLIDING}
 
 
 def by_law(env, fraction=1.0, *, seed=0):
-    """Return the report of the law's policy, and the sum of its rewards."""
-    env.reset(seed=seed)
-    paid, over = 0.0, False
-    while not over:
-        _, reward, terminated, truncated, _ = env.step(env.law_action(fraction))
-        paid += reward
-        over = terminated or truncated
-    return env.report(), paid
+    """Return the sum of the rewards of the law's policy, and its report."""
+    return play_paid(env, lambda _: env.law_action(fraction), seed=seed)
 
 
 # --- the law ---
@@ -106,13 +100,13 @@ def test_time_to_go_is_that_of_the_fastest_motion(distance, speed):
 def test_carry_at_the_law(material):
     env = CarryLimit(material, settings=FAST)
     for seed in range(2):
-        report, paid = by_law(env, seed=seed)
+        paid, report = by_law(env, seed=seed)
         assert report.ending is Ending.REACHED
         # Arrival is seen each 1/180 s and the change of the acceleration takes a frame.
         assert 0.95 < report.ratio <= 1.0
         assert 0.96 < paid <= 1.0
     for more in (1.05, 1.2):
-        report, paid = by_law(env, more)  # it slips, and arrives later
+        paid, report = by_law(env, more)  # it slips, and arrives later
         assert report.ratio <= 1.0
         assert paid <= 1.0
     assert report.ratio < 0.8
@@ -136,7 +130,7 @@ def test_carry_with_more_friction_than_the_law_knows_is_seen():
         "wood", settings=FAST, parameters={"cube.friction": 1.2 * 0.378789}
     )
     env.limit = CarryLimit("wood").limit
-    report, paid = by_law(env, 1.17)
+    paid, report = by_law(env, 1.17)
     assert report.ratio > 1.08
     assert paid > 1.02
 
@@ -155,7 +149,7 @@ def test_a_plate_that_leaves_loses_the_cube():
 def test_push_at_the_law(material):
     env = PushLimit(material, settings=SLIDING)
     for seed in range(2):
-        report, paid = by_law(env, seed=seed)
+        paid, report = by_law(env, seed=seed)
         assert report.ending is Ending.REACHED
         # A pusher of 20 m/s^2 in contact needs sqrt(1 + mu g / A) times the least time.
         most = 1.0 / (
@@ -197,7 +191,7 @@ def test_a_pusher_that_passes_the_cube_ends_the_episode():
 @pytest.mark.parametrize("share", [0.6, 0.8, 1.0])
 def test_the_time_to_go_cancels_over_an_arrival(task, share):
     """Its decreases pay 1/3 whatever the way, and the rest is two thirds of the ratio."""
-    report, paid = by_law(task("wood", settings=SETTINGS[task]), share, seed=3)
+    paid, report = by_law(task("wood", settings=SETTINGS[task]), share, seed=3)
     assert report.ending is Ending.REACHED
     assert paid == pytest.approx((1.0 + 2.0 * report.ratio) / 3.0, abs=1e-12)
 
@@ -210,12 +204,8 @@ def test_without_an_arrival_the_place_at_the_end_is_paid(task):
         ((0.1, 0.0), None),
         ((1.0, 1.0), Ending.LOST),
     ):
-        env.reset(seed=0)
-        paid, over = 0.0, False
-        while not over:
-            _, reward, terminated, truncated, _ = env.step(np.array(action))
-            paid, over = paid + reward, terminated or truncated
-        assert ending in (None, env.report().ending)
+        paid, report = play_paid(env, lambda _, action=action: np.array(action))
+        assert ending in (None, report.ending)
         way, velocity = np.split(env.trajectory()[-1, :4], 2)
         left_m = float(np.linalg.norm(way))
         ahead = float(velocity @ way) / left_m
@@ -237,14 +227,12 @@ def test_no_motion_beats_the_law(task):
     arrived = 0
     for seed in range(8):
         share, noise = random.uniform(0.9, 1.1), random.uniform(0.0, 0.1)
-        env.reset(seed=seed)
-        paid, over = 0.0, False
-        while not over:
+
+        def policy(_, share=share, noise=noise):
             noisy = random.normal(0.0, noise if env.time_s < 0.2 else 0.0, 2)
-            action = np.clip(env.law_action(share) + noisy, -1.0, 1.0)
-            _, reward, terminated, truncated, _ = env.step(action)
-            paid, over = paid + reward, terminated or truncated
-        report = env.report()
+            return np.clip(env.law_action(share) + noisy, -1.0, 1.0)
+
+        paid, report = play_paid(env, policy, seed=seed)
         arrived += report.ending is Ending.REACHED
         assert report.ratio <= 1.0
         assert paid <= 1.0

@@ -7,7 +7,7 @@ import pytest
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.limit import Ending
-from gauge_envs.tools.control.play import play
+from gauge_envs.tools.control.play import play, play_paid
 from gauge_envs.tools.control.throw import (
     SPEED_M_PER_S,
     STROKE_M,
@@ -50,12 +50,7 @@ def test_uncertainty_is_that_of_restitution_and_start():
 
 def test_the_laws_policy_throws_nearly_as_high():
     env = ThrowLimit("rubber")
-    env.reset(seed=0)
-    paid, over = 0.0, False
-    while not over:
-        _, reward, terminated, truncated, _ = env.step(env.law_action(1.0))
-        paid, over = paid + reward, terminated or truncated
-    report = env.report()
+    paid, report = play_paid(env, lambda _: env.law_action(1.0))
     assert report.ending is Ending.REACHED
     # It meets the ball 2 cm below the top of the stroke, and starts its stroke at a frame.
     assert 0.95 < report.ratio < 1.0
