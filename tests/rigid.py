@@ -4,9 +4,14 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Motion, Plane, Pose, Scene
-from gauge_envs.tools.bench.parts import body
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Motion, Plane, Pose, Scene
+from gauge_envs.tools.bench.parts import body, contact
+
+FRICTION = 0.273673
+SLOPE = Rotation.from_euler("y", 30, degrees=True)
+SLIDE_M_PER_S2 = GRAVITY_M_PER_S2 * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi / 6))
 
 
 def solid(name, shape, position_m=(0.0, 0.0, 0.0), **changes):
@@ -34,3 +39,30 @@ def states(engine, scene, names, seconds, *, interval_s=1 / 180, **settings):
             simulation.advance(interval_s)
             rows.append(simulation.body_states(names))
     return np.array(rows)
+
+
+def sliding_scene():
+    """A cube on a board that leans by 30 degrees."""
+
+    def on_slope(position_m):
+        return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
+
+    board = solid(
+        "board",
+        Box(size_m=(2.0, 0.3, 0.02)),
+        motion=Motion.FIXED,
+        pose=on_slope((0, 0, -0.01)),
+    )
+    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), pose=on_slope((0, 0, 0.025)))
+    return scene_of(
+        board, cube, contacts=(contact("cube", "board", friction=FRICTION),)
+    )
+
+
+def slide(engine, seconds, **settings):
+    """Acceleration of the cube over Coulomb's, and its highest rise over the board [m]."""
+    places = states(engine, sliding_scene(), ["cube"], seconds, **settings)[:, 0, :3]
+    along = SLOPE.inv().apply(places)
+    times_s = np.arange(len(along)) / 180
+    acceleration = 2.0 * np.polyfit(times_s, along[:, 0], 2)[0]
+    return acceleration / SLIDE_M_PER_S2, float(along[:, 2].max() - 0.025)
