@@ -41,6 +41,9 @@ HOLD_S, STEP_S, PUSH_S = 2.0, 1.0, 0.5
 STEP_RAD = 0.1
 """Step of a command [rad]."""
 
+MOST_REASONS = 6
+"""Most lines on what was tried in vain, the last of which say why each row has no cure."""
+
 PUSH_SHARE = 0.1
 """Push, over the weight of the robot."""
 
@@ -166,7 +169,7 @@ def applied(path: Path, only: list[str]) -> dict[str, str]:
     if not flags:
         return row
     if report.cure is None:
-        row["cure"] = "none: " + "; ".join(report.tried)
+        row["cure"] = "none: " + "; ".join(report.tried[-MOST_REASONS:])
         return row
     row["cure"] = report.cure.line.rpartition(": ")[0]
     with TemporaryDirectory() as folder:
