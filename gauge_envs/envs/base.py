@@ -77,12 +77,24 @@ class EngineEnvironment:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How Gymnasium makes this environment again; `EnvSpec.to_json` accepts its arguments."""
+        """How Gymnasium makes this environment again; `EnvSpec.to_json` accepts its arguments.
+
+        Raises:
+            ParameterError: Arguments name another experiment than the id, whose steps Gymnasium would count.
+        """
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         self._spec = plain_spec(spec)
+        if spec is None or not spec.id.startswith("GAUGE/"):
+            return
+        for name in ("variant", "task"):
+            stated = spec.kwargs.get(name)
+            if stated is not None and f"GAUGE/{stated}" != spec.id:
+                raise ParameterError(
+                    f"{name} {str(stated)!r} with {spec.id}: the id names the experiment; make 'GAUGE/{stated}'"
+                )
 
     @property
     def _label(self) -> str:

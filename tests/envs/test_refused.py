@@ -92,6 +92,12 @@ def test_calls_are_refused(approved):
         "no variant": lambda: GaugeEnv(None),
         "unknown render mode": lambda: GaugeEnv(SLIDE, render_mode="ansi"),
         "camera": lambda: GaugeEnv(SLIDE, camera={"zoom": 2.0}),
+        "another experiment": lambda: gymnasium.make(
+            f"GAUGE/{SLIDE}", variant="SlopeSlider-3-metal"
+        ),
+        "another task": lambda: gymnasium.make(
+            f"GAUGE/{push}", task="Throw-Limit-rubber"
+        ),
         "camera of no mapping": lambda: GaugeEnv(SLIDE, camera="top"),
         "window of worlds": lambda: GaugeVectorEnv(SLIDE, render_mode="human"),
         "fine cloth": lambda: GaugeEnv("Funnel-satin", **coarse),
