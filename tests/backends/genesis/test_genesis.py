@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigid import plane_deg, solid
+from rigid import plane_deg, slide, sliding_scene, solid
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import (
@@ -18,7 +18,6 @@ from gauge_envs.scene import (
     ContactMode,
     Cylinder,
     Motion,
-    Pose,
     Scene,
     Sphere,
 )
@@ -33,9 +32,6 @@ from gauge_envs.backends.genesis.settings import PRESETS
 
 GENESIS = backend("genesis")
 G = GRAVITY_M_PER_S2
-FRICTION = 0.273673
-SLOPE = Rotation.from_euler("y", 30, degrees=True)
-SLIDE_M_PER_S2 = G * (np.sin(np.pi / 6) - FRICTION * np.cos(np.pi / 6))
 FAST = {"timestep_s": 1 / 1800}
 
 
@@ -54,48 +50,17 @@ def touching(first, second, friction=0.3, **changes):
     )
 
 
-def sliding_scene():
-    def on_slope(position_m):
-        return Pose.from_rotation(tuple(SLOPE.apply(position_m).tolist()), SLOPE)
-
-    board = solid(
-        "board",
-        Box(size_m=(2.0, 0.3, 0.02)),
-        motion=Motion.FIXED,
-        pose=on_slope((0, 0, -0.01)),
-    )
-    cube = solid("cube", Box(size_m=(0.05, 0.05, 0.05)), pose=on_slope((0, 0, 0.025)))
-    return Scene(
-        bodies=(board, cube),
-        contacts=(touching("cube", "board", FRICTION),),
-        duration_s=1.0,
-    )
-
-
-def slide(**settings):
-    """Acceleration over Coulomb's, and highest rise of a cube over its board [m], in 0.3 s."""
-    simulation = GENESIS.build(sliding_scene(), FAST | settings)
-    places = []
-    for _ in range(55):
-        places.append(SLOPE.inv().apply(simulation.body_states(["cube"])[0, :3]))
-        simulation.advance(1 / 180)
-    simulation.close()
-    along = np.array(places)
-    acceleration = 2.0 * np.polyfit(np.arange(55) / 180, along[:, 0], 2)[0]
-    return acceleration / SLIDE_M_PER_S2, float(along[:, 2].max() - 0.025)
-
-
 # --- friction --------------------------------------------------------------------------------------------------------
 
 
 def test_signorini_contacts_slide_by_coulombs_law():
-    ratio, rise_m = slide()
+    ratio, rise_m = slide(GENESIS, 0.3, **FAST)
     assert ratio == pytest.approx(1.0, abs=1e-4)
     assert rise_m < 1e-6
 
 
 def test_convex_contacts_lift_a_sliding_box():
-    ratio, rise_m = slide(contact_resolution="convex")
+    ratio, rise_m = slide(GENESIS, 0.3, **FAST, contact_resolution="convex")
     assert 1e-3 < ratio - 1.0 < 1e-2
     assert rise_m > 1e-4
 
