@@ -1,22 +1,25 @@
 """Rates of generated faults that the checks catch and name, on random samples of seen and held-out classes.
 
-    python -m studies.planted_faults.random_faults checks --count 60            runs checks; goes on where it stopped
+    python -m studies.planted_faults.random_faults checks --count 60            runs checks on faults that have no row
     python -m studies.planted_faults.random_faults ids                          what each survivor changes in the suite
     python -m studies.planted_faults.random_faults rates                        the table of the page
 
 `random_faults.csv` has a row for each fault. A class (`tests/mutations/generated.py`) is drawn first, then one of its
-faults that changes a scene of the suite, or a call. The first check that fails on the fault, but not on the healthy
-engine, is kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
+faults that changes a call, or MuJoCo's model of a scene of the suite: a quantity that the backend does not read, as
+the Poisson's ratio of a rod, is no fault. The first check that fails on the fault, but not on the healthy engine, is
+kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import multiprocessing
 import re
+import resource
 import sys
-import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +54,6 @@ COLUMNS = (
     "fault",
     "set",
     "part",
-    "checks",
     "caught_by",
     "named",
     "diagnosis",
@@ -59,9 +61,18 @@ COLUMNS = (
     "change_u",
     "id",
 )
-SEED = 58
+SEEDS = {"seen": 58, "held out": 59}
 SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-|^restore-benchmark-soft$")
 """Checks of scenes with deformable bodies."""
+PARTS = ["rigid", "deformable"]
+KINDS = {
+    "Cloth": "cloth",
+    "Air": "air",
+    "SoftBody": "foam",
+    "Rope": "rope",
+    "Rod": "rod",
+}
+"""First word of the checks of the only scenes that have a part with the field that a fault changes."""
 
 
 def _rows() -> dict[str, dict[str, str]]:
@@ -109,35 +120,76 @@ def _scenes() -> dict[str, Scene]:
     }
 
 
-def _changes_a_scene(one: Generated, scenes: dict[str, Scene]) -> bool:
-    """Return whether a fault is planted anywhere: a change of a call always is."""
-    if one.quantity[0].islower() or one.kind == "threshold":
+def _changes_a_model(one: Generated, scenes: dict[str, Scene]) -> bool:
+    """Return whether a fault can have an effect: it changes a call, or MuJoCo's model of a scene of the suite."""
+    if one.quantity[0].islower() or one.fault.simulation.__name__ not in (
+        "Passed",
+        "Switched",
+    ):
         return True
-    if one.fault.simulation.__name__ != "Passed":
-        return True
-    return any(one.fault.scene(scene) != scene for scene in scenes.values())
+    change = one.fault.scene
+    if one.kind == "threshold":
+        # While its condition holds, the constants are those of another fault.
+        faults = generated()
+        twin = faults.get(f"{one.quantity}:scale:0.5") or faults.get(
+            f"{one.quantity}:offset:0.5"
+        )
+        assert twin is not None, one.id
+        change = twin.fault.scene
+    for scene in scenes.values():
+        changed = change(scene)
+        if changed != scene and _model(changed) != _model(scene):
+            return True
+    return False
 
 
-def sample(count: int) -> dict[str, list[Generated]]:
-    """Return faults of `count` random classes each, seen and held out."""
-    draw = np.random.default_rng(SEED)
+def _model(scene: Scene) -> dict[str, Any]:
+    """Return the constants of MuJoCo's model of a scene as bytes; None where it builds none."""
+    try:
+        model = backend("mujoco").build(scene).model  # type: ignore[attr-defined]
+    except (GaugeError, ValueError):
+        return {}
+    names = [name for name in dir(model) if not name.startswith("_")]
+    values = {name: getattr(model, name) for name in names}
+    arrays = {
+        name: value.tobytes()
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
+    }
+    return arrays | {"gravity": model.opt.gravity.tobytes()}
+
+
+def sample(label: str, part: str, count: int) -> list[Generated]:
+    """Return one fault each of `count` random classes of a set and a part."""
+    draw = np.random.default_rng(SEEDS[label])
     classes: dict[tuple[str, str], list[Generated]] = {}
     for one in generated().values():
-        classes.setdefault((one.quantity, one.kind), []).append(one)
+        if _labels(one) == (label, part):
+            classes.setdefault((one.quantity, one.kind), []).append(one)
     scenes = _scenes()
-    found: dict[str, list[Generated]] = {"seen": [], "held out": []}
+    chosen: list[Generated] = []
     for number in draw.permutation(len(classes)):
         faults = list(classes.values())[number]
-        chosen = found["held out" if faults[0].is_held_out else "seen"]
-        order = draw.permutation(len(faults))
-        if len(chosen) < count:
-            planted = (faults[index] for index in order)
-            chosen += [one for one in planted if _changes_a_scene(one, scenes)][:1]
-    return found
+        for index in draw.permutation(len(faults)):
+            if len(chosen) < count and _changes_a_model(faults[index], scenes):
+                chosen.append(faults[index])
+                break
+    return chosen
+
+
+def _labels(one: Generated) -> tuple[str, str]:
+    """Return the set and the part of a fault."""
+    return (
+        "held out" if one.is_held_out else "seen",
+        "deformable" if one.is_deformable else "rigid",
+    )
 
 
 def _wanted(one: Generated, name: str) -> bool:
-    """Return whether a check can show a fault: scenes of the other kind of bodies are left out."""
+    """Return whether a check can show a fault: scenes without the parts that it changes are left out."""
+    kind = KINDS.get(one.quantity.split(".")[0])
+    if kind is not None and name != "restore-benchmark-soft":
+        return name.startswith(f"{kind}-") or (kind == "cloth" and name[:4] == "air-")
     return bool(SOFT.search(name)) == one.is_deformable
 
 
@@ -160,60 +212,61 @@ class _Healthy:
         )
 
 
-def _first_failure(one: Generated, names: list[str], healthy: _Healthy) -> Any:
-    mutant = Mutant(backend("mujoco"), one.fault)
-    return next(
-        (
-            result
-            for result in run_checks(mutant, only=names)
-            if result.is_bad and not healthy.explains(result)
-        ),
-        None,
-    )
+def _first_failure(
+    one: Generated, names: list[str], healthy: _Healthy
+) -> tuple[str, str]:
+    """Return the first check that fails on a fault and its diagnosis; empty without one.
+
+    It runs in another process, since some faults let the engine crash.
+    """
+
+    def run(found: Any) -> None:
+        mutant = Mutant(backend("mujoco"), one.fault)
+        for result in run_checks(mutant, only=names):
+            if result.is_bad and not healthy.explains(result):
+                found.put((result.check, " ".join(result.diagnosis.split())))
+                return
+        found.put(("", ""))
+
+    context = multiprocessing.get_context("fork")
+    found = context.SimpleQueue()
+    process = context.Process(target=run, args=(found,))
+    process.start()
+    process.join()
+    return ("crash", "") if process.exitcode else found.get()
 
 
-def run_sample(count: int, sets: list[str]) -> None:
-    """Run the checks that a row lacks on each fault of a sample."""
+def _children_s() -> float:
+    """Return the CPU time of all processes that ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def run_sample(count: int, labels: list[str], parts: list[str]) -> None:
+    """Run the checks on each fault of a sample that has no row."""
     rows: dict[str, dict[str, Any]] = dict(_rows())
     healthy = _Healthy()
     every = [one.id for one in checks()]
-    for label, faults in sample(count).items():
-        for one in faults if label in sets else []:
-            row = rows.get(one.id)
-            ran = set(row["checks"].split()) if row else set()
-            names = [name for name in every if _wanted(one, name) and name not in ran]
-            if not names or (row and row["caught_by"]):
+    for label, part in product(labels, parts):
+        for one in sample(label, part, count):
+            if one.id in rows:
                 continue
-            started = time.process_time()
-            result = _first_failure(one, names, healthy)
-            spent = (
-                time.process_time() - started + (float(row["cpu_s"]) if row else 0.0)
-            )
-            diagnosis = " ".join(result.diagnosis.split()) if result else ""
+            names = [name for name in every if _wanted(one, name)]
+            before_s = _children_s()
+            check, diagnosis = _first_failure(one, names, healthy)
+            is_named = re.search(one.fault.says, diagnosis, re.IGNORECASE) is not None
             rows[one.id] = {
                 "fault": one.id,
                 "set": label,
-                "part": "deformable" if one.is_deformable else "rigid",
-                "checks": "" if result else " ".join(sorted(ran | set(names))),
-                "caught_by": result.check if result else "",
-                "named": int(bool(re.search(one.fault.says, diagnosis, re.IGNORECASE)))
-                if result
-                else "",
+                "part": part,
+                "caught_by": check,
+                "named": int(is_named) if check else "",
                 "diagnosis": diagnosis[:300],
-                "cpu_s": f"{spent:.1f}",
-                "change_u": row["change_u"] if row else "",
-                "id": row["id"] if row else "",
+                "cpu_s": f"{_children_s() - before_s:.1f}",
             }
             _write(rows)
             if label == "seen":
-                print(
-                    one.id,
-                    "|",
-                    result.check if result else "-",
-                    "|",
-                    diagnosis[:80],
-                    flush=True,
-                )
+                print(one.id, "|", check or "-", "|", diagnosis[:80], flush=True)
 
 
 # --- what survivors change in the suite ---
@@ -351,10 +404,11 @@ def main() -> None:
     parser.add_argument("what", choices=("checks", "ids", "rates"))
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--most", type=int, default=4)
-    parser.add_argument("--set", action="append", choices=("seen", "held out"))
+    parser.add_argument("--set", action="append", choices=tuple(SEEDS))
+    parser.add_argument("--part", action="append", choices=PARTS)
     arguments = parser.parse_args()
     if arguments.what == "checks":
-        run_sample(arguments.count, arguments.set or ["seen", "held out"])
+        run_sample(arguments.count, arguments.set or [*SEEDS], arguments.part or PARTS)
     elif arguments.what == "ids":
         run_ids(arguments.most)
     else:

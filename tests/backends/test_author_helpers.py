@@ -17,10 +17,11 @@ from gauge_envs.backends import (
     backend,
 )
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
-from gauge_envs.backends.shared.rigid import DrivenMotion
+from gauge_envs.backends.shared.rigid import DrivenMotion, TetherSpring
 from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Pose, Scene
-from gauge_envs.tools.bench.parts import contact
+from gauge_envs.scene import ConvexUnion, Pose, Scene, Tether
+from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.tools.bench.parts import body, contact
 from gauge_envs.tools.conformance import Status, run_checks
 
 MUJOCO = backend("mujoco")
@@ -219,3 +220,65 @@ def test_mean_velocities_follow_the_motion_exactly():
     assert motion.velocity_at(1 / 180) == pytest.approx(
         motion.velocity + motion.acceleration / 180
     )
+
+
+# --- strings as springs ---
+
+LENGTH_M, WIDTH_M = 0.12, 0.002
+
+
+def hung_at(face):
+    """A thin bar of 0.1 kg along x, on a string of 0.3 m at its middle (0), or at the middle of its low face (1)."""
+    low, high = -0.5 * LENGTH_M + 0.5 * face * LENGTH_M, 0.5 * (1 + face) * LENGTH_M
+    half = 0.5 * WIDTH_M
+    corners = tuple(
+        (x, y, z) for x in (low, high) for y in (-half, half) for z in (-half, half)
+    )
+    bar = body(
+        "bar", ConvexUnion(pieces_m=(corners,)), Pose(position_m=(0.0, 0.0, 1.2))
+    )
+    string = Tether(body="bar", anchor_m=(0.0, 0.0, 1.5), length_m=0.3)
+    return Scene(bodies=(bar,), joints=(string,), duration_s=0.4)
+
+
+@pytest.mark.parametrize(("face", "share"), [(0, 1.0), (1, 0.25)])
+def test_the_end_of_a_bar_moves_like_a_quarter_of_its_mass(face, share):
+    """A rod that is pulled across at its end: 1 / m + (L / 2)^2 / (m L^2 / 12) = 4 / m; along itself it is m."""
+    (spring,) = TetherSpring.of(hung_at(face))
+    turned = Rotation.from_euler("xyz", [20.0, 50.0, -70.0], degrees=True)
+    across, along = turned.apply([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]])
+    assert spring.end_mass_kg(turned, across) == pytest.approx(0.1 * share, rel=1e-3)
+    assert spring.end_mass_kg(turned, along) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("face", [0, 1])
+def test_a_string_as_a_spring_keeps_its_length_beside_the_centre_of_mass(face):
+    """The bar falls from level; its motion under the force is integrated here, with steps of 1 ms."""
+    scene = hung_at(face)
+    (spring,) = TetherSpring.of(scene)
+    centre_m, inertia = body_mass_properties(scene.body("bar"))
+    step_s, rate = 1e-3, 0.5
+    turn, spin = Rotation.identity(), np.zeros(3)
+    place, velocity = np.array([0.0, 0.0, 1.2]) + centre_m, np.zeros(3)
+    lengths = []
+    for _ in range(400):
+        arm = turn.apply(-centre_m)
+        state = np.concatenate(
+            [
+                place + arm,
+                turn.as_quat(scalar_first=True),
+                velocity + np.cross(spin, arm),
+                spin,
+            ]
+        )
+        force = spring.pull_n(state, rate / step_s)
+        force = np.zeros(3) if force is None else force
+        axes = turn.as_matrix()
+        in_world = axes @ inertia @ axes.T
+        torque = np.cross(arm, force) - np.cross(spin, in_world @ spin)
+        velocity = velocity + step_s * (force / 0.1 + [0.0, 0.0, -9.80665])
+        spin = spin + step_s * np.linalg.solve(in_world, torque)
+        place = place + step_s * velocity
+        turn = Rotation.from_rotvec(step_s * spin) * turn
+        lengths.append(np.linalg.norm(place + turn.apply(-centre_m) - [0.0, 0.0, 1.5]))
+    assert lengths == pytest.approx([0.3] * 400, rel=0.01)

@@ -97,7 +97,7 @@ ENGINES = (
     Engine(
         name="mujoco",
         module="mujoco",
-        long=(*LONG, "foam-start", "foam-poisson", "foam-rests-on"),
+        long=(*LONG, "foam-*", "*-rests-on", "*-strike", "rod-length", "rope-mass"),
     ),
     Engine(
         name="rapier",

@@ -278,7 +278,7 @@ FAULTS = dict(
             "rod-young",
             "Young's modulus of a rod 20 % high",
             "rod-bending",
-            "bends 0.83",
+            "bends 0.8",
             scene=change_deformables(Rod, young_modulus_pa=1.2),
         ),
         fault(

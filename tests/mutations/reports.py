@@ -135,6 +135,19 @@ class _StateLate(Passed):
         self._before = state[1]
 
 
+class _NodesDrift(Passed):
+    """Nodes sink by 0.1 mm/s relative to what holds them."""
+
+    time_s = 0.0
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        self.time_s += seconds
+
+    def nodes(self, name):
+        return super().nodes(name) - [0.0, 0.0, 1e-4 * self.time_s]
+
+
 class _NodesLag(Passed):
     """Nodes are those of an interval before."""
 
@@ -272,6 +285,13 @@ FAULTS = dict(
             "cloth-pinned-edge",
             "late",
             simulation=_NodesLag,
+        ),
+        fault(
+            "attachments-drift",
+            "attached nodes drift by 0.1 mm/s",
+            "cloth-held",
+            "an attachment drifts",
+            simulation=_NodesDrift,
         ),
         fault(
             "nodes-shuffled",

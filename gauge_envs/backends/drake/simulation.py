@@ -14,12 +14,12 @@ from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
+    TetherSpring,
     body_state,
     hinges_by_body,
     placed_states,
-    tether_pull,
 )
-from gauge_envs.scene import Motion, Pose, Scene, Tether
+from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.meshes import body_mass_properties
 
 
@@ -36,7 +36,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._context = self._model.diagram.CreateDefaultContext()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
         self._forces = plant.get_applied_spatial_force_input_port()
-        self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
+        self._tethers = TetherSpring.of(scene)
         # Where the state has the pose and the velocity of bodies without hinges.
         self._rows = {
             name: (
@@ -139,18 +139,13 @@ class SimulationDrake(PlacedWorld, Simulation):
             self._force(name, self._centres[name], wrench)
             for name, wrench in self._wrenches.items()
         ]
-        for tether in self._tethers:
-            state, mass_kg = (
-                self._free_state(tether.body),
-                self._scene.body(tether.body).mass_kg,
-            )
-            pull = tether_pull(tether, state, mass_kg, self._tether_rate / self._step_s)
+        for spring in self._tethers:
+            body = spring.tether.body
+            frequency_per_s = self._tether_rate / self._step_s
+            pull = spring.pull_n(self._free_state(body), frequency_per_s)
             if pull is not None:
-                forces.append(
-                    self._force(
-                        tether.body, np.zeros(3), np.concatenate([pull, np.zeros(3)])
-                    )
-                )
+                wrench = np.concatenate([pull, np.zeros(3)])
+                forces.append(self._force(body, np.zeros(3), wrench))
         self._forces.FixValue(self._plant_context, forces)
 
     def _force(

@@ -23,13 +23,13 @@ from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
+    TetherSpring,
     body_state,
     placed_states,
-    tether_pull,
 )
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Motion, Pose, Scene, Tether
+from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.motors import Servo
 
 
@@ -72,7 +72,7 @@ class _WorldGenesis(PlacedWorld):
         self.settings = lent.settings.model_dump(mode="json")
         self._scene, self._lent, self._index = scene, lent, index
         self.start = start_coordinates(scene, lent.model)
-        self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
+        self._tethers = TetherSpring.of(scene)
         self._motors = [
             (
                 isinstance(one.motor, Servo),
@@ -169,15 +169,12 @@ class _WorldGenesis(PlacedWorld):
                 world,
                 ref=engine().link_ref_frame.link_COM,
             )
-        for tether in self._tethers:
-            state, mass_kg = (
-                self.body_states([tether.body])[0],
-                self._scene.body(tether.body).mass_kg,
-            )
-            force = tether_pull(tether, state, mass_kg, frequency)
+        for spring in self._tethers:
+            body = spring.tether.body
+            force = spring.pull_n(self.body_states([body])[0], frequency)
             if force is not None:
                 solver.apply_links_external_wrench(
-                    force[None, None, :], None, [links[tether.body].idx], world
+                    force[None, None, :], None, [links[body].idx], world
                 )
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from gauge_envs.backends.base import World
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
+from gauge_envs.scene.meshes import body_mass_properties
 
 
 def body_state(
@@ -100,30 +101,73 @@ def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
     )
 
 
-def tether_pull(
-    tether: Tether, state: NDArray[np.float64], mass_kg: float, frequency_per_s: float
-) -> NDArray[np.float64] | None:
-    """Return the force of a string on the origin of its body [N], shape [3], or None if the string is slack.
+@dataclass(frozen=True)
+class TetherSpring:
+    """A string for engines without strings: a stiff spring with critical damping, which only pulls.
 
-    For engines without strings: a taut string is a stiff spring with critical damping, which only pulls.
-
-    Args:
+    Attributes:
         tether: The string.
-        state: State of the body, shape [13].
-        mass_kg: Mass of the body.
-        frequency_per_s: Angular frequency of the spring [1/s].
+        mass_kg: Mass of its body.
+        centre_m: Centre of mass in the body frame [m], shape [3].
+        inverse_inertia: Inverse of the inertia about the centre of mass, body axes [1/(kg m^2)], shape [3, 3].
     """
-    arm = np.asarray(tether.anchor_m) - state[:3]
-    length = float(np.linalg.norm(arm))
-    if length <= tether.length_m:
-        return None
-    along = arm / length
-    lengthening = -float(along @ state[7:10])
-    size = mass_kg * (
-        frequency_per_s**2 * (length - tether.length_m)
-        + 2.0 * frequency_per_s * lengthening
-    )
-    return size * along if size > 0.0 else None
+
+    tether: Tether
+    mass_kg: float
+    centre_m: NDArray[np.float64]
+    inverse_inertia: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, scene: Scene) -> list[TetherSpring]:
+        """Return the springs of the strings of a scene."""
+        found = []
+        for joint in scene.joints:
+            if isinstance(joint, Tether):
+                body = scene.body(joint.body)
+                centre_m, inertia = body_mass_properties(body)
+                inverse = np.linalg.inv(inertia).astype(np.float64)
+                found.append(cls(joint, body.mass_kg, np.asarray(centre_m), inverse))
+        return found
+
+    def end_mass_kg(self, rotation: Rotation, direction: NDArray[np.float64]) -> float:
+        """Return the mass that a force on the body's origin moves, as seen there: force over acceleration along it.
+
+        With r from the centre of mass to the origin, 1 / m_end = 1 / m + (r x n) . I^-1 (r x n).
+
+        Args:
+            rotation: Rotation of the body.
+            direction: Direction n of the force in the world, a unit vector, shape [3].
+        """
+        along = rotation.apply(direction, inverse=True)
+        lever = np.cross(-self.centre_m, along)
+        return 1.0 / (1.0 / self.mass_kg + float(lever @ self.inverse_inertia @ lever))
+
+    def pull_n(
+        self, state: NDArray[np.float64], frequency_per_s: float
+    ) -> NDArray[np.float64] | None:
+        """Return the force of the string on the origin of its body [N], shape [3], or None if the string is slack.
+
+        Args:
+            state: State of the body, shape [13].
+            frequency_per_s: Angular frequency of the spring [1/s].
+        """
+        arm = np.asarray(self.tether.anchor_m) - state[:3]
+        length = float(np.linalg.norm(arm))
+        if length <= self.tether.length_m:
+            return None
+        along = arm / length
+        lengthening = -float(along @ state[7:10])
+        acceleration = (
+            frequency_per_s**2 * (length - self.tether.length_m)
+            + 2.0 * frequency_per_s * lengthening
+        )
+        if acceleration <= 0.0:
+            return None
+        rotation = Rotation.from_quat(state[3:7], scalar_first=True)
+        force: NDArray[np.float64] = (
+            self.end_mass_kg(rotation, along) * acceleration * along
+        )
+        return force
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Closed forms, reference integrations and fits to which the checks compare an engine, and shared measurements."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -155,13 +156,34 @@ def slide_acceleration(measured: float, friction: float) -> Measurement:
     )
 
 
+def worst_ratio(ratios: Mapping[str, float], what: str) -> Measurement:
+    """Return the ratio that is furthest from 1, with the name of what it belongs to and of those that are right."""
+    errors = {name: abs(ratio - 1.0) for name, ratio in ratios.items()}
+    name = max(errors, key=lambda one: np.nan_to_num(errors[one], nan=np.inf))
+    right = [one for one, error in errors.items() if error < 0.1 * errors[name]]
+    others = f"; right: {', '.join(right)}" if right else "; so are the others"
+    return Measurement(
+        measured=ratios[name],
+        expected=1.0,
+        hint=f"{what} {ratios[name]:.4g} times what it should be for {name}{others}",
+    )
+
+
 def bounds_error(
     nodes_m: NDArray[np.float64], size_m: tuple[float, ...]
 ) -> Measurement:
     """Measure the largest distance [mm] of the bounding box of nodes from that of a centred body of a size."""
     half = 0.5 * np.array(size_m)
-    apart = np.concatenate([nodes_m.min(axis=0) + half, nodes_m.max(axis=0) - half])
-    return Measurement(measured=1e3 * float(np.abs(apart).max()))
+    low_m, high_m = nodes_m.min(axis=0), nodes_m.max(axis=0)
+    apart = np.concatenate([low_m + half, high_m - half])
+    found, asked = (
+        ", ".join(f"{1e3 * edge_m:.4g}" for edge_m in edges_m)
+        for edges_m in (high_m - low_m, size_m)
+    )
+    hint = "its size is right: it has another place or orientation"
+    if np.abs(high_m - low_m - size_m).max() > 0.1 * np.abs(apart).max():
+        hint = f"its nodes span {found} mm instead of the size of {asked} mm"
+    return Measurement(measured=1e3 * float(np.abs(apart).max()), hint=hint)
 
 
 def stiffness(load: float, slope: float, expected: float, verb: str) -> Measurement:

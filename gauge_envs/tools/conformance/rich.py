@@ -5,7 +5,6 @@ what sets that one apart. So a scene sees faults that depend on direction, speed
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,7 +42,7 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
-from gauge_envs.tools.conformance.laws import largest_mm
+from gauge_envs.tools.conformance.laws import largest_mm, worst_ratio
 from gauge_envs.tools.conformance.model import Measurement, rollout_of
 
 Array = NDArray[np.float64]
@@ -55,19 +54,6 @@ def _thrown(one: RigidBody, velocity: Any, spin: Any = (0.0, 0.0, 0.0)) -> Rigid
         one,
         linear_velocity_m_per_s=vector(velocity),
         angular_velocity_rad_per_s=vector(spin),
-    )
-
-
-def _worst(ratios: Mapping[str, float], what: str) -> Measurement:
-    """Return the ratio that is furthest from 1, with the name of what it belongs to and of those that are right."""
-    errors = {name: abs(ratio - 1.0) for name, ratio in ratios.items()}
-    name = max(errors, key=lambda one: np.nan_to_num(errors[one], nan=np.inf))
-    right = [one for one, error in errors.items() if error < 0.1 * errors[name]]
-    others = f"; right: {', '.join(right)}" if right else "; so are the others"
-    return Measurement(
-        measured=ratios[name],
-        expected=1.0,
-        hint=f"{what} {ratios[name]:.4g} times what it should be for {name}{others}",
     )
 
 
@@ -134,7 +120,7 @@ def _glide_speed(rollout: Rollout) -> Measurement:
             ratios[f"{name} from {start_s:g} to {end_s:g} s"] = float(
                 moved @ law / (law @ law)
             )
-    return _worst(ratios, "the speed is")
+    return worst_ratio(ratios, "the speed is")
 
 
 @_glide.check("glide-turn")
@@ -149,7 +135,7 @@ def _glide_turn(rollout: Rollout) -> Measurement:
             ratios[f"{name} from {start_s:g} to {end_s:g} s"] = float(
                 steps[part].mean() / rollout.interval_s / rate
             )
-    return _worst(ratios, "the rate of rotation is")
+    return worst_ratio(ratios, "the rate of rotation is")
 
 
 # --- rebounds in both orders of the pair, at all speeds, early and late ----------------------------------------------
@@ -241,7 +227,7 @@ def _volley_check(id: str, names: list[str]) -> None:
             name: _restitution(rollout, name) / SHOTS[name].restitution
             for name in names
         }
-        return _worst(ratios, "the rebound is")
+        return worst_ratio(ratios, "the rebound is")
 
 
 _volley_check("volley-order", [name for name in SHOTS if name.startswith("2 ")])
@@ -261,7 +247,7 @@ def _volley_momentum(rollout: Rollout) -> Measurement:
                 rollout.velocity(one)[-1, 0] for one in (name, f"target of {name}")
             )
             ratios[name] = float((ball_speed + 2.0 * target) / shot.speed_m_per_s)
-    return _worst(ratios, "the momentum is")
+    return worst_ratio(ratios, "the momentum is")
 
 
 # --- edges that cross ------------------------------------------------------------------------------------------------
@@ -304,7 +290,7 @@ def _crossed_edges(rollout: Rollout) -> Measurement:
         upper = f"bar on the {lower}"
         apart = rollout.velocity(upper)[-1, 2] - rollout.velocity(lower)[-1, 2]
         ratios[f"the {upper}"] = float(apart / EDGE_SPEED_M_PER_S / EDGE_RESTITUTION)
-    found = _worst(ratios, "the rebound is")
+    found = worst_ratio(ratios, "the rebound is")
     if found.measured < -1.0:
         return replace(
             found, hint="the bars fall through each other: edges have no contact"
@@ -387,7 +373,7 @@ def _pucks_friction(rollout: Rollout) -> Measurement:
     for name, puck in PUCKS.items():
         slows = -acceleration_m_per_s2(rollout.times_s, _along(rollout, name)[:, 0])
         ratios[name] = slows / (puck.friction * G)
-    return _worst(ratios, "the friction is")
+    return worst_ratio(ratios, "the friction is")
 
 
 @_pucks.check("pucks-straight")

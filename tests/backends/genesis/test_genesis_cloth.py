@@ -62,23 +62,23 @@ def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(fabric):
 def test_default_cloth_has_its_stretch_shear_and_bending_stiffness():
     found = measured("cloth-stretch", "cloth-shear", "cloth-bending", "cloth-energy")
     assert {status for status, _ in found.values()} == {Status.PASS}
-    assert found["cloth-stretch"][1] == pytest.approx(110.0, rel=2e-3)
-    assert found["cloth-shear"][1] == pytest.approx(27.5 / 2.7, rel=0.01)
-    assert found["cloth-bending"][1] == pytest.approx(6.2e-3, rel=0.02)
+    assert found["cloth-stretch"][1] == pytest.approx(1.0, rel=5e-3)
+    assert found["cloth-shear"][1] == pytest.approx(1.0, rel=0.01)
+    assert found["cloth-bending"][1] == pytest.approx(1.0, rel=0.02)
 
 
 @pytest.mark.slow
 def test_the_hinge_of_genesis_does_not_resist_bending():
     status, value = measured("cloth-bending", exact_hinges=False)["cloth-bending"]
     assert status is Status.FAIL
-    assert not value < 1e3
+    assert not value < 1e5
 
 
 @pytest.mark.slow
 def test_nominal_compliances_at_the_rate_of_the_paper_give_a_soft_sheet():
     status, value = measured("cloth-stretch", preset="paper")["cloth-stretch"]
     assert status is Status.FAIL
-    assert value < 1.0
+    assert value < 0.01
 
 
 def test_held_edges_slide_and_rest():

@@ -103,6 +103,18 @@ foam-rests-on            Contact.pair:side:deformable-SoftBody-fixed falls throu
 rope-rests-on            Contact.pair:side:deformable-Rope-kinematic falls through the driven
 rod-rests-on             Contact.pair:side:deformable-Rod-fixed      falls through the fixed
 cloth-carry-slip         Contact.friction:side:driven-0.5            carried as if
+rod-length             Rod.length_m:offset:False                    the length is 1.0
+cloth-strike           Cloth.areal_density_kg_per_m2:scale:1.25     the momentum is
+foam-strike            SoftBody.mass_kg:scale:1.25                  the momentum is
+rope-strike            Rope.mass_kg:scale:1.25                      the momentum is
+rod-strike             Rod.mass_kg:scale:1.25                       the momentum is
+rope-mass              Rope.mass_kg:threshold:after-1s              from 0 to 0.9 s
+rod-mass               Rod.mass_kg:scale:1.25                       the mass that the force moves
+rope-pulled-length     Rope.length_m:kth:second-1.25                right: rope 0, rope 2
+rope-pulled-end        report.nodes:threshold:after-1               furthest for
+cloth-held             Region.depth_m:scale:0.5                     not attached over its depth
+foam-held              attachments-drift                            an attachment drifts
+rod-held               attachments-drift                            an attachment drifts
 """
 """Further checks that see a fault: check, fault (of the table, or a generated one), and words of the diagnosis."""
 ALL = FAULTS | {name: one.fault for name, one in generated().items()}
@@ -114,7 +126,11 @@ SLOW = (
     "restore-benchmark-rigid",
     "restore-benchmark-soft",
     "foam-tension",
+    "foam-held",
+    "foam-poisson",
     "foam-rests-on",
+    "foam-start",
+    "foam-strike",
     "rope-rests-on",
 )
 
