@@ -19,6 +19,7 @@ import re
 import resource
 import sys
 from collections.abc import Iterator
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -121,26 +122,35 @@ def _scenes() -> dict[str, Scene]:
 
 
 def _changes_a_model(one: Generated, scenes: dict[str, Scene]) -> bool:
-    """Return whether a fault can have an effect: it changes a call, or MuJoCo's model of a scene of the suite."""
+    """Return whether a fault can have an effect: it changes a call, or a field of a scene that MuJoCo's model shows."""
     if one.quantity[0].islower() or one.fault.simulation.__name__ not in (
         "Passed",
         "Switched",
     ):
         return True
-    change = one.fault.scene
-    if one.kind == "threshold":
-        # While its condition holds, the constants are those of another fault.
-        faults = generated()
-        twin = faults.get(f"{one.quantity}:scale:0.5") or faults.get(
-            f"{one.quantity}:offset:0.5"
-        )
-        assert twin is not None, one.id
-        change = twin.fault.scene
-    for scene in scenes.values():
-        changed = change(scene)
+    if not _is_read(one.quantity):
+        return False
+    return one.kind == "threshold" or any(
+        one.fault.scene(scene) != scene for scene in scenes.values()
+    )
+
+
+@cache
+def _is_read(quantity: str) -> bool:
+    """Return whether a wrong value of a field changes MuJoCo's model of any scene of the suite."""
+    faults = _faults()
+    wrong = faults.get(f"{quantity}:scale:0.5") or faults.get(f"{quantity}:offset:0.5")
+    if wrong is None:
+        return True
+    for scene in _scenes_of_suite().values():
+        changed = wrong.fault.scene(scene)
         if changed != scene and _model(changed) != _model(scene):
             return True
     return False
+
+
+_faults = cache(generated)
+_scenes_of_suite = cache(_scenes)
 
 
 def _model(scene: Scene) -> dict[str, Any]:
@@ -163,10 +173,10 @@ def sample(label: str, part: str, count: int) -> list[Generated]:
     """Return one fault each of `count` random classes of a set and a part."""
     draw = np.random.default_rng(SEEDS[label])
     classes: dict[tuple[str, str], list[Generated]] = {}
-    for one in generated().values():
+    for one in _faults().values():
         if _labels(one) == (label, part):
             classes.setdefault((one.quantity, one.kind), []).append(one)
-    scenes = _scenes()
+    scenes = _scenes_of_suite()
     chosen: list[Generated] = []
     for number in draw.permutation(len(classes)):
         faults = list(classes.values())[number]
@@ -222,7 +232,7 @@ def _first_failure(
 
     def run(found: Any) -> None:
         mutant = Mutant(backend("mujoco"), one.fault)
-        for result in run_checks(mutant, only=names):
+        for result in run_checks(mutant, only=names, eliminates=True):
             if result.is_bad and not healthy.explains(result):
                 found.put((result.check, " ".join(result.diagnosis.split())))
                 return

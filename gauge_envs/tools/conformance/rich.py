@@ -42,7 +42,11 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
-from gauge_envs.tools.conformance.laws import largest_mm, worst_ratio
+from gauge_envs.tools.conformance.laws import (
+    largest_mm,
+    spin_from_orientations,
+    worst_ratio,
+)
 from gauge_envs.tools.conformance.model import Measurement, rollout_of
 
 Array = NDArray[np.float64]
@@ -70,6 +74,8 @@ GLIDES = {
 RATES = {"+14 rad/s": 14.0, "-5 rad/s": -5.0, "+0.05 rad/s": 0.05}
 AXIS = np.array([0.48, 0.6, 0.64])
 SPIN_RAD_PER_S = 45.0
+LEAST = {"velocity": 0.1, "angular velocity": 0.5}
+"""Scales below which rates are not compared relatively [m/s, rad/s]."""
 
 
 def _hinged(name: str, rate: float, place: Array) -> tuple[RigidBody, Hinge]:
@@ -135,7 +141,48 @@ def _glide_turn(rollout: Rollout) -> Measurement:
             ratios[f"{name} from {start_s:g} to {end_s:g} s"] = float(
                 steps[part].mean() / rollout.interval_s / rate
             )
-    return worst_ratio(ratios, "the rate of rotation is")
+    found = worst_ratio(ratios, "the rate of rotation is")
+    free, hinged = (
+        max(
+            abs(ratio - 1.0)
+            for name, ratio in ratios.items()
+            if ("ball" in name) is is_free
+        )
+        for is_free in (True, False)
+    )
+    where = ""
+    if hinged > 10.0 * free:
+        where = (
+            "; bodies on hinges alone are slowed: dry or viscous friction of the joint"
+        )
+    elif free > 10.0 * hinged:
+        where = "; free bodies alone are slowed: angular damping"
+    return replace(found, hint=found.hint + where)
+
+
+@_glide.check("glide-reports")
+def _glide_reports(rollout: Rollout) -> Measurement:
+    errors = {}
+    for one in rollout.scene.bodies:
+        turns = rollout.rotation(one.name)
+        moved = {
+            "velocity": np.gradient(
+                rollout.position(one.name), rollout.times_s, axis=0
+            ),
+            "angular velocity": spin_from_orientations(turns, rollout.interval_s),
+        }
+        reported = {
+            "velocity": rollout.velocity(one.name)[1:-1],
+            "angular velocity": rollout.angular_velocity(one.name)[1:-1],
+        }
+        moved["velocity"] = moved["velocity"][1:-1]
+        for kind, rate in moved.items():
+            scale = max(float(np.linalg.norm(rate, axis=1).max()), LEAST[kind])
+            off = np.linalg.norm(reported[kind] - rate, axis=1).max() / scale
+            errors[f"{kind} of {one.name}"] = float(off)
+    worst = max(errors, key=lambda one: np.nan_to_num(errors[one], nan=np.inf))
+    hint = f"the reported {worst} is not the one with which it moves"
+    return Measurement(measured=100.0 * errors[worst], hint=hint)
 
 
 # --- rebounds in both orders of the pair, at all speeds, early and late ----------------------------------------------

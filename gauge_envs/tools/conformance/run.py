@@ -21,6 +21,7 @@ from gauge_envs.tools.conformance.model import (
     Outcome,
     Status,
     checks,
+    texts_of_checks,
 )
 
 FINITE = "finite"
@@ -52,6 +53,7 @@ def run_checks(
     settings: Mapping[str, Any] | None = None,
     only: Sequence[str] = (),
     worker: Worker | None = None,
+    eliminates: bool | None = None,
 ) -> Iterator[CheckResult]:
     """Run checks on a backend and yield each result as its check ends.
 
@@ -61,6 +63,8 @@ def run_checks(
         only: Ids or patterns such as `cloth-*`; all checks when empty.
         worker: Another process, in which the checks of an installed backend run. An engine that crashes, exits or
             exceeds a limit then costs one check. With None, the checks run in this process.
+        eliminates: Whether the elementary checks run after the first failure until one of them fails, and its
+            diagnosis says which; None where all checks run.
 
     Raises:
         UnknownNameError: There is no such backend, or a pattern matches no check.
@@ -69,6 +73,8 @@ def run_checks(
         RefusedSettingsError: The backend refuses the settings; the iterator raises it.
     """
     chosen = checks(only)
+    if eliminates is None:
+        eliminates = not only
     if worker is not None and isinstance(backend, str):
         task = pickle.dumps((backend, settings))
         try:
@@ -78,11 +84,21 @@ def run_checks(
                 f"backend {backend!r} cannot be imported: {error}"
             ) from None
         return _results(
-            backend, versions, lambda one: _run_there(worker, task, one), chosen
+            backend,
+            versions,
+            lambda one: _run_there(worker, task, one),
+            chosen,
+            eliminates,
         )
     engine = find_backend(backend) if isinstance(backend, str) else backend
     lab = Lab(engine, settings)
-    return _results(engine.name, engine.versions(), lambda one: _run(lab, one), chosen)
+    return _results(
+        engine.name,
+        engine.versions(),
+        lambda one: _run(lab, one),
+        chosen,
+        eliminates,
+    )
 
 
 def _results(
@@ -90,8 +106,10 @@ def _results(
     versions: Mapping[str, str],
     run: Callable[[Check], _Run],
     chosen: Sequence[Check],
+    eliminates: bool,
 ) -> Iterator[CheckResult]:
     reported_by = ""
+    run = cache(run)
     for one in chosen:
         started = time.perf_counter()
         outcome, is_finite, settings, refusal = run(one)
@@ -102,10 +120,53 @@ def _results(
                 diagnosis = f"not finite: see the check {reported_by!r}"
                 outcome = replace(outcome, diagnosis=diagnosis, reported_by=reported_by)
             reported_by = reported_by or one.id
+        elif eliminates and outcome.status in (Status.FAIL, Status.ERROR):
+            tried, is_found = _eliminated(one.id, run)
+            outcome = replace(outcome, diagnosis=f"{outcome.diagnosis}. {tried}")
+            eliminates = not is_found
         fields = vars(outcome) | {"wall_s": time.perf_counter() - started}
         yield CheckResult(
             of=one, backend=name, settings=settings, versions=versions, **fields
         )
+
+
+def _eliminated(failed: str, run: Callable[[Check], _Run]) -> tuple[str, bool]:
+    """Run elementary checks until one fails; return what was tried and is left as the cause, and whether one failed.
+
+    Args:
+        failed: Id of the check that failed.
+        run: Function that runs a check.
+    """
+    passed: list[str] = []
+    for name in texts_of_checks()["elementary"]:
+        if name == failed:
+            break
+        if _kind_of_body(name) != _kind_of_body(failed):
+            continue
+        (one,) = checks([name])
+        outcome = run(one).outcome
+        if outcome is None or outcome.status is Status.DECLINED:
+            continue
+        if outcome.status is not Status.PASS:
+            return (
+                f"{_tried(passed)}The simplest that fails is {name}: {outcome.diagnosis}",
+                True,
+            )
+        passed.append(name)
+    return f"{_tried(passed)}No simpler check fails.", False
+
+
+def _tried(passed: Sequence[str]) -> str:
+    """Return the sentence on the elementary checks that pass."""
+    if not passed:
+        return ""
+    return f"Tried: {passed[0]} to {passed[-1]} ({len(passed)} checks) pass. "
+
+
+def _kind_of_body(name: str) -> str:
+    """Return the kind of deformable body of a check; empty for rigid bodies."""
+    kind = name.split("-")[0]
+    return kind if kind in ("cloth", "foam", "rope", "rod", "air") else ""
 
 
 def _run_there(worker: Worker, task: bytes, one: Check) -> _Run:
