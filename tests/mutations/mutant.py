@@ -149,7 +149,21 @@ class Mutant(Backend):
 
 FAILS_ITSELF = {
     "mujoco": frozenset({"grasp-creep", "oblique-slip-rebound", "rebound-flat"}),
-    "newton": frozenset({"oblique-slip-rebound", "rebound-flat"}),
+    # Vertex block descent stops before it converges, and free bodies take another momentum than they give.
+    "newton": frozenset(
+        {
+            "oblique-slip-rebound",
+            "rebound-flat",
+            "cloth-bending",
+            "foam-tension",
+            "rod-bending",
+            "cloth-strike",
+            "foam-strike",
+            "rope-rests-on",
+            "rope-strike",
+            "rod-strike",
+        }
+    ),
     "rapier": frozenset(
         {"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}
     ),

@@ -85,6 +85,7 @@ reset-command            reset.command:stale:all                     outlives re
 restore-command          restore.command:stale:all                   the command of a motor
 glide-speed              engine.velocity:saturate:3                  a limit of speed
 glide-turn               engine.hinge_rate:scale:damped-0.05         damping
+glide-reports report.spin:side:negative the reported angular velocity
 volley-order             Contact.restitution:side:fixed-first-0.8    is first
 volley-fast              Contact.restitution:threshold:above-8m/s    depends on speed
 volley-late              Contact.restitution:threshold:after-2s      depends on time
@@ -161,6 +162,21 @@ def test_every_check_can_fail():
 def test_batches_that_raise_are_an_error():
     results = run_checks(Mutant(MUJOCO, RAISES), only=["worlds-*"])
     assert {one.status for one in results} == {Status.ERROR}
+
+
+def test_simpler_checks_run_after_a_failure_until_one_cause_is_left():
+    """A wrong report fails the check of a start at rest, and the tried motion tells it from a body that moves."""
+    reports = Mutant(MUJOCO, ALL["report.velocity:offset:2"])
+    moves = Mutant(MUJOCO, ALL["engine.velocity:frame:axis-damped"])
+    (told,), (plain,) = (
+        run_checks(reports, only=["start-rest"], eliminates=how) for how in (True, None)
+    )
+    assert told.diagnosis.startswith(plain.diagnosis)
+    assert "Tried: order-of-names to time (4 checks) pass." in told.diagnosis
+    assert "fails is glide-reports: the reported velocity of" in told.diagnosis
+    assert "Tried" not in plain.diagnosis
+    (slowed,) = run_checks(moves, only=["start-velocity"], eliminates=True)
+    assert "fails is glide-speed: the speed is 0.7" in slowed.diagnosis
 
 
 class OtherSign(Passed):
