@@ -156,6 +156,7 @@ FAILS_ITSELF = {
             "rebound-flat",
             "cloth-bending",
             "foam-tension",
+            "foam-rests-on",
             "rod-bending",
             "cloth-strike",
             "foam-strike",
