@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from foam import AREA_M2, DENSITY_KG_PER_M3, EDGE_M, YOUNG_PA, block
+from laws_at_rest import ratio_at_rest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
@@ -16,8 +17,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.parts import fixed_box
-from gauge_envs.tools.conformance import cloth, soft
-from gauge_envs.tools.conformance.lab import Lab
 
 MPM = {"preset": "mpm"}
 
@@ -109,21 +108,8 @@ def test_the_stated_default_is_the_default_bit_for_bit(engine):
 # --- closed forms ----------------------------------------------------------------------------------------------------
 
 
-LAWS = {
-    "cloth-bending": (cloth._cantilever_lift, cloth.bending_stiffness),
-    "cloth-stretch": (cloth._hanging_lift, cloth.stretch_stiffness),
-    "foam-tension": (soft._foam_lift, soft._young),
-    "foam-poisson": (soft._foam_lift, soft._poisson),
-    "rod-bending": (soft._rod_lift, soft._rod_stiffness),
-}
-
-
 def relative_error(engine, check, settings):
-    """Relative error of the first body of a check while its frame stands still."""
-    lift, measure = LAWS[check]
-    rollout = Lab(backend(engine), settings).rollout(lift.scene, lift.still_s)
-    found = measure(lift.at_rest(rollout))
-    return abs(found.measured / found.expected - 1.0)
+    return abs(ratio_at_rest(engine, check, settings) - 1.0)
 
 
 @pytest.mark.parametrize(

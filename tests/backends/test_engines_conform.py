@@ -118,7 +118,7 @@ ENGINES = (
         module="pybullet",
         lacks=(
             *("cloth", "air", "rod", "joint-armature", "joint-backlash"),
-            "foam-rests-on",
+            *("foam-rests-on", "foam-strike", "rope-rests-on", "rope-strike"),
         ),
         quick=(*CORE, "rope-period", "foam-*", "torsion", "rolling"),
     ),
