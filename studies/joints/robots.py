@@ -8,7 +8,6 @@ the fourth file gives, and its true values.
 """
 
 import csv
-import hashlib
 import sys
 import time
 
@@ -44,7 +43,7 @@ LOOP = (
     '<equality><connect body1="coupler" body2="rocker" anchor=".1 0 0"/></equality>{rest}</mujoco>'
 )
 """A parallelogram, whose crank a servo turns and whose rocker carries the load."""
-LOAD_ERROR = 0.05
+LOAD_ERROR, SEEN = 0.05, 6
 SAMPLE_S, STEP_S, COUNT, SETTLE, NOISE_RAD, SCATTER = 0.02, 0.0005, 300, 50, 5e-4, 0.05
 
 
@@ -96,20 +95,19 @@ def rows_of(robot: str, seed: int) -> list[list[object]]:
         values, stds = (np.array(list(x)) for x in (one.of_files, one.of_files_std))
         known = 0.0 if one.name == "delay_s" else LOAD_ERROR
         wide = spread_of(values, stds, known)
-        numbers = (
+        ends = (
             *(truth, next_one.value, one.value, one.next_low, one.next_high),
             *(wide.low, wide.high, one.low, one.high),
         )
         rows.append(
-            [robot, seed, half_of(robot, seed), one.name, *map("{:.4g}".format, numbers), f"{cpu_s:.1f}"]
+            [robot, seed, half_of(seed), one.name, *map("{:.4g}".format, ends), f"{cpu_s:.1f}"]
         )  # fmt: skip
     return rows
 
 
-def half_of(robot: str, seed: int) -> str:
-    """Return the half of a world: methods are chosen on one, and the other judges."""
-    digest = hashlib.sha256(f"{robot} {seed}".encode()).digest()
-    return ("choose", "judge")[digest[0] % 2]
+def half_of(seed: int) -> str:
+    """Return the half of a world: the first six showed why intervals miss, and the others judge."""
+    return "seen" if seed < SEEN else "judge"
 
 
 def counted() -> list[list[object]]:
@@ -117,7 +115,7 @@ def counted() -> list[list[object]]:
     with (HERE / "robots.csv").open(encoding="utf-8", newline="") as stream:
         table = list(csv.DictReader(stream))
     rows: list[list[object]] = []
-    for half in ("choose", "judge"):
+    for half in ("seen", "judge"):
         for name in (*NAMES, "all"):
             some = [
                 one

@@ -66,6 +66,8 @@ NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 """Relative change at which a stage ends: the first, the second, that of servos; most steps of the first."""
 STARTS, DEADBAND_RAD = 3, 0.01
 """Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
+FIRST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 5.0, 4, 40
+"""Damping of the first step of a joint, its factor after a step, trials of a step, and most steps."""
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
 LASTING = (0.0, 2.0, 4.0)
@@ -338,8 +340,8 @@ class _Problem:
             ]
         )
 
-    def starts_by_misfit(self) -> list[FloatArray]:
-        """Return first guesses, the best first: seven stiffnesses of a servo, or two angles at rest of a free joint."""
+    def first_guesses(self) -> list[FloatArray]:
+        """Return first guesses: seven stiffnesses of a servo, or two angles at rest of a free joint."""
         guesses = []
         middle = float(
             np.mean(np.concatenate([part.position_rad for part in self.parts]))
@@ -347,40 +349,56 @@ class _Problem:
         for scale in (
             (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,)
         ):
+            damped = SERVO[1] if SERVO[1] in self.names else DYNAMICS[1]
             joint_guess = [
-                {SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0)
+                {SERVO[0]: scale, damped: np.sqrt(scale)}.get(name, 1.0)
                 for name in self.names
             ]
             guesses += [
                 np.repeat([*joint_guess, *zero], self.joints)
                 for zero in ([[0.0], [middle]] if self.zero else [[]])
             ]
-        return sorted(guesses, key=self._misfit)
+        return guesses
 
     def neighbourhood(self) -> FloatArray:
         """Return the unknowns of a few steps of least squares from the best of the first guesses.
 
         A servo's errors have several minima: with a stiffness that is far too large, and without dry friction. So the
         search starts from three stiffnesses, and from the best of these once more with a play by dry friction of
-        `DEADBAND_RAD`.
+        `DEADBAND_RAD`. As joints of an arm hardly move each other, each has the start that follows it best.
         """
-        guesses = self.starts_by_misfit()
+        guesses = self._ranked(self.first_guesses())
         if SERVO[0] not in self.names:
             return self._least_squares(guesses[0], NEAR).x
         tried = [
             self._least_squares(one, NEAR, SHORT_STEPS).x for one in guesses[:STARTS]
         ]
-        best = min(tried, key=self._misfit)
+        best = self._ranked(tried)[0]
         if DYNAMICS[0] in self.names:
             rubbing = best.reshape(self.kinds, self.joints).copy()
             dry, kp = (self.names.index(name) for name in (DYNAMICS[0], SERVO[0]))
             stiffness = rubbing[kp] * self.sizes[kp]
             rubbing[dry] = DEADBAND_RAD * stiffness / self.sizes[dry]
-            tried.append(self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS).x)
-        return min(tried, key=self._misfit)
+            other = self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS).x
+            best = self._ranked([best, other])[0]
+        return best
 
-    def _misfit(self, scaled: FloatArray) -> float:
-        return float((self.residuals(scaled) ** 2).sum())
+    def _ranked(self, unknowns: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return unknowns of which each joint has its best in the first, its second best in the second, and so on."""
+        squares = [
+            sum(
+                (errors**2).sum(axis=0) for errors in self.errors(one, may_diverge=True)
+            )
+            for one in unknowns
+        ]
+        order = np.argsort(np.array(squares), axis=0)
+        table = np.array([one.reshape(-1, self.joints) for one in unknowns])
+        return [
+            np.stack(
+                [table[place, :, joint] for joint, place in enumerate(row)], axis=1
+            ).ravel()
+            for row in order
+        ]
 
     def solved(
         self, first: FloatArray, tolerance: float, most: int | None = None
@@ -393,6 +411,8 @@ class _Problem:
     def _least_squares(
         self, first: FloatArray, tolerance: float, most: int | None = None
     ) -> OptimizeResult:
+        if self.joints > 1 and SERVO[0] in self.names:
+            return self._joint_by_joint(first, tolerance, most or MOST_STEPS)
         low = np.full(first.size, -np.inf)
         low[: len(self.names) * self.joints] = 0.0
         return least_squares(
@@ -404,6 +424,66 @@ class _Problem:
             ftol=tolerance,
             max_nfev=most,
         )
+
+    def _joint_by_joint(
+        self, first: FloatArray, tolerance: float, most: int
+    ) -> OptimizeResult:
+        """Return the least squares of servos that hardly move each other: a step and a damping for each of them.
+
+        The method is that of Levenberg and Marquardt (SIAM J. Appl. Math. 11, 1963). A number that would be negative is
+        0.
+        """
+        joint_of_row = self._rows()[:, 1]
+        table = np.maximum(first, 1e-6).reshape(self.kinds, self.joints)
+        residuals = self.residuals(table.ravel())
+        squares = np.bincount(joint_of_row, residuals**2)
+        damping = np.full(self.joints, FIRST_DAMPING)
+        jacobian = self.jacobian(table.ravel())
+        for _ in range(most):
+            before, waiting = squares, set(range(self.joints))
+            for _ in range(TRIES):
+                moved = table.copy()
+                for joint in waiting:
+                    moved[:, joint] += self._step(
+                        joint, table, jacobian, residuals, damping[joint]
+                    )
+                moved = np.maximum(moved, 0.0)
+                errors = self.residuals(moved.ravel())
+                found = np.bincount(joint_of_row, errors**2)
+                better = {joint for joint in waiting if found[joint] < squares[joint]}
+                for joint in better:
+                    table[:, joint] = moved[:, joint]
+                    damping[joint] /= EASE
+                waiting -= better
+                if not waiting:
+                    break
+                damping[list(waiting)] *= EASE
+            residuals = self.residuals(table.ravel())
+            squares = np.bincount(joint_of_row, residuals**2)
+            jacobian = self.jacobian(table.ravel())
+            if (before - squares <= tolerance * before).all():
+                break
+        return OptimizeResult(x=table.ravel(), jac=jacobian, fun=residuals)
+
+    def _step(
+        self,
+        joint: int,
+        table: FloatArray,
+        jacobian: FloatArray,
+        residuals: FloatArray,
+        damping: float,
+    ) -> FloatArray:
+        """Return the damped step of the unknowns of a joint, shape [kind_count]."""
+        rows = self._rows()[:, 1] == joint
+        slopes = jacobian[rows][:, np.arange(self.kinds) * self.joints + joint]
+        normal, gradient = slopes.T @ slopes, slopes.T @ residuals[rows]
+        # Numbers that are known, without effect, or 0 and would fall further, stay.
+        free = (np.diag(normal) > 0.0) & ~((table[:, joint] <= 0.0) & (gradient > 0.0))
+        step = np.zeros(self.kinds)
+        inner = normal[np.ix_(free, free)]
+        inner = inner + damping * np.diag(np.diag(inner))
+        step[free] = -np.linalg.solve(inner, gradient[free])
+        return step
 
     def _check_margin(self, scaled: FloatArray) -> None:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
@@ -679,7 +759,7 @@ def _fitted(
 ) -> _Fit:
     """Fit numbers to logs, in two stages, or in the second alone from another fit; known numbers stay."""
     servo = logs[0].command_rad is not None
-    terms = guessed(machine, names)
+    terms = guessed(machine, names, known)
     sizes = np.array([[one[name] for one in terms] for name in names])
     fixed = np.full(sizes.shape, np.nan)
     for name, value in known.items():
@@ -934,7 +1014,8 @@ def _without_open(
 ) -> tuple[list[dict[str, str]], FloatArray]:
     """Set what is not determined to what the scene states, and fit the rest, where that follows the logs as well.
 
-    Two numbers that go with each other may both be needed: those stay, and are marked.
+    Two numbers that go with each other may both be needed: those stay, and are marked. But an armature that is not
+    determined is never fitted, as a policy meets it in contact.
 
     Returns:
         Names of the numbers of each joint that are as stated, with the reason, and the unknowns.
@@ -954,7 +1035,8 @@ def _without_open(
         worse = [
             one
             for one in candidates
-            if squares[one.joint] > AS_WELL**2 * best[one.joint]
+            if one.name != DYNAMICS[2]
+            and squares[one.joint] > AS_WELL**2 * best[one.joint]
         ]
         if worse:
             # The others of this round are tried again in the next, with what worse follows the logs as it was.
@@ -963,6 +1045,8 @@ def _without_open(
             continue
         for one in candidates:
             left_out[one.joint][one.name] = one.unknown
+            if one.name == DYNAMICS[2]:
+                best[one.joint] = squares[one.joint]
         unknowns, remaining = other, _settings(problem, other, covariance)
     for one in remaining:
         if one.unknown == ZERO and one.name == SERVO[0]:
@@ -987,7 +1071,7 @@ def _machine(
     check_joints(scene, log)
     hinges = len(scene.hinges)
     known = SceneJoints(engine, scene, settings)
-    built = with_terms(scene, guessed(known, names), log, np.zeros(hinges))
+    built = with_terms(scene, guessed(known, names, {}), log, np.zeros(hinges))
     support = scene_support(engine, built)
     if not support:
         raise UnsupportedSceneError(
@@ -1031,25 +1115,33 @@ def _to_leave_out(
             and one.unknown
             and one.name != SERVO[0]
             and (joint, one.name) not in tried
-            and abs(one.value - problem.machine.stated[joint][one.name])
-            < PLAUSIBLE * (one.high - one.value)
+            and (
+                one.name == DYNAMICS[2]
+                or abs(one.value - problem.machine.stated[joint][one.name])
+                < PLAUSIBLE * (one.high - one.value)
+            )
         ]
         if candidates:
             found.append(max(candidates, key=openness))
     return found
 
 
-def guessed(machine: Machine, names: Sequence[str]) -> list[dict[str, float]]:
+def guessed(
+    machine: Machine, names: Sequence[str], known: Mapping[str, float]
+) -> list[dict[str, float]]:
     """Return first guesses and sizes of numbers: what the scene states, or by the size of its loads.
 
     One size does for all joints of an arm: the search starts from seven stiffnesses, and its steps are relative.
     """
     inertia, load = machine.size()
+    inertia += known.get(DYNAMICS[2], 0.0)
     weight = max(load, 40.0 * inertia)
     rate = float(np.sqrt(weight / inertia))
+    # Without kv, the joint's viscous friction is all that damps a servo.
+    damps = SERVO[0] in names and SERVO[1] not in names
     guesses = {
         "dry_friction_n_m": 0.01 * weight,
-        "viscous_friction_n_m_s_per_rad": 0.02 * weight / rate,
+        "viscous_friction_n_m_s_per_rad": (1.0 if damps else 0.02) * weight / rate,
         "armature_kg_m2": 0.1 * inertia,
         QUADRATIC: 0.02 * weight / rate**2,
         "kp_n_m_per_rad": 10.0 * weight,

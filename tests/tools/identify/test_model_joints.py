@@ -246,3 +246,91 @@ def test_angles_that_no_loop_has_are_an_error():
     machine = joints_of_model(mujoco.MjSpec.from_string(short), log, {})
     with pytest.raises(DivergedError, match="close the loops"):
         start_at(*machine._motored, machine, np.array([2.5]))
+
+
+JOINT = (
+    '<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body><joint name="elbow" axis="{axis}" '
+    'armature="{armature}" frictionloss="{dry}" solimpfriction="0.9999 0.9999 0.001" solreffriction="0.001 1"/>'
+    '<inertial pos="{pos}" mass="{mass}" diaginertia="{inertia}"/></body></worldbody>{rest}</mujoco>'
+)
+
+
+TILT = {"axis": "0 1 0", "pos": ".02 0 .03", "mass": 0.25, "inertia": "2e-4 2e-4 2e-4", "armature": 6.4e-4}  # fmt: skip
+FINGER = {"axis": "1 0 0", "pos": "0 0 -.03", "mass": 0.04, "inertia": "2e-5 2e-5 5e-6", "armature": 2e-4}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kp", "kv", "dry", "delay_s", "reach_rad", "seed", "place"),
+    [
+        (1.59, 0.0612, 0.0142, 0.04, 0.6, 10, TILT),
+        (1.2, 0.016, 0.0139, 0.015, 0.5, 40, FINGER),
+    ],
+    ids=["stiffness", "dry friction"],
+)
+def test_a_fit_leaves_the_minima_beside_the_best(
+    kp, kv, dry, delay_s, reach_rad, seed, place
+):
+    """From one first guess, the first fit ends with a stiffness 80 times too large, the second without dry friction."""
+    random = np.random.default_rng(seed)
+    times_s = 0.02 * np.arange(300)
+    command = np.repeat(random.uniform(-reach_rad, reach_rad, 15), 20)
+    command[:20] = 0.0
+    servo = f'<actuator><position joint="elbow" kp="{kp}" kv="{kv}"/></actuator>'
+    xml = JOINT.format(step=0.0005, dry=dry, rest=servo, **place)
+
+    def held(time_s):
+        # A second at the first command, in which the joint comes to rest.
+        row = int(np.floor((time_s - 1.0 - delay_s) / 0.02 + 1e-9))
+        return command[min(max(row, 0), 299)]
+
+    angles = played(xml, held, 1.0 + times_s)
+    angles += NOISE_RAD * random.standard_normal(300)
+    log = Log("log", times_s, angles[:, None], command[:, None], joints=("elbow",))
+    spec = mujoco.MjSpec.from_string(JOINT.format(step=0.002, dry=0.0, rest="", **place))  # fmt: skip
+    names = [one for one in NAMES if one != "armature_kg_m2"]
+    values = {
+        one.name: one.value
+        for one in identify(backend("mujoco"), spec, [log], names).settings
+    }
+    # A servo that is solved implicitly with four times the step has slightly larger numbers.
+    assert values["kp_n_m_per_rad"] == pytest.approx(kp, rel=0.1)
+    assert values["dry_friction_n_m"] == pytest.approx(dry, rel=0.15)
+
+
+@pytest.mark.slow
+def test_both_servos_of_an_arm_are_found_from_one_log():
+    """Their numbers differ by a factor of 5, and all start from one guess."""
+    truth = {"shoulder": (30.0, 1.5, 0.2), "elbow": (6.0, 0.25, 0.05)}
+    stiff = 'solimpfriction="0.9999 0.9999 0.001" solreffriction="0.001 1"'
+    joints = {
+        name: f'<joint name="{name}" axis="0 1 0" frictionloss="{dry}" {stiff}/>'
+        for name, (_, _, dry) in truth.items()
+    }
+    motors = "".join(
+        f'<position name="{name}" joint="{name}" kp="{kp}" kv="{kv}"/>'
+        for name, (kp, kv, _) in truth.items()
+    )
+    xml = arm(
+        joints["elbow"], step=STEP_S / 4, rest=f"<actuator>{motors}</actuator>", shoulder=joints["shoulder"]
+    )  # fmt: skip
+    random = np.random.default_rng(2)
+    times_s = np.arange(400) * 0.02
+    commands = np.repeat(random.uniform(-0.6, 0.6, (20, 2)), 20, axis=0)
+    commands[:20] = 0.0
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    angles = np.zeros((400, 2))
+    for row in range(400):
+        angles[row] = data.qpos
+        data.ctrl[:] = commands[row]
+        mujoco.mj_step(model, data, nstep=40)
+    angles += NOISE_RAD * random.standard_normal(angles.shape)
+    log = Log("log", times_s, angles, commands, joints=tuple(truth))
+    spec = mujoco.MjSpec.from_string(arm())
+    names = ("dry_friction_n_m", "kp_n_m_per_rad", "kv_n_m_s_per_rad")
+    found = identify(backend("mujoco"), spec, [log], names)
+    for numbers, (kp, kv, dry) in zip(found.joints, truth.values(), strict=True):
+        assert numbers["kp_n_m_per_rad"] == pytest.approx(kp, rel=0.05)
+        assert numbers["kv_n_m_s_per_rad"] == pytest.approx(kv, rel=0.1)
+        assert numbers["dry_friction_n_m"] == pytest.approx(dry, rel=0.1)
