@@ -111,11 +111,35 @@ def _below(name: str) -> list[str]:
     return [other for other in command_lines() if other.rpartition(" ")[0] == name]
 
 
+TYPE_WORDS = {"<int range>": "integer", "<int>": "integer", "<float>": "number"}
+"""What the help shows for types of Python."""
+
+
+def _shown_type(parameter: Any, ctx: Any) -> str | None:
+    """Return the type of a parameter for the help; None for a flag, and for an argument, whose name says it."""
+    if parameter.param_type_name == "argument" or parameter.is_flag:
+        return None
+    if parameter.metavar is not None:
+        return str(parameter.metavar)
+    shown = str(parameter.display_type(ctx))
+    return TYPE_WORDS.get(shown, shown)
+
+
+def _name_types(command: Any, ctx: Any) -> None:
+    """Let the help of a command show the types that `_shown_type` returns; versions of typer below 0.26 show theirs."""
+    for one in command.get_params(ctx):
+        one.display_type_rich = functools.partial(_shown_type, one)
+
+
 class _Command(typer.core.TyperCommand):
     """Command whose function returns whether it failed, or its exit code.
 
     Its stdout holds its results only, whatever engines print.
     """
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        _name_types(self, ctx)
+        super().format_help(ctx, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         if not ctx.resilient_parsing:
@@ -169,6 +193,10 @@ class _Named(typer.core.TyperCommand):
 
 class _Group(typer.core.TyperGroup):
     """Commands by their names; the name of one may have two words, as `sanity probe` beside `sanity TARGET`."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        _name_types(self, ctx)
+        super().format_help(ctx, formatter)
 
     def list_commands(self, ctx: Any) -> list[str]:
         name = self.name if self.name in command_lines() else ""

@@ -95,6 +95,13 @@ def test_only_open_sets_take_name_value(name, one):
     assert ((one.metavar or "") == ASSIGNED) == (longest(one) in OPEN_SETS)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_help_shows_no_type_of_python(gauge, name):
+    shown = gauge(*name.split(), "--help").stdout
+    assert "Usage:" in shown
+    assert re.findall(r"<(?:bool|float|int|list|path|str)\b[^>]*>", shown) == []
+
+
 def test_one_word_is_one_thing():
     """An option has the same name, unit and kind in every command that has it, and no command has an old one."""
     kinds = {}

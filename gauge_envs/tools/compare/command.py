@@ -111,6 +111,7 @@ def plot(
     kind: Annotated[
         str,
         typer.Option(
+            metavar="KIND",
             rich_help_panel=arguments.OUTPUT,
             help=f"What to draw: {', '.join(KINDS)}.",
         ),

@@ -75,6 +75,7 @@ def data_import(
     unit: Annotated[
         str | None,
         typer.Option(
+            metavar="UNIT",
             rich_help_panel=arguments.SCENE,
             help="Unit of lengths in files that state none, as mm.",
         ),

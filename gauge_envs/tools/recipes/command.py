@@ -20,9 +20,7 @@ TIMESTEP = "--set timestep_s=0.002"
 
 
 def _asked(option: str, unit: str, text: str) -> Any:
-    return arguments.measured(
-        option, unit, text, arguments.SCENE, show_default="not asked for"
-    )
+    return arguments.measured(option, unit, text, arguments.SCENE, show_default=False)
 
 
 FABRICS_FAMILY = "TextileFlinging"
@@ -80,7 +78,9 @@ def recipe(
     ] = None,
     engine: Annotated[
         str | None,
-        arguments.backend("Engine; also mujoco_warp, and isaac for a fabric."),
+        arguments.backend(
+            "Engine, always needed; also mujoco_warp, and isaac for a fabric."
+        ),
     ] = None,
     changes: Annotated[
         list[str] | None,

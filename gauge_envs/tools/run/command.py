@@ -197,7 +197,10 @@ def run(
 
 
 def score(
-    file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="CSV, NPZ or JSON; also a result file."),
+    ],
     name: Annotated[
         str | None,
         arguments.experiment("Experiment, if the file does not state it."),

@@ -73,7 +73,10 @@ def sweep(
     ] = None,
     jitter: arguments.JitterTexts = None,
     backend: Annotated[
-        Texts, _option("--backend", arguments.NUMERICS, "Engines.", "mujoco")
+        Texts,
+        _option(
+            "--backend", arguments.NUMERICS, "Engines.", "mujoco", metavar="ENGINE"
+        ),
     ] = None,
     preset: Annotated[
         Texts,
@@ -82,6 +85,7 @@ def sweep(
             arguments.NUMERICS,
             "Presets of every engine.",
             "chosen by each engine",
+            metavar="NAME",
         ),
     ] = None,
     changes: Annotated[
