@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from xml.etree import ElementTree
 
 from gauge_envs.files import versions
@@ -73,8 +74,14 @@ def junit_text(report: Report) -> str:
 
 def sarif_text(report: Report) -> str:
     """Return a report as SARIF 2.1.0; a target that is a file is the place of its flags."""
-    place = Path(report.configuration.source.rpartition(" ")[2])
-    location = {"physicalLocation": {"artifactLocation": {"uri": place.as_posix()}}}
+    words = report.configuration.source.split(" ")
+    endings = (Path(" ".join(words[start:])) for start in range(len(words)))
+    file = next((one for one in endings if one.is_file()), None)
+    locations = {}
+    if file is not None:
+        uri = quote(file.as_posix())
+        location = {"physicalLocation": {"artifactLocation": {"uri": uri}}}
+        locations = {"locations": [location]}
     rules = [
         {
             "id": row.phenomenon,
@@ -88,7 +95,7 @@ def sarif_text(report: Report) -> str:
             "ruleId": row.phenomenon,
             "level": LEVELS[row.verdict],
             "message": {"text": _message(row)},
-            **({"locations": [location]} if place.is_file() else {}),
+            **locations,
         }
         for row in report.rows
         if row.is_flag

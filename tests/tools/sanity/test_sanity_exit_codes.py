@@ -337,8 +337,8 @@ def test_the_steps_of_the_action_run(tmp_path):
 )
 def test_a_flagged_model_is_told_in_every_format(gauge, tmp_path, name):
     """JSON follows its schema, SARIF has the flags, and a run is no regression of itself."""
-    (tmp_path / "robot.xml").write_text(FAULTS[name].xml(), encoding="utf-8")
-    words = ["sanity", "robot.xml", "--only", ",".join(FAULTS[name].rows)]
+    (tmp_path / "my robot.xml").write_text(FAULTS[name].xml(), encoding="utf-8")
+    words = ["sanity", "my robot.xml", "--only", ",".join(FAULTS[name].rows)]
     shown = gauge(*words, "--json")
     assert shown.exit_code == 1
     whole, *rows = map(json.loads, shown.stdout.splitlines())
@@ -349,7 +349,11 @@ def test_a_flagged_model_is_told_in_every_format(gauge, tmp_path, name):
     ]
     assert whole["worst"] in ("wrong", "visible")
     sarif = json.loads(gauge(*words, "--format", "sarif").stdout)
-    assert [one["ruleId"] for one in sarif["runs"][0]["results"]] == flagged != []
+    results = sarif["runs"][0]["results"]
+    assert [one["ruleId"] for one in results] == flagged != []
+    # SARIF 2.1.0, section 3.4.3: a URI reference of RFC 3986, which has no spaces.
+    (location,) = results[0]["locations"]
+    assert location["physicalLocation"]["artifactLocation"]["uri"] == "my%20robot.xml"
     (tmp_path / "earlier.json").write_text(shown.stdout, encoding="utf-8")
     again = gauge(*words, "--baseline", "earlier.json")
     assert (again.exit_code, "regression" in again.stderr) == (0, False)
