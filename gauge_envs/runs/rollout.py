@@ -118,6 +118,7 @@ def record(
     interval_s: float = SAMPLE_INTERVAL_S,
     nodes_of: Collection[str] | None = None,
     speed_limit_m_per_s: float = math.inf,
+    ends_beyond_m: float = math.inf,
 ) -> Rollout:
     """Drive a simulation from its start and record it.
 
@@ -128,6 +129,7 @@ def record(
         interval_s: Time between samples, and of one call of `advance` [s].
         nodes_of: Deformable bodies whose nodes are kept; all when None.
         speed_limit_m_per_s: Highest plausible speed of a dynamic or deformable body [m/s].
+        ends_beyond_m: Displacement of a rigid body with which the rollout ends [m].
     """
     count = round(seconds / interval_s)
     paths = DriverPaths(scene, seconds, interval_s)
@@ -166,12 +168,15 @@ def record(
         }
         samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
         last = now
+        moved_m = now.states[:, :3] - samples[0].states[:, :3]
+        if (np.linalg.norm(moved_m, axis=-1) > ends_beyond_m).any():
+            break
         if index < count:
             _advance(simulation, paths, index, time)
     states = np.stack([sample.states for sample in samples])
     return Rollout(
         scene=scene,
-        times_s=interval_s * np.arange(count + 1, dtype=np.float64),
+        times_s=interval_s * np.arange(len(samples), dtype=np.float64),
         states={body.name: states[:, index] for index, body in enumerate(scene.bodies)},
         nodes_m={
             name: np.stack([sample.nodes_m[name] for sample in samples])

@@ -7,7 +7,7 @@ and phenomena are measured again.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -51,7 +51,7 @@ def find_cause(
     configured: Measured,
     default: Measured,
     dialect: Dialect = TOML,
-    named: Collection[str] = (),
+    named: Sequence[str] = (),
 ) -> Cause | None:
     """Find the settings that are responsible for a visible or wrong phenomenon.
 
@@ -69,8 +69,9 @@ def find_cause(
         configured: Outcome in the configuration.
         default: Outcome with this package's preset.
         dialect: Dialect of the target.
-        named: Settings that are responsible for other rows. In a scene of many bodies no others are tried where one
-            of them explains the row.
+        named: Settings that are responsible for other rows, once for each. In a scene of many bodies those of most
+            rows are tried first, then those of contacts, until one brings the phenomenon into the interval, and no
+            others where one that is named explains the row.
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
@@ -107,7 +108,7 @@ class _Search:
     configured: Measured
     default: Measured
     dialect: Dialect
-    named: Collection[str]
+    named: Sequence[str]
 
     def __post_init__(self) -> None:
         self._others = alternatives(
@@ -133,24 +134,19 @@ class _Search:
 
     def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
-        first = self.named if has_many_bodies(self.phenomenon) else ()
-        for name in sorted(
-            self._others, key=lambda one: (one == STEP, one not in first)
-        ):
+        is_slow = has_many_bodies(self.phenomenon)
+        for name in sorted(self._others, key=self._order):
             if name == STEP and self._needs_no_step():
                 continue
-            tried = [self._put_back[one] for one in first if one in self._put_back]
-            if name not in first and any(map(self._explains, tried)):
-                break
-            several = self._others[name]
-            measured = [(self._changed({name: one.value}), one) for one in several]
-            # Of several values that mend the row, the first is taken: the engine's documented default.
-            self._put_back[name], self._best[name] = min(
-                measured,
-                key=lambda pair: (
-                    0.0 if pair[0].verdict is Verdict.INSIDE else pair[0].deviation
-                ),
+            is_named = name in self.named
+            enough = any(
+                one.verdict is Verdict.INSIDE
+                or (tried in self.named and not is_named and self._explains(one))
+                for tried, one in self._put_back.items()
             )
+            if is_slow and enough:
+                break
+            self._put_back[name], self._best[name] = self._closest(name)
         close = {
             name: self._put_back[name]
             for name in self._others
@@ -176,6 +172,22 @@ class _Search:
         return self._cause(
             (best,), close[best], also=f" ({', '.join(others)})" if others else ""
         )
+
+    def _order(self, name: str) -> tuple[bool, int, bool]:
+        """Return the sort key of a setting: the step comes last, and in a scene of many bodies likely causes first."""
+        if not has_many_bodies(self.phenomenon):
+            return name == STEP, 0, False
+        return name == STEP, -self.named.count(name), not name.startswith("contact_")
+
+    def _closest(self, name: str) -> tuple[Measured, Alternative]:
+        """Return the first value of a setting that mends the row, else the one that comes closest, and its outcome."""
+        found = []
+        for one in self._others[name]:
+            measured = self._changed({name: one.value})
+            if measured.verdict is Verdict.INSIDE:
+                return measured, one
+            found.append((measured, one))
+        return min(found, key=lambda pair: pair[0].deviation)
 
     def _strongest(self, names: Sequence[str]) -> str | None:
         """Return the setting that alone changes the default most towards the configuration.

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from heapq import heappop, heappush
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,13 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, RIGID, phenomenon
+from gauge_envs.tools.sanity.phenomena import (
+    CAPACITY_ID,
+    GRASP,
+    RIGID,
+    STATED_IDS,
+    phenomenon,
+)
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
 
@@ -100,15 +107,14 @@ def find_cure(
         name: outcome_of(configuration, name) for name in counted if counted[name]
     }
     flags = [name for name, one in before.items() if one[0] is not Verdict.INSIDE]
-    mending: list[Cure] = []
-    for changes in candidates:
-        try:
-            cured, geoms_by_setting = apply(changes)
-        except GaugeError as error:
-            tried.append(f"{dialect.paste_text(changes)}: {error}")
-            continue
+
+    def refused(changes: Settings, error: GaugeError) -> None:
+        tried.append(f"{dialect.paste_text(changes)}: {error}")
+
+    for changes, cured, geoms_by_setting, after in _ranked(
+        candidates, flags, apply, outcome_of, refused
+    ):
         pasted = _pasted(configuration, dialect, changes, geoms_by_setting, [*texts])
-        after = {name: outcome_of(cured, name) for name in flags}
         mended = [name for name in flags if after[name][0] is Verdict.INSIDE]
         if not mended:
             came = (_came(name, before[name][1], after[name][1]) for name in flags)
@@ -120,11 +126,6 @@ def find_cure(
             flag_count=len(flags),
             mended_count=len(mended),
         )
-        mending.append(cure)
-    # Of equal cures, the one with fewer changes is preferred, then the first.
-    mending.sort(key=lambda one: (-one.mended_count, len(one.changes)))
-    for cure in mending:
-        cured, _ = apply(cure.changes)
         new_flags = [
             name
             for name, is_flag in counted.items()
@@ -254,6 +255,52 @@ def applied(configuration: TrainingConfiguration, changes: Settings) -> Applied:
 
 Outcome = tuple[Verdict, float | None]
 """Verdict and value of a row."""
+
+
+def _ranked(
+    candidates: Sequence[Settings],
+    flags: Sequence[str],
+    apply: Callable[[Settings], Applied],
+    outcome_of: Callable[[TrainingConfiguration, str], Outcome],
+    refused: Callable[[Settings, GaugeError], None],
+) -> Iterator[
+    tuple[Settings, TrainingConfiguration, dict[str, list[str]], dict[str, Outcome]]
+]:
+    """Yield changes that mend most flags first, with what `applied` returns and the outcomes of the flagged rows.
+
+    Of equal ones, those with fewer changes come first, then the order of the candidates counts. Rows on scenes of many
+    bodies are measured only when a candidate that mended all of them would be the next one.
+    """
+    slow = [
+        name
+        for name in flags
+        if name not in STATED_IDS and has_many_bodies(phenomenon(name))
+    ]
+    queue: list[tuple[int, int, int]] = []
+    found: dict[int, tuple[Applied, dict[str, Outcome]]] = {}
+    for index, changes in enumerate(candidates):
+        try:
+            read = apply(changes)
+        except GaugeError as error:
+            refused(changes, error)
+            continue
+        after = {name: outcome_of(read[0], name) for name in flags if name not in slow}
+        found[index] = read, after
+        most = len(slow) + _mended_count(after)
+        heappush(queue, (-most, len(changes), index))
+    while queue:
+        _, size, index = heappop(queue)
+        (cured, geoms_by_setting), after = found[index]
+        left = [name for name in slow if name not in after]
+        if left:
+            after |= {name: outcome_of(cured, name) for name in left}
+            heappush(queue, (-_mended_count(after), size, index))
+        else:
+            yield candidates[index], cured, geoms_by_setting, after
+
+
+def _mended_count(outcomes: Mapping[str, Outcome]) -> int:
+    return sum(verdict is Verdict.INSIDE for verdict, _ in outcomes.values())
 
 
 def _stated_elsewhere(

@@ -1,5 +1,6 @@
 """Run scenes of the suite with a configuration's settings, at the configuration's own step."""
 
+import math
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -49,6 +50,7 @@ class Scenario:
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
         released: Body that rests on a fixed one at the start. It starts apart by the margin of a configuration, at
             which it settles; from a touching pose it would be thrown up.
+        ends_beyond_m: Displacement of a body with which the scene is lost and its simulation ends [m].
     """
 
     name: str
@@ -60,6 +62,7 @@ class Scenario:
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     released: str = ""
+    ends_beyond_m: float = math.inf
 
     @property
     def id(self) -> str:
@@ -116,6 +119,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Ro
             interval_s=interval_s,
             nodes_of=scenario.nodes_of,
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
+            ends_beyond_m=scenario.ends_beyond_m,
         )
 
 

@@ -7,11 +7,13 @@ from sanity_cases import CHEETAH
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cause import alternatives, find_cause
 from gauge_envs.tools.sanity.measure import CURVE_SAMPLES, Measured, Measurements
 from gauge_envs.tools.sanity.model import TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.phenomena.rigid import FALLEN_M
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
 """A training configuration that leaves the constants of contacts to the backend."""
@@ -196,6 +198,20 @@ def test_good_configuration_raises_no_flag_anywhere():
     assert flagged(report(GOOD, only=()).rows) == {}
 
 
+def test_a_wall_that_has_fallen_is_simulated_no_longer():
+    wall = phenomena(["wall-sag"])[0]
+    soft = {
+        "timestep_s": 0.002,
+        "contact_solref": (0.02, 1.0),
+        "contact_solimp": (0.015, 1.0, 0.031, 0.5, 2.0),
+    }
+    found = Measurements(backend("mujoco")).measure(wall, soft)
+    assert found.verdict is Verdict.WRONG and found.value > 1e3 * FALLEN_M
+    # No brick sinks faster than it falls.
+    fall_s = math.sqrt(2.0 * FALLEN_M / GRAVITY_M_PER_S2)
+    assert fall_s < found.rollout.times_s[-1] < 0.5 * wall.scenario.seconds
+
+
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
@@ -228,12 +244,31 @@ class Made(Measurements):
         return Measured(value=value, deviation=0.5 * abs(value), verdict=verdict)
 
 
-def cause_of(formula, **settings):
+def cause_of(formula, *, row="creep-wood", named=(), **settings):
     made = Made(formula)
-    (phenomenon,) = phenomena(["creep-wood"])
-    return find_cause(
-        made, phenomenon, settings, made.measure(None, settings), made.measure(None, {})
+    (phenomenon,) = phenomena([row])
+    both = made.measure(None, settings), made.measure(None, {})
+    return find_cause(made, phenomenon, settings, *both, named=named)
+
+
+@pytest.mark.parametrize(
+    ("row", "named", "tried"),
+    [
+        ("creep-wood", "", "abcde"),
+        ("wall-drift", "", "abc"),
+        ("wall-drift", "d", "dabc"),
+        ("wall-drift", "dcc", "c"),
+    ],
+)
+def test_a_scene_of_many_bodies_is_run_until_a_setting_mends_it(row, named, tried):
+    cause = cause_of(
+        lambda a, b, c, d, e: 20.0 * c + d,
+        row=row,
+        named=list(named),
+        **dict.fromkeys("abcde", 1),
     )
+    assert cause.settings == ("c",)
+    assert [*"".join(name for one in cause.tried for name in one.changes)] == [*tried]
 
 
 def test_nothing_is_responsible_for_what_is_right():

@@ -13,7 +13,9 @@ from arm_faults import LATER, MISTAKES, good_xml
 from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
 from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.cure import _ranked
 from gauge_envs.tools.sanity.mended import write_mended
+from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
 from gauge_envs.tools.sanity.robot.mended_model import mended_xml
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -173,3 +175,25 @@ def test_soft_explicit_pairs_are_mended_where_they_state_it(is_default, tmp_path
         if "<pair" in line and "solref" in line
     ]
     assert len(stating) == (1 if is_default else len(robot_faults.FEET))
+
+
+def test_a_wall_is_built_only_with_changes_that_could_be_the_best():
+    mended = {"a": ["creep-wood", "wall-sag"], "b": ["creep-wood"], "c": []}
+    walls = []
+
+    def outcome_of(name, row):
+        if row == "wall-sag":
+            walls.append(name)
+        return (Verdict.INSIDE if row in mended[name] else Verdict.WRONG), 1.0
+
+    ranked = _ranked(
+        [{"c": 1}, {"b": 1}, {"a": 1}],
+        ["creep-wood", "wall-sag"],
+        lambda changes: (next(iter(changes)), {}),
+        outcome_of,
+        lambda changes, error: pytest.fail(str(error)),
+    )
+    assert next(ranked)[0] == {"a": 1}
+    assert walls == ["b", "a"]
+    # Of a change that harms, the next best one follows.
+    assert [one[0] for one in ranked] == [{"b": 1}, {"c": 1}]

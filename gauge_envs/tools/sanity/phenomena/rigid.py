@@ -113,6 +113,9 @@ def _depths_mm(rollout: Rollout, body: str, fixed: str) -> FloatArray:
 STAND_S = 0.4
 """Simulated time [s]: soft contacts have settled, and a falling wall has moved by centimetres."""
 
+FALLEN_M = 0.04
+"""Displacement of a brick by its own length [m]: the wall has fallen, and bricks inside each other take longest."""
+
 
 def _without_ball(scene: Scene) -> Scene:
     return replace(
@@ -130,7 +133,11 @@ def _wall(
 ) -> Phenomenon:
     """Return a row on a wall, by a function of the bricks' displacements [mm], shape [brick_count, sample_count, 3]."""
     scenario = Scenario(
-        name="wall", variant="WallBreaking-wood", seconds=STAND_S, change=_without_ball
+        name="wall",
+        variant="WallBreaking-wood",
+        seconds=STAND_S,
+        change=_without_ball,
+        ends_beyond_m=FALLEN_M,
     )
     bricks = [body.name for body in scenario.scene.dynamic_bodies]
 
