@@ -231,10 +231,8 @@ def _is_hdf5(path: Path) -> bool:
 
 def _demonstration(path: Path) -> tuple[np.ndarray, str]:
     """Return the states of a demonstration, shape [step_count, 1 + nq + nv], and its model; empty if it has none."""
-    try:
+    with needs_extra("a file of demonstrations", "logs"):
         import h5py
-    except ImportError as error:
-        raise ParameterError(f"{path}: HDF5 needs h5py: pip install h5py") from error
     name, _, chosen = str(path).partition(":")
     try:
         with h5py.File(name, "r") as file:
@@ -248,6 +246,6 @@ def _demonstration(path: Path) -> tuple[np.ndarray, str]:
             group = file["data"][chosen]
             model = group.attrs.get("model_file", "")
             text = model.decode() if isinstance(model, bytes) else str(model)
-            return np.array(group["states"], dtype=np.float64), text
+            return group["states"][:].astype(np.float64), text
     except OSError as error:
         raise ParameterError(f"{name}: it cannot be read as HDF5: {error}") from error

@@ -11,6 +11,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.identify import Log, identify, read_log, read_mjcf
 from gauge_envs.tools.identify.baselines import baselines, lagged
+from gauge_envs.tools.identify.fit import AS_WELL
 from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
@@ -50,7 +51,7 @@ def played(xml, command, times_s):
     return np.array(angles)
 
 
-def servo_log(name, seed):
+def servo_log(name, seed, armature=0.0, noise_rad=NOISE_RAD):
     """A log of random steps of the elbow, which starts at rest and hangs."""
     random = np.random.default_rng(seed)
     times_s = np.arange(400) * 0.02
@@ -63,8 +64,9 @@ def servo_log(name, seed):
 
     servo = f'<position joint="elbow" kp="{KP}" kv="{KV}"/>'
     rest = f"<actuator>{servo}</actuator>"
-    xml = arm(TRUTH, step=0.0005, rest=rest, shoulder="")
-    angles = played(xml, held, times_s) + NOISE_RAD * random.standard_normal(400)
+    joint = TRUTH.replace("<joint", f'<joint armature="{armature}"')
+    xml = arm(joint, step=0.0005, rest=rest, shoulder="")
+    angles = played(xml, held, times_s) + noise_rad * random.standard_normal(400)
     return Log(name, times_s, angles[:, None], steps[:, None], joints=("elbow",))
 
 
@@ -122,6 +124,26 @@ def test_a_bench_value_is_kept_and_pasted():
     assert known.is_known and known.low == known.high == known.pasted == 0.03
     assert known.unknown == "" and 'armature="0.03"' in bench.lines
     assert bench.error_rad["one"][0] > 3.0 * NOISE_RAD
+
+
+def test_an_armature_that_is_not_determined_is_not_pasted_though_it_follows_the_log_better():
+    """Of 40 noisy samples 0 is in its interval; only a bench value may stand in the lines."""
+    log = servo_log("one", 2, armature=5e-4, noise_rad=0.012)
+    assert log.command_rad is not None
+    few = Log(
+        "few", log.times_s[::10], log.position_rad[::10], log.command_rad[::10], joints=log.joints
+    )  # fmt: skip
+    rest = dict(zip(NAMES, (0.05, 0.0, KP, KV, DELAY_S), strict=True))
+    del rest["armature_kg_m2"]
+    model = mujoco.MjSpec.from_string(arm())
+    found = identify(backend("mujoco"), model, [few], ["armature_kg_m2"], known=rest)
+    armature = found.settings[0]
+    assert armature.unknown and armature.value > 2e-4
+    assert armature.pasted is None and 'armature="' not in found.lines
+    with_it = rest | {"armature_kg_m2": armature.value}
+    bench = identify(backend("mujoco"), model, [few], ["armature_kg_m2"], known=with_it)
+    assert bench.error_rad["few"][0] < found.error_rad["few"][0] / AS_WELL
+    assert 'armature="' in bench.lines
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.tools.versions import bisection, comparison, environments, worker
 from gauge_envs.tools.versions.comparison import Bench, compare, field_changes
 from gauge_envs.tools.versions.environments import ReleaseError
@@ -482,6 +482,12 @@ def test_states_of_demonstrations_are_read(tmp_path):
     for wrong, told in (("demo_0", "demo_3"), ("demo_9", "demo_3")):
         with pytest.raises(ParameterError, match=told):
             read_states(tmp_path / f"demo.hdf5:{wrong}", tmp_path)
+
+
+def test_demonstrations_without_h5py_name_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[logs\]'"):
+        read_states(tmp_path / "demo.hdf5", tmp_path)
 
 
 def test_states_of_another_model_are_refused(tmp_path):
