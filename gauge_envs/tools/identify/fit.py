@@ -250,17 +250,10 @@ class _Problem:
         terms: list[Terms] = [
             dict(zip(self.names, column.tolist(), strict=True)) for column in values.T
         ]
-        moved = (
-            scaled[of_joints.size :].reshape(-1, 2, self.joints)
-            if self.free_starts
-            else None
-        )
-        still = np.zeros((len(self.parts), 2, self.joints))
-        return (
-            terms,
-            of_joints[-1] if self.zero else np.zeros(self.joints),
-            still if moved is None else moved,
-        )
+        moved = np.zeros((len(self.parts), 2, self.joints))
+        if self.free_starts:
+            moved = scaled[of_joints.size :].reshape(moved.shape)
+        return terms, of_joints[-1] if self.zero else np.zeros(self.joints), moved
 
     def errors(
         self, scaled: FloatArray, *, may_diverge: bool = False
@@ -280,6 +273,16 @@ class _Problem:
                 errors.append(np.full(part.position_rad.shape, LOST_RAD))
         return errors
 
+    def squares(self, scaled: FloatArray) -> FloatArray:
+        """Return the sum of the squared errors of each joint [rad^2], shape [J]."""
+        errors = self.errors(scaled, may_diverge=True)
+        return np.asarray(sum((one**2).sum(axis=0) for one in errors))
+
+    def diverges(self, scaled: FloatArray) -> bool:
+        """Return whether the engine diverges in a part."""
+        errors = self.errors(scaled, may_diverge=True)
+        return bool(max(np.abs(one).max() for one in errors) >= LOST_RAD)
+
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
         errors = self.errors(scaled, may_diverge=True)
@@ -296,23 +299,19 @@ class _Problem:
         rows, first_start = self._rows(), self.kinds * self.joints
         for kind in range(self.kinds):
             columns = kind * self.joints + np.arange(self.joints)
-            is_free = kind >= len(self.names) or np.isnan(self.fixed[kind])
-            if not np.any(is_free):
+            is_free = np.full(self.joints, True)
+            if kind < len(self.names):
+                is_free = np.isnan(self.fixed[kind])
+            if not is_free.any():
                 continue
             step = DELAY_STEP if self.names[kind : kind + 1] == ("delay_s",) else STEP
             change = self._changed(scaled, columns, before, step)
-            for joint, column in enumerate(columns):
-                if not np.broadcast_to(is_free, self.joints)[joint]:
-                    continue
+            for joint in np.flatnonzero(is_free):
                 inside = rows[:, 1] == joint
-                jacobian[inside, column] = change[inside]
+                jacobian[inside, columns[joint]] = change[inside]
         for kind in range(2 if self.free_starts else 0):
-            places = (
-                first_start
-                + np.arange(len(self.parts) * 2 * self.joints).reshape(
-                    -1, 2, self.joints
-                )[:, kind]
-            )
+            every = np.arange(first_start, scaled.size)
+            places = every.reshape(-1, 2, self.joints)[:, kind]
             change = self._changed(scaled, places.ravel(), before, STEP)
             for number, joint in np.ndindex(places.shape):
                 inside = (rows == (number, joint)).all(axis=1)
@@ -332,24 +331,18 @@ class _Problem:
 
     def _rows(self) -> NDArray[np.intp]:
         """Return number of the part and of the joint of each residual, shape [residual_count, 2]."""
-        return np.concatenate(
-            [
-                np.full((len(part.times_s), 2), (number, joint))
-                for number, part in enumerate(self.parts)
-                for joint in range(self.joints)
-            ]
-        )
+        counts = [len(part.times_s) for part in self.parts]
+        pairs = np.array(list(np.ndindex(len(self.parts), self.joints)))
+        return pairs.repeat(np.repeat(counts, self.joints), axis=0)
 
     def first_guesses(self) -> list[FloatArray]:
         """Return first guesses: seven stiffnesses of a servo, or two angles at rest of a free joint."""
         guesses = []
-        middle = float(
-            np.mean(np.concatenate([part.position_rad for part in self.parts]))
-        )
-        for scale in (
-            (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,)
-        ):
-            damped = SERVO[1] if SERVO[1] in self.names else DYNAMICS[1]
+        angles_rad = np.concatenate([part.position_rad for part in self.parts])
+        middle = float(angles_rad.mean())
+        scales = (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0)
+        damped = SERVO[1] if SERVO[1] in self.names else DYNAMICS[1]
+        for scale in scales if SERVO[0] in self.names else scales[:1]:
             joint_guess = [
                 {SERVO[0]: scale, damped: np.sqrt(scale)}.get(name, 1.0)
                 for name in self.names
@@ -385,20 +378,10 @@ class _Problem:
 
     def _ranked(self, unknowns: Sequence[FloatArray]) -> list[FloatArray]:
         """Return unknowns of which each joint has its best in the first, its second best in the second, and so on."""
-        squares = [
-            sum(
-                (errors**2).sum(axis=0) for errors in self.errors(one, may_diverge=True)
-            )
-            for one in unknowns
-        ]
-        order = np.argsort(np.array(squares), axis=0)
+        order = np.argsort([self.squares(one) for one in unknowns], axis=0)
         table = np.array([one.reshape(-1, self.joints) for one in unknowns])
-        return [
-            np.stack(
-                [table[place, :, joint] for joint, place in enumerate(row)], axis=1
-            ).ravel()
-            for row in order
-        ]
+        ranked = np.take_along_axis(table, order[:, None, :], axis=0)
+        return [one.ravel() for one in ranked]
 
     def solved(
         self, first: FloatArray, tolerance: float, most: int | None = None
@@ -489,10 +472,7 @@ class _Problem:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
         larger, count = scaled.copy(), len(self.names) * self.joints
         larger[:count] *= 1.1
-        if (
-            max(np.abs(one).max() for one in self.errors(larger, may_diverge=True))
-            < LOST_RAD
-        ):
+        if not self.diverges(larger):
             return
         step_s = self.machine.timestep_s
         advice = (
@@ -500,10 +480,7 @@ class _Problem:
         )
         for shorter_s in step_s / 2.0 ** np.arange(1, 7):
             other = replace(self, machine=self.machine.with_step(float(shorter_s)))
-            if (
-                max(np.abs(one).max() for one in other.errors(larger, may_diverge=True))
-                < LOST_RAD
-            ):
+            if not other.diverges(larger):
                 advice = (
                     f"give --set timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
                 )
@@ -931,17 +908,22 @@ def _patterns(problem: _Problem, unknowns: FloatArray) -> dict[str, tuple[str, .
     return found
 
 
+def _correlations(problem: _Problem, covariance: FloatArray, joint: int) -> FloatArray:
+    """Return the correlations of the numbers of a joint, shape [name_count, name_count]."""
+    columns = np.arange(len(problem.names)) * problem.joints + joint
+    block = covariance[np.ix_(columns, columns)]
+    sizes = np.sqrt(np.diag(block))
+    return np.asarray(block / np.maximum(np.outer(sizes, sizes), 1e-300))
+
+
 def _trades(
     problem: _Problem, covariance: FloatArray, joints: Sequence[str]
 ) -> tuple[str, ...]:
     """Return which numbers of a joint the logs hardly tell apart: a sentence for each pair."""
     found = []
     for joint, word in enumerate(joints):
-        columns = [kind * problem.joints + joint for kind in range(len(problem.names))]
-        block = covariance[np.ix_(columns, columns)]
-        sizes = np.sqrt(np.diag(block))
-        alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
-        for first, second in zip(*np.triu_indices(len(columns), 1), strict=True):
+        alike = _correlations(problem, covariance, joint)
+        for first, second in zip(*np.triu_indices(len(alike), 1), strict=True):
             if abs(alike[first, second]) > TRADE:
                 pair = f"{problem.names[first]} and {problem.names[second]}"
                 found.append(
@@ -1022,7 +1004,7 @@ def _without_open(
     """
     left_out: list[dict[str, str]] = [{} for _ in range(problem.joints)]
     tried: set[tuple[int, str]] = set()
-    remaining, best = found, _squares(problem, unknowns)
+    remaining, best = found, problem.squares(unknowns)
     while candidates := _to_leave_out(problem, remaining, tried):
         before = problem.fixed.copy()
         for one in candidates:
@@ -1031,7 +1013,7 @@ def _without_open(
             problem.fixed[place] = problem.machine.stated[one.joint][one.name]
         progress(f"without {', '.join(sorted({one.name for one in candidates}))}")
         other, covariance = problem.solved(unknowns, SERVO_CLOSE, REFIT_STEPS)
-        squares = _squares(problem, other)
+        squares = problem.squares(other)
         worse = [
             one
             for one in candidates
@@ -1086,11 +1068,6 @@ def _machine(
         return joints_of_scene(scene, spec, log, known.stated, settings)
     finally:
         simulation.close()
-
-
-def _squares(problem: _Problem, unknowns: FloatArray) -> FloatArray:
-    """Return the sum of the squared errors of each joint [rad^2], shape [J]."""
-    return np.asarray(sum((one**2).sum(axis=0) for one in problem.errors(unknowns)))
 
 
 def _to_leave_out(
@@ -1161,16 +1138,14 @@ def _settings(
     std = np.sqrt(np.diag(covariance))
     found = []
     for joint in range(problem.joints):
-        columns = [kind * problem.joints + joint for kind in range(len(problem.names))]
-        block = covariance[np.ix_(columns, columns)]
-        sizes = np.sqrt(np.diag(block))
-        alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
+        alike = _correlations(problem, covariance, joint)
         torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
         is_scale = len(torques) > 2 and bool(
             (alike[np.ix_(torques, torques)] > ALIKE).all()
         )
         for kind, name in enumerate(problem.names):
-            value, half = unknowns[columns[kind]], 1.96 * std[columns[kind]]
+            column = kind * problem.joints + joint
+            value, half = unknowns[column], NORMAL_95 * std[column]
             twins = [
                 other
                 for k, other in enumerate(problem.names)
@@ -1199,7 +1174,7 @@ def _settings(
                     value=value * size,
                     low=low,
                     high=high,
-                    std=std[columns[kind]] * size,
+                    std=std[column] * size,
                     is_known=is_known,
                     unknown=unknown,
                 )

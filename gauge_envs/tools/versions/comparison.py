@@ -415,8 +415,6 @@ class Visit:
         one, two = gap.before[name][index], gap.after[name][index]
         dof = int(np.argmax(np.abs(np.nan_to_num(one - two, nan=np.inf))))
         quantity, detail = self._cause(index)
-        before = {key: int(gap.before[key][index]) for key in COUNTS}
-        after = {key: int(gap.after[key][index]) for key in COUNTS}
         return Parting(
             segment=self.segments[int(self.states["segment"][index])],
             step=int(self.states["step"][index]),
@@ -428,12 +426,12 @@ class Visit:
             limit=float(gap.limit[index]),
             acceleration_before=float(one[dof]),
             acceleration_after=float(two[dof]),
-            contacts_before=before["contacts"],
-            contacts_after=after["contacts"],
-            iterations_before=before["iterations"],
-            iterations_after=after["iterations"],
-            warnings_before=before["warnings"],
-            warnings_after=after["warnings"],
+            contacts_before=int(gap.before["contacts"][index]),
+            contacts_after=int(gap.after["contacts"][index]),
+            iterations_before=int(gap.before["iterations"][index]),
+            iterations_after=int(gap.after["iterations"][index]),
+            warnings_before=int(gap.before["warnings"][index]),
+            warnings_after=int(gap.after["warnings"][index]),
         )
 
     def _differs(self, index: int, name: str) -> bool:
@@ -468,9 +466,6 @@ class Visit:
                 f"{iterations[0]} and {iterations[1]} iterations"
             )
         return Quantity.STEP, "the same accelerations; the velocities after it part"
-
-
-COUNTS = ("contacts", "iterations", "warnings")
 
 
 def _depths(side: Arrays, index: int) -> dict[tuple[int, int], list[float]]:
@@ -606,7 +601,7 @@ def _solid(
     if not is_ball and kind != "mjGEOM_BOX":
         return None
     return Solid(
-        half_sizes_m=None if is_ball else size,
+        half_sizes_m=np.zeros(3) if is_ball else size,
         radius_m=float(size[0]) if is_ball else 0.0,
         position_m=side["geom_xpos"][index, geom],
         rotation=side["geom_xmat"][index, geom].reshape(3, 3),

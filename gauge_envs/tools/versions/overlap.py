@@ -18,13 +18,13 @@ class Solid:
     """A box or a ball at a pose.
 
     Attributes:
-        half_sizes_m: Half sizes of a box, shape [3]; None for a ball.
+        half_sizes_m: Half sizes of a box, shape [3]; 0 for a ball.
         radius_m: Radius of a ball; 0 for a box.
         position_m: Centre, shape [3].
         rotation: Axes of a box as columns, shape [3, 3].
     """
 
-    half_sizes_m: Array | None
+    half_sizes_m: Array
     radius_m: float
     position_m: Array
     rotation: Array
@@ -32,30 +32,24 @@ class Solid:
 
 def depth_m(one: Solid, two: Solid) -> float:
     """Return how far two solids must move apart to touch no more [m]; negative for a gap between them."""
-    if one.half_sizes_m is None and two.half_sizes_m is None:
-        distance_m = float(np.linalg.norm(one.position_m - two.position_m))
-        return one.radius_m + two.radius_m - distance_m
-    if one.half_sizes_m is None:
-        return _box_ball_m(two, one)
-    if two.half_sizes_m is None:
-        return _box_ball_m(one, two)
-    return _box_box_m(one, two)
+    if two.radius_m:
+        return _ball_m(one, two)
+    return _ball_m(two, one) if one.radius_m else _box_box_m(one, two)
 
 
-def _box_ball_m(box: Solid, ball: Solid) -> float:
-    assert box.half_sizes_m is not None
-    inside = box.rotation.T @ (ball.position_m - box.position_m)
-    outside = np.abs(inside) - box.half_sizes_m
+def _ball_m(other: Solid, ball: Solid) -> float:
+    """Return the depth of a ball in a box or another ball."""
+    inside = other.rotation.T @ (ball.position_m - other.position_m)
+    outside = np.abs(inside) - other.half_sizes_m
+    radius_m = ball.radius_m + other.radius_m
     if np.all(outside <= 0.0):
         # The centre leaves by the nearest face.
-        return ball.radius_m - float(np.max(outside))
-    return ball.radius_m - float(np.linalg.norm(np.maximum(outside, 0.0)))
+        return radius_m - float(np.max(outside))
+    return radius_m - float(np.linalg.norm(np.maximum(outside, 0.0)))
 
 
 def _box_box_m(one: Solid, two: Solid) -> float:
     """Return the smallest overlap on the 15 axes on which two boxes can be apart (Gottschalk et al. 1996)."""
-    assert one.half_sizes_m is not None
-    assert two.half_sizes_m is not None
     between = two.position_m - one.position_m
     axes = [*one.rotation.T, *two.rotation.T]
     for first in one.rotation.T:

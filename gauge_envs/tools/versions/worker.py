@@ -7,8 +7,7 @@ The process runs in the environment of the release, without this package. The jo
 
 With `run`, the model moves through its segments, and the states go to `OUT.run.npz`. Each state of the files `states`
 is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on, with the poses of
-all geoms if `has_poses` is true. `OUT.json` has
-the compiled model in words.
+all geoms if `has_poses` is true. `OUT.json` has the compiled model in words.
 """
 
 import json
@@ -265,15 +264,19 @@ def compiled(model: Any) -> Job:
 
 def names(model: Any) -> dict[str, list[str]]:
     """Return the names of what the rows of fields and results are of."""
+    counts = {
+        "body": model.nbody,
+        "joint": model.njnt,
+        "actuator": model.nu,
+        "mesh": model.nmesh,
+        "key": model.nkey,
+        "equality": model.neq,
+        "tendon": model.ntendon,
+        "pair": model.npair,
+    }
     found = {
-        "body": [named(model, "body", i) for i in range(model.nbody)],
-        "joint": [named(model, "joint", i) for i in range(model.njnt)],
-        "actuator": [named(model, "actuator", i) for i in range(model.nu)],
-        "mesh": [named(model, "mesh", i) for i in range(model.nmesh)],
-        "key": [named(model, "key", i) for i in range(model.nkey)],
-        "equality": [named(model, "equality", i) for i in range(model.neq)],
-        "tendon": [named(model, "tendon", i) for i in range(model.ntendon)],
-        "pair": [named(model, "pair", i) for i in range(model.npair)],
+        kind: [named(model, kind, i) for i in range(count)]
+        for kind, count in counts.items()
     }
     found["geom"] = []
     for i in range(model.ngeom):

@@ -515,7 +515,7 @@ def box(position, rotation=None, size=(0.1, 0.2, 0.3)):
 
 
 def ball(position, radius=0.1):
-    return Solid(None, radius, np.array(position, dtype=float), np.eye(3))
+    return Solid(np.zeros(3), radius, np.array(position, dtype=float), np.eye(3))
 
 
 @pytest.mark.parametrize(
