@@ -188,7 +188,8 @@ def test_a_band_reads_as_it_was_built(variant):
     # The tables have two digits.
     np.testing.assert_allclose(band.mean, built.mean, rtol=0, atol=0.0051)
     np.testing.assert_allclose(band.uncertainty, built.uncertainty, rtol=0, atol=0.0051)
-    assert band.measured.tolist() == built.measured.tolist()
+    known = np.isfinite(built.mean).any(axis=1)
+    assert band.measured.tolist() == known.tolist()
     assert band.withheld == recording.get("withheld")
 
 

@@ -35,7 +35,7 @@ SIGMA_NOTES = {
 
 SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
 OTHER_QUESTION = (
-    "Engines over real trials (GAUGE, Table 5): another question than grade {grade}."
+    "Published, over real trials (GAUGE, Table 5): another question than grade {grade}"
 )
 COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
 
@@ -94,9 +94,7 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
     if reference["scatter"] != "-":
         facts["scatter"] = reference["scatter"]
     if reference["deformation"]:
-        facts["real"] = (
-            f"{deformation_text(reference['deformation'])}; runs are compared beside the score"
-        )
+        facts["real"] = deformation_text(reference["deformation"])
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         if asset["kind"] != AssetKind.EXPERIMENT:
@@ -108,11 +106,11 @@ def _published(values: Mapping[str, Any]) -> Part:
     """Return the published scores, which are of reality whatever the grade of the reference."""
     if not values["baselines"]:
         return Paragraph("Published: none")
-    title, note = "Published", SHORT_NOTE
     grade = BandGrade(values["reference"]["grade"])
     if grade.is_solution:
-        title = "Published, distances from real trials"
-        note = OTHER_QUESTION.format(grade=grade.value)
+        title, note = OTHER_QUESTION.format(grade=grade.value), ""
+    else:
+        title, note = "Published", SHORT_NOTE
     return published_table(values["baselines"], title=title, note=note)
 
 
@@ -126,8 +124,20 @@ def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
         "tells": f"{', '.join(sizes) or 'nothing'} (over {scale}, {power['scale_text']})"
     }
     if power["not_told"]:
-        facts["tells not"] = ", ".join(power["not_told"])
+        facts["tells not"] = _joined_changes(power["not_told"])
     return facts
+
+
+def _joined_changes(names: Sequence[str]) -> str:
+    """Return names of changes, with `friction off or x 0.8` in place of two that follow each other."""
+    texts: list[str] = []
+    for name in names:
+        quantity, factor, value = name.partition(" x ")
+        if factor and texts and texts[-1] == f"{quantity} off":
+            texts[-1] += f" or x {value}"
+        else:
+            texts.append(name)
+    return ", ".join(texts)
 
 
 def deformation_text(statistics: Sequence[Mapping[str, Any]]) -> str:
@@ -331,9 +341,7 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
     if reference["impossible"]:
         facts["published"] = reference["impossible"]
     if reference["withheld"] is not None:
-        facts["withheld"] = (
-            f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
-        )
+        facts["withheld"] = f"{reference['withheld']}; --use withheld scores on it"
     return facts
 
 
@@ -435,7 +443,7 @@ def published_table(
     Args:
         lines: The baselines.
         title: Its title; empty for none.
-        note: Line below it.
+        note: Line below it; empty for none.
         columns: Columns before the metric.
     """
 
@@ -454,5 +462,5 @@ def published_table(
             ),
         ),
         rows=lines,
-        notes=(note,) if lines else (),
+        notes=(note,) if lines and note else (),
     )
