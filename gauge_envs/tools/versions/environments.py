@@ -144,11 +144,7 @@ def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
     packages = [requirement]
     if package == "mujoco" and version_key(version) < NUMPY_2_SINCE:
         packages.append("numpy<2")
-    say(
-        f"{requirement}: {' and '.join(packages)} are installed into {folder}, about {ABOUT_MB} MB"
-        if len(packages) > 1
-        else f"{requirement}: it is installed into {folder}, about {ABOUT_MB} MB"
-    )
+    say(f"{' and '.join(packages)}: installed into {folder}, about {ABOUT_MB} MB")
     _remove_leftovers(folder)
     with _removed_on_error(folder.with_name(f".{folder.name}.{token_hex(6)}")) as part:
         if uv := shutil.which("uv"):

@@ -351,14 +351,9 @@ def driven(model: Any, job: Job) -> list[tuple[int, Any]]:
     """Return each driven body, and its rows: 7 numbers of qpos, 6 of qvel, 6 of xfrc_applied."""
     if job["run"].get("driven") is None:
         return []
+    kind = mujoco.mjtObj.mjOBJ_BODY
     with np.load(job["run"]["driven"]) as arrays:
-        return [
-            (
-                mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name),
-                np.array(arrays[name]),
-            )
-            for name in arrays.files
-        ]
+        return [(mujoco.mj_name2id(model, kind, name), arrays[name]) for name in arrays]
 
 
 def moved(
@@ -446,16 +441,10 @@ def segments(
     if "ctrl" in rows and count > 1:
         interval = 1
         if "time" in rows:
-            interval = max(
-                1, round((rows["time"][1] - rows["time"][0]) / model.opt.timestep)
-            )
-        yield (
-            "replay",
-            row(rows, 0),
-            rows["ctrl"],
-            min(interval * count, 20 * steps),
-            interval,
-        )
+            apart_s = rows["time"][1] - rows["time"][0]
+            interval = max(1, round(apart_s / model.opt.timestep))
+        most = min(interval * count, 20 * steps)
+        yield "replay", row(rows, 0), rows["ctrl"], most, interval
 
 
 def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
@@ -472,9 +461,8 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
             begin = dict(start)
             if variant == "perturbed":
                 noise = np.random.RandomState(job["run"].get("seed", 0) + 1)
-                begin["qvel"] = begin.get(
-                    "qvel", np.zeros(model.nv)
-                ) + PERTURBATION * noise.normal(size=model.nv)
+                velocity = begin.get("qvel", np.zeros(model.nv))
+                begin["qvel"] = velocity + PERTURBATION * noise.normal(size=model.nv)
             depths, speed = np.zeros(model.nbody), 0.0
             for step, (state, data) in enumerate(
                 moved(model, begin, controls, steps, interval, motions)
@@ -594,30 +582,26 @@ def spins(model: Any, data: Any) -> Any:
 def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any]:
     """Return what one step from each state computes; the state alone decides, with its saved warm start."""
     count = len(rows["qpos"])
-    found = {
-        name: np.zeros((count, model.nv))
-        for name in ("qacc", "smooth", "constraint", "step_acc")
-    }
-    found.update((name, np.zeros((count, model.nv))) for name in ("perturbed", "cold"))
-    found.update(
-        (name, np.zeros(count))
-        for name in ("iterations", "imbalance", "contacts", "warnings")
-    )
+    found = {}
+    for name in ("qacc", "smooth", "constraint", "step_acc", "perturbed", "cold"):
+        found[name] = np.zeros((count, model.nv))
+    for name in ("iterations", "imbalance", "contacts", "warnings", "solver_error"):
+        found[name] = np.zeros(count)
     found["spin"] = np.full(count, np.nan)
-    found["solver_error"] = np.zeros(count)
-    if has_poses:
-        found["geom_xpos"] = np.zeros((count, model.ngeom, 3))
-        found["geom_xmat"] = np.zeros((count, model.ngeom, 9))
+    poses = {"geom_xpos": 3, "geom_xmat": 9} if has_poses else {}
+    for name, size in poses.items():
+        found[name] = np.zeros((count, model.ngeom, size))
     touching, pairs, distances = [], [], []
     noise = np.random.RandomState(0)
     data = mujoco.MjData(model)
     for index in range(count):
         state = row(rows, index)
+        velocity = state.get("qvel", np.zeros(model.nv))
         mujoco.mj_resetData(model, data)
         put(data, state)
         mujoco.mj_forward(model, data)
         found["qacc"][index] = data.qacc
-        for name in set(found) & {"geom_xpos", "geom_xmat"}:
+        for name in poses:
             found[name][index] = getattr(data, name)
         found["smooth"][index] = data.qacc_smooth
         found["constraint"][index] = data.qfrc_constraint
@@ -634,31 +618,20 @@ def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any
         before = spins(model, data)
         put(data, state)
         mujoco.mj_step(model, data)
-        found["step_acc"][index] = (
-            data.qvel - state.get("qvel", 0.0)
-        ) / model.opt.timestep
+        found["step_acc"][index] = (data.qvel - velocity) / model.opt.timestep
         found["warnings"][index] = sum(warnings(data).values())
         if before is not None:
             mujoco.mj_forward(model, data)
             after = spins(model, data)
             if after is not None:
-                found["spin"][index] = np.linalg.norm(after - before) / np.linalg.norm(
-                    before
-                )
-        put(
-            data,
-            dict(
-                state,
-                qvel=state.get("qvel", 0.0)
-                + PERTURBATION * noise.normal(size=model.nv),
-            ),
-        )
+                change = np.linalg.norm(after - before)
+                found["spin"][index] = change / np.linalg.norm(before)
+        other = velocity + PERTURBATION * noise.normal(size=model.nv)
+        put(data, dict(state, qvel=other))
         mujoco.mj_forward(model, data)
         found["perturbed"][index] = data.qacc
-        put(
-            data,
-            {name: value for name, value in state.items() if name != "qacc_warmstart"},
-        )
+        state.pop("qacc_warmstart", None)
+        put(data, state)
         mujoco.mj_forward(model, data)
         found["cold"][index] = data.qacc
     found["contact_state"] = np.array(touching, dtype=int)
