@@ -630,12 +630,12 @@ def identify(
     alone: list[_Fit] = []
     if laws_names:
         laws, alone = _compared(fitted, logs, laws_names, fit, progress)
+        # Halves of one log are no files.
+        alone = alone if len(logs) > 1 else []
         fit = fitted(logs, laws_names[laws[0].name], first=fit, progress=progress)
     elif len(logs) > 1:
         progress("each log alone")
         alone = [fitted([log], names, first=fit) for log in logs]
-    if len(logs) == 1:
-        alone = []
     long, unknowns = fit.problem, fit.unknowns
     count = long.joints
     fitted_settings = _settings(long, unknowns, fit.covariance)
@@ -963,29 +963,23 @@ def _stages(
     logs: Sequence[Log],
     first_s: float,
     long_s: float,
-) -> list[_Problem]:
+) -> tuple[_Problem, _Problem]:
     """Return the problems of both stages: short parts of logs, and long ones."""
-    stages = []
     servo = logs[0].command_rad is not None
     for log in logs:
         apart_s = float(np.median(np.diff(log.times_s)))
         if 10.0 * apart_s > first_s:
             reason = f"samples are {apart_s:.3g} s apart, and at least 10 in {first_s:g} s are needed"
             raise ParameterError(f"{log.name}: {reason}; time_s is in seconds")
-    for longest_s, free in ((first_s, False), (long_s, not servo)):
-        parts = [
-            part
-            for log in logs
-            for part in log.pieces(longest_s)
-            if len(part.times_s) >= 10
-        ]
-        if longest_s == first_s:
-            every = len(parts) * first_s / FIRST_STAGE_S
-            parts = parts[:: max(1, round(every))]
-        stages.append(
-            problem(parts, [part.start() for part in parts], free_starts=free)
-        )
-    return stages
+    short, long = (
+        [part for log in logs for part in log.pieces(most_s) if len(part.times_s) >= 10]
+        for most_s in (first_s, long_s)
+    )
+    short = short[:: max(1, round(len(short) * first_s / FIRST_STAGE_S))]
+    return (
+        problem(short, [part.start() for part in short], free_starts=False),
+        problem(long, [part.start() for part in long], free_starts=not servo),
+    )
 
 
 def _without_open(

@@ -521,17 +521,14 @@ def _ruling(
 
 def _worst_states(visits: Sequence[Visit]) -> dict[str, NDArray[Any]] | None:
     """Return the states in which the sides part most; None if they do not part."""
-    chosen: list[tuple[float, int, int]] = []
-    for which, visit in enumerate(visits):
-        for index in np.flatnonzero(visit.gap.differs):
-            chosen.append((-float(visit.gap.relative[index]), which, int(index)))
-    chosen = sorted(chosen)[:SOLVED_STATES]
-    if not chosen:
+    relative = np.concatenate([visit.gap.relative for visit in visits])
+    differs = np.concatenate([visit.gap.differs for visit in visits])
+    order = np.argsort(np.where(differs, -relative, np.inf), kind="stable")
+    worst = order[: min(SOLVED_STATES, int(np.sum(differs)))]
+    if not worst.size:
         return None
     return {
-        name: np.array(
-            [visits[which].states[name][index] for _, which, index in chosen]
-        )
+        name: np.concatenate([visit.states[name] for visit in visits])[worst]
         for name in visits[0].states
     }
 
@@ -580,13 +577,12 @@ def _depth_misses(
     for index in range(len(sides[0]["qacc"])):
         depths = [_depths(side, index) for side in sides]
         for pair in sorted({*depths[0], *depths[1]} & common):
-            solids = []
-            for geom in pair:
-                solid = _solid(kinds[geom], sizes[geom], sides[0], index, geom)
-                solids.append(solid)
-            if solids[0] is None or solids[1] is None:
+            one, two = (
+                _solid(kinds[geom], sizes[geom], sides[0], index, geom) for geom in pair
+            )
+            if one is None or two is None:
                 continue
-            true_m = depth_m(solids[0], solids[1])
+            true_m = depth_m(one, two)
             if true_m > DEEP_ENOUGH_M:
                 stated = [-min(found.get(pair, [0.0])) for found in depths]
                 misses.append(np.abs(np.array(stated) - true_m) / true_m)
@@ -653,11 +649,8 @@ def _field_change(
         where, count, values = "", 1, (one, two)
     else:
         rows = np.any(differs.reshape(len(one), -1), axis=1)
-        at = int(
-            np.argmax(
-                np.max(np.where(differs, size, -1.0).reshape(len(one), -1), axis=1)
-            )
-        )
+        sizes = np.where(differs, size, -1.0).reshape(len(one), -1)
+        at = int(np.argmax(np.max(sizes, axis=1)))
         kind = next((kind for kind in words["owners"] if name.startswith(kind)), "")
         owners = words["names"].get(words["owners"].get(kind, ""), [])
         where = owners[at] if len(owners) == len(one) else f"row {at}"
@@ -720,19 +713,15 @@ def _settled(one: Mapping[str, Any], two: Mapping[str, Any]) -> Iterator[Settled
         difference = np.linalg.norm(ends[0] - ends[1], axis=1)
         noise = 0.0
         for side in (before, after):
-            perturbed = np.array(side["perturbed_positions_m"])
-            noise = np.fmax(
-                noise, np.max(np.linalg.norm(perturbed - side["positions_m"], axis=1))
-            )
+            change = np.subtract(side["perturbed_positions_m"], side["positions_m"])
+            noise = np.fmax(noise, np.max(np.linalg.norm(change, axis=1)))
         body = int(np.argmax(np.nan_to_num(difference, nan=np.inf)))
         if difference[body] <= max(END_TOLERANCE_M, NOISE_FACTOR * noise):
             continue
         moved = []
         for side in (before, after):
-            start = np.array(side["first_positions_m"])[body]
-            moved.append(
-                float(np.linalg.norm(np.array(side["positions_m"])[body] - start))
-            )
+            start_m, end_m = side["first_positions_m"][body], side["positions_m"][body]
+            moved.append(float(np.linalg.norm(np.subtract(end_m, start_m))))
         yield Settled(
             segment=before["segment"],
             body=one["names"]["body"][body],

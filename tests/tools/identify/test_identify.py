@@ -24,7 +24,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
-from gauge_envs.tools.identify.fit import _noise
+from gauge_envs.tools.identify.fit import _noise, _stages
 from gauge_envs.tools.identify.rig import posed
 from gauge_envs.tools.identify.words import KV_NOTE, identified_document
 from gauge_envs.tools.usd.writer import to_usd
@@ -519,3 +519,11 @@ def test_an_engine_without_the_term_declines():
     log = swing(dry=0.01, viscous=0.0, armature=0.0)
     with pytest.raises(UnsupportedSceneError, match="dry friction"):
         identify(Plain(), one_joint(1.0, 0.1), [log], [DRY])
+
+
+def test_parts_as_long_as_those_of_the_first_stage_are_all_fitted_in_the_second():
+    """The first stage takes about 15 s of the logs, the second one everything."""
+    times_s = np.arange(0.0, 40.0, 0.02)
+    log = Log("long", times_s, np.zeros((2000, 1)), np.zeros((2000, 1)))
+    stages = _stages(lambda parts, starts, free_starts: parts, [log], 5.0, 5.0)
+    assert [len(parts) for parts in stages] == [3, 8]
