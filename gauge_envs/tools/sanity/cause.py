@@ -70,8 +70,8 @@ def find_cause(
         default: Outcome with this package's preset.
         dialect: Dialect of the target.
         named: Settings that are responsible for other rows, once for each. In a scene of many bodies those of most
-            rows are tried first, then those of contacts, until one brings the phenomenon into the interval, and no
-            others where one that is named explains the row.
+            rows are tried first, alone and together, and others, first those of contacts, where none of them explains
+            the row; the first one that brings the phenomenon into the interval is the last one that is tried.
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
@@ -85,11 +85,15 @@ def find_cause(
     search = _Search(
         measurements, phenomenon, settings, configured, default, dialect, named
     )
+    likely = search.likely()
     return (
-        search.put_back_one()
+        search.put_back_one(likely)
+        or search.together(likely)
+        or search.put_back_one(search.others())
         or search.default_is_no_better()
         or search.each_alone()
-        or search.together()
+        or search.together(search.that_matter())
+        or search.whole()
     )
 
 
@@ -115,6 +119,7 @@ class _Search:
             self.measurements, self.phenomenon.scenario, self.settings
         )
         self._best = {name: several[-1] for name, several in self._others.items()}
+        self._is_slow = has_many_bodies(self.phenomenon)
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}
@@ -132,19 +137,29 @@ class _Search:
         mends = any(one.verdict is Verdict.INSIDE for one in others)
         return step_s <= ADVISED_STEP_S and mends
 
-    def put_back_one(self) -> Cause | None:
+    def likely(self) -> list[str]:
+        """Return the named settings, those of most rows first, where a rollout takes long; none elsewhere."""
+        if not self._is_slow:
+            return []
+        named = [name for name in self._others if name in self.named]
+        return sorted(named, key=self.named.count, reverse=True)
+
+    def others(self) -> list[str]:
+        """Return settings that are not put back yet: the step last, and first contacts where a rollout takes long."""
+
+        def order(name: str) -> tuple[bool, bool]:
+            return name == STEP, self._is_slow and not name.startswith("contact_")
+
+        return sorted((n for n in self._others if n not in self._put_back), key=order)
+
+    def put_back_one(self, names: Sequence[str]) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
-        is_slow = has_many_bodies(self.phenomenon)
-        for name in sorted(self._others, key=self._order):
+        for name in names:
             if name == STEP and self._needs_no_step():
                 continue
-            is_named = name in self.named
-            enough = any(
-                one.verdict is Verdict.INSIDE
-                or (tried in self.named and not is_named and self._explains(one))
-                for tried, one in self._put_back.items()
-            )
-            if is_slow and enough:
+            if self._is_slow and any(
+                one.verdict is Verdict.INSIDE for one in self._put_back.values()
+            ):
                 break
             self._put_back[name], self._best[name] = self._closest(name)
         close = {
@@ -172,12 +187,6 @@ class _Search:
         return self._cause(
             (best,), close[best], also=f" ({', '.join(others)})" if others else ""
         )
-
-    def _order(self, name: str) -> tuple[bool, int, bool]:
-        """Return the sort key of a setting: the step comes last, and in a scene of many bodies likely causes first."""
-        if not has_many_bodies(self.phenomenon):
-            return name == STEP, 0, False
-        return name == STEP, -self.named.count(name), not name.startswith("contact_")
 
     def _closest(self, name: str) -> tuple[Measured, Alternative]:
         """Return the first value of a setting that mends the row, else the one that comes closest, and its outcome."""
@@ -257,27 +266,30 @@ class _Search:
             suffice, changed, also=f" (each alone on this package's preset: {alone})"
         )
 
-    def together(self) -> Cause:
-        """Put back pairs, then the best pair with a third setting; return the first group that explains the error.
-
-        Without such a group, only the whole configuration explains it.
-        """
-        # A setting matters if it has a visible effect, put back or alone.
-        matter = [
+    def that_matter(self) -> list[str]:
+        """Return the settings that have a visible effect, put back or alone."""
+        return [
             name
             for name in self._others
             if _is_seen(self.configured, self._put_back[name])
             or _is_seen(self.default, self._alone[name])
         ]
+
+    def together(self, names: Sequence[str]) -> Cause | None:
+        """Put back pairs, then the best pair with a third setting; return the first group that explains the error."""
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
-            groups = [g for g in combinations(matter, size) if set(group) <= set(g)]
+            groups = [g for g in combinations(names, size) if set(group) <= set(g)]
             if not groups:
                 break
             measured = {g: self._with_put_back(g) for g in groups}
             group = min(measured, key=lambda g: measured[g].deviation)
             if self._explains(measured[group]):
                 return self._cause(group, measured[group])
+        return None
+
+    def whole(self) -> Cause:
+        """Return that the whole configuration alone explains the error."""
         return self._unexplained(
             f"no reset of up to {LARGEST_GROUP} settings explains it: "
             + ", ".join(self._others)

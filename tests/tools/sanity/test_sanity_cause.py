@@ -10,7 +10,12 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cause import alternatives, find_cause
-from gauge_envs.tools.sanity.measure import CURVE_SAMPLES, Measured, Measurements
+from gauge_envs.tools.sanity.measure import (
+    CURVE_SAMPLES,
+    Measured,
+    Measurements,
+    judged,
+)
 from gauge_envs.tools.sanity.model import TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.phenomena.rigid import FALLEN_M
@@ -199,7 +204,7 @@ def test_good_configuration_raises_no_flag_anywhere():
 
 
 def test_a_wall_that_has_fallen_is_simulated_no_longer():
-    wall = phenomena(["wall-sag"])[0]
+    wall, drift = phenomena(["wall-sag", "wall-drift"])
     soft = {
         "timestep_s": 0.002,
         "contact_solref": (0.02, 1.0),
@@ -207,6 +212,8 @@ def test_a_wall_that_has_fallen_is_simulated_no_longer():
     }
     found = Measurements(backend("mujoco")).measure(wall, soft)
     assert found.verdict is Verdict.WRONG and found.value > 1e3 * FALLEN_M
+    # It sinks without leaving its plane, and has no place from which bricks could drift.
+    assert judged(drift, found.rollout).verdict is Verdict.WRONG
     # No brick sinks faster than it falls.
     fall_s = math.sqrt(2.0 * FALLEN_M / GRAVITY_M_PER_S2)
     assert fall_s < found.rollout.times_s[-1] < 0.5 * wall.scenario.seconds
@@ -258,6 +265,8 @@ def cause_of(formula, *, row="creep-wood", named=(), **settings):
         ("wall-drift", "", "abc"),
         ("wall-drift", "d", "dabc"),
         ("wall-drift", "dcc", "c"),
+        # The step is tried last, and pairs of named settings before others.
+        ("wall-drift", "ad", "adadbc"),
     ],
 )
 def test_a_scene_of_many_bodies_is_run_until_a_setting_mends_it(row, named, tried):

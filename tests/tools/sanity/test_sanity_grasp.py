@@ -263,3 +263,41 @@ def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box(gauge)
         "grasp-creep",
         "grasp-servo",
     ]
+
+
+# --- a hand that moves -----------------------------------------------------------------------------------------------
+
+
+def slid_mm(friction, *, lift=0.0, gravity=G, force=2.0, mass=0.1):
+    """Return by how far a box slides down pads that press with a force, on a hand that a motor lifts, in 0.3 s."""
+    pads = "".join(
+        f"<body pos='{x} 0 0'><joint name='{name}' type='slide' axis='1 0 0'/><geom {BOX} mass='.02'/></body>"
+        for name, x in (("left", -0.025), ("right", 0.025))
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><option timestep='.001' gravity='0 0 {-gravity}' {GOOD['option']}/>"
+        f"<default><geom {GOOD['geom']} friction='{friction} .005 .0001'/></default><worldbody><body name='hand'>"
+        f"<joint name='lift' type='slide' axis='0 0 1'/><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/>{pads}"
+        f"</body><body name='box'><freejoint/><geom type='box' size='.02 .02 .03' mass='{mass}'/></body></worldbody>"
+        "<actuator><motor joint='left'/><motor joint='right'/><motor joint='lift'/></actuator></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    weight = float(model.body_mass.sum()) * (gravity + lift)
+    data.ctrl[:] = force, -force, weight
+    mujoco.mj_step(model, data, 300)
+    mujoco.mj_kinematics(model, data)
+    return 1e3 * float(data.body("hand").xpos[2] - data.body("box").xpos[2])
+
+
+@pytest.mark.parametrize("lift", [2.0, 5.0])
+def test_a_lifted_box_needs_the_friction_of_a_heavier_one_at_rest(lift):
+    needed = 0.1 * (G + lift) / (2.0 * 2.0)
+    for share in (0.9, 0.97, 1.03):
+        moving = slid_mm(share * needed, lift=lift)
+        still = slid_mm(share * needed, gravity=G + lift)
+        assert moving == pytest.approx(still, rel=0.001, abs=0.001)
+        # More friction than is needed holds; less lets the box slide by millimetres.
+        assert moving > 5.0 if share < 1.0 else moving < 0.05
+    # Friction that holds the box at rest is too little for its lift.
+    at_rest = 1.03 * 0.1 * G / (2.0 * 2.0)
+    assert slid_mm(at_rest) < 0.05 and slid_mm(at_rest, lift=lift) > 5.0

@@ -57,7 +57,11 @@ HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], float]]] = {
 
 
 def held(id: str, quantity: str) -> Phenomenon:
-    """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check."""
+    """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check.
+
+    A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so
+    that the friction m (g + a) / (2 N) is needed. Here it is half of the pads' own: they hold while a is below g.
+    """
     (known,), (scene, measure) = checks([id]), HANDS[id]
     name, law = (id, MIDDLE) if id == "grasp-torsion" else ("grasp", 0.0)
     source, allowed = f"{known.source}: {known.law}", known.tolerance

@@ -167,13 +167,19 @@ def wall_sag() -> Phenomenon:
 
 
 def wall_drift() -> Phenomenon:
-    """Return the drift of the bricks of a wall."""
+    """Return the drift of the bricks of a wall; of a fallen one, by how far a brick has moved in any direction."""
+
+    def drift_mm(moved_mm: FloatArray) -> FloatArray:
+        aside = np.linalg.norm(moved_mm[..., :2], axis=-1).max(axis=0)
+        moved = np.linalg.norm(moved_mm, axis=-1).max(axis=0)
+        return np.asarray(np.where(moved > 1e3 * FALLEN_M, moved, aside))
+
     title = f"drift of the bricks of a wall within {STAND_S:g} s"
     aside = "the length of 40 mm of a brick"
     return _wall(
         title,
         "drift",
-        lambda moved: np.linalg.norm(moved[..., :2], axis=-1).max(axis=0),
+        drift_mm,
         aside,
     )
 
