@@ -7,7 +7,7 @@ The table leaves out imported trials, which differ between users: `gauge list re
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -202,26 +202,26 @@ ZEROS = "a file of zeros"
 
 def told_lines(rows: Sequence[Row]) -> Iterator[str]:
     """Yield the ids that tell each change, and those that do not."""
-    tell: dict[str, list[str]] = {ZEROS: []}
-    tell_not: dict[str, list[str]] = {ZEROS: []}
+    tells: dict[str, list[str]] = defaultdict(list)
+    tells_not: dict[str, list[str]] = defaultdict(list)
     for row in rows:
         if row.refuses_zeros is not None:
-            (tell if row.refuses_zeros else tell_not)[ZEROS].append(row.variant)
+            (tells if row.refuses_zeros else tells_not)[ZEROS].append(row.variant)
         for name in row.told:
-            tell.setdefault(name.partition(" by ")[0], []).append(row.variant)
+            tells[name.partition(" by ")[0]].append(row.variant)
         for name in row.not_told:
-            tell_not.setdefault(name, []).append(row.variant)
-    changes = sorted({*tell, *tell_not} - {ZEROS, "nothing moves"})
+            tells_not[name].append(row.variant)
+    changes = sorted({*tells, *tells_not} - {ZEROS, "nothing moves"})
     yield from (TOLD_HEAD.strip(), "")
     yield from markdown_table(
         ("change", "tells", "ids", "tells not", "ids"),
         [
             [
                 change,
-                str(len(tell.get(change, ()))),
-                by_family(tell.get(change, ())),
-                str(len(tell_not.get(change, ()))),
-                by_family(tell_not.get(change, ())),
+                str(len(tells[change])),
+                by_family(tells[change]),
+                str(len(tells_not[change])),
+                by_family(tells_not[change]),
             ]
             for change in ("nothing moves", ZEROS, *changes)
         ],
@@ -230,11 +230,11 @@ def told_lines(rows: Sequence[Row]) -> Iterator[str]:
 
 def by_family(names: Sequence[str]) -> str:
     """Return ids by their family, as `TextileBending-rayon, satin`; without materials where it is all of them."""
-    groups: dict[str, list[str]] = {}
+    groups: dict[str, list[str]] = defaultdict(list)
     sizes = Counter(one.name.rpartition("-")[0] for one in variants())
     for name in names:
         family, _, material = name.rpartition("-")
-        groups.setdefault(family, []).append(material)
+        groups[family].append(material)
     texts = [
         family
         if len(materials) == sizes[family]
@@ -397,12 +397,12 @@ def force_lines() -> Iterator[str]:
 
 def deformation_lines() -> Iterator[str]:
     """Yield the real statistics of deformation, by the ids that share them."""
-    sharing: dict[str, list[str]] = {}
+    sharing: dict[str, list[str]] = defaultdict(list)
     for variant in variants():
         reference = deformation_reference(load_experiment(variant))
         if reference is not None:
             rows = [asdict(one) for one in real_statistics(reference)]
-            sharing.setdefault(deformation_text(rows), []).append(variant.name)
+            sharing[deformation_text(rows)].append(variant.name)
     yield from (
         "",
         "Real deformation, with which runs of these ids are compared ([statistics](scores.md#deformation-of-foam)):",
