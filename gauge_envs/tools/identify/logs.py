@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,13 @@ class Log:
         """Time from the first to the last sample [s]."""
         return float(self.times_s[-1] - self.times_s[0])
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """What was measured and commanded, by the name of its column, shape [N, J] each."""
+        columns = (POSITION, COMMAND, TORQUE, RATE)
+        named = {name: getattr(self, name) for name in columns}
+        return {name: values for name, values in named.items() if values is not None}
+
     def pieces(self, length_s: float) -> Iterator[Log]:
         """Yield the log in parts of equal length, at most the given one [s]."""
         count = max(1, int(np.ceil(self.duration_s / length_s - 1e-9)))
@@ -57,19 +65,8 @@ class Log:
         edges[-1] = len(self.times_s)
         for number, (first, last) in enumerate(pairwise(edges.tolist())):
             name = self.name if count == 1 else f"{self.name}, part {number + 1}"
-            command, torque, rate = (
-                None if one is None else one[first:last]
-                for one in (self.command_rad, self.torque_n_m, self.rate_rad_per_s)
-            )
-            yield Log(
-                name,
-                self.times_s[first:last],
-                self.position_rad[first:last],
-                command,
-                torque,
-                self.joints,
-                rate,
-            )
+            rows = {key: values[first:last] for key, values in self.columns.items()}
+            yield replace(self, name=name, times_s=self.times_s[first:last], **rows)
 
     def only(self, names: Sequence[str]) -> Log:
         """Return the log of some of its joints."""
@@ -78,19 +75,9 @@ class Log:
             raise ParameterError(
                 f"{self.name} has no joint {strange[0]}; it has {known}"
             )
-        columns = [self.joints.index(one) for one in names]
-        command, torque, rate = (
-            None if one is None else one[:, columns]
-            for one in (self.command_rad, self.torque_n_m, self.rate_rad_per_s)
-        )
-        return replace(
-            self,
-            position_rad=self.position_rad[:, columns],
-            command_rad=command,
-            torque_n_m=torque,
-            rate_rad_per_s=rate,
-            joints=tuple(names),
-        )
+        places = [self.joints.index(one) for one in names]
+        some = {key: values[:, places] for key, values in self.columns.items()}
+        return replace(self, joints=tuple(names), **some)
 
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each.
@@ -182,15 +169,7 @@ def read_log(path: Path) -> Log:
 def checked(path: Path, log: Log) -> Log:
     """Return a log, or raise `AssetError` where numbers lack, are not finite, or times do not ascend."""
     shape = len(log.times_s), log.position_rad.shape[1]
-    columns = {
-        POSITION: log.position_rad,
-        COMMAND: log.command_rad,
-        TORQUE: log.torque_n_m,
-        RATE: log.rate_rad_per_s,
-    }
-    for name, values in columns.items():
-        if values is None:
-            continue
+    for name, values in log.columns.items():
         if values.shape != shape:
             reason = f"{values.shape} numbers, where time_s and {POSITION} have {shape}"
             raise AssetError(path, name, reason)
