@@ -107,16 +107,8 @@ def _tables(found: Comparison) -> list[Part]:
                 Column("states_after", "after", is_number=True),
                 Column("contacts_before", "contacts before", is_number=True),
                 Column("contacts_after", "after", is_number=True),
-                Column(
-                    "depth_before_m",
-                    "depth before",
-                    _millimetres,
-                    unit="mm",
-                    is_number=True,
-                ),
-                Column(
-                    "depth_after_m", "after", _millimetres, unit="mm", is_number=True
-                ),
+                _depth("depth_before_m", "depth before"),
+                _depth("depth_after_m", "after"),
             ),
             rows=found.pairs[:SHOWN_PAIRS],
             notes=_more(len(found.pairs)),
@@ -128,27 +120,11 @@ def _tables(found: Comparison) -> list[Part]:
                 Column("body", "body"),
                 Column("end_before", "before"),
                 Column("end_after", "after"),
-                Column(
-                    "moved_before_m",
-                    "moved before",
-                    quantity_text,
-                    unit="m",
-                    is_number=True,
-                ),
-                Column(
-                    "moved_after_m", "after", quantity_text, unit="m", is_number=True
-                ),
-                Column(
-                    "depth_before_m",
-                    "deepest before",
-                    _millimetres,
-                    unit="mm",
-                    is_number=True,
-                ),
-                Column(
-                    "depth_after_m", "after", _millimetres, unit="mm", is_number=True
-                ),
-                Column("noise_m", "noise", quantity_text, unit="m", is_number=True),
+                _length("moved_before_m", "moved before"),
+                _length("moved_after_m", "after"),
+                _depth("depth_before_m", "deepest before"),
+                _depth("depth_after_m", "after"),
+                _length("noise_m", "noise"),
             ),
             rows=found.settled,
         ),
@@ -191,8 +167,14 @@ def _percent(fraction: float) -> str:
     return f"{quantity_text(100.0 * fraction)} %"
 
 
-def _millimetres(length_m: float) -> str:
-    return quantity_text(1e3 * length_m + 0.0)
+def _length(key: str, title: str) -> Column:
+    return Column(key, title, quantity_text, unit="m", is_number=True)
+
+
+def _depth(key: str, title: str) -> Column:
+    return Column(
+        key, title, lambda m: quantity_text(1e3 * m + 0.0), unit="mm", is_number=True
+    )
 
 
 def _short(value: Any) -> str:
