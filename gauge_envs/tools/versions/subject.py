@@ -161,12 +161,13 @@ def _of_object(title: str, made: Any, folder: Path) -> Path:
         return _written(folder, made.to_xml())
     inner = getattr(made, "unwrapped", made)
     found = [_attribute(inner, place) for place in MODEL_PLACES]
-    model = next((one for one in found if isinstance(one, mujoco.MjModel)), None)
-    if not isinstance(model, mujoco.MjModel):
+    models = [one for one in found if isinstance(one, mujoco.MjModel)]
+    if not models:
         kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
         raise ParameterError(
             f"{title} is {kind}, which has no MuJoCo model: give its model file"
         )
+    model = models[0]
     stated = getattr(inner, "fullpath", None)
     if stated and _is_same(Path(stated), model):
         return Path(stated)

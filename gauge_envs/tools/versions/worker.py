@@ -646,14 +646,14 @@ def main(file: Path) -> None:
     model, dropped = load(job)
     words = {
         "version": mujoco.__version__,
-        "numpy": np.__version__,
-        "python": sys.version.split()[0],
+        "nq": model.nq,
+        "nv": model.nv,
+        "nu": model.nu,
+        "fields": compiled(model),
+        "names": names(model),
+        "owners": OWNERS,
+        "dropped": dropped,
     }
-    words.update(nq=model.nq, nv=model.nv, nu=model.nu, timestep_s=model.opt.timestep)
-    words["fields"] = compiled(model)
-    words["names"], words["owners"] = names(model), OWNERS
-    words["dropped"] = dropped
-    words["is_sparse"] = bool(mujoco.mj_isSparse(model))
     if job.get("run"):
         states, words["ends"] = run(model, job)
         np.savez(job["out"] + ".run.npz", **states)
