@@ -192,18 +192,24 @@ def test_gains_and_delay_of_a_servo_are_found():
     ],
 )
 def test_a_servo_is_found_on_each_engine_but_for_its_step(engine):
-    """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less."""
+    """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less.
+
+    With the step of the other tests, the engines' error of first order is half of the noise.
+    """
     pytest.importorskip(MODULES.get(engine, engine))
     kp, kv = 0.8, 0.02
+    step_s = STEP["timestep_s"] / 4
     log, scene = (
         servo_log(kp=kp, kv=kv, delay_s=0.05),
         one_joint(MASS_KG, 0.0, INERTIA_KG_M2),
     )
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
-    found = identify(backend(engine), scene, [log], names, settings=STEP)
+    found = identify(
+        backend(engine), scene, [log], names, settings={"timestep_s": step_s}
+    )
     found_kp, found_kv, delay_s = (one.value for one in found.settings)
     assert found_kp == pytest.approx(kp, rel=0.025)
-    assert -0.02 * kv - kp * STEP["timestep_s"] < found_kv - kv < 0.02 * kv
+    assert -0.02 * kv - kp * step_s < found_kv - kv < 0.02 * kv
     assert delay_s == pytest.approx(0.05, abs=0.0015)
     assert float(found.error_rad["servo"][0]) == pytest.approx(NOISE_RAD, rel=0.1)
 
