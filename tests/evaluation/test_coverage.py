@@ -30,7 +30,7 @@ from studies.coverage.interval_coverage import (
 from studies.coverage.levels import coverage as level_coverage
 
 FAILING = [
-    ("drop, skewed release", 5, "raw pair"),
+    ("drop, skewed release", 5, "raw mm"),
     pytest.param("drop, release correlated 0.4", 22, "raw mm", marks=pytest.mark.slow),
 ]
 """Worlds, numbers of trials, and the quantity of which intervals of a plain bootstrap fail there."""
