@@ -122,7 +122,7 @@ recipe mass_kg=1
 recipe --damping 1 --backend mujoco
 video film --recording-rate-hz 1
 video film --only X
-sweep --slurm jobs.py --shard 3 --only SlopeSlider-2-wood
+sweep --shard 3 --only SlopeSlider-2-wood
 """
 """Requests that cannot be met, each a line; what a library adds to a message is in no approved text."""
 
