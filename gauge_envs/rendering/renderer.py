@@ -47,9 +47,19 @@ differently in each picture, which one is in front. A ghost that is displaced by
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
+_drawing_processes: set[int] = set()
+"""Process that has made an off-screen context; a fork inherits the number of the one that it copies."""
+
 
 def _graphics_context(width: int, height: int) -> Any:
     """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
+    if _drawing_processes - {os.getpid()}:
+        raise RenderError(
+            "this process is a fork of one that has drawn pictures. A fork copies OpenGL without the threads of its "
+            "driver, so that its first picture would never end. Start new processes instead, as by "
+            "gymnasium.make_vec(..., vectorization_mode='async', vector_kwargs={'context': 'spawn'})"
+        )
+    _drawing_processes.add(os.getpid())
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
         wanted = (

@@ -11,7 +11,7 @@ from opengl import needs_opengl
 from places import RIGID, ROOT
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import EpisodeError
+from gauge_envs.errors import EpisodeError, RenderError
 from gauge_envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
 from gauge_envs.rendering.skin import Skin
 
@@ -108,6 +108,31 @@ def test_missing_opengl_names_the_packages():
     )
     assert run.stdout.startswith("RenderError")
     assert DEBIAN_PACKAGES in run.stdout
+
+
+@needs_opengl
+# Gymnasium repeats the error as warnings.
+@pytest.mark.filterwarnings("ignore:.*ERROR:UserWarning")
+def test_fork_of_a_process_that_has_drawn_says_so_and_does_not_hang():
+    make = {"render_mode": "rgb_array", "width": 40, "height": 30}
+    env = gymnasium.make("GAUGE/BouncingBall-rubber", **make)
+    env.reset(seed=0)
+    env.render()
+    envs = gymnasium.make_vec(
+        "GAUGE/BouncingBall-rubber",
+        num_envs=1,
+        vectorization_mode="async",
+        vector_kwargs={"context": "fork"},
+        **make,
+    )
+    envs.reset(seed=0)
+    envs.call_async("render")
+    try:
+        with pytest.raises(RenderError, match="'context': 'spawn'"):
+            envs.call_wait(timeout=20)
+    finally:
+        envs.close(terminate=True)
+        env.close()
 
 
 @needs_opengl
