@@ -30,6 +30,9 @@ MOST_JSON_CONTAINERS = 1_000_000
 MOST_TOML_BYTES = 2 * MEGABYTE
 """Largest size of a TOML file."""
 
+NUMBERS = "biuf"
+"""Kinds of NumPy's types that are numbers: booleans, integers and floats."""
+
 MOST_KEY_DOTS = 64
 """Largest count of dots in a key of a TOML file; the parser's time grows with the square of the count."""
 
@@ -180,7 +183,7 @@ def npz_names(content: bytes) -> list[str]:
 
 
 def npz_arrays(
-    content: bytes, names: Iterable[str], most_bytes: int
+    content: bytes, names: Iterable[str], most_bytes: int, *, kinds: str = NUMBERS
 ) -> dict[str, NDArray[Any]]:
     """Return arrays of an NPZ file by name, without the names that it lacks; other arrays are not read.
 
@@ -188,6 +191,7 @@ def npz_arrays(
         content: The content of the file.
         names: Arrays to read.
         most_bytes: Limit of the sum of their sizes in memory.
+        kinds: Kinds of NumPy's types that the arrays may have.
     """
     arrays: dict[str, NDArray[Any]] = {}
     left = most_bytes
@@ -195,7 +199,7 @@ def npz_arrays(
         known = set(archive.namelist())
         for name in names:
             if f"{name}.npy" in known:
-                arrays[name] = _npz_member(archive, name, left, most_bytes)
+                arrays[name] = _npz_member(archive, name, left, most_bytes, kinds)
                 left -= arrays[name].nbytes
     return arrays
 
@@ -214,7 +218,7 @@ def _archive(content: bytes) -> Iterator[zipfile.ZipFile]:
 
 
 def _npz_member(
-    archive: zipfile.ZipFile, name: str, left: int, most_bytes: int
+    archive: zipfile.ZipFile, name: str, left: int, most_bytes: int, kinds: str
 ) -> NDArray[Any]:
     info = archive.getinfo(f"{name}.npy")
     if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -236,7 +240,7 @@ def _npz_member(
         else np.lib.format.read_array_header_2_0
     )
     shape, is_fortran, dtype = reader(stream)
-    if dtype.kind not in "biuf":
+    if dtype.kind not in kinds:
         raise ValueError(f"{name}: holds {dtype} values, expected numbers")
     data = stream.getbuffer()[stream.tell() :]
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize != len(data):

@@ -11,6 +11,7 @@ import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from pxr import Sdf, Usd
@@ -21,6 +22,7 @@ from gauge_envs.errors import (
     GaugeError,
     ReferenceFileError,
     TrajectoryFileError,
+    VideoError,
 )
 from gauge_envs.evaluation import trajectory_file
 from gauge_envs.evaluation.trajectory_file import read_trajectory
@@ -37,10 +39,12 @@ from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.tools.identify.logs import read_log
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
+from gauge_envs.tools.video.frames import read_picture
 
 NAME = "SlopeSlider-2-wood"
 
@@ -72,6 +76,9 @@ READERS = {
     "robot.xml": configuration,
     "sensitivities.json": lambda file: read_sensitivities(file, 0),
     "convergence.csv": read_convergence,
+    "log.csv": read_log,
+    "log.npz": read_log,
+    "picture.png": read_picture,
 }
 
 
@@ -206,6 +213,21 @@ def test_a_trajectory_in_a_bomb_is_refused(tmp_path, monkeypatch):
         TrajectoryFileError, match="g: it has 32000128 bytes, the limit"
     ):
         read_trajectory(file, load_experiment(NAME))
+
+
+def test_a_log_in_a_bomb_is_refused(tmp_path):
+    file = tmp_path / "log.npz"
+    np.savez_compressed(file, time_s=np.zeros(10_000_000))
+    with pytest.raises(AssetError, match="has 80000128 bytes, the limit of all"):
+        read_log(file)
+
+
+def test_a_picture_of_too_many_pixels_is_refused_by_its_header(tmp_path):
+    file = tmp_path / "picture.png"
+    picture = np.zeros((2, 5000), np.uint8)
+    file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    with pytest.raises(VideoError, match="5000 x 2 pixels; at most 4096 a side"):
+        read_picture(file)
 
 
 def test_a_table_that_is_no_csv_is_refused(tmp_path):

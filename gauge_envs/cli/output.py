@@ -234,6 +234,26 @@ class Progress:
         )
 
 
+@dataclass
+class LostOutput:
+    """Output of a long run that a full disk or a closed pipe does not take; the run goes on without it."""
+
+    first_error: OSError | None = None
+
+    @contextmanager
+    def tolerated(self) -> Iterator[None]:
+        """Keep the first error of what is written here."""
+        try:
+            yield
+        except OSError as error:
+            self.first_error = self.first_error or error
+
+    def report(self) -> None:
+        """Raise the first error, once the run has ended."""
+        if self.first_error is not None:
+            raise self.first_error
+
+
 def echo(text: object, *, nl: bool = True) -> None:
     """Print a text on stdout as a result of the command, with control characters and lone surrogates as escapes.
 

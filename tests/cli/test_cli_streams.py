@@ -75,13 +75,18 @@ def environment():
 
 
 @pytest.fixture(scope="module")
-def outcomes(tmp_path_factory):
+def streams_folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("streams")
+
+
+@pytest.fixture(scope="module")
+def outcomes(streams_folder):
     """Outcomes of commands with streams of their own, that get Ctrl-C, or with a hostile backend installed.
 
     A hostile backend answers in a process of its own.
     """
     full = {"stdout": "/dev/full"}
-    folder = tmp_path_factory.mktemp("streams")
+    folder = streams_folder
     site = folder / "site"
     site.mkdir()
     install(site, "talking", "crash")
@@ -91,6 +96,10 @@ def outcomes(tmp_path_factory):
         "full: fabrics": Case(["recipe", "fabrics", "--json"], streams=full),
         "full: list": Case(["list", NAME], streams=full),
         "full: run": Case(["run", NAME, "--json"], streams=full),
+        "lost: run": Case(
+            ["run", NAME, "SlopeSlider-2-metal", "--json"],
+            streams={"stdout": "broken pipe", "stderr": "/dev/full"},
+        ),
         "pipe": Case(["list", "--json"], streams={"stdout": "broken pipe"}),
         **{
             f"closed: {names}": Case(
@@ -139,6 +148,13 @@ def test_a_full_device_is_an_error_without_a_traceback(outcomes, command):
     assert done.returncode == 2
     assert "error: the output cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_run_whose_output_is_lost_writes_all_its_results(outcomes, streams_folder):
+    assert outcomes["lost: run"].returncode != 0
+    results = streams_folder / "results"
+    assert (results / "SlopeSlider-2-metal.mujoco.calibrated.json").exists()
 
 
 def test_a_closed_pipe_ends_the_command_quietly(outcomes):

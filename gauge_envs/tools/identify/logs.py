@@ -11,13 +11,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.files import csv_text
+from gauge_envs.files import (
+    MEGABYTE,
+    NUMBERS,
+    csv_text,
+    npz_arrays,
+    npz_names,
+    read_regular,
+)
 from gauge_envs.scene.geometry import FloatArray
 
 POSITION, COMMAND, TORQUE = "position_rad", "command_rad", "torque_n_m"
 RATE = "rate_rad_per_s"
+KINDS = ("time_s", POSITION, COMMAND, TORQUE, RATE)
+"""What the columns of a log hold."""
+MOST_LOG_BYTES = 50 * MEGABYTE
+"""Largest size of a log, as a file and as arrays in memory: three minutes of seven joints at 1 kHz as text."""
 NAMES = "joints"
 """Array of an NPZ file with the names of its joints."""
 
@@ -105,12 +117,12 @@ def read_log(path: Path) -> Log:
             the log of a free swing has an unknown column.
     """
     try:
-        named = _npz(path) if path.suffix == ".npz" else _csv(path)
-    except (OSError, ValueError, KeyError) as error:
+        named, named_joints = _npz(path) if path.suffix == ".npz" else (_csv(path), ())
+    except (OSError, ValueError, TypeError) as error:
         raise AssetError(
             path, "log", f"cannot be read as CSV or NPZ: {error}"
         ) from None
-    kinds = {name: name.split(".")[0] for name in named}
+    kinds = {name: _kind(name) for name in named}
     motors = [kind for kind in (COMMAND, TORQUE) if kind in kinds.values()]
     rates = [RATE] if RATE in kinds.values() else []
     joints = [
@@ -136,11 +148,7 @@ def read_log(path: Path) -> Log:
             f"a log states {COMMAND} of servos or {TORQUE} of motors, not both: remove one",
         )
     if not motors and (
-        strange := [
-            name
-            for name, kind in kinds.items()
-            if kind not in ("time_s", POSITION, RATE)
-        ]
+        strange := [name for name, kind in kinds.items() if kind not in KINDS]
     ):
         free = f"without {COMMAND} of a servo or {TORQUE} of a motor, a joint swings freely"
         raise AssetError(path, strange[0], f"{free}: rename this column, or remove it")
@@ -148,7 +156,7 @@ def read_log(path: Path) -> Log:
         kind: np.hstack([named[kind + joint] for joint in joints])
         for kind in (POSITION, *motors, *rates)
     }
-    names = _npz_names(path) or tuple(one.lstrip(".") for one in joints)
+    names = named_joints or tuple(one.lstrip(".") for one in joints)
     if names != ("",) and len(names) != columns[POSITION].shape[1]:
         count = columns[POSITION].shape[1]
         raise AssetError(path, NAMES, f"{len(names)} names for {count} joints")
@@ -186,28 +194,45 @@ def checked(path: Path, log: Log) -> Log:
     return log
 
 
-def _npz(path: Path) -> dict[str, FloatArray]:
-    with np.load(path, allow_pickle=False) as data:
-        return {
-            name: np.asarray(data[name], dtype=np.float64).reshape(len(data[name]), -1)
-            for name in data
-            if name != NAMES
-        }
+def npz_of_log(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an NPZ file, numbers and texts, within the limits of a file of a stranger.
+
+    Raises:
+        AssetError: The file is missing, too large or damaged, or holds other types.
+    """
+    try:
+        content = read_regular(path, MOST_LOG_BYTES)
+        names = npz_names(content)
+        return npz_arrays(content, names, MOST_LOG_BYTES, kinds=NUMBERS + "U")
+    except (OSError, ValueError) as error:
+        raise AssetError(path, "log", f"cannot be read as NPZ: {error}") from None
 
 
-def _npz_names(path: Path) -> tuple[str, ...]:
-    """Return the names that an NPZ file has for its joints."""
-    if path.suffix != ".npz":
-        return ()
-    with np.load(path, allow_pickle=False) as data:
-        return tuple(map(str, data[NAMES])) if NAMES in data else ()
+def _npz(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
+    """Return the columns by name, shape [N, J] each, and the names of the joints."""
+    arrays = npz_of_log(path)
+    names = tuple(map(str, arrays.pop(NAMES, ())))
+    columns = {
+        name: np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        for name, values in arrays.items()
+    }
+    return columns, names
 
 
 def _csv(path: Path) -> dict[str, FloatArray]:
-    """Return the columns by name, NaN where there is no number."""
-    header, _, rows = csv_text(path.read_bytes()).read().partition("\n")
-    table = np.genfromtxt(io.StringIO(rows or "nan"), delimiter=",", ndmin=2)
-    return {
-        name.strip(): table[:, [place]]
-        for place, name in enumerate(next(csv.reader([header]), []))
-    }
+    """Return the columns by name, shape [N, 1] each, and [0, 1] for those that no log has."""
+    content = read_regular(path, MOST_LOG_BYTES)
+    header, _, rows = csv_text(content).read().partition("\n")
+    names = [name.strip() for name in next(csv.reader([header]), [])]
+    columns = {name: np.empty((0, 1)) for name in names}
+    places = [place for place, name in enumerate(names) if _kind(name) in KINDS]
+    if rows.strip() and places:
+        table = np.loadtxt(io.StringIO(rows), delimiter=",", usecols=places, ndmin=2)
+        for place, values in zip(places, table.T, strict=True):
+            columns[names[place]] = values[:, np.newaxis]
+    return columns
+
+
+def _kind(name: str) -> str:
+    """Return what a column holds, without the name of its joint."""
+    return name.split(".")[0]

@@ -14,8 +14,15 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import AssetError, MissingExtraError
+from gauge_envs.files import json_document, read_regular
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.identify.logs import Log, checked, read_log
+from gauge_envs.tools.identify.logs import (
+    MOST_LOG_BYTES,
+    Log,
+    checked,
+    npz_of_log,
+    read_log,
+)
 
 UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 """Units of angles in datasets that state none, in rad."""
@@ -57,9 +64,9 @@ def read_logs(
         )
         raise AssetError(path, "", reason)
     if path.suffix == ".npz" and path.is_file():
-        with np.load(path, allow_pickle=False) as data:
-            if "sensordata_data" in data:
-                return [_trajectory(path, dict(data), model)]
+        data = npz_of_log(path)
+        if "sensordata_data" in data:
+            return [_trajectory(path, data, model)]
     return [read_log(path)]
 
 
@@ -80,7 +87,7 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
             "to 100, its default for SO-100 and SO-101, and a gripper from 0 to 100 are neither: record with "
             "use_degrees=true, and leave the gripper out with --joints",
         )
-    info = json.loads((path / "meta" / "info.json").read_text(encoding="utf-8"))
+    info = _lerobot_info(path / "meta" / "info.json")
     if not str(info.get("codebase_version", "")).startswith("v3"):
         version = info.get("codebase_version", "no version")
         raise AssetError(
@@ -119,6 +126,16 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
                 joints=tuple(names[0]),
             ),
         )
+
+
+def _lerobot_info(file: Path) -> dict[str, Any]:
+    try:
+        info = json_document(read_regular(file, MOST_LOG_BYTES))
+    except (OSError, ValueError) as error:
+        raise AssetError(file, "", f"cannot be read: {error}") from None
+    if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
+        raise AssetError(file, "features", "expected an object with features")
+    return info
 
 
 # --- ROS 2 -----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
     Format,
+    LostOutput,
     Progress,
     message,
     note,
@@ -156,6 +157,7 @@ def run(
         notify=note,
         jobs=min(jobs or _default_jobs(requests), max(1, len(requests))),
     )
+    lost = LostOutput()
     try:
         with Progress(
             "episodes",
@@ -164,11 +166,12 @@ def run(
         ) as progress:
             for result in episodes:
                 results.append(result)
-                progress.advance(
-                    f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
-                )
-                if form is Format.JSON:
-                    print_json_lines([result.to_dict(trajectory=False)])
+                with lost.tolerated():
+                    progress.advance(
+                        f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
+                    )
+                    if form is Format.JSON:
+                        print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         kept = sum(result.error is None for result in results)
         message(
@@ -183,6 +186,7 @@ def run(
             f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
         )
         raise
+    lost.report()
     document = summary_document(results, budget=uncertainty)
     if form is Format.JSON:
         stderr_console().print(Terminal(document))

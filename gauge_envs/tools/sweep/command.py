@@ -19,6 +19,7 @@ from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
     LINE_INTERVAL_S,
     Format,
+    LostOutput,
     Progress,
     message,
     note,
@@ -333,16 +334,18 @@ def _run(
     progress = Progress(
         "episodes", plan.episode_count, done=done, line_interval_s=LINE_INTERVAL_S
     )
+    lost = LostOutput()
     try:
         with progress, closing(run_sweep(tasks, workers, out)) as finished:
             for result in itertools.chain.from_iterable(finished):
                 counts[str(result.backend), result.outcome] += 1
                 name = f"{short_id(result.id)} on {result.backend}"
-                if result.outcome is Outcome.FAILED:
-                    message(f"{name}, seed {result.seed}: {result.error}", "failed")
-                progress.advance(name)
-                if form is Format.JSON:
-                    print_json_lines([result.to_dict(trajectory=False)])
+                with lost.tolerated():
+                    if result.outcome is Outcome.FAILED:
+                        message(f"{name}, seed {result.seed}: {result.error}", "failed")
+                    progress.advance(name)
+                    if form is Format.JSON:
+                        print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         left = set(plan.file_names) - {file.name for file in result_files(out)}
         message(
@@ -350,6 +353,7 @@ def _run(
         )
         message(shlex.join(["gauge", *sys.argv[1:]]))
         raise typer.Exit(EXIT_INTERRUPTED) from None
+    lost.report()
     return counts
 
 

@@ -4,6 +4,7 @@ A source is read more than once, so frames are decoded again instead of being ke
 would take gigabytes.
 """
 
+import io
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError, needs_extra
-from gauge_envs.files import MEGABYTE, os_errors
+from gauge_envs.files import MEGABYTE, os_errors, read_regular
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
@@ -127,6 +128,9 @@ MOST_BYTES = 2000 * MEGABYTE
 
 MOST_PICTURE_BYTES = 64 * MEGABYTE
 """Largest size of a picture file."""
+
+MOST_PICTURE_SIDE_PX = 4096
+"""Largest width and height of a picture [px]: its points are sought in copies of several times its size."""
 
 MOST_SIDE_PX = 8192
 """Largest width and height of a video [px]: 8K."""
@@ -331,8 +335,21 @@ def _check_size(path: Path, most_bytes: int, advice: str) -> None:
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
     """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
-    _check_size(path, MOST_PICTURE_BYTES, "give the first frame as PNG")
-    picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
+        content = read_regular(path, MOST_PICTURE_BYTES)
+    # The size that a picture states comes before its pixels; OpenCV would fill them all, of whatever size.
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content)) as stated:
+            width, height = stated.size
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise VideoError(f"{path}: it is no PNG or JPEG: {error}") from None
+    if max(width, height) > MOST_PICTURE_SIDE_PX:
+        raise VideoError(
+            f"{path}: it has {width} x {height} pixels; at most {MOST_PICTURE_SIDE_PX} a side"
+        )
+    picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise VideoError(
             f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG"

@@ -386,7 +386,8 @@ HEADER = "time_s,position_rad,command_rad\n"
             "position_rad: the column is missing; the file has time_s, angle",
         ),
         ("", "time_s: the column is missing; the file has none"),
-        (HEADER + "0,x,0\n", "row 1 is not a finite number"),
+        (HEADER + "0,x,0\n", "could not convert string 'x'"),
+        (HEADER, "0 samples: 20 or more"),
         (HEADER + "0,0\n1,0,0\n", "cannot be read"),
         (
             "time_s,position_rad,cmd\n" + "".join(f"{n},0,0\n" for n in range(30)),
