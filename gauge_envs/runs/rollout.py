@@ -23,6 +23,9 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 PACKAGE = Path(__file__).parents[1]
 
+REST_S = 0.05
+"""Time for which bodies are slow when they are at rest [s]: longer than what they stop at the turn of a vibration."""
+
 
 class DeclinedError(GaugeError):
     """The backend cannot build a scene, or refuses the settings for it.
@@ -119,6 +122,7 @@ def record(
     nodes_of: Collection[str] | None = None,
     speed_limit_m_per_s: float = math.inf,
     ends_beyond_m: float = math.inf,
+    rest_m_per_s: float = 0.0,
 ) -> Rollout:
     """Drive a simulation from its start and record it.
 
@@ -130,6 +134,7 @@ def record(
         nodes_of: Deformable bodies whose nodes are kept; all when None.
         speed_limit_m_per_s: Highest plausible speed of a dynamic or deformable body [m/s].
         ends_beyond_m: Displacement of a rigid body with which the rollout ends [m].
+        rest_m_per_s: Speed along each axis below which all dynamic bodies must stay for `REST_S` to end it too [m/s].
     """
     count = round(seconds / interval_s)
     paths = DriverPaths(scene, seconds, interval_s)
@@ -146,6 +151,7 @@ def record(
         for index, body in enumerate(scene.bodies)
         if body.motion is Motion.DYNAMIC
     ]
+    last_motion = 0
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
         now = _read(simulation, scene, names, observer)
@@ -168,8 +174,10 @@ def record(
         }
         samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
         last = now
-        moved_m = now.states[:, :3] - samples[0].states[:, :3]
-        if (np.linalg.norm(moved_m, axis=-1) > ends_beyond_m).any():
+        if max(speeds.values(), default=0.0) >= rest_m_per_s:
+            last_motion = index
+        is_at_rest = (index - last_motion) * interval_s >= REST_S
+        if is_at_rest or _has_left(samples[0], now, ends_beyond_m):
             break
         if index < count:
             _advance(simulation, paths, index, time)
@@ -263,6 +271,14 @@ def _advance(simulation: Simulation, paths: DriverPaths, index: int, time: str) 
         raise DivergedError(
             f"{time} the engine raises {type(error).__name__}: {reason}{raised_at(error)}"
         ) from error
+
+
+def _has_left(start: _Sample, now: _Sample, beyond_m: float) -> bool:
+    """Return whether a rigid body is farther from its start than a distance [m]."""
+    if beyond_m == math.inf:
+        return False
+    moved_m = now.states[:, :3] - start.states[:, :3]
+    return bool((np.linalg.norm(moved_m, axis=-1) > beyond_m).any())
 
 
 def _not_finite(names: Sequence[str], now: _Sample) -> str:

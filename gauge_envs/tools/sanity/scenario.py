@@ -51,6 +51,7 @@ class Scenario:
         released: Body that rests on a fixed one at the start. It starts apart by the margin of a configuration, at
             which it settles; from a touching pose it would be thrown up.
         ends_beyond_m: Displacement of a body with which the scene is lost and its simulation ends [m].
+        rest_m_per_s: Speed below which all bodies are at rest, and its simulation ends too [m/s].
     """
 
     name: str
@@ -63,6 +64,7 @@ class Scenario:
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     released: str = ""
     ends_beyond_m: float = math.inf
+    rest_m_per_s: float = 0.0
 
     @property
     def id(self) -> str:
@@ -120,6 +122,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Ro
             nodes_of=scenario.nodes_of,
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
             ends_beyond_m=scenario.ends_beyond_m,
+            rest_m_per_s=scenario.rest_m_per_s,
         )
 
 

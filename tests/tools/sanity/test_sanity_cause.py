@@ -1,7 +1,9 @@
 """Which setting is responsible: planted settings in MuJoCo, and the search itself on responses that are known."""
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from sanity_cases import CHEETAH
 
@@ -19,6 +21,7 @@ from gauge_envs.tools.sanity.measure import (
 from gauge_envs.tools.sanity.model import TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.phenomena.rigid import FALLEN_M
+from gauge_envs.tools.sanity.scenario import run_scenario
 
 GOOD = {"timestep_s": 0.002, "cone": "elliptic", "impratio": 100.0}
 """A training configuration that leaves the constants of contacts to the backend."""
@@ -213,10 +216,30 @@ def test_a_wall_that_has_fallen_is_simulated_no_longer():
     found = Measurements(backend("mujoco")).measure(wall, soft)
     assert found.verdict is Verdict.WRONG and found.value > 1e3 * FALLEN_M
     # It sinks without leaving its plane, and has no place from which bricks could drift.
-    assert judged(drift, found.rollout).verdict is Verdict.WRONG
+    drifted = judged(drift, found.rollout)
+    assert drifted.verdict is Verdict.WRONG
+    assert "the wall falls" in drifted.remark and "the run ends" in drifted.remark
     # No brick sinks faster than it falls.
     fall_s = math.sqrt(2.0 * FALLEN_M / GRAVITY_M_PER_S2)
     assert fall_s < found.rollout.times_s[-1] < 0.5 * wall.scenario.seconds
+
+
+@pytest.mark.parametrize(
+    ("name", "rests"), [("rest-height", True), ("slide-wood", False)]
+)
+def test_a_scene_in_which_nothing_moves_any_more_ends(name, rests):
+    (scenario,) = (one.scenario for one in phenomena([name]))
+    ending = replace(scenario, rest_m_per_s=1e-3)
+    whole, ended = (
+        run_scenario(backend("mujoco"), one, {}) for one in (scenario, ending)
+    )
+    count = len(ended.times_s)
+    assert (count < len(whole.times_s)) is rests
+    np.testing.assert_array_equal(
+        ended.position("cube"), whole.position("cube")[:count]
+    )
+    left_m = ended.position("cube")[-1] - whole.position("cube")[-1]
+    assert np.abs(left_m).max() < 1e-3 * whole.times_s[-1]
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
