@@ -5,6 +5,7 @@ Cures of other robots are written, and read again.
 
 import xml.etree.ElementTree as ET
 
+import more_faults
 import mujoco
 import numpy as np
 import pytest
@@ -79,8 +80,8 @@ def _with_comments(text):
     return ET.fromstring(text, parser=parser).iter()
 
 
-BY_HAND = {"robot-size", "robot-balance", "robot-level", "robot-mirror", "robot-range"}
-"""Rows that no change of a number mends for certain: the shape or the unit of the whole robot is wrong."""
+BY_HAND = {"robot-size", "robot-balance", "robot-mirror"}
+"""Rows that a change mends for certain only where no other one does as well."""
 
 ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
@@ -114,24 +115,81 @@ def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
     }
 
 
-def test_nothing_is_tried_on_a_robot_in_another_unit_of_length():
-    change, _ = ALL["arm, lengths in millimetres"]
+def remedies(xml):
+    before = read(xml)
+    return find_remedies(before.robot, flags_of(before))
+
+
+def keyframe_in_millimetres(text):
+    begin, end = 'qpos="', text[text.index('qpos="') + 6 :]
+    place, rest = end.split()[:3], end.split()[3:]
+    place = [str(1000.0 * float(one)) for one in place]
+    return text[: text.index(begin)] + begin + " ".join(place + rest)
+
+
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [
+        ("arm", str),
+        ("quadruped", str),
+        ("quadruped", keyframe_in_millimetres),
+        ("hand", str),
+    ],
+)
+def test_lengths_in_millimetres_become_metres(name, more, tmp_path):
+    """The mended robot has the places and the masses of the right one, also where its keyframe is in metres."""
+    good = GOOD[name]()
+    before = read(more(more_faults.millimetres(good)))
+    found = find_remedies(before.robot, flags_of(before))
+    assert len(found.texts) == 1 and found.texts[0].startswith("lengths times 0.001")
+    text = mended_xml(before.robot, found.changes, found.texts, tmp_path)
+    mended, right = (mujoco.MjModel.from_xml_string(one) for one in (text, good))
+    for array in ("body_pos", "geom_pos", "geom_size", "body_mass", "key_qpos"):
+        np.testing.assert_allclose(
+            getattr(mended, array), getattr(right, array), rtol=1e-5, atol=1e-6
+        )
+
+
+def test_nothing_else_is_tried_where_two_units_of_length_fit():
+    """The masses of this arm follow from densities, so that they tell no unit."""
+    change, row = ALL["arm, centimetres"]
     before = read(change(GOOD["arm"]()))
     assert len(flags_of(before)) > 1
-    assert find_remedies(before.robot, flags_of(before)).attempts == ()
+    found = find_remedies(before.robot, flags_of(before))
+    assert found.texts == () and set(found.unmended) == {row}
+    assert ["and so does lengths times 0.01" in one.line for one in found.attempts] == [
+        True
+    ]
+
+
+def test_knees_that_both_bend_the_wrong_way_are_turned():
+    """With other hips the robot would be over its feet too, and stand on their edges."""
+    change, _ = ALL["biped, both knees reversed"]
+    found = remedies(change(GOOD["biped"]()))
+    assert found.texts == ('axis="0 1 0" for left_knee and right_knee',)
+
+
+@pytest.mark.parametrize(
+    ("height", "texts"),
+    [(".7287", ('pos="0 0 -0.35" for right_shin',)), (".8", ())],
+    ids=["one leg reaches the ground", "none does"],
+)
+def test_the_leg_that_misses_the_ground_gets_the_length_of_the_other_one(height, texts):
+    change, row = ALL["biped, a longer thigh"]
+    found = remedies(change(GOOD["biped"]()).replace(".7287", height))
+    assert found.texts == texts
+    assert set(found.unmended) == (set() if texts else {row})
 
 
 def test_the_axis_of_a_reversed_knee_is_turned_back():
     change, _ = ALL["biped, a reversed knee"]
-    before = read(change(GOOD["biped"]()))
-    found = find_remedies(before.robot, flags_of(before))
+    found = remedies(change(GOOD["biped"]()))
     assert found.texts == ('axis="0 1 0" for left_knee',)
 
 
 def test_no_side_is_turned_where_either_can_be_the_wrong_one():
     change, row = ALL["biped, an ankle whose range was not turned"]
-    before = read(change(GOOD["biped"]()))
-    found = find_remedies(before.robot, flags_of(before))
+    found = remedies(change(GOOD["biped"]()))
     assert found.texts == () and set(found.unmended) == {row}
     assert sum("and so does" in one.line for one in found.attempts) == 2
 
@@ -139,8 +197,7 @@ def test_no_side_is_turned_where_either_can_be_the_wrong_one():
 @pytest.mark.parametrize("zero", ["0.6 1", "0 -1"])
 def test_a_coupling_gets_back_its_zero_and_its_direction(zero):
     good = GOOD["hand"]()
-    before = read(good.replace('polycoef="0 1', f'polycoef="{zero}'))
-    found = find_remedies(before.robot, flags_of(before))
+    found = remedies(good.replace('polycoef="0 1', f'polycoef="{zero}'))
     assert found.texts == ('polycoef="0 1 0 0 0" for index, ring and thumb',)
 
 
@@ -172,7 +229,7 @@ def test_soft_explicit_pairs_are_mended_where_they_state_it(is_default, tmp_path
     stating = [
         line
         for line in mended.read_text().splitlines()
-        if "<pair" in line and "solref" in line
+        if line.strip().startswith("<pair") and "solref" in line
     ]
     assert len(stating) == (1 if is_default else len(robot_faults.FEET))
 

@@ -18,6 +18,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     COMPILER,
     ELEMENT,
     GEOM_FIELDS,
+    LENGTHS,
     PAIRED,
     Robot,
     set_option,
@@ -179,7 +180,12 @@ def mended_xml(
         raise TargetError(
             "the model's file is not known, only the compiled model: give the file as the target"
         )
-    before, after = _compiled(robot.spec), _compiled(robot.spec)
+    before = _compiled(robot.spec)
+    if LENGTHS in changes:
+        robot = robot.scaled(changes[LENGTHS])
+        changes = {k: v for k, v in changes.items() if k != LENGTHS}
+    assert robot.spec is not None
+    after = _compiled(robot.spec)
     model, geoms = robot.changed(changes)
     # Two passes, since ids of a copy are known only after it was compiled.
     _write(robot, after, changes, model, geoms)

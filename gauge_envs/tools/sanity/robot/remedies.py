@@ -41,6 +41,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     ELEMENT,
     GEOM_FIELDS,
+    LENGTHS,
     Robot,
     enabling,
     switched_off,
@@ -52,7 +53,13 @@ from gauge_envs.tools.sanity.robot.rollout import (
     lone_half_step_s,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
-from gauge_envs.tools.sanity.robot.sides import differences, mirror_pairs, quantities
+from gauge_envs.tools.sanity.robot.sides import (
+    SAME_PLACE_M,
+    MirrorPair,
+    differences,
+    mirror_pairs,
+    quantities,
+)
 
 ORDER = (
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
@@ -209,10 +216,6 @@ def find_remedies(robot: Robot, flags: Collection[str]) -> Remedies:
     for name in ORDER:
         if name not in flags or not now.row(name).is_flag:
             continue
-        if name == "robot-size":
-            # Nothing else can be judged before the unit of lengths is right.
-            unmended.append(name)
-            break
         for remedy in REMEDIES.get(name, _stated(name))(now.robot):
             after, refusal = _tried(now, remedy, name)
             rival = remedy.rival
@@ -224,7 +227,12 @@ def find_remedies(robot: Robot, flags: Collection[str]) -> Remedies:
                 break
         else:
             unmended.append(name)
-    reasons = {name: NO_REMEDY.get(name, NO_NUMBER) for name in unmended}
+            if name == "robot-size":
+                # Nothing else can be judged before the unit of lengths is right.
+                break
+    # What mends a row may mend one before it too.
+    left = [name for name in unmended if now.row(name).is_flag]
+    reasons = {name: NO_REMEDY.get(name, NO_NUMBER) for name in left}
     return Remedies(robot=now.robot, attempts=tuple(attempts), unmended=reasons)
 
 
@@ -324,7 +332,7 @@ def _tried(
     return (None, refusal) if refusal else (after, "")
 
 
-SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range")
+SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range", LENGTHS)
 """Starts of the names of changes that move bodies, or decide what touches."""
 
 
@@ -350,7 +358,8 @@ def _with_model(robot: Robot, model: mujoco.MjModel, changes: Settings) -> Robot
         return changed
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
-    read = mujoco_configuration(model, name="", source="", spec=robot.spec).robot
+    spec = robot.scaled(changes[LENGTHS]).spec if LENGTHS in changes else robot.spec
+    read = mujoco_configuration(model, name="", source="", spec=spec).robot
     assert read is not None
     return replace(
         read, pair=robot.pair, action_rad=robot.action_rad, delay_s=robot.delay_s
@@ -513,6 +522,37 @@ def _from_others(
     }
 
 
+def _after(robot: Robot, changes: Settings) -> Behaviour:
+    """Return what a robot does after changes."""
+    return Behaviour(_with_model(robot, robot.changed(changes)[0], changes))
+
+
+UNITS_M = {
+    "millimetres": 1e-3,
+    "centimetres": 1e-2,
+    "inches": 0.0254,
+    "kilometres": 1e3,
+}
+"""Units in which lengths may be stated [m]."""
+
+
+@remedies_of("robot-size")
+def _size(robot: Robot) -> Iterator[Remedy]:
+    """Yield metres for the unit with which fewest rows are flagged, unless another one does as well."""
+    if robot.spec is None:
+        return
+    flags: list[tuple[int, Remedy]] = []
+    for unit, factor in UNITS_M.items():
+        text = f"lengths times {factor:g}: every pos, size, fromto and scale of meshes is in {unit}"
+        remedy = Remedy(text=text, changes={LENGTHS: factor})
+        after = _after(robot, remedy.changes)
+        if not after.row("robot-size").is_flag:
+            flags.append((sum(after.row(name).is_flag for name in ORDER), remedy))
+    for count, remedy in sorted(flags, key=lambda one: one[0])[:1]:
+        others = [one for more, one in flags if more == count and one is not remedy]
+        yield replace(remedy, rival=next(iter(others), None))
+
+
 @remedies_of("robot-range")
 def _range(robot: Robot) -> Iterator[Remedy]:
     if robot.spec is None:
@@ -529,9 +569,9 @@ def _range(robot: Robot) -> Iterator[Remedy]:
 EITHER_SIDE = "either side can be the wrong one, and the model does not say which"
 
 NO_REMEDY: Mapping[str, str] = {
-    "robot-size": "lengths stand in every pos, size, fromto and mesh: scale them in the file; the rest is judged then",
-    "robot-balance": "masses, axes or the pose can be wrong, and the model does not say which",
-    "robot-level": "either leg can be the wrong one, and the model does not say which",
+    "robot-size": "no unit of lengths fits alone: scale every pos, size, fromto and mesh; the rest is judged then",
+    "robot-balance": "masses, lengths or the pose can be wrong, and the model does not say which",
+    "robot-level": "either leg can be the wrong one, or a foot itself, and the model does not say which",
     "robot-mirror": EITHER_SIDE,
     "robot-sides": EITHER_SIDE,
     "robot-unlimited": "a joint without a range turns as far as the real one, which the model does not say",
@@ -566,6 +606,98 @@ def _mirror(robot: Robot) -> Iterator[Remedy]:
             sides.append(Remedy(text=class_words(robot, changes), changes=changes))
         for one, rival in permutations(sides, 2):
             yield replace(one, rival=rival)
+
+
+@remedies_of("robot-balance")
+def _balance(robot: Robot) -> Iterator[Remedy]:
+    """Yield the other direction of like joints of both legs with which soles lie flattest, unless others do as well."""
+    turns: list[tuple[float, Remedy]] = []
+    for pair in mirror_pairs(robot):
+        changes = {
+            f"jnt_axis[{joint}]": 0.0 - robot.model.jnt_axis[joint]
+            for joint in (pair.joint, pair.other)
+        }
+        after = _after(robot, changes)
+        if not after.row("robot-balance").is_flag:
+            remedy = Remedy(text=class_words(robot, changes), changes=changes)
+            turns.append((_tilt_rad(after.robot), remedy))
+    for tilt_rad, remedy in sorted(turns, key=lambda one: one[0])[:1]:
+        # Soles lie flat on the ground.
+        others = [
+            one
+            for tilt, one in turns
+            if tilt < tilt_rad + FLAT_RAD and one is not remedy
+        ]
+        yield replace(remedy, rival=next(iter(others), None))
+
+
+FLAT_RAD = 0.05
+"""Difference of two tilts of soles that tells which one lies flat [rad]."""
+
+
+def _tilt_rad(robot: Robot) -> float:
+    """Return the largest angle of a foot's geoms from a face or an axis along the vertical [rad]; 0 without feet."""
+    standing = robot.standing
+    if standing is None:
+        return 0.0
+    geoms = [geom for several in standing.feet.values() for geom in several]
+    upward = np.abs(standing.stance.rotations[geoms].as_matrix()[:, 2]).max(axis=1)
+    return float(np.arccos(np.clip(upward.min(), 0.0, 1.0)))
+
+
+@remedies_of("robot-level")
+def _level(robot: Robot) -> Iterator[Remedy]:
+    """Yield the place of the first joint that the other leg has elsewhere, for the leg that does not meet the ground.
+
+    Where both legs meet it, or none does, each is the rival of the other.
+    """
+    apart = [one for one in mirror_pairs(robot) if one.apart_m > SAME_PLACE_M]
+    for pair in sorted(apart, key=lambda one: one.depth)[:1]:
+        several: list[Remedy] = []
+        for joint, other in permutations((pair.joint, pair.other)):
+            changes = {
+                f"body_pos[{robot.model.jnt_bodyid[joint]}]": _mirrored_m(
+                    robot, pair, joint, other
+                )
+            }
+            remedy = Remedy(text=class_words(robot, changes), changes=changes)
+            several.append(remedy)
+        meets = [_meets_ground(_after(robot, one.changes).robot) for one in several]
+        if sum(meets) == 1:
+            yield several[meets.index(True)]
+        else:
+            for one, rival in permutations(several):
+                yield replace(one, rival=rival)
+
+
+def _mirrored_m(robot: Robot, pair: MirrorPair, joint: int, other: int) -> FloatArray:
+    """Return the place of a joint's body in its parent with which the joint mirrors the other one [m], shape [3]."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    mujoco.mj_kinematics(model, data)
+    assert robot.standing is not None
+    root, body = robot.standing.body, int(model.jnt_bodyid[joint])
+    frame = data.xmat[root].reshape(3, 3)
+    image_m = frame @ (pair.flip * (frame.T @ (data.xanchor[other] - data.xpos[root])))
+    away_m = data.xpos[root] + image_m - data.xanchor[joint]
+    parent = data.xmat[model.body_parentid[body]].reshape(3, 3)
+    place_m: FloatArray = model.body_pos[body] + parent.T @ away_m
+    return np.round(place_m, 6)
+
+
+def _meets_ground(robot: Robot) -> bool:
+    """Return whether the lowest foot touches the ground in the pose in which the robot starts."""
+    standing = robot.standing
+    if standing is None:
+        return False
+    feet = {geom for geoms in standing.feet.values() for geom in geoms}
+    ground = set(robot.pairs.geoms[robot.foot_rows].ravel().tolist()) - feet
+    floor_m = max(float(standing.stance.positions_m[geom][2]) for geom in ground)
+    lowest_m = min(float(point[2]) for point in standing.support_m.values())
+    return abs(lowest_m - floor_m) < TOUCHING * standing.height_m
+
+
+TOUCHING = 0.01
+"""Distance of a foot from the ground, over the height of the robot, up to which they touch: that of `robot-level`."""
 
 
 @remedies_of("robot-command")

@@ -3,8 +3,9 @@
 import copy
 import re
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
+from itertools import product
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
@@ -50,6 +51,17 @@ COMPILER = {
     "compiler_boundinertia": "boundinertia",
 }
 """Attributes of the compiler by the names of changes; they need the model's file."""
+
+LENGTHS = "lengths"
+"""Name of a change of all lengths of a model by a factor; it needs the model's file."""
+
+LENGTHS_OF = (
+    *product(("geoms", "sites"), ("pos", "size", "fromto")),
+    *product(("bodies", "frames", "joints", "cameras", "lights"), ("pos",)),
+    *(("bodies", "ipos"), ("meshes", "scale"), ("hfields", "size")),
+    *product(("tendons",), ("range", "springlength")),
+)
+"""Attributes of a spec that are lengths, behind the kind of their element."""
 
 OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
 
@@ -205,6 +217,9 @@ class Robot:
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
         ground that states its own is changed too. A name such as `geom_condim[3]` changes a row of an array.
         """
+        if LENGTHS in changes:
+            scaled = self.scaled(changes[LENGTHS])
+            return scaled.changed({k: v for k, v in changes.items() if k != LENGTHS})
         model, stating = self._compiled(changes), {}
         for name, value in changes.items():
             if name in GEOM_FIELDS:
@@ -232,6 +247,48 @@ class Robot:
         except mujoco.FatalError as error:
             raise TargetError(f"the change needs the model's file: {error}") from None
         return model, {name: geoms for name, geoms in stating.items() if geoms}
+
+    def scaled(self, factor: float) -> "Robot":
+        """Return the robot with all lengths of its file times a factor; masses, inertias and gains stay as stated.
+
+        Its pose is the one before: read its model again to know how it stands.
+        """
+        if self.spec is None:
+            raise TargetError("the change needs the model's file")
+        # The ids of a copy are known once it was compiled.
+        spec = self.spec.copy()
+        spec.compile()
+        for kind, name in LENGTHS_OF:
+            for element in getattr(spec, kind):
+                setattr(element, name, factor * np.array(getattr(element, name)))
+        places, is_slide = self.model.jnt_qposadr, joints_of(self.model, "SLIDE")
+        for joint in (one for one in spec.joints if is_slide[one.id]):
+            joint.range, joint.ref = factor * joint.range, factor * joint.ref
+        free = places[joints_of(self.model, "FREE")]
+        lengths = np.concatenate(
+            [places[is_slide], *(free + axis for axis in range(3))]
+        )
+        for key in spec.keys:
+            positions = np.array(key.qpos)
+            if self._has_unit_of_bodies(positions, factor):
+                positions[lengths] *= factor
+            key.qpos = positions
+        try:
+            return replace(self, spec=spec, model=spec.compile(), standing=None)
+        except ValueError as error:
+            raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
+
+    def _has_unit_of_bodies(self, qpos: FloatArray, factor: float) -> bool:
+        """Return whether the free bodies of a keyframe are as far away as their bodies, and not by a factor nearer."""
+        model = self.model
+        for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
+            first = int(model.jnt_qposadr[joint])
+            stated_m, places_m = model.qpos0[first : first + 3], qpos[first : first + 3]
+            lengths = np.linalg.norm([stated_m, places_m], axis=1)
+            if lengths.all():
+                away = float(np.log(lengths[1] / lengths[0]))
+                return abs(away) < abs(away - np.log(factor))
+        return True
 
     @cached_property
     def explicit_ground_pairs(self) -> list[int]:

@@ -48,6 +48,7 @@ class MirrorPair:
         cosine: Cosine of the angle between an axis and the mirror image of the other one.
         centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
         ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
+        flip: Signs of the mirror image of a place in the frame of the robot, shape [3].
     """
 
     joint: int
@@ -58,6 +59,7 @@ class MirrorPair:
     cosine: float
     centres_apart_m: FloatArray
     ranges_rad: Mapping[int, FloatArray]
+    flip: FloatArray
 
     @property
     def range_apart_rad(self) -> float:
@@ -119,6 +121,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                     int(j): model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]]
                     for j in joints[[one, other]]
                 },
+                flip=flip,
             )
             for one, other in enumerate(images)
             if one < other
