@@ -172,6 +172,18 @@ MISTAKES = {
         "robot-coupling",
     ),
     "hand, masses in grams": (scaled("mass", 1000.0), "robot-density"),
+    "hand, two servos on one joint": (
+        replaced('<position joint="ring_inner"', '<position joint="index_inner"'),
+        "robot-command",
+    ),
+    "hand, commands in degrees": (
+        replaced("<position joint", '<position ctrlrange="-86 17" joint'),
+        "robot-command",
+    ),
+    "hand, fingers without limits": (
+        replaced(' range="-1.5 .3"', ""),
+        "robot-unlimited",
+    ),
 }
 """Mistakes that were known while the rows were written."""
 

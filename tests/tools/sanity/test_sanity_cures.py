@@ -80,8 +80,10 @@ def _with_comments(text):
     return ET.fromstring(text, parser=parser).iter()
 
 
-BY_HAND = {"robot-size", "robot-balance", "robot-mirror"}
-"""Rows that a change mends for certain only where no other one does as well."""
+BY_HAND = {
+    *("robot-size", "robot-balance", "robot-mirror", "robot-command", "robot-unlimited")
+}
+"""Rows that a change mends for certain only where no other one does as well, or where the model states a range."""
 
 ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()

@@ -78,6 +78,9 @@ MOST_RAD_PER_S2 = 2e5
 UNLIMITED_SHARE = 0.25
 """Share of joints without a largest torque up to which they are exceptions: makers state it for all, 2 of 3 or none."""
 
+LOST_COMMANDS = 0.1
+"""Part of the commands of a servo that must lie in the range of its joint, for the whole range to count as reached."""
+
 FEW_JOINTS = 3
 """Driven hinges from which on a robot as a whole is judged."""
 
@@ -1145,7 +1148,9 @@ def _command(robot: Robot) -> Finding:
     shares: dict[str, float] = {}
     changes: dict[str, FloatArray] = {}
     least = facts("robot_rows")["robot-command"]["interval"][0]
-    for actuator in np.flatnonzero(servos(model) & is_on_joint).tolist():
+    several = np.flatnonzero(servos(model) & is_on_joint)
+    twice: dict[str, str] = {}
+    for actuator in several.tolist():
         joint = int(model.actuator_trnid[actuator, 0])
         gain = float(model.actuator_gainprm[actuator, 0])
         bias = model.actuator_biasprm[actuator]
@@ -1156,6 +1161,12 @@ def _command(robot: Robot) -> Finding:
         # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
         per_control = -gain / (float(bias[1]) * gear)
         shares[name] = 1.0
+        others = several[model.actuator_trnid[several, 0] == joint].tolist()
+        if len(others) > 1:
+            names = [model.actuator(one).name or f"actuator {one}" for one in others]
+            twice[name] = f"{name} has {len(others)} servos: {', '.join(names)}"
+            shares[name] = 0.0
+            continue
         if per_control < 0.0:
             shares[name] = -1.0
             changes[f"actuator_gear[{actuator}]"] = np.abs(
@@ -1166,21 +1177,27 @@ def _command(robot: Robot) -> Finding:
             ends = zero + per_control * model.actuator_ctrlrange[actuator]
             low, high = model.jnt_range[joint]
             reached_rad = min(ends[1], high) - max(ends[0], low)
-            shares[name] = float(reached_rad / (high - low))
+            # Of a range of commands that is far wider than the joint's, nearly all are lost.
+            wide_rad = max(high - low, LOST_COMMANDS * np.ptp(ends))
+            shares[name] = float(reached_rad / wide_rad)
             if shares[name] < least:
                 ends = (model.jnt_range[joint] - zero) / per_control
                 changes[f"actuator_ctrlrange[{actuator}]"] = ends
     if not shares:
         return Finding(declined="no servo of the robot takes a position")
     name = min(shares, key=lambda one: shares[one])
-    is_turned = shares[name] < 0.0
+    remark = name
+    advice = f"the ctrlrange of {name} in the unit of its joint, or inheritrange"
+    if shares[name] == -1.0:
+        remark = f"{name} turns against its command"
+        advice = f"a positive gear and gain for {name}"
+    elif name in twice:
+        remark, advice = twice[name], "one servo for each joint"
     return Finding(
-        value=max(shares[name], 0.0) if not is_turned else -np.inf,
+        value=shares[name] if shares[name] >= 0.0 else -np.inf,
         parts=shares,
-        remark=f"{name} turns against its command" if shares[name] == -1.0 else name,
-        advice=f"a positive gear and gain for {name}"
-        if shares[name] == -1.0
-        else f"the ctrlrange of {name} in the unit of its joint, or inheritrange",
+        remark=remark,
+        advice=advice,
         changes=changes,
     )
 
@@ -1193,9 +1210,16 @@ def _unlimited(robot: Robot) -> Finding:
         return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges, or wheels")
     off = switched_off(model, "constraint", "limit")
     free = [joint for joint in joints if off or not model.jnt_limited[joint]]
+    # What a linkage couples to another joint cannot turn without end.
+    of_joints = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    coupled = {
+        *model.eq_obj1id[of_joints].tolist(),
+        *model.eq_obj2id[of_joints].tolist(),
+    }
+    free.sort(key=lambda joint: joint not in coupled)
     names = ", ".join(model.joint(joint).name or f"joint {joint}" for joint in free[:3])
     return Finding(
-        value=len(free) / len(joints),
+        value=1.0 if coupled & set(free) else len(free) / len(joints),
         parts={model.joint(joint).name or f"joint {joint}": 1.0 for joint in free},
         remark=f"{names}: {len(free)} of {len(joints)} driven hinges" if free else "",
         changes=dict.fromkeys(off, True),
