@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import io
 import os
 import stat
@@ -325,3 +326,72 @@ def test_a_time_step_that_is_no_step_is_refused(step, tmp_path):
     file.write_text(f'<mujoco><option timestep="{step}"/></mujoco>')
     with pytest.raises(AssetError, match=r"timestep|MuJoCo cannot load"):
         load_experiment_from_asset(NAME, file)
+
+
+OPENING = {
+    "open", "read_text", "read_bytes", "fromfile", "genfromtxt", "loadtxt", "imread", "VideoCapture", "connect",
+    "np.load", "json.load", "pickle.load", "pickle.loads", "zipfile.ZipFile", "tarfile.open", "lzma.open", "gzip.open",
+}  # fmt: skip
+"""Calls that read a file, by the name of the method, or with the name of the module."""
+
+WITHOUT_LIMITS = {
+    "cli/streams.py": "the null device",
+    "registry.py": "files of installed packages",
+    "backends/pybullet/world.py": "the null device",
+    "backends/settings.py": "a file of the package",
+    "pages/html.py": "a file of the package",
+    "runs/isolation.py": "files of the kernel, and the null device",
+    "runs/replay.py": "a result that was read within limits before",
+    "runs/result_file.py": "a layer that was written just before",
+    "tools/assets/build.py": "assets that this command wrote",
+    "tools/catalog/overview.py": "files of the package",
+    "tools/conformance/continuation.py": "a state in memory",
+    "tools/conformance/run.py": "a task of this process in memory",
+    "tools/conformance/model.py": "a file of the package",
+    "tools/identify/logs.py": "text in memory",
+    "tools/identify/snippets.py": "a file of the package",
+    "tools/leaderboard/archive.py": "an archive in memory, read within limits before",
+    "tools/sanity/command.py": "a file of the package",
+    "tools/sanity/gauge_probe.py": "runs in the environment that it reads, without this package",
+    "tools/sanity/phenomena/__init__.py": "a file of the package",
+    "tools/site/build.py": "files of the package",
+    "tools/site/reproduce.py": "results that were read within limits before",
+    "tools/sweep/folder.py": "results that this command wrote",
+    "tools/transfer/policies/load.py": "a pickle, only with --trust",
+    "tools/transfer/policies/sb3.py": "an archive in memory, read within limits before",
+    "tools/transfer/stack_files.py": "files of the package",
+    "tools/versions/comparison.py": "what the worker wrote",
+    "tools/versions/environments.py": "records that this command wrote",
+    "tools/versions/worker.py": "runs in an environment of its own, without this package",
+    "tools/video/frames.py": "a limited head of the file; OpenCV by size and count of frames",
+    "tools/video/prompts.py": "a file of the package",
+    "tools/video/tasks.py": "files of the package",
+}  # fmt: skip
+"""Files with a call that reads beside `files.read_regular`, and what they read."""
+
+
+def reading_calls(source):
+    """Return the calls of a module that read files: methods, and functions of modules."""
+    found = set()
+    for one in ast.walk(ast.parse(source)):
+        if not isinstance(one, ast.Call):
+            continue
+        name = ast.unparse(one.func)
+        is_method = isinstance(one.func, ast.Attribute) and one.func.attr in OPENING
+        if is_method or name in OPENING - {"read_bytes", "read_text"}:
+            found.add(name)
+    return found
+
+
+def test_a_file_of_a_stranger_has_one_reader():
+    package = Path(files.__file__).parent
+    reading = {
+        str(file.relative_to(package)): calls
+        for file in package.rglob("*.py")
+        if (calls := reading_calls(file.read_text(encoding="utf-8")))
+    }
+    del reading["files.py"]
+    assert {
+        name: calls for name, calls in reading.items() if name not in WITHOUT_LIMITS
+    } == {}
+    assert set(WITHOUT_LIMITS) <= set(reading)

@@ -25,7 +25,7 @@ from gauge_envs.files import (
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control import Policy
 from gauge_envs.tools.transfer.policies import onnx_child
-from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+from gauge_envs.tools.transfer.policies.sb3 import MOST_BYTES, load_sb3
 
 MOST_ONNX_BYTES = 512 * MEGABYTE
 
@@ -153,7 +153,7 @@ def _normalization(
             ModuleNotFoundError(name="stable_baselines3"),
         )
     try:
-        saved = pickle.loads(file.read_bytes())
+        saved = pickle.loads(read_regular(file, MOST_BYTES))
         shape = saved.observation_space.shape
     except OSError as error:
         raise PolicyError(
