@@ -48,6 +48,7 @@ def statement(engine: str, configuration: str, settings: Mapping[str, Any]) -> s
         "version": version(package),
         "configuration": configuration,
         "submitter": "gauge-envs",
+        "standing": "shown" if configuration == OUT_OF_BOX else "ranked",
     }
     lines = [
         "format = 1",

@@ -146,8 +146,13 @@ def comparison_document(
     )
 
 
-def short_tables(comparison: Comparison) -> list[Table]:
-    """Return the ranks within each grade, and the score of each experiment that comes first: no pairs."""
+def short_tables(comparison: Comparison, *, with_ranks: bool = True) -> list[Table]:
+    """Return the ranks within each grade, and the score of each experiment that comes first: no pairs.
+
+    Args:
+        comparison: The comparison.
+        with_ranks: Whether to show ranks.
+    """
     first: dict[str, dict[str, Any]] = {}
     for row in _validation_rows(comparison, comparison_rows(comparison)):
         first.setdefault(row["id"], row)
@@ -155,6 +160,7 @@ def short_tables(comparison: Comparison) -> list[Table]:
         table
         for question in QUESTIONS
         for table in _rank_tables(comparison, question, with_experiments=False)
+        if with_ranks
     ]
     if first:
         tables.append(_score_table(comparison, [*first.values()]))

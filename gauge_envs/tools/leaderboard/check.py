@@ -62,6 +62,11 @@ class SubmissionCheck:
         return not self.faults
 
     @property
+    def standing(self) -> str | None:
+        """How the table treats it; None if its statement is faulty."""
+        return None if self.statement is None else self.statement.standing
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """Names of the experiments that the engine does not decline and that have no result."""
         known = {*self.declined, *(short_id(one.id) for one in self.results)}
@@ -102,22 +107,29 @@ def check_leaderboard(
         _check_submission(folder, root, names, run, advance)
         for folder in find_submissions(root)
     ]
-    return LeaderboardCheck(submissions=tuple(_without_doubles(checks)))
+    return LeaderboardCheck(submissions=tuple(_with_doubles_named(checks)))
 
 
-def _without_doubles(checks: list[SubmissionCheck]) -> Iterator[SubmissionCheck]:
-    """Yield the checks, with a fault for a submission of the same configuration as an earlier one."""
-    earlier: dict[str, str] = {}
+def _with_doubles_named(checks: list[SubmissionCheck]) -> Iterator[SubmissionCheck]:
+    """Yield the checks; all that state the same configuration, or count in ranks for the same engine, get a fault."""
+    stated = [(one.folder, one.statement) for one in checks if one.statement]
     for one in checks:
-        if one.statement is not None:
-            kept = {"engine", "version", "parameters", "settings"}
-            known = json.dumps(one.statement.model_dump(include=kept), sort_keys=True)
-            first = earlier.setdefault(known, one.folder)
-            if first != one.folder:
-                reason = f"has the engine, version, parameters and settings of {first}; a configuration counts once"
-                fault = Fault(file=one.folder, reason=reason)
-                one = replace(one, faults=(*one.faults, fault))
-        yield one
+        faults = [
+            Fault(file=one.folder, reason=reason)
+            for folder, other in stated
+            if one.statement is not None and folder != one.folder
+            for reason in _conflicts(one.statement, other, folder)
+        ]
+        yield replace(one, faults=(*one.faults, *faults))
+
+
+def _conflicts(one: Statement, other: Statement, folder: str) -> Iterator[str]:
+    """Yield why a submission cannot stand beside another one, which is in a folder."""
+    configuration = {"engine", "version", "parameters", "settings"}
+    if one.model_dump(include=configuration) == other.model_dump(include=configuration):
+        yield f"has the engine, version, parameters and settings of {folder}"
+    elif one.engine == other.engine and one.standing == other.standing == "ranked":
+        yield f'is ranked, as {folder} is: one configuration of an engine counts in ranks; state standing = "shown"'
 
 
 def _check_submission(

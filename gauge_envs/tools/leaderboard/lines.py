@@ -18,6 +18,8 @@ class SubmissionRecord(TypedDict):
         configuration: Name of the configuration.
         submitter: Who submits it.
         url: Where the engine is described.
+        reason: Why these settings; empty for none.
+        standing: `ranked`, `shown` or `reported`.
         results: Number of episodes that ran.
         of: Number of experiments that are asked for.
         diverged: Number of episodes that diverged.
@@ -34,6 +36,8 @@ class SubmissionRecord(TypedDict):
     configuration: str | None
     submitter: str | None
     url: str | None
+    reason: str | None
+    standing: str | None
     results: int
     of: int
     diverged: int

@@ -20,6 +20,9 @@ BOARD_FILE = "board.toml"
 LEVELS = ("engine", "version", "configuration")
 """What the folders of a submission are named by."""
 
+Standing = Literal["ranked", "shown", "reported"]
+"""How the table treats a configuration."""
+
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$")]
 Line = Annotated[
     str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
@@ -57,6 +60,9 @@ class Statement(BaseModel):
         url: Page about the submission; empty for none.
         parameters: Parameter set of all experiments.
         settings: Settings that replace those of the engine's preset, in all experiments.
+        reason: Why these settings; empty for none.
+        standing: `ranked` for the one configuration of an engine that counts in ranks, `shown` for others of it, and
+            `reported` for one that no workflow can run, whose results the submitter made.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
@@ -72,6 +78,8 @@ class Statement(BaseModel):
     ] = ""
     parameters: Name = "calibrated"
     settings: dict[str, Any] = Field(default_factory=dict)
+    reason: Line | Literal[""] = ""
+    standing: Standing = "ranked"
 
 
 def read_statement(file: Path, name: str) -> Statement | Fault:

@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 import tarfile
 from importlib.metadata import version
 from pathlib import Path
@@ -46,7 +47,7 @@ def honest(tmp_path_factory):
     root = tmp_path_factory.mktemp("board")
     (root / "board.toml").write_text(f"experiments = {json.dumps(NAMES)}\n")
     write_statement(root, "default")
-    write_statement(root, "coarse", f"timestep_s = {1 / 900}")
+    write_statement(root, "coarse", f"timestep_s = {1 / 900}", standing="shown")
     assert not check_leaderboard(root, run=True).faults
     return root
 
@@ -227,7 +228,8 @@ def test_a_fault_of_a_submission_is_found_and_nothing_else(
         check = check_leaderboard(copy)
         sound = [one.folder for one in check.submissions if one.ok]
         assert f"mujoco/{MUJOCO}/coarse" in sound, name
-        assert len(check.faults) == 1, texts(check)
+        count = 2 if name == "a configuration twice" else 1
+        assert len(check.faults) == count, texts(check)
         lines.append(f"=== {name} ===\n{texts(check)}")
     text = "\n".join(lines).replace(MUJOCO, "VERSION")
     # The rest of a line is in the words of a library.
@@ -260,7 +262,8 @@ def test_table_has_intervals_and_no_mean_across_grades(gauge, honest):
     assert done.exit_code == 0, done.output
     found = records(done.stdout)
     standing = [one for one in found if one["record"] == "submission"]
-    assert [one["configuration"] for one in standing] == ["coarse", "default"]
+    assert [one["configuration"] for one in standing] == ["default", "coarse"]
+    assert [one["standing"] for one in standing] == ["ranked", "shown"]
     # The two experiments have references of two grades, and each mean is over one of them.
     grades = {one["grade"]: one["ids"] for one in found if one["record"] == "grade"}
     assert grades == {
@@ -275,7 +278,7 @@ def test_table_has_intervals_and_no_mean_across_grades(gauge, honest):
         for one in scored
     }
     # The law is solved exactly, so that its distance has no interval and is over no trials.
-    assert has_interval == {"trials": [True, True], "law": [False, False]}
+    assert has_interval == {"trials": [True], "law": [False]}
     verified = {one["grade"] for one in found if one.get("metric") == "verification"}
     assert verified == {"law"}
     cells = [cell for one in scored for cell in one["configurations"]]
@@ -290,7 +293,27 @@ def test_markdown_is_written_and_submitters_change_no_table(gauge, honest, tmp_p
     assert "Cost" not in text
     rows = json.loads((tmp_path / "leaderboard.json").read_text(encoding="utf-8"))
     kinds = {one["record"] for one in rows}
-    assert kinds == {"submission", "experiment", "grade", "pair"}
+    assert kinds == {"submission", "experiment", "grade"}
+
+
+def test_one_configuration_of_an_engine_counts_in_ranks(gauge, board):
+    """Others are shown, or reported by their submitter, and change no rank of the first."""
+    alone = records(gauge("leaderboard", "table", folder_of(board), "--json").stdout)
+    found = records(gauge("leaderboard", "table", board, "--json").stdout)
+    # The rows of the submission that counts come first, as if there were no other.
+    by_name = {one.get("configuration"): one for one in found}
+    alone[0]["folder"] = by_name["default"]["folder"]
+    assert found[: len(alone)] == alone
+    file = folder_of(board, "coarse") / "submission.toml"
+    shown = file.read_text(encoding="utf-8")
+    file.write_text(shown.replace("shown", "reported"), encoding="utf-8")
+    text = gauge("leaderboard", "table", board).stdout
+    assert "Reported by their submitters" in text
+    assert "Other configurations" not in text
+    file.write_text(shown.replace("shown", "ranked"), encoding="utf-8")
+    check = check_leaderboard(board)
+    assert texts(check).count("one configuration of an engine counts in ranks") == 2
+    assert not any(one.ok for one in check.submissions)
 
 
 @pytest.mark.parametrize("outcome", ["failed", "declined"])
@@ -298,7 +321,7 @@ def test_what_an_engine_declines_counts_and_what_fails_is_listed_apart(
     outcome, gauge, board
 ):
     whole = records(gauge("leaderboard", "table", board, "--json").stdout)
-    folder = write_statement(board, "one", "timestep_s = 0.001")
+    folder = write_statement(board, "one", "timestep_s = 0.001", standing="shown")
     files = read_archive(folder_of(board) / ARCHIVE)
     result = json.loads(files[SLIDER]) | {"settings_given": {"timestep_s": 0.001}}
     kept = {SLIDER: result, "left_out.json": {NAMES[0]: outcome}}
@@ -385,15 +408,21 @@ def test_a_file_that_states_no_experiments_is_refused(gauge, board, text):
 # --- the workflow ---
 
 
+def workflow_step(job, identity):
+    """Return the commands of a step of the real workflow."""
+    workflow = (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text()
+    steps = yaml.safe_load(workflow)["jobs"][job]["steps"]
+    (step,) = (one for one in steps if one.get("id") == identity)
+    return step["run"]
+
+
 def changed_folders(tree, changed):
     """Run the step of the real workflow that finds what to run, after a file of a repository changed."""
-    workflow = (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text()
-    steps = yaml.safe_load(workflow)["jobs"]["changed"]["steps"]
-    (step,) = (one for one in steps if one.get("id") == "changed")
+    step = workflow_step("changed", "changed")
     commit = "git -c user.name=a -c user.email=a@b commit -q -m text"
     output = tree / "output"
     change = f"echo '#' >> 'leaderboard/{changed}'; git add .; {commit}"
-    commands = f"git init -q; git add .; {commit}; {change}; {step['run']}"
+    commands = f"git init -q; git add .; {commit}; {change}; {step}"
     environment = {**os.environ, "GITHUB_OUTPUT": str(output)}
     subprocess.run(
         ["bash", "-e", "-c", commands], cwd=tree, check=True, env=environment
@@ -420,3 +449,41 @@ def test_the_workflow_runs_every_submission_that_a_change_touches(
     shutil.copytree(honest, tmp_path / "leaderboard")
     found = changed_folders(tmp_path, changed.replace("VERSION", MUJOCO))
     assert found == [f"leaderboard/mujoco/{MUJOCO}/{name}" for name in run]
+
+
+STUBS = """
+python() { if test "$1" = -m; then echo "$@" >&2; else command "$PYTHON" "$@"; fi; }
+gauge() { echo "$@"; }
+"""
+"""Commands of the workflow that install and run."""
+
+
+@pytest.mark.parametrize(
+    ("settings", "standing", "is_run"),
+    [
+        ("", "ranked", True),
+        ("", "shown", True),
+        ("", "reported", False),
+        # The same words within another value state nothing.
+        ('name = """\nstanding = "reported"\n"""', "ranked", True),
+    ],
+)
+def test_the_workflow_runs_all_that_is_not_stated_as_reported(
+    settings, standing, is_run, tmp_path
+):
+    write_statement(tmp_path / "leaderboard", "one", standing=standing)
+    folder = Path("leaderboard/mujoco") / MUJOCO / "one"
+    file = tmp_path / folder / "submission.toml"
+    text = file.read_text(encoding="utf-8").replace("settings = {}", "")
+    file.write_text(f"{text}[settings]\n{settings}\n", encoding="utf-8")
+    done = subprocess.run(
+        ["bash", "-e", "-c", STUBS + workflow_step("run", "run")],
+        cwd=tmp_path,
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "FOLDER": str(folder), "PYTHON": sys.executable},
+    )
+    option = " --run" if is_run else ""
+    assert done.stdout == f"leaderboard check {folder}{option}\n"
+    assert (f"mujoco=={MUJOCO}" in done.stderr) == is_run
