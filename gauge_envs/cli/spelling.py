@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.cli.arguments import (
+    ASSIGNED,
     FILE_SUFFIXES,
     FOLDER,
     OUTPUT,
@@ -114,7 +115,8 @@ def checked_values(
                 found[one.name] = value
             if isinstance(value, str):
                 words.append(value)
-            elif isinstance(value, list | tuple):
+            # Some arguments are settings.
+            elif isinstance(value, list | tuple) and ASSIGNED not in str(one.metavar):
                 words += value
             continue
         option = longest(one)

@@ -1,5 +1,6 @@
 """MuJoCo backend, the default engine."""
 
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -12,7 +13,11 @@ from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
+from gauge_envs.backends.mujoco.versions import (
+    sparse_advice,
+    without_absent,
+    without_deformables,
+)
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
@@ -81,4 +86,10 @@ class BackendMuJoCo(BundledBackend):
                 f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
                 "change them in the file"
             )
-        return SimulationMuJoCo(scene, *model_files(self.name).load_model(path, scene))
+        simulation = SimulationMuJoCo(
+            scene, *model_files(self.name).load_model(path, scene)
+        )
+        # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
+        if advice := sparse_advice(simulation.model):
+            warnings.warn(f"{path.name}: {advice}", stacklevel=2)
+        return simulation

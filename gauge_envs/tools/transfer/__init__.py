@@ -17,5 +17,10 @@ if TYPE_CHECKING:
         stack_file as stack_file,
         subject_ranges as subject_ranges,
     )
+    from gauge_envs.tools.transfer.transfer import (
+        Estimate as Estimate,
+        estimate as estimate,
+        success_share as success_share,
+    )
 else:
     __getattr__, __all__ = door(__name__)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import importlib
+import warnings
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,12 +16,16 @@ import mujoco
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from scipy.stats import binomtest
 
+from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import GaugeError, ParameterError
-from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.tools.control import Policy
-from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, estimate
+from gauge_envs.tools.transfer.transfer import (
+    FALL_SHARE,
+    Estimate,
+    estimate,
+    success_share,
+)
 
 FIELDS = {
     "geom": {"friction", "solref", "solimp", "margin", "gap", "condim"},
@@ -114,6 +119,8 @@ class ModelEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             raise ParameterError(
                 f"--env {path}: MuJoCo cannot load it: {error}"
             ) from None
+        if advice := sparse_advice(self.model):
+            warnings.warn(f"{path.name}: {advice}", stacklevel=2)
         self.data = mujoco.MjData(self.model)
         self.frame_skip = _steps(control_s, self.model.opt.timestep)
         self._reward, self._count, self._done = reward, round(duration_s / control_s), 0
@@ -426,16 +433,6 @@ def _row(
         reward=estimate(mean, rewards),
         kept=kept,
         change=estimate(float(difference.mean()), difference),
-        success=_share(played[..., 1].ravel()),
+        success=success_share(played[..., 1].ravel()),
         full_length=float(played[..., 2].mean()),
-    )
-
-
-def _share(values: NDArray[np.float64]) -> Estimate | None:
-    """Return the share of successes with the exact interval of Clopper and Pearson."""
-    if np.isnan(values).any():
-        return None
-    interval = binomtest(int(values.sum()), len(values)).proportion_ci(LEVEL, "exact")
-    return Estimate(
-        value=float(values.mean()), low=float(interval.low), high=float(interval.high)
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.stats import binomtest, t as student
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.uncertainty import LEVEL
@@ -190,6 +190,16 @@ def estimate(value: float, table: NDArray[np.float64]) -> Estimate:
         return Estimate(value=value)
     half = _half_width(means)
     return Estimate(value=value, low=value - half, high=value + half)
+
+
+def success_share(values: NDArray[np.float64]) -> Estimate | None:
+    """Return the share of successes with the exact interval of Clopper and Pearson."""
+    if np.isnan(values).any():
+        return None
+    interval = binomtest(int(values.sum()), len(values)).proportion_ci(LEVEL, "exact")
+    return Estimate(
+        value=float(values.mean()), low=float(interval.low), high=float(interval.high)
+    )
 
 
 def _half_width(means: Sequence[NDArray[np.float64]]) -> float:

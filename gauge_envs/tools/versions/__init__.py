@@ -14,5 +14,9 @@ if TYPE_CHECKING:
         Side as Side,
         Verdict as Verdict,
     )
+    from gauge_envs.tools.versions.worker import (
+        imbalance as imbalance,
+        is_discrete as is_discrete,
+    )
 else:
     __getattr__, __all__ = door(__name__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,7 +13,8 @@ from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.versions.model import Release, Side
+    from gauge_envs.pages.document import Document
+    from gauge_envs.tools.versions.model import Release, Side, Verdict
 
 
 def backend_versions(
@@ -28,10 +29,11 @@ def backend_versions(
     versions: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="VERSION",
+            metavar=arguments.PER_ENGINE.replace("ENGINE", "SIDE"),
             show_default=False,
             help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is what is installed "
-            "here. Settings of the engine may follow, as mujoco==4.0.0:jacobian=dense.",
+            "here. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. On an id, "
+            "engines as newton:preset=training, and result files (.json).",
         ),
     ] = None,
     python: Annotated[
@@ -51,6 +53,22 @@ def backend_versions(
             "of LIBERO and robomimic, with :demo_3 behind it for another demonstration than the first.",
         ),
     ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            metavar="module:function",
+            rich_help_panel=arguments.SCENE,
+            help="Compare return and success: of the policy that the function returns, or of actions in a file .npy.",
+        ),
+    ] = None,
+    episodes: Annotated[
+        int,
+        typer.Option(
+            min=2,
+            rich_help_panel=arguments.NUMERICS,
+            help="Episodes of a policy, with a seed each.",
+        ),
+    ] = 20,
     steps: Annotated[
         int,
         typer.Option(
@@ -81,17 +99,14 @@ def backend_versions(
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Compare releases of MuJoCo on your model: what changed, and which side is right.
+    """Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.
 
     Each release runs in a Python environment of its own, which is installed into a cache, 160 MB each. Exit code 1 when
     two versions differ by more than the noise of the model.
     """
-    from gauge_envs.tools.versions.bisection import bisect as bisected
-    from gauge_envs.tools.versions.comparison import bench, compare
     from gauge_envs.tools.versions.environments import remove_environment
     from gauge_envs.tools.versions.model import Verdict
-    from gauge_envs.tools.versions.sides import of_interpreter, releases_between
-    from gauge_envs.tools.versions.words import comparison_document
+    from gauge_envs.tools.versions.sides import are_motions, of_interpreter
 
     files = arguments.by_suffix(out, ".md", ".json")
     sides = [*_sides(versions or ()), *map(of_interpreter, python or ())]
@@ -100,25 +115,75 @@ def backend_versions(
             f"two versions are compared, {len(sides)} are given: write as in gauge backend versions {subject} "
             "mujoco==3.3.0 mujoco==4.0.0"
         )
+    if bisect and not all(side.requirement for side in sides):
+        raise ParameterError(
+            "--bisect needs a range of releases, as mujoco==3.1.0..4.0.0"
+        )
     used = {side.requirement: None for side in sides if side.requirement}
     try:
-        with bench(subject, states, steps=steps, seed=seed, say=message) as at:
-            tried: list[Release] = []
-            if bisect:
-                if len(used) != 2:
-                    raise ParameterError(
-                        "--bisect needs a range of releases, as mujoco==3.1.0..4.0.0"
-                    )
-                releases = releases_between(sides[0], sides[1], message)
-                used |= {side.requirement: None for side in releases}
-                neighbours, tried = bisected(at, releases, message)
-                sides = list(neighbours or sides)
-            found = compare(at, sides[0], sides[1])
+        if policy is not None:
+            found, document = _returns(subject, sides, policy, episodes, seed)
+        elif are_motions(subject, sides):
+            found, document = _motions(subject, sides, seed)
+        else:
+            found, document = _steps(
+                subject,
+                sides,
+                used if bisect else None,
+                states=states,
+                steps=steps,
+                seed=seed,
+            )
     finally:
         for requirement in [] if keep else used:
             remove_environment(requirement)
-    print_document(comparison_document(found, tried), form, files=files)
-    return found.verdict is Verdict.DIFFERENT
+    print_document(document, form, files=files)
+    return found is Verdict.DIFFERENT
+
+
+def _returns(
+    subject: str, sides: Sequence[Side], policy: str, episodes: int, seed: int
+) -> tuple[Verdict, Document]:
+    """Compare what a policy reaches."""
+    from gauge_envs.tools.versions.returns import compare_returns
+    from gauge_envs.tools.versions.words import returns_document
+
+    found = compare_returns(
+        subject, *sides, policy=policy, seeds=episodes, seed=seed, say=message
+    )
+    return found.verdict, returns_document(found)
+
+
+def _motions(
+    subject: str, sides: Sequence[Side], seed: int
+) -> tuple[Verdict, Document]:
+    """Compare whole motions of an experiment."""
+    from gauge_envs.tools.versions.motions import compare_motions
+    from gauge_envs.tools.versions.words import motions_document
+
+    found, scores = compare_motions(subject, *sides, seed=seed)
+    return found.verdict, motions_document(found, scores)
+
+
+def _steps(
+    subject: str, sides: Sequence[Side], used: dict[str, None] | None, **options: Any
+) -> tuple[Verdict, Document]:
+    """Compare steps from the same states; with a collection of used releases, of the neighbours that differ."""
+    from gauge_envs.tools.versions.bisection import bisect
+    from gauge_envs.tools.versions.comparison import bench, compare
+    from gauge_envs.tools.versions.sides import releases_between
+    from gauge_envs.tools.versions.words import comparison_document
+
+    first, last = sides
+    tried: list[Release] = []
+    with bench(subject, say=message, **options) as at:
+        if used is not None:
+            releases = releases_between(first, last, message)
+            used |= {side.requirement: None for side in releases}
+            neighbours, tried = bisect(at, releases, message)
+            first, last = neighbours or sides
+        found = compare(at, first, last)
+    return found.verdict, comparison_document(found, tried)
 
 
 def _sides(texts: Sequence[str]) -> list[Side]:
@@ -127,7 +192,11 @@ def _sides(texts: Sequence[str]) -> list[Side]:
 
     found: list[Side] = []
     for text in texts:
-        changes = text.partition(":")[2]
+        # Settings alone are those of what is installed here.
+        has_settings_alone = (
+            "=" in text and "==" not in text.partition(":")[0] and ":" not in text
+        )
+        changes = text if has_settings_alone else text.partition(":")[2]
         settings = (
             arguments.assigned(text, arguments.split_list(changes)) if changes else {}
         )

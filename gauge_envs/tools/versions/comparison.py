@@ -34,7 +34,8 @@ from gauge_envs.tools.versions.model import (
 from gauge_envs.tools.versions.overlap import Solid, depth_m
 from gauge_envs.tools.versions.subject import read_subject
 
-WORKER = Path(__file__).with_name("worker.py")
+WORKER = ("-I", "-B", str(Path(__file__).with_name("worker.py")))
+"""Arguments of Python for the worker; with `-I` no path of the user's counts, and no module beside the script."""
 
 LEAST_LIMIT = 1e-6
 """Smallest difference of accelerations that counts, over the larger one. With constraints it is the square root of the
@@ -141,19 +142,20 @@ class Bench:
 
     def run(self, side: Side) -> tuple[Observed, Path]:
         """Move the model on one side; return what it compiled, and the file of the states that it visits."""
-        out = self._work(side, {"run": self._motion})
-        return Observed(side, _words(out)), Path(f"{out}.run.npz")
+        words = self.work(side, {"run": self._motion})
+        return Observed(side, words), Path(f"{words['out']}.run.npz")
 
     def probe(
         self, side: Side, files: Sequence[Path], *, has_poses: bool = False
     ) -> Observed:
         """Compute one step from each state of files; with the poses of all geoms if they are wanted."""
         job = {"states": [str(file) for file in files], "has_poses": has_poses}
-        out = self._work(side, job)
+        words = self.work(side, job)
         probes = tuple(
-            _arrays(Path(f"{out}.probe{index}.npz")) for index in range(len(files))
+            _arrays(Path(f"{words['out']}.probe{index}.npz"))
+            for index in range(len(files))
         )
-        return Observed(side, _words(out), probes)
+        return Observed(side, words, probes)
 
     def kept(self, rows: dict[str, Any]) -> Path:
         """Write states to a file."""
@@ -162,18 +164,24 @@ class Bench:
         np.savez(file, **rows)
         return file
 
-    def _work(self, side: Side, job: Mapping[str, Any]) -> Path:
+    def work(
+        self, side: Side, job: Mapping[str, Any], worker: Sequence[str] = WORKER
+    ) -> dict[str, Any]:
+        """Do a job on a side; return what the worker wrote, and the start `out` of the names of its files."""
         self._jobs += 1
         out = self._folder / f"job{self._jobs}"
         whole: dict[str, Any] = {"model": str(self.model.resolve()), **job}
         whole |= {"settings": dict(side.settings), "out": str(out)}
         file = Path(f"{out}.job.json")
         file.write_text(json.dumps(whole), encoding="utf-8")
-        self.execute(side, file)
-        return out
+        self.execute(side, file, worker)
+        found: dict[str, Any] = json.loads(
+            Path(f"{out}.json").read_text(encoding="utf-8")
+        )
+        return found | {"out": str(out)}
 
-    def execute(self, side: Side, job: Path) -> None:
-        """Run the worker on a job in the environment of a side.
+    def execute(self, side: Side, job: Path, worker: Sequence[str]) -> None:
+        """Run a worker on a job in the environment of a side.
 
         Raises:
             VersionsError: The worker failed; the message has its last line.
@@ -181,9 +189,8 @@ class Bench:
         python = side.python
         if python is None:
             python = str(made_environment(side.requirement, self._say).python)
-        # `-I`: no path of the user's, and no module beside the script.
         done = subprocess.run(
-            [python, "-I", "-B", str(WORKER), str(job)],
+            [python, *worker, str(job)],
             capture_output=True,
             text=True,
             errors="replace",
@@ -221,11 +228,6 @@ def bench(subject: str, states: Path | None = None, **options: Any) -> Iterator[
             title=read.title,
             **options,
         )
-
-
-def _words(out: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(Path(f"{out}.json").read_text(encoding="utf-8"))
-    return found
 
 
 def _arrays(file: Path) -> dict[str, NDArray[Any]]:

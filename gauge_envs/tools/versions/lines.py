@@ -1,12 +1,18 @@
-"""What `gauge backend versions` prints with `--json`, a line for each pair of versions."""
+"""What `gauge backend versions` prints with `--json`, a line for each pair of sides."""
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
-from gauge_envs.tools.versions.model import Comparison, Release
+from gauge_envs.tools.versions.model import (
+    Comparison,
+    MotionComparison,
+    Release,
+    ReturnComparison,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class VersionsLine(Comparison):
+class StepComparison(Comparison):
     """What two versions make of a model.
 
     Attributes:
@@ -14,3 +20,7 @@ class VersionsLine(Comparison):
     """
 
     tried: tuple[Release, ...]
+
+
+VersionsLine: TypeAlias = StepComparison | MotionComparison | ReturnComparison
+"""Steps of a model, motions of an experiment, or returns of a policy."""

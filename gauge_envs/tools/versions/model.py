@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from gauge_envs.tools.transfer import Estimate
+
 
 class Verdict(StrEnum):
     """Whether two versions differ on a model."""
@@ -36,12 +38,16 @@ class Side:
         title: As the user gave it.
         requirement: What its environment has, as `mujoco==3.3.0`; empty for an interpreter that exists.
         python: Interpreter that exists, or None.
+        engine: Engine of this package that runs an experiment of the suite; empty for a release.
+        file: Result file, or None.
         settings: Settings of the engine that differ from those of the model.
     """
 
     title: str
     requirement: str = ""
     python: str | None = None
+    engine: str = ""
+    file: str | None = None
     settings: Mapping[str, Any]
 
 
@@ -212,6 +218,64 @@ class Comparison:
     settled: tuple[Settled, ...]
     rulings: tuple[Ruling, ...]
     right: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionComparison:
+    """Two motions of an experiment of the suite.
+
+    Attributes:
+        subject: The experiment, as the user named it.
+        before, after: Titles of the sides.
+        verdict: Whether they differ by more than ten times the noise.
+        unit: Unit of the coordinates.
+        first_s: Time at which they part first [s]; None if they do not.
+        coordinate: Coordinate that parts first, as `x of the cube`.
+        difference: How far it is apart then.
+        largest: Largest difference of a coordinate in the whole motion.
+        noise: What a start that is 1e-9 m apart changes until then, on the noisier side.
+        right: Title of the side that is closer to the reference by more than its uncertainty; empty if none is.
+    """
+
+    subject: str
+    before: str
+    after: str
+    verdict: Verdict
+    unit: str
+    first_s: float | None
+    coordinate: str
+    difference: float
+    largest: float
+    noise: float
+    right: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReturnComparison:
+    """A policy in an environment on two sides, from the same seeds.
+
+    Attributes:
+        subject: The environment, as the user named it.
+        before, after: Titles of the sides.
+        verdict: Whether returns or successes differ in the mean over seeds: the interval of the change is without 0.
+        versions: Version of the engine on each side.
+        seeds: Number of seeds.
+        returns: Sum of rewards of an episode on each side.
+        change: Difference of the returns, seed by seed.
+        success: Share of episodes that succeed on each side; None where the environment does not say.
+        success_change: Difference of the successes; None likewise.
+    """
+
+    subject: str
+    before: str
+    after: str
+    verdict: Verdict
+    versions: tuple[str, str]
+    seeds: int
+    returns: tuple[Estimate, Estimate]
+    change: Estimate
+    success: tuple[Estimate | None, Estimate | None]
+    success_change: Estimate | None
 
 
 @dataclass(frozen=True, kw_only=True)

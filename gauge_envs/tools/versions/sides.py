@@ -1,14 +1,19 @@
-"""The versions that a user names: `mujoco==3.3.0`, `mujoco`, `mujoco==4.0.0:jacobian=dense`, and ranges."""
+"""The sides that a user names: releases, settings, engines and result files."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
+
 from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.registry import engine_points
 from gauge_envs.tools.versions.environments import (
     made_environment,
     released_versions,
@@ -16,33 +21,74 @@ from gauge_envs.tools.versions.environments import (
 )
 from gauge_envs.tools.versions.model import Side
 
-FORM = re.compile(
-    r"mujoco(==(?P<first>[\w.]+?)(\.\.(?P<last>[\w.]+))?)?(:(?P<set>.+))?"
+RELEASES = re.compile(r"mujoco==(?P<first>[\w.]+?)(\.\.(?P<last>[\w.]+))?")
+
+FORMS = (
+    "mujoco==3.3.0, mujoco==3.1.0..4.0.0, mujoco for what is installed here, another engine of this package, a result "
+    "file .json, or settings as iterations=4; settings may follow a side, as mujoco==4.0.0:jacobian=dense"
 )
 
 
 def read_side(text: str, settings: dict[str, object] | None = None) -> tuple[Side, ...]:
-    """Return the version that a text names, or both ends of a range.
+    """Return the side that a text names, or both ends of a range of releases.
 
     Args:
-        text: As `mujoco==3.3.0`, `mujoco==3.1.0..4.0.0`, or `mujoco` for what is installed here.
-        settings: Settings behind the colon, read by the caller.
+        text: In one of `FORMS`.
+        settings: Settings of it, read by the caller.
     """
-    found = FORM.fullmatch(text.partition(":")[0])
-    if found is None:
-        raise ParameterError(
-            f"{text!r} is no version: expected mujoco==3.3.0, mujoco==3.1.0..4.0.0, or mujoco for what is installed "
-            "here; settings may follow, as mujoco==4.0.0:jacobian=dense"
-        )
+    if text.endswith(".json"):
+        return (Side(title=text, file=text, settings={}),)
+    head, colon, behind = text.partition(":")
     side = Side(title=text, settings=settings or {})
-    if found["first"] is None:
-        return (replace(side, python=sys.executable),)
-    ends = [found["first"]] + ([found["last"]] if found["last"] else [])
-    behind = text[len(found[0]) :]
-    return tuple(
-        replace(side, title=f"mujoco=={end}{behind}", requirement=f"mujoco=={end}")
-        for end in ends
+    if found := RELEASES.fullmatch(head):
+        return tuple(
+            replace(
+                side,
+                title=f"mujoco=={end}{colon}{behind}",
+                requirement=f"mujoco=={end}",
+            )
+            for end in (found["first"], found["last"])
+            if end
+        )
+    engines = [point.name for point in engine_points()]
+    name, equals, _ = head.partition("=")
+    # Settings alone are those of what is installed here.
+    engine = (
+        "mujoco" if equals and name.isidentifier() and name not in engines else head
     )
+    if engine not in engines:
+        raise ParameterError(
+            f"{text!r} is no side: expected {FORMS}; engines: {', '.join(engines)}"
+        )
+    return (replace(side, engine=engine, python=sys.executable),)
+
+
+def are_motions(subject: str, sides: Sequence[Side]) -> bool:
+    """Return whether whole motions of an experiment are compared: not all sides can compute a step of one MuJoCo model.
+
+    Raises:
+        ParameterError: Some sides are releases, and others can only be compared as motions.
+    """
+    reasons = []
+    for side in sides:
+        backend_settings = [
+            name for name in side.settings if not hasattr(mujoco.MjOption, name)
+        ]
+        if side.file or side.engine not in ("", "mujoco") or backend_settings:
+            reasons.append(side.title)
+    releases = [side.title for side in sides if not side.engine and not side.file]
+    if reasons and releases:
+        raise ParameterError(
+            f"{releases[0]} and {reasons[0]}: releases are compared with each other and with mujoco, on its own options"
+        )
+    if subject in {name for one in variants() for name in (one.name, one.id)}:
+        scene = load_experiment(find_variant(subject).id).scene
+        return bool(reasons or (scene.deformables and not releases))
+    if reasons:
+        raise ParameterError(
+            f"{subject} and {reasons[0]}: engines, their settings and result files are compared on an id of this suite"
+        )
+    return False
 
 
 def of_interpreter(python: Path) -> Side:

@@ -4,12 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.document import Bullets, Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import counted, quantity_text, value_text
-from gauge_envs.tools.versions.model import Comparison, Parting, Release, Verdict
+from gauge_envs.pages.text import (
+    counted,
+    interval_text,
+    quantity_text,
+    value_text,
+)
+from gauge_envs.tools.versions.model import (
+    Comparison,
+    MotionComparison,
+    Parting,
+    Release,
+    ReturnComparison,
+    Verdict,
+)
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.compare import Comparison as ScoreComparison
+    from gauge_envs.tools.transfer import Estimate
 
 SHOWN_PAIRS = 8
 """Pairs of geoms that a terminal shows."""
@@ -69,6 +85,75 @@ def answer(found: Comparison) -> str:
         f"{sides} differ on {found.subject}: in {found.differing} of {states} one step from the same state gives other "
         f"accelerations, by up to {_percent(found.largest)}."
     )
+
+
+def motions_document(found: MotionComparison, scores: ScoreComparison) -> Document:
+    """Return where two motions part, and the scores of both."""
+    from gauge_envs.tools.compare import short_tables
+
+    sides = f"{found.before} and {found.after}"
+    noise = f"a start 1e-9 m apart changes {quantity_text(found.noise)} {found.unit}"
+    if found.verdict is Verdict.IDENTICAL:
+        text = f"{sides} give the same motion of {found.subject}, bit for bit."
+    elif found.verdict is Verdict.SAME:
+        text = (
+            f"{sides} give the same motion of {found.subject} within its noise: they part by "
+            f"{quantity_text(found.largest)} {found.unit} or less; {noise}."
+        )
+    else:
+        text = (
+            f"{sides} give other motions of {found.subject}: they part first after {found.first_s:.3g} s, in "
+            f"{found.coordinate}, by {quantity_text(found.difference)} {found.unit}; until then {noise}. They part by "
+            f"up to {quantity_text(found.largest)} {found.unit}."
+        )
+    parts: list[Part] = [Paragraph(text, Tone.ANSWER)]
+    parts += short_tables(scores)
+    if found.verdict is Verdict.DIFFERENT:
+        right = f"{found.right} is closer to the reference." if found.right else NEITHER
+        parts += [Paragraph(""), Paragraph(right, Tone.ANSWER)]
+    return Document(parts=parts, rows=[asdict(found)])
+
+
+NEITHER = "Nothing here can tell which side is right: no score tells them apart."
+
+
+def returns_document(found: ReturnComparison) -> Document:
+    """Return what a policy reaches on both sides."""
+    sides = f"{found.before} and {found.after}"
+    seeds = counted(found.seeds, "seed")
+    text = f"{sides} give other returns in {found.subject}, in the mean over {seeds}."
+    if found.verdict is Verdict.IDENTICAL:
+        text = f"{sides} give the same returns in {found.subject}, bit for bit, from {seeds}."
+    elif found.verdict is Verdict.SAME:
+        text = (
+            f"{sides} give returns in {found.subject} that {seeds} do not tell apart."
+        )
+    rows = [
+        {"name": "return", "sides": found.returns, "change": found.change},
+        {"name": "success", "sides": found.success, "change": found.success_change},
+    ]
+    table = Table(
+        title="Means with 95 % intervals; the change is seed by seed",
+        columns=(
+            Column("name", ""),
+            Column(
+                "sides", found.before, lambda pair: _estimate(pair[0]), is_number=True
+            ),
+            Column(
+                "sides", found.after, lambda pair: _estimate(pair[1]), is_number=True
+            ),
+            Column("change", "change", _estimate, is_number=True),
+        ),
+        rows=rows,
+    )
+    return Document(parts=[Paragraph(text, Tone.ANSWER), table], rows=[asdict(found)])
+
+
+def _estimate(value: Estimate | None) -> str:
+    if value is None:
+        return "not stated"
+    ends = None if value.low is None else (value.low, value.high or 0.0)
+    return interval_text(value.value, ends, lambda number: f"{number:.4g}")
 
 
 def _parting_lines(parting: Parting, found: Comparison) -> list[str]:

@@ -202,7 +202,13 @@ def with_absolute_folders(text: str, path: Path) -> str:
 def load(job: Job) -> tuple[Any, list[str]]:
     """Return the compiled model with the settings of the side, and the attributes that the release lacks."""
     model, dropped = without_unknown(Path(job["model"]), Path(job["out"]).parent)
-    for name, value in job.get("settings", {}).items():
+    set_options(model, job.get("settings", {}))
+    return model, dropped
+
+
+def set_options(model: Any, settings: Job) -> None:
+    """Write options into a model; a word stands for the number of its enumeration."""
+    for name, value in settings.items():
         if not hasattr(model.opt, name):
             raise SystemExit("unknown setting: " + name)
         if isinstance(value, str):
@@ -213,7 +219,6 @@ def load(job: Job) -> tuple[Any, list[str]]:
             }
             value = members[value.upper()]
         setattr(model.opt, name, value)
-    return model, dropped
 
 
 # --- the compiled model ----------------------------------------------------------------------------------------------
@@ -545,12 +550,17 @@ def contacts(data: Any) -> tuple[Any, Any]:
     return pairs[is_rigid], distances[is_rigid]
 
 
+def is_discrete(model: Any) -> bool:
+    """Return whether the integrator is `discrete`, which releases before 3.13 lack."""
+    return enum_texts("integrator", model.opt.integrator) == ["mjINT_DISCRETE"]
+
+
 def imbalance(model: Any, data: Any) -> float:
     """Return by how much `M a = smooth forces + constraint forces` fails, over the largest of the three.
 
     It is NaN for the integrator `discrete`, whose accelerations obey `(M + h D + h^2 K) a = forces`.
     """
-    if enum_texts("integrator", model.opt.integrator) == ["mjINT_DISCRETE"]:
+    if is_discrete(model):
         return float("nan")
     inertial = np.zeros(model.nv)
     mujoco.mj_mulM(model, data, inertial, np.array(data.qacc))

@@ -81,6 +81,72 @@ def test_a_solver_that_stops_elsewhere_is_named_in_a_dense_model(monkeypatch):
     assert "dense" not in one.advice
 
 
+def test_threads_that_give_other_accelerations_are_named(monkeypatch):
+    xml = pile(3, 2, 0).replace("sparse", "dense")
+    assert found(xml).value == 0.0
+    forward = mujoco.mj_forward
+
+    def scaled(model, data):
+        forward(model, data)
+        if data.threadpool:
+            data.qacc[:] *= 1.01
+
+    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    one = found(xml)
+    assert one.value == pytest.approx(0.01, rel=0.05)
+    assert "one thread and two part by 0.0099" in one.remark
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_pgs_is_compared_where_it_converges(cone, monkeypatch):
+    xml = pile(2, 0, 0).replace('"sparse"', f'"dense" cone="{cone}"')
+    assert found(xml).value == 0.0
+    forward = mujoco.mj_forward
+
+    def scaled(model, data):
+        forward(model, data)
+        if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+            data.qacc[:] *= 0.99
+
+    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    is_named = "Newton and PGS" in found(xml).remark
+    assert is_named == (cone == "pyramidal")
+
+
+def test_a_model_without_memory_for_dense_matrices_is_not_measured():
+    xml = pile(20, 4, 0).replace("<worldbody>", '<size memory="300K"/><worldbody>', 1)
+    assert "memory" in found(xml).unmeasured
+
+
+MESH = " ".join(
+    f"{x} {y} {z}" for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.04, 0.05)
+)
+BODIES = {
+    "pile of meshes": "".join(
+        f'<body pos="{0.02 * i} 0 {0.06 + 0.12 * i}"><freejoint/><geom type="mesh" mesh="block"/></body>'
+        for i in range(3)
+    ),
+    "compound of boxes": "".join(
+        f'<body pos="{0.02 * i} 0 {0.06 + 0.12 * i}"><freejoint/><geom type="box" size="0.1 0.03 0.03"/>'
+        '<geom type="box" size="0.03 0.1 0.03" pos="0 0 0.04"/></body>'
+        for i in range(3)
+    ),
+    "cloth on a body": '<body pos="0 0 0.1"><freejoint/><geom size="0.1"/></body>'
+    '<flexcomp name="cloth" type="grid" dim="2" count="5 5 1" spacing="0.06 0.06 0.06" pos="0 0 0.25" radius="0.005"'
+    ' mass="0.1"><edge equality="true"/></flexcomp>',
+}
+
+
+@pytest.mark.parametrize("layout", ["sparse", "dense"])
+@pytest.mark.parametrize("kind", BODIES)
+def test_solvers_layouts_and_threads_agree_on(kind, layout):
+    one = found(
+        f"""<mujoco><option jacobian="{layout}"/><asset><mesh name="block" vertex="{MESH}"/></asset>
+        <worldbody><geom type="plane" size="5 5 0.1"/>{BODIES[kind]}</worldbody></mujoco>"""
+    )
+    assert (one.value, one.unmeasured, one.declined) == (0.0, "", "")
+
+
 def test_what_few_iterations_leave_is_said_and_is_no_fault():
     xml = pile(3, 2, 0).replace("sparse", "dense")
     few = xml.replace("<option", '<option iterations="1"')
@@ -109,8 +175,8 @@ def test_the_faulty_release_is_noted_for_sparse_models_alone(layout, monkeypatch
     read = mujoco_configuration(model, name="pile", source="a test")
     assert [note for note in read.notes if FAULTY in note] == (
         [
-            f"MuJoCo {FAULTY} solves some sparse models wrongly, as robot-solver measures: set "
-            '<option jacobian="dense"/>'
+            f"MuJoCo {FAULTY} solves some sparse models wrongly: set "
+            '<option jacobian="dense"/>, as robot-solver measures'
         ]
         if layout == "sparse"
         else []

@@ -24,6 +24,7 @@ from gauge_envs.backends.mujoco.model_settings import (
     option_settings,
     overrides_contacts,
 )
+from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray, vector
@@ -53,9 +54,6 @@ REQUIRED_FEATURES = {
     "limit": mujoco.mjtDisableBit.mjDSBL_LIMIT,
 }
 """Features that a model may switch off, and that the experiments need."""
-
-FAULTY_SPARSE = frozenset({"4.0.0"})
-"""Releases of MuJoCo whose Newton solver leaves forces in sparse models (google-deepmind/mujoco#3767)."""
 
 ABSENT_PARTS = {
     "flg_adhesion": "adhesion of geoms is not carried over",
@@ -273,12 +271,8 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
         notes.append(
             "the model's medium (density, viscosity, wind) is not carried over; the experiments have none"
         )
-    is_newton = option.solver == mujoco.mjtSolver.mjSOL_NEWTON
-    if mujoco.__version__ in FAULTY_SPARSE and is_newton and mujoco.mj_isSparse(model):
-        notes.append(
-            f"MuJoCo {mujoco.__version__} solves some sparse models wrongly, as robot-solver measures: set "
-            '<option jacobian="dense"/>'
-        )
+    if advice := sparse_advice(model):
+        notes.append(f"{advice}, as robot-solver measures")
     return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
 
 

@@ -16,6 +16,7 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     start,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.versions import imbalance, is_discrete
 
 MOTION_S, MOST_STEPS = 1.0, 400
 """Length of each motion: from the pose in which the robot works, and after a push [s], and its most steps."""
@@ -26,29 +27,32 @@ PUSH_M_PER_S = 0.5
 BALANCED = 1e-6
 """Imbalance of forces up to which a state is not solved again in the other layout."""
 
-
-def imbalance(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Return by how much `M a = smooth forces + constraint forces` fails, over the largest of the three."""
-    inertial = np.zeros(model.nv)
-    mujoco.mj_mulM(model, data, inertial, data.qacc)
-    left = inertial - data.qfrc_smooth - data.qfrc_constraint
-    terms = (inertial, data.qfrc_smooth, data.qfrc_constraint)
-    largest = max(float(np.linalg.norm(term)) for term in terms)
-    return float(np.linalg.norm(left)) / max(largest, 1e-12)
-
-
 COMPARED_STATES = 24
 """States of each motion, evenly spaced, in which other solvers solve the same equations."""
 
 TO_THE_END = {"iterations": 1000, "tolerance": 1e-14, "ls_iterations": 200}
 """Settings with which a solver goes on until nothing changes."""
 
+MOST_ROWS = 300
+"""Constraints up to which PGS is compared: its matrix has their square."""
+
 LIMIT = 1e-3
 """Difference of accelerations, over the larger one, that is no rounding."""
 
-
 RESOLVED = 1e-5
 """Difference below which two solutions are the same: both may stop at an imbalance of 1e-6."""
+
+FULL = [
+    int(mujoco.mjtWarning.mjWARN_CONTACTFULL),
+    int(mujoco.mjtWarning.mjWARN_CNSTRFULL),
+]
+NO_MEMORY = (
+    "the model's memory is too small for dense matrices of its constraints: state a larger "
+    '<size memory="..."/>'
+)
+
+INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that a step depends on, with the solver's warm start."""
 
 
 @row("robot-solver")
@@ -58,13 +62,18 @@ def _solver(robot: Robot) -> Finding:
     begin = data.qpos.copy()
     push = np.random.default_rng(0).normal(0.0, PUSH_M_PER_S, model.nv)
     steps = min(MOST_STEPS, max(1, round(MOTION_S / model.opt.timestep)))
+    state = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
     for velocity in (np.zeros(model.nv), push):
         data.qpos[:], data.qvel[:] = begin, velocity
         for step in range(steps):
-            warm = _forward(model, data)
-            layout.compare(data, warm)
-            if step % max(1, steps // COMPARED_STATES) == 0:
-                solvers.compare(data, warm)
+            mujoco.mj_getState(model, data, state, INTEGRATION)
+            mujoco.mj_forward(model, data)
+            is_chosen = step % max(1, steps // COMPARED_STATES) == 0
+            layout.compare(data, state, is_chosen=is_chosen)
+            if is_chosen:
+                solvers.compare(data, state)
+            # The solver has replaced its warm start.
+            mujoco.mj_setState(model, data, state, INTEGRATION)
             mujoco.mj_step(model, data)
         if not np.isfinite(data.qpos).all():
             raise NotMeasuredError("the state diverges")
@@ -74,15 +83,16 @@ def _solver(robot: Robot) -> Finding:
 def _finding(robot: Robot, layout: _Layout, solvers: _Solvers, count: int) -> Finding:
     """Return what was found in a number of states."""
     model = robot.model
-    value = max(layout.largest, solvers.largest)
+    value = max(layout.largest, *solvers.largest.values())
     remark = f"{count} states"
     if value > LIMIT:
         remark = f"MuJoCo {mujoco.__version__}, {remark}"
     if layout.differing:
         body = body_name(robot, int(model.dof_bodyid[layout.worst_dof]))
         remark = f"{remark}: {layout.differing} differ, most at {body}"
-    if solvers.largest > LIMIT:
-        remark += f"; Newton and CG part by {solvers.largest:.2g}"
+    for pair, found in solvers.largest.items():
+        if found > LIMIT:
+            remark += f"; {pair} part by {found:.2g}"
     if solvers.unfinished > LIMIT:
         left = f"{100.0 * solvers.unfinished:.2g} %"
         remark += f"; {model.opt.iterations} iterations leave up to {left}"
@@ -94,45 +104,48 @@ def _finding(robot: Robot, layout: _Layout, solvers: _Solvers, count: int) -> Fi
     return Finding(value=value, remark=remark, advice=advice)
 
 
-def _forward(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
-    """Solve a state; return its warm start, which the solver replaces."""
-    warm: FloatArray = data.qacc_warmstart.copy()
-    mujoco.mj_forward(model, data)
-    data.qacc_warmstart[:] = warm
-    return warm
-
-
 class _Other:
     """The same equations under other settings.
 
     Args:
         model: The model.
         settings: Options that differ.
+
+    Attributes:
+        data: State of the model with these settings.
     """
 
     def __init__(self, model: mujoco.MjModel, **settings: float) -> None:
         self._model = copy.copy(model)
         for name, value in settings.items():
             setattr(self._model.opt, name, value)
-        self._data = mujoco.MjData(self._model)
+        self.data = mujoco.MjData(self._model)
 
-    def solve(self, data: mujoco.MjData, warm: FloatArray) -> FloatArray:
-        """Return the accelerations at the state of some data."""
-        for name in STATE:
-            getattr(self._data, name)[:] = getattr(data, name)
-        self._data.qacc_warmstart[:] = warm
-        mujoco.mj_forward(self._model, self._data)
-        return np.array(self._data.qacc)
+    def solve(self, state: FloatArray) -> FloatArray:
+        """Return the accelerations at a state.
 
-    def imbalance(self) -> float:
-        """Return the imbalance of the forces of the last solution."""
-        return imbalance(self._model, self._data)
+        Raises:
+            NotMeasuredError: The memory of the model is too small for these settings.
+        """
+        mujoco.mj_setState(self._model, self.data, state, INTEGRATION)
+        self.data.warning.number[:] = 0
+        try:
+            mujoco.mj_forward(self._model, self.data)
+        except mujoco.FatalError as error:
+            raise NotMeasuredError(" ".join(str(error).split())) from error
+        # Constraints are left out where memory ends.
+        if self.data.warning.number[FULL].any():
+            raise NotMeasuredError(NO_MEMORY)
+        return np.array(self.data.qacc)
 
-
-STATE = (
-    *("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat", "userdata"),
-    *("eq_active", "xfrc_applied", "qfrc_applied"),
-)
+    def is_solved(self) -> bool:
+        """Return whether the last solution is at its end: its forces are balanced."""
+        left = imbalance(self._model, self.data)
+        # Forces of PGS are balanced at each iteration, and the integrator `discrete` has another balance.
+        if np.isnan(left) or self._model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+            iterations = np.max(self.data.solver_niter, initial=0)
+            return bool(iterations < self._model.opt.iterations)
+        return left <= BALANCED
 
 
 class _Layout:
@@ -152,11 +165,14 @@ class _Layout:
         self._other = _Other(model, jacobian=other)
         self.largest, self.differing, self.worst_dof = 0.0, 0, 0
 
-    def compare(self, data: mujoco.MjData, warm: FloatArray) -> None:
+    def compare(
+        self, data: mujoco.MjData, state: FloatArray, *, is_chosen: bool
+    ) -> None:
+        left = imbalance(self._model, data)
         # A state whose forces are balanced is solved, whatever the other layout says.
-        if imbalance(self._model, data) <= BALANCED:
+        if left <= BALANCED or (np.isnan(left) and not is_chosen):
             return
-        other = self._other.solve(data, warm)
+        other = self._other.solve(state)
         change, found = data.qacc - other, _relative(data.qacc, other, data)
         self.differing += found > LIMIT
         if found > self.largest:
@@ -164,32 +180,53 @@ class _Layout:
 
 
 class _Solvers:
-    """Whether Newton and CG, both to the end, agree: the problem is convex. And what the model's iterations leave.
+    """Whether solvers of the convex problem agree at their end, and one thread with two; what iterations leave.
 
     Attributes:
-        largest: Largest difference between both, over the larger acceleration.
-        solved: States in which both reach the end.
+        largest: Largest difference of each pair, over the larger acceleration.
         unfinished: Largest difference of the model's own solution from the end.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
+        kinds = mujoco.mjtSolver
         dense = {"jacobian": mujoco.mjtJacobian.mjJAC_DENSE, **TO_THE_END}
-        self._newton = _Other(model, solver=mujoco.mjtSolver.mjSOL_NEWTON, **dense)
-        self._cg = _Other(model, solver=mujoco.mjtSolver.mjSOL_CG, **TO_THE_END)
-        self.largest, self.solved, self.unfinished = 0.0, 0, 0.0
+        self._newton = _Other(model, solver=kinds.mjSOL_NEWTON, **dense)
+        self._others = {
+            "Newton and CG": _Other(model, solver=kinds.mjSOL_CG, **TO_THE_END)
+        }
+        # PGS may stop before the end of an elliptic problem, and MuJoCo does not combine it with `discrete`.
+        if model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL and not is_discrete(model):
+            pgs = _Other(model, solver=kinds.mjSOL_PGS, **TO_THE_END)
+            self._others["Newton and PGS"] = pgs
+        self._threads = _Other(model)
+        # Before MuJoCo 4 Python has no threads of one simulation: both run in one.
+        if hasattr(mujoco, "mju_threadpool"):
+            mujoco.mju_threadpool(self._threads.data, 2)
+        self.largest = dict.fromkeys((*self._others, THREADS), 0.0)
+        self.unfinished = 0.0
 
-    def compare(self, data: mujoco.MjData, warm: FloatArray) -> None:
+    def compare(self, data: mujoco.MjData, state: FloatArray) -> None:
         if not data.nefc:
             return
-        solution = self._newton.solve(data, warm)
-        if self._newton.imbalance() > BALANCED:
+        self._part(THREADS, self._threads.solve(state), np.array(data.qacc), data)
+        solution = self._newton.solve(state)
+        if not self._newton.is_solved():
             return
-        left = _relative(data.qacc, solution, data)
-        self.unfinished = max(self.unfinished, left)
-        other = self._cg.solve(data, warm)
-        if self._cg.imbalance() <= BALANCED:
-            self.solved += 1
-            self.largest = max(self.largest, _relative(other, solution, data))
+        self.unfinished = max(self.unfinished, _relative(data.qacc, solution, data))
+        for pair, other in self._others.items():
+            if pair.endswith("PGS") and data.nefc > MOST_ROWS:
+                continue
+            found = other.solve(state)
+            if other.is_solved():
+                self._part(pair, found, solution, data)
+
+    def _part(
+        self, pair: str, one: FloatArray, two: FloatArray, data: mujoco.MjData
+    ) -> None:
+        self.largest[pair] = max(self.largest[pair], _relative(one, two, data))
+
+
+THREADS = "one thread and two"
 
 
 def _relative(one: FloatArray, two: FloatArray, data: mujoco.MjData) -> float:
