@@ -34,6 +34,9 @@ ASSIGNED = "NAME=VALUE"
 PER_ENGINE = f"ENGINE[:{ASSIGNED},...]"
 """Metavar of an option whose values are engines with settings."""
 
+SIDE = "SIDE"
+"""Metavar of the sides of a comparison, which may be settings alone, as `iterations=4`."""
+
 MUJOCO = ["mujoco"]
 """The engine of commands that take several."""
 

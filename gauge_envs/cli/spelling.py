@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.cli.arguments import (
-    ASSIGNED,
     FILE_SUFFIXES,
     FOLDER,
     OUTPUT,
     PER_ENGINE,
+    SIDE,
     STDOUT,
     split_values,
 )
@@ -115,8 +115,7 @@ def checked_values(
                 found[one.name] = value
             if isinstance(value, str):
                 words.append(value)
-            # Some arguments are settings.
-            elif isinstance(value, list | tuple) and ASSIGNED not in str(one.metavar):
+            elif isinstance(value, list | tuple) and one.metavar != SIDE:
                 words += value
             continue
         option = longest(one)

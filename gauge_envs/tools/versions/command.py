@@ -29,7 +29,7 @@ def backend_versions(
     versions: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar=arguments.PER_ENGINE.replace("ENGINE", "SIDE"),
+            metavar=arguments.SIDE,
             show_default=False,
             help="Two versions, as mujoco==3.3.0, or a range, as mujoco==3.1.0..4.0.0; mujoco is what is installed "
             "here. Settings may follow, as mujoco==4.0.0:jacobian=dense, or stand alone, as iterations=4. On an id, "
@@ -56,19 +56,12 @@ def backend_versions(
     policy: Annotated[
         str | None,
         typer.Option(
-            metavar="module:function",
+            metavar="POLICY",
             rich_help_panel=arguments.SCENE,
-            help="Compare return and success: of the policy that the function returns, or of actions in a file .npy.",
+            help="Compare return and success: of the policy that module:function returns, or of actions (.npy).",
         ),
     ] = None,
-    episodes: Annotated[
-        int,
-        typer.Option(
-            min=2,
-            rich_help_panel=arguments.NUMERICS,
-            help="Episodes of a policy, with a seed each.",
-        ),
-    ] = 20,
+    repeats: arguments.Repeats = 20,
     steps: Annotated[
         int,
         typer.Option(
@@ -122,7 +115,7 @@ def backend_versions(
     used = {side.requirement: None for side in sides if side.requirement}
     try:
         if policy is not None:
-            found, document = _returns(subject, sides, policy, episodes, seed)
+            found, document = _returns(subject, sides, policy, repeats, seed)
         elif are_motions(subject, sides):
             found, document = _motions(subject, sides, seed)
         else:
@@ -142,14 +135,14 @@ def backend_versions(
 
 
 def _returns(
-    subject: str, sides: Sequence[Side], policy: str, episodes: int, seed: int
+    subject: str, sides: Sequence[Side], policy: str, repeats: int, seed: int
 ) -> tuple[Verdict, Document]:
     """Compare what a policy reaches."""
     from gauge_envs.tools.versions.returns import compare_returns
     from gauge_envs.tools.versions.words import returns_document
 
     found = compare_returns(
-        subject, *sides, policy=policy, seeds=episodes, seed=seed, say=message
+        subject, *sides, policy=policy, seeds=repeats, seed=seed, say=message
     )
     return found.verdict, returns_document(found)
 
