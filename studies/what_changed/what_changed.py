@@ -6,11 +6,12 @@
 
 `models` lists the cases and compiles their models. `run` needs a package index: it runs `gauge backend versions` on the
 cases of a model, or on all, and prints what `cases.csv` has of them. `checks` runs the scenes of `checks.py` in all
-releases of the package index since 2.3.7, and prints their table.
+releases of the package index since 2.3.7, with `--pre` in candidates too, and writes table and badge.
 """
 
 import csv
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -77,7 +78,7 @@ def run(only: str = "") -> None:
 
 # --- checks by release -----------------------------------------------------------------------------------------------
 
-RESULTS = HERE / "checks.csv"
+RESULTS, BADGE = HERE / "checks.csv", HERE / "badge.json"
 
 MOVED = 0.02
 """Difference of a check, over the larger number, that is a move; numbers below `SMALL` are 0."""
@@ -90,10 +91,11 @@ def measure(*versions: str) -> None:
 
     The file is written after each release, so that the command goes on where it was stopped.
     """
-    wanted = versions
+    wanted = [version for version in versions if version != "--pre"]
     if not wanted:
         here = Environment("", Path(sys.executable))
-        wanted = tuple(released_versions("mujoco", here))
+        has_candidates = "--pre" in versions
+        wanted = released_versions("mujoco", here, has_candidates=has_candidates)
     rows = results()
     for version in wanted:
         if version in rows or version_key(version) < (2, 3, 7):
@@ -147,6 +149,38 @@ def write_results(rows: dict[str, dict[str, float | str]]) -> None:
             writer.writerow([version, *values])
 
 
+def truths() -> list[dict[str, str]]:
+    """Return the checks with their truths, in the order of the table."""
+    with (HERE / "truths.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def badge() -> dict[str, int | str]:
+    """Return the badge of the newest release, as shields.io reads it: how many checks give their truth."""
+    release, values = list(results().items())[-1]
+    met = []
+    for row in truths():
+        truth = number_or_text(row["truth"])
+        if isinstance(truth, float):
+            met.append(is_same(row["check"], values[row["check"]], truth))
+    return {
+        "schemaVersion": 1,
+        "label": f"MuJoCo {release}",
+        "message": f"{sum(met)} of {len(met)} checks",
+        "color": "brightgreen" if all(met) else "orange",
+    }
+
+
+def write_page() -> None:
+    """Write the table of the note, and the badge."""
+    page = HERE / "README.md"
+    text = page.read_text(encoding="utf-8")
+    old = re.search(r"^\| check \| truth .*?(?=\n\n)", text, re.DOTALL | re.MULTILINE)
+    assert old is not None
+    page.write_text(text.replace(old[0], table()), encoding="utf-8")
+    BADGE.write_text(json.dumps(badge()) + "\n", encoding="utf-8")
+
+
 def ranges(name: str) -> list[tuple[str, str, float | str]]:
     """Return the releases between which a check does not move: first, last, and the number at the first."""
     found: list[tuple[str, str, float | str]] = []
@@ -170,17 +204,16 @@ def is_same(name: str, one: float | str, two: float | str) -> bool:
 def table() -> str:
     """Return the checks by release as a table of a page: a range of releases for each number."""
     lines = ["| check | truth | found, by release | changelog |", "|---|---|---|---|"]
-    with (HERE / "truths.csv").open(encoding="utf-8", newline="") as stream:
-        for row in csv.DictReader(stream):
-            cells = []
-            for first, last, value in ranges(row["check"]):
-                if isinstance(value, float):
-                    small = abs(value) < SMALL.get(row["check"], 0.0)
-                    value = "0" if small else f"{value:.3g}"
-                releases = first if first == last else f"{first} to {last}"
-                cells.append(f"{releases}: {value}")
-            words = (row["title"], row["truth"], "; ".join(cells), row["changelog"])
-            lines.append(f"| {' | '.join(words)} |".replace("|  |", "| |"))
+    for row in truths():
+        cells = []
+        for first, last, value in ranges(row["check"]):
+            if isinstance(value, float):
+                small = abs(value) < SMALL.get(row["check"], 0.0)
+                value = "0" if small else f"{value:.3g}"
+            releases = first if first == last else f"{first} to {last}"
+            cells.append(f"{releases}: {value}")
+        words = (row["title"], row["truth"], "; ".join(cells), row["changelog"])
+        lines.append(f"| {' | '.join(words)} |".replace("|  |", "| |"))
     return "\n".join(lines)
 
 
@@ -189,6 +222,6 @@ if __name__ == "__main__":
         show_models()
     elif sys.argv[1] == "checks":
         measure(*sys.argv[2:])
-        print(table())
+        write_page()
     else:
         run(*sys.argv[2:])

@@ -111,17 +111,21 @@ def remove_environment(requirement: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def released_versions(package: str, environment: Environment) -> list[str]:
+def released_versions(
+    package: str, environment: Environment, *, has_candidates: bool = False
+) -> list[str]:
     """Return the versions of a package that the index has, the oldest first.
 
     Args:
         package: Name of the package.
         environment: One whose pip asks the index.
+        has_candidates: Whether release candidates count.
 
     Raises:
         ReleaseError: The index does not answer.
     """
-    done = _run([str(environment.python), "-m", "pip", "index", "versions", package])
+    command = [str(environment.python), "-m", "pip", "index", "versions", package]
+    done = _run([*command, "--pre"] if has_candidates else command)
     found = re.search(r"Available versions: (.*)", done.stdout)
     if done.returncode != 0 or found is None:
         raise ReleaseError(
@@ -132,8 +136,10 @@ def released_versions(package: str, environment: Environment) -> list[str]:
 
 
 def version_key(version: str) -> tuple[int, ...]:
-    """Return the numbers of a version, by which versions sort."""
-    return tuple(map(int, re.findall(r"\d+", version)))
+    """Return the numbers of a version, by which versions sort: a candidate is before its release."""
+    release, rest = re.fullmatch(r"([\d.]*\d)(.*)", version).groups()  # type: ignore[union-attr]
+    stage = -1 if re.match(r"\.?(a|b|rc|dev)", rest) else 0
+    return (*map(int, release.split(".")), stage, *map(int, re.findall(r"\d+", rest)))
 
 
 # --- making ----------------------------------------------------------------------------------------------------------

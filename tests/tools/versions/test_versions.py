@@ -692,6 +692,27 @@ def test_a_depth_is_the_shortest_way_out(one, two, expected):
 def test_the_note_has_the_checks_by_release():
     page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
     assert what_changed.table() in page
+    assert json.loads(what_changed.BADGE.read_text()) == what_changed.badge()
+
+
+def test_the_badge_counts_the_checks_of_the_newest_release(monkeypatch):
+    rows = what_changed.results()
+    newest = list(rows)[-1]
+    count = int(what_changed.badge()["message"].split()[0])
+    worse = rows | {"99.0.0": rows[newest] | {"pad_depth_mm": 0.5}}
+    monkeypatch.setattr(what_changed, "results", lambda: worse)
+    found = what_changed.badge()
+    assert found["label"] == "MuJoCo 99.0.0"
+    assert (found["message"], found["color"]) == (f"{count - 1} of 11 checks", "orange")
+
+
+def test_a_candidate_is_before_its_release():
+    versions = ["4.10.0", "4.1.0", "2.3.1.post1", "4.1.0rc1", "2.3.1"]
+    assert sorted(versions, key=environments.version_key) == [
+        *("2.3.1", "2.3.1.post1", "4.1.0rc1", "4.1.0", "4.10.0")
+    ]
+    assert environments.version_key("3.1.6") < environments.NUMPY_2_SINCE
+    assert environments.version_key("3.2.0") > environments.NUMPY_2_SINCE
 
 
 def test_the_checks_give_their_stored_numbers_here():
