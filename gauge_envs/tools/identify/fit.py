@@ -48,6 +48,16 @@ from gauge_envs.tools.identify.rig import (
     check_joints,
     with_terms,
 )
+from gauge_envs.tools.identify.servo_laws import (
+    DIRECTED,
+    DIRECTED_STRIBECK,
+    LOAD,
+    LOAD_STRIBECK,
+    QUADRATIC_LOAD,
+    SERVO_FRICTION,
+    STRIBECK,
+    TERMS,
+)
 from gauge_envs.tools.identify.snippets import snippet_lines
 from gauge_envs.tools.identify.spread import (
     NORMAL_95,
@@ -82,6 +92,8 @@ PLAUSIBLE = 2.0
 """Distance, over half of the interval, up to which a fit with what the scene states is tried."""
 AS_WELL, REFIT_STEPS = 1.01, 8
 """Error over that of the best fit up to which a fit with fewer numbers follows logs as well, and its most steps."""
+SHARES = ((1.0, 1.0), (0.3, 1.0), (0.3, 3.0), (0.1, 3.0))
+"""Factors of dry friction, and of new numbers of friction, from which the fit of a law with these may start."""
 LAW_STEPS = 15
 """Most steps of the fit of a law to one log, which starts from a fit to all of them."""
 AS_GOOD = 1.05
@@ -376,6 +388,22 @@ class _Problem:
             best = self._ranked([best, other])[0]
         return best
 
+    def shared_out(self, first: FloatArray, new: NDArray[np.bool_]) -> FloatArray:
+        """Return the best start of new numbers of friction, which take over a share of the dry friction.
+
+        Args:
+            first: Unknowns of the joints.
+            new: Which of the names are new, shape [name_count].
+        """
+        dry = self.names.index(DYNAMICS[0])
+        starts = []
+        for of_dry, of_new in SHARES:
+            table = first.reshape(self.kinds, self.joints).copy()
+            table[dry] *= of_dry
+            table[: new.size][new] *= of_new
+            starts.append(table.ravel())
+        return self._ranked(starts)[0]
+
     def _ranked(self, unknowns: Sequence[FloatArray]) -> list[FloatArray]:
         """Return unknowns of which each joint has its best in the first, its second best in the second, and so on."""
         order = np.argsort([self.squares(one) for one in unknowns], axis=0)
@@ -595,7 +623,8 @@ def identify(
         scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order. Or an
             MJCF model, whose joints have the names of the logs'; joints that no log names keep their pose.
         logs: Logs to fit.
-        names: Numbers to identify, fields of `JointDynamics` and `Servo`; None compares the laws of friction.
+        names: Numbers to identify, fields of `JointDynamics` and `Servo`, and laws of `servo_laws.TERMS` to compare;
+            None compares the laws of friction of a swing.
         known: Numbers of all joints that are not identified, as from a bench.
         held_out: Logs that are only predicted, with the identified numbers.
         load_error: Standard uncertainty of the loads, over their masses and inertias. Torques are known in proportion
@@ -611,16 +640,15 @@ def identify(
     """
     servo = logs[0].command_rad is not None
     known = known or {}
-    laws_names: dict[str, list[str]] = {}
-    if names is None and not servo:
-        laws_names = {
-            law: [*(one for one in terms if one not in known), *known]
-            for law, terms in LAWS.items()
-            if QUADRATIC not in terms or Feature.QUADRATIC_FRICTION in engine.features
-        }
-    names = names or (SERVO_NAMES if servo else list(laws_names.values())[-1])
-    names = [*(one for one in names if one not in known), *known]
-    _check_request(scene, [*logs, *held_out], names)
+    laws_names = {
+        law: [*(one for one in terms if one not in known), *known]
+        for law, terms in _asked_laws(engine, servo, names).items()
+    }
+    # The richest law starts the others; that of a servo ends in minima from a first guess.
+    first = list(laws_names.values())[0 if servo else -1] if laws_names else names
+    names = [*(one for one in first or SERVO_NAMES if one not in known), *known]
+    everything = {one for terms in laws_names.values() for one in terms}
+    _check_request(scene, [*logs, *held_out], [*names, *everything])
     machine = _machine(engine, scene, logs[0], names, settings or {})
     fitted = partial(_fitted, machine, part_s=part_s, known=known)
     laws: tuple[Law, ...] = ()
@@ -663,8 +691,8 @@ def identify(
     )
     is_replayed = isinstance(machine, ModelJoints) and servo
     if isinstance(machine, ModelJoints) and is_replayed:
-        error_rad = machine.replayed(lines, logs)
-        held_out_rad = machine.replayed(lines, held_out)
+        error_rad = machine.replayed(lines, values, logs)
+        held_out_rad = machine.replayed(lines, values, held_out)
     else:
         error_rad = _errors(long, unknowns)
         predicted = replace(fit, unknowns=unknowns).predicted
@@ -700,6 +728,32 @@ def identify(
         is_replayed=is_replayed,
         simulations=fit.simulations,
     )
+
+
+def _asked_laws(
+    engine: Backend, servo: bool, names: Sequence[str] | None
+) -> dict[str, tuple[str, ...]]:
+    """Return the names of each law of friction that is to be compared, or none where names alone are to be fitted.
+
+    Raises:
+        UnsupportedSceneError: The engine does not set friction anew in each step.
+    """
+    if names is None and not servo:
+        return {
+            law: terms
+            for law, terms in LAWS.items()
+            if QUADRATIC not in terms or Feature.QUADRATIC_FRICTION in engine.features
+        }
+    asked = [one for one in names or () if one in TERMS]
+    changing = [one for one in names or () if one in (*SERVO_FRICTION, *TERMS)]
+    if changing and engine.name != "mujoco":
+        raise UnsupportedSceneError(
+            f"backend {engine.name!r}: {', '.join(changing)}: friction by rate and load is set anew before each step, "
+            "which is done in plain MuJoCo alone"
+        )
+    rest = [one for one in names or () if one not in TERMS]
+    base = SERVO_NAMES if servo else DYNAMICS[:3]
+    return {law: tuple(dict.fromkeys([*base, *TERMS[law], *rest])) for law in asked}
 
 
 @dataclass(frozen=True)
@@ -761,6 +815,9 @@ def _fitted(
         if long.zero:
             guess.append(_rows_of(first)[-1])
         unknowns = np.concatenate(guess)
+        new = [name in SERVO_FRICTION and name not in rows for name in names]
+        if any(new):
+            unknowns = long.shared_out(unknowns, np.array(new))
     progress(f"{len(long.parts)} long parts")
     if long.free_starts:
         starts = np.zeros(2 * len(long.parts) * len(terms))
@@ -951,11 +1008,12 @@ def _check_request(
             )
     for name in names:
         of_servos = (*SERVO[:2], LIMIT)
-        if name not in (*DYNAMICS, *SERVO, LIMIT) or (name in of_servos and not servo):
-            known = ", ".join(
-                (*DYNAMICS, *SERVO, LIMIT) if servo else (*DYNAMICS, "delay_s")
+        every = (*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION)
+        known = [one for one in every if servo or one not in of_servos]
+        if name not in known:
+            raise ParameterError(
+                f"{name}: no number of such a joint; known: {', '.join(known)}; or laws: {', '.join(TERMS)}"
             )
-            raise ParameterError(f"{name}: no number of such a joint; known: {known}")
 
 
 def _stages(
@@ -1070,7 +1128,7 @@ def _to_leave_out(
     """Return of each joint the number that is determined least, if any is not determined.
 
     Where only ratios are told, the armature goes first: the inertia of the load then gives the scale. A servo is none
-    without kp, which `_without_open` judges last.
+    without kp, which `_without_open` judges last. A law of friction predicts as a whole, and stays so.
     """
 
     def openness(one: Setting) -> tuple[bool, float]:
@@ -1084,7 +1142,7 @@ def _to_leave_out(
             for one in settings
             if one.joint == joint
             and one.unknown
-            and one.name != SERVO[0]
+            and one.name not in (SERVO[0], *SERVO_FRICTION)
             and (joint, one.name) not in tried
             and (
                 one.name == DYNAMICS[2]
@@ -1119,6 +1177,10 @@ def guessed(
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
         LIMIT: weight,
+        **dict(zip(STRIBECK, (0.01 * weight, 0.2, 1.0), strict=True)),
+        **dict.fromkeys((LOAD, *DIRECTED), 0.05),
+        **dict.fromkeys((LOAD_STRIBECK, *DIRECTED_STRIBECK), 0.05),
+        **dict.fromkeys(QUADRATIC_LOAD, 0.05 / weight),
     }
     return [
         {name: known[name] or guesses[name] for name in names}

@@ -22,6 +22,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import joint_sign, parent_hinges
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, SERVO, Terms
+from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, Holding, holding
 from gauge_envs.tools.mjcf import PROBE
 
 if TYPE_CHECKING:
@@ -138,14 +139,33 @@ class ModelJoints:
             )
             values = _controls(log, place, delay_s, count, self.timestep_s)
             control[0, :, motor] = self.signs[place] * values
-        states, _ = rollout.rollout(model, data, state[None], control)
-        if np.any(data.warning.number):
-            raise DivergedError(f"{log.name}: plain MuJoCo diverges")
         # A state begins with its time, and the positions follow.
         columns = [1 + int(model.joint(one).qposadr[0]) for one in self.joints]
+        if laws := self._laws(model, terms):
+            states = np.zeros((1, count, state.size))
+            mujoco.mj_forward(model, data)
+            for row in range(count):
+                data.ctrl[:] = control[0, row]
+                _step(model, data, 1, laws)
+                mujoco.mj_getState(model, data, states[0, row], STATE)
+        else:
+            states, _ = rollout.rollout(model, data, state[None], control)
+        if np.any(data.warning.number):
+            raise DivergedError(f"{log.name}: plain MuJoCo diverges")
         moved = np.vstack([state[columns], states[0][:, columns]]) * self.signs
         times_s = np.arange(count + 1) * self.timestep_s
         return np.asarray(CubicSpline(times_s, moved)(log.times_s - log.times_s[0]))
+
+    def _laws(
+        self, model: mujoco.MjModel, terms: Sequence[Terms]
+    ) -> dict[int, Holding]:
+        """Return what friction can hold at the joints with a law of servo benches, by degree of freedom."""
+        laws: dict[int, Holding] = {}
+        for joint, stated, given in zip(self.joints, self.stated, terms, strict=True):
+            numbers = {**stated, **given}
+            if law := holding(numbers, numbers[DYNAMICS[0]]):
+                laws[int(model.joint(joint).dofadr[0])] = law
+        return laws
 
     def _set(
         self, model: mujoco.MjModel, data: mujoco.MjData, terms: Sequence[Terms]
@@ -169,16 +189,20 @@ class ModelJoints:
         # The softness of dry friction is in proportion to the inertia that a joint has at rest.
         mujoco.mj_setConst(model, data)
 
-    def replayed(self, lines: str, logs: Sequence[Log]) -> dict[str, FloatArray]:
+    def replayed(
+        self, lines: str, terms: Sequence[Terms], logs: Sequence[Log]
+    ) -> dict[str, FloatArray]:
         """Return the root mean square errors of logs in the model with pasted lines [rad], shape [J] each.
 
         Each log runs as a whole from its recorded angles and rates, and a command stays until the next one.
 
         Args:
             lines: Elements `<joint>` and `<position>`; comments are skipped.
+            terms: Numbers of each joint, of which friction of servo benches is used, which no element states.
             logs: The logs.
         """
         model = self._pasted(lines)
+        laws = self._laws(model, terms)
         data = mujoco.MjData(model)
         placed = [int(model.joint(one).qposadr[0]) for one in self.joints]
         motors = {
@@ -195,12 +219,14 @@ class ModelJoints:
                 data.ctrl[motor] = self.signs[joint] * log.command_rad[0, joint]
                 if model.actuator_history[motor, 0]:
                     _fill_history(model, data, motor)
+            if laws:
+                mujoco.mj_forward(model, data)
             # A time in a log is no multiple of a step: the state nearest to it counts.
             steps = np.rint((log.times_s - log.times_s[0]) / model.opt.timestep)
             simulated = np.zeros_like(log.position_rad)
             for row, count in enumerate(np.diff(steps, prepend=0.0).astype(int)):
                 if count:
-                    mujoco.mj_step(model, data, nstep=count)
+                    _step(model, data, count, laws)
                 simulated[row] = data.qpos[placed] * self.signs
                 for motor, joint in motors.items():
                     data.ctrl[motor] = self.signs[joint] * log.command_rad[row, joint]
@@ -227,6 +253,21 @@ class ModelJoints:
                 if "forcerange" in values:
                     motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         return spec.compile()
+
+
+def _step(
+    model: mujoco.MjModel, data: mujoco.MjData, count: int, laws: Mapping[int, Holding]
+) -> None:
+    """Take steps, before each of which friction is set to what it can hold."""
+    if not laws:
+        mujoco.mj_step(model, data, nstep=count)
+        return
+    motors, others = data.qfrc_actuator, data.qfrc_bias
+    for _ in range(count):
+        for dof, law in laws.items():
+            torque, load = float(motors[dof]), -float(others[dof])
+            model.dof_frictionloss[dof] = law(float(data.qvel[dof]), torque, load)
+        mujoco.mj_step(model, data)
 
 
 def motor_name(joint: str) -> str:
@@ -537,7 +578,7 @@ def _stated(model: mujoco.MjModel, name: str) -> dict[str, float]:
     """Return the numbers that a model states for a joint."""
     joint = model.joint(name)
     dof = int(joint.dofadr[0])
-    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT), 0.0)
+    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION), 0.0)
     numbers[DYNAMICS[0]] = float(model.dof_frictionloss[dof])
     numbers[DYNAMICS[1]] = float(np.ravel(model.dof_damping[dof])[0])
     numbers[DYNAMICS[2]] = float(model.dof_armature[dof])

@@ -37,6 +37,7 @@ from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION
 
 DYNAMICS = tuple(
     one.name for one in fields(JointDynamics) if one.name != "backlash_rad"
@@ -352,7 +353,10 @@ def numbers(scene: Scene) -> list[dict[str, float]]:
         for hinge in scene.hinges
     ]
     return [
-        {name: float(one.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)}
+        {
+            name: float(one.get(name) or 0.0)
+            for name in (*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION)
+        }
         for one in known
     ]
 

@@ -6,6 +6,15 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from string import Formatter
 
+from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, rule
+
+LAW = (
+    'before each mj_step: i = model.joint("{name}").dofadr[0]; '
+    "rate, m, e = data.qvel[i], data.qfrc_actuator[i], -data.qfrc_bias[i]; "
+    "model.dof_frictionloss[i] = {law}"
+)
+"""Python that sets what friction of a joint can hold in MuJoCo."""
+
 
 def snippet_lines(
     engine: str,
@@ -59,6 +68,9 @@ def snippet_lines(
             said |= set(_fields(line))
         # An engine whose lines name no joint counts them.
         label = name if engine in engines["first"] else f"joint {number}, {name}"
+        if law := rule(terms, terms["dry_friction_n_m"]):
+            lines.append(comment.format(LAW.format(name=name, law=law)))
+            said |= {*SERVO_FRICTION}
         lines += [
             comment.format(
                 f"{label}: {term} is not determined ({reason}), "

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from gauge_envs.backends import backend
 from gauge_envs.tools.identify import Log, identify, one_joint
 from gauge_envs.tools.identify.fit import DYNAMICS, QUADRATIC, _machine
+from gauge_envs.tools.identify.servo_laws import QUADRATIC_LOAD, TERMS
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
 
 DRY, VISCOUS, ARMATURE = DYNAMICS[:3]
@@ -47,6 +48,65 @@ def test_quadratic_friction_adds_the_same_to_each_inverse_amplitude():
     drag = 1e-4
     grows = np.diff(1.0 / tops_rad(released({QUADRATIC: drag})))
     assert grows == pytest.approx(4.0 * drag / (3.0 * ABOUT_JOINT), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["load_friction", "external_load_friction"])
+def test_friction_by_load_takes_a_share_of_the_energy_of_each_half_swing(name):
+    """The weight works against l of itself: 1 - cos of the amplitude falls by the factor (1 - l) / (1 + l)."""
+    share = 0.1
+    energies = 1.0 - np.cos(tops_rad(released({name: share})))
+    ratios = energies[1:6] / energies[:5]
+    assert ratios == pytest.approx((1.0 - share) / (1.0 + share), rel=0.01)
+
+
+def breakaway_n_m(numbers, upwards):
+    """Torque at which a motor moves a level arm up, or lets it down, from balance at 5 % of the weight a second."""
+    times_s = np.arange(0.0, 10.0, 0.01)
+    side = 1.0 if upwards else -1.0
+    torque = WEIGHT_N_M * (1.0 + side * 0.05 * times_s)[:, None]
+    level = np.full((times_s.size, 1), 0.5 * np.pi)
+    log = Log("", times_s, level, torque_n_m=torque)
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    machine = _machine(backend("mujoco"), scene, log, list(numbers), {})
+    angles = machine.angles(log, [numbers], (level[0], np.zeros(1)))[:, 0]
+    # From here on a degree follows in 0.1 s.
+    return torque[np.argmax(side * (angles - level[0, 0]) > 0.002), 0]
+
+
+# Of the weight: dry; by rate; by load, by those of the motor and of the weight; the squares over the weight.
+C, S, L, LS, LM, LE, LMS, LES, QM, QE = 0.05, 0.04, 0.08, 0.03, 0.06, 0.1, 0.02, 0.03, 0.05, 0.07  # fmt: skip
+BY_RATE = (S * WEIGHT_N_M, 0.1, 1.0)
+DIRECTED_LAW = dict(zip(TERMS["M5"], (*BY_RATE, LM, LE, LMS, LES), strict=True))
+LOADED = {
+    "M2": (dict(zip(TERMS["M2"], BY_RATE, strict=True)), 1 + C + S, 1 - C - S),
+    "M3": ({"load_friction": L}, (1 + C + L) / (1 - L), (1 - C - L) / (1 + L)),
+    "M4": (
+        dict(zip(TERMS["M4"], (*BY_RATE, L, LS), strict=True)),
+        (1 + C + S + L + LS) / (1 - L - LS),
+        (1 - C - S - L - LS) / (1 + L + LS),
+    ),
+    "M5": (
+        DIRECTED_LAW,
+        (1 + C + S + LE + LES) / (1 - LM - LMS),
+        (1 - C - S - LE - LES) / (1 + LM + LMS),
+    ),
+    # Down: u + c + s + (lm + lms) u + (le + les) + qm u^2 = 1.
+    "M6": (
+        DIRECTED_LAW | dict(zip(QUADRATIC_LOAD, (QM / WEIGHT_N_M, QE / WEIGHT_N_M), strict=True)),
+        (1 + C + S + LE + LES + QE) / (1 - LM - LMS),
+        max(np.roots([QM, 1 + LM + LMS, C + S + LE + LES - 1])),
+    ),
+}  # fmt: skip
+"""Numbers of each law, and the breakaway torques up and down over the weight: u - 1 is what friction can hold."""
+
+
+@pytest.mark.parametrize("law", LOADED)
+def test_a_loaded_joint_breaks_away_at_the_torque_of_its_law(law):
+    numbers, up, down = LOADED[law]
+    assert set(numbers) == set(TERMS[law])
+    numbers = {DRY: C * WEIGHT_N_M} | numbers
+    assert breakaway_n_m(numbers, True) == pytest.approx(up * WEIGHT_N_M, rel=0.01)
+    assert breakaway_n_m(numbers, False) == pytest.approx(down * WEIGHT_N_M, rel=0.01)
 
 
 def swing(name, seed, *, dry, drag, start_rad):
