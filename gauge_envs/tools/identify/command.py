@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from gauge_envs.scene import Scene
 
+Stack = Literal["mjlab", "playground", "isaaclab", "maniskill"]
 SERVO = "dry_friction_n_m,armature_kg_m2,kp_n_m_per_rad,kv_n_m_s_per_rad,delay_s"
 """What is identified of a servo unless `fit` says otherwise; kv holds the viscous friction of its joint."""
 
@@ -132,6 +133,21 @@ def recipe_joint(
             help="Logs to predict, which the fit does not see.",
         ),
     ] = None,
+    stack: Annotated[
+        Stack | None,
+        typer.Option(
+            "--for",
+            rich_help_panel=arguments.OUTPUT,
+            show_default="the engine",
+            help="Training stack whose lines are printed.",
+        ),
+    ] = None,
+    out: Annotated[
+        list[Path] | None,
+        arguments.target(
+            "The model of --scene with these numbers (.xml, .urdf), and the log for mujoco.sysid (.npz)."
+        ),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give friction, armature and gains of joints from logs, with 95 % intervals.
@@ -146,9 +162,11 @@ def recipe_joint(
     from gauge_envs.backends import backend
     from gauge_envs.scene import Scene
     from gauge_envs.tools.identify import identify
+    from gauge_envs.tools.identify.mended import write_files
     from gauge_envs.tools.identify.stack_logs import read_logs
     from gauge_envs.tools.identify.words import identified_document
 
+    files = arguments.by_suffix(out, ".xml", ".urdf", ".npz")
     load = {"mass_kg": mass_kg, "length_m": length_m, "inertia_kg_m2": inertia_kg_m2}
     built = _scene(
         scene, **{name: value for name, value in load.items() if value is not None}
@@ -165,16 +183,7 @@ def recipe_joint(
             note(
                 f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?"
             )
-    given = arguments.parsed_settings(known) or {}
-    for name, value in given.items():
-        if not isinstance(value, int | float) or value < 0.0:
-            raise ParameterError(
-                f"--known {name}={value}: a number of 0 or more is needed"
-            )
-    if bool(given) != bool(source):
-        raise ParameterError(
-            "--known and --source go together: state where the bench value is from"
-        )
+    given = _bench(known, source)
     with Progress("simulations", None) as bar:
         found = identify(
             backend(engine),
@@ -186,11 +195,14 @@ def recipe_joint(
             load_error=load_error,
             part_s=part_s,
             settings=arguments.parsed_settings(changes) or {},
+            stack=stack,
             progress=bar.show,
         )
+    if files:
+        write_files(files, built, scene or "", found, read[0])
     print_document(identified_document(found), form)
     if form is not Format.JSON:
-        echo(f"\npaste\n{found.lines}", nl=False)
+        echo(f"\npaste\n{found.stack_lines or found.lines}", nl=False)
         for name, value in given.items():
             echo(f"{name} = {value:g} is from {source}")
     for name in found.lost:
@@ -198,6 +210,21 @@ def recipe_joint(
             f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?"
         )
     return any(one.unknown for one in found.settings) or bool(found.lost)
+
+
+def _bench(known: list[str] | None, source: str | None) -> dict[str, float]:
+    """Return the numbers of `--known`, which need a source."""
+    given = arguments.parsed_settings(known) or {}
+    for name, value in given.items():
+        if not isinstance(value, int | float) or value < 0.0:
+            raise ParameterError(
+                f"--known {name}={value}: a number of 0 or more is needed"
+            )
+    if bool(given) != bool(source):
+        raise ParameterError(
+            "--known and --source go together: state where the bench value is from"
+        )
+    return given
 
 
 def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:

@@ -182,6 +182,7 @@ class Identified:
         joints: All numbers of each joint by name, also those that the scene states; 0 is none.
         names: Names of the joints.
         lines: Lines to paste.
+        stack_lines: Those of a training stack.
         error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
         held_out_rad: The same of logs that were not, each from its recorded start.
         motion_rad: Standard deviation of the measured angles of each log [rad].
@@ -201,6 +202,7 @@ class Identified:
     error_rad: Mapping[str, FloatArray]
     names: tuple[str, ...] = ()
     lines: str = ""
+    stack_lines: str = ""
     held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     motion_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     plain_rad: Mapping[str, Mapping[str, FloatArray]] = field(default_factory=dict)
@@ -614,6 +616,7 @@ def identify(
     load_error: float = 0.0,
     part_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
+    stack: str | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Identified:
     """Return the settings of joints with which an engine follows logs best.
@@ -631,6 +634,7 @@ def identify(
             to them, so that each interval of one is wider by as much.
         part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
         settings: Numerical settings of the engine.
+        stack: Training stack of the lines to paste, a table of snippets.toml; None is the engine.
         progress: Called with what is being done.
 
     Raises:
@@ -686,9 +690,15 @@ def identify(
         {one.name: one.unknown for one in found if one.joint == joint and one.unknown}
         for joint in range(count)
     ]
-    lines = snippet_lines(
-        engine.name, joint_words, values, left_out, marked, machine.timestep_s
+    printed = partial(
+        snippet_lines,
+        names=joint_words,
+        joints=values,
+        left_out=left_out,
+        marked=marked,
+        timestep_s=machine.timestep_s,
     )
+    lines = printed(engine.name)
     is_replayed = isinstance(machine, ModelJoints) and servo
     if isinstance(machine, ModelJoints) and is_replayed:
         error_rad = machine.replayed(lines, values, logs)
@@ -714,6 +724,7 @@ def identify(
         joints=values,
         names=joint_words,
         lines=lines,
+        stack_lines=printed(stack) if stack else "",
         error_rad=error_rad,
         held_out_rad=held_out_rad,
         motion_rad={

@@ -201,7 +201,7 @@ class ModelJoints:
             terms: Numbers of each joint, of which friction of servo benches is used, which no element states.
             logs: The logs.
         """
-        model = self._pasted(lines)
+        model = paste(self.spec.copy(), lines).compile()
         laws = self._laws(model, terms)
         data = mujoco.MjData(model)
         placed = [int(model.joint(one).qposadr[0]) for one in self.joints]
@@ -237,22 +237,35 @@ class ModelJoints:
             )
         return errors
 
-    def _pasted(self, lines: str) -> mujoco.MjModel:
-        spec = self.spec.copy()
-        for element in ElementTree.fromstring(f"<mujoco>{lines}</mujoco>"):
-            values = dict(element.attrib)
-            if element.tag == "joint":
-                joint = spec.joint(values.pop("name"))
-                for name, text in values.items():
-                    _write(joint, ELEMENTS[name], text)
-            elif element.tag == "position":
-                motor = spec.add_actuator(target=values["joint"], trntype=JOINT)
-                motor.set_to_position(kp=float(values["kp"]), kv=float(values["kv"]))
-                for name in {"delay", "nsample", "interp", "forcerange"} & {*values}:
-                    _write(motor, name, values[name])
-                if "forcerange" in values:
-                    motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        return spec.compile()
+
+def paste(spec: mujoco.MjSpec, lines: str) -> mujoco.MjSpec:
+    """Return the model with elements `<joint>` and `<position>`; the first actuator at a joint becomes its servo."""
+    for element in ElementTree.fromstring(f"<mujoco>{lines}</mujoco>"):
+        values = dict(element.attrib)
+        if element.tag == "joint":
+            joint = spec.joint(values.pop("name"))
+            for name, text in values.items():
+                _write(joint, ELEMENTS[name], text)
+        elif element.tag == "position":
+            target, gains = values["joint"], [float(values["kp"]), float(values["kv"])]
+            at_joint = (one for one in spec.actuators if one.trntype == JOINT)
+            motor = next((one for one in at_joint if one.target == target), None)
+            if motor is None:
+                motor = spec.add_actuator(name=f"{target}_servo", target=target, trntype=JOINT)  # fmt: skip
+            if motor.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+                # Its range was one of torques.
+                motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+            # A torque is the force times the gear, and an angle times the gear is what the motor sees.
+            gear = float(motor.gear[0])
+            kp, kv = (one / gear**2 for one in gains)
+            motor.set_to_position(kp=kp, kv=kv)
+            for name in {"delay", "nsample", "interp"} & {*values}:
+                _write(motor, name, values[name])
+            if "forcerange" in values:
+                limit = float(values["forcerange"].split()[1]) / abs(gear)
+                motor.forcerange = [-limit, limit]
+                motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    return spec
 
 
 def _step(

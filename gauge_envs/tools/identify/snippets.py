@@ -14,6 +14,8 @@ LAW = (
     "model.dof_frictionloss[i] = {law}"
 )
 """Python that sets what friction of a joint can hold in MuJoCo."""
+STEPS = {"delay_samples": "delay_s", "delay_steps": "delay_s"}
+"""Fields that state a number in steps of the simulation."""
 
 
 def snippet_lines(
@@ -27,7 +29,7 @@ def snippet_lines(
     """Return the numbers of joints in the language of an engine, and in comments those that no line of it sets.
 
     Args:
-        engine: Name of the engine.
+        engine: Name of the engine, or of a training stack.
         names: Names of the joints.
         joints: All numbers of each joint, by name.
         left_out: Names of those of each joint without which the joint moves as well; no attribute states them.
@@ -51,6 +53,7 @@ def snippet_lines(
             "joint": str(number),
             "name": name,
             "delay_samples": str(math.ceil(terms["delay_s"] / timestep_s) + 2),
+            "delay_steps": str(round(terms["delay_s"] / timestep_s)),
         }
         for one in engines.get(engine, ()):
             needs = one.get("needs", ())
@@ -60,12 +63,14 @@ def snippet_lines(
             ):
                 continue
             line = one["line"]
+            end = "/>" if line.endswith("/>") else ")"
             for option in one.get("options", ()):
-                used = set(_fields(option)) & set(terms)
+                fields = {STEPS.get(field, field) for field in _fields(option)}
+                used = fields & set(terms)
                 if not used & set(gone) and all(terms[term] for term in used):
-                    line = line.replace("/>", option + "/>")
+                    line = line.removesuffix(end) + option + end
             lines.append(line.format_map(values))
-            said |= set(_fields(line))
+            said |= {STEPS.get(field, field) for field in _fields(line)}
         # An engine whose lines name no joint counts them.
         label = name if engine in engines["first"] else f"joint {number}, {name}"
         if law := rule(terms, terms["dry_friction_n_m"]):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.bench.parts import ramp
 from gauge_envs.tools.identify import Log, one_joint
 from gauge_envs.tools.identify.rig import numbers, simulated, with_terms
+from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION
 from gauge_envs.tools.identify.snippets import snippet_lines
 
 MASS_KG, LENGTH_M, G = 0.5, 0.2, 9.80665
@@ -320,3 +322,53 @@ def test_the_printed_lines_move_a_joint_as_the_backend_does(name, terms):
 
     angles = BUILT[name](lines, 0.0, torque)[::10]
     assert np.abs(angles - expected).max() < 0.002
+
+
+# Parameters of mjlab 1.6 (ActuatorCfg), Isaac Lab 2.3 and 3.0 (ActuatorBaseCfg) and ManiSkill 3.0.
+STACK_PARAMETERS = {
+    "BuiltinPositionActuatorCfg": "stiffness damping effort_limit frictionloss viscous_damping armature "
+    "target_names_expr delay_min_lag delay_max_lag",
+    "DelayedPDActuatorCfg": "stiffness damping effort_limit friction dynamic_friction viscous_friction armature "
+    "joint_names_expr min_delay max_delay",
+    "PDJointPosControllerConfig": "joint_names lower upper stiffness damping force_limit friction",
+}
+ALL = PASSIVE | SERVO | {"torque_limit_n_m": 0.8, "delay_s": 0.0102}
+
+
+@pytest.mark.parametrize("stack", ["mjlab", "isaaclab", "maniskill"])
+def test_a_training_stack_gets_parameters_that_it_has(stack):
+    """The lines of each stack run with classes of its parameters, and set every number but what they say."""
+    set_by, made = {}, {}
+
+    def config(name):
+        def make(*joints, **given):
+            assert {*given} <= {*STACK_PARAMETERS[name].split()}
+            made.update(given)
+
+        return make
+
+    class Joint:
+        solimp_friction = np.zeros(5)
+        solref_friction = np.zeros(2)
+
+        def set_armature(self, values):
+            set_by["armature"] = values[0]
+
+    joint = Joint()
+    joint._objs = [joint]
+    place = {name: config(name) for name in STACK_PARAMETERS}
+    place["robot"] = SimpleNamespace(joints_map={"elbow": joint})
+    place["spec"] = SimpleNamespace(joint=lambda name: joint)
+    terms = dict.fromkeys((*SERVO_FRICTION, "quadratic_friction_n_m_s2_per_rad2"), 0.0) | ALL  # fmt: skip
+    lines = snippet_lines(stack, ["elbow"], [terms], [()], [{}], 0.005)
+    for line in lines.splitlines():
+        exec(line, place)
+    limit = {"maniskill": "force_limit"}.get(stack, "effort_limit")
+    assert (made["stiffness"], made["damping"], made[limit]) == (3.0, 0.15, 0.8)
+    assert made.get("armature", set_by.get("armature")) == 0.01
+    steps = {"mjlab": made.get("delay_max_lag"), "isaaclab": made.get("max_delay")}
+    assert steps.get(stack, 2) == 2
+    left = [name for name in ALL if f": {name} =" in lines]
+    assert left == ([DRY, VISCOUS, "delay_s"] if stack == "maniskill" else [])
+    if stack == "mjlab":
+        assert joint.solimp_friction[0] == 0.9999

@@ -1,13 +1,16 @@
 """Logs that the libraries of other programs write, against what was written."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from gauge_envs.errors import AssetError
+from gauge_envs.errors import AssetError, ParameterError
+from gauge_envs.tools.identify import Identified, Log
+from gauge_envs.tools.identify.mended import mended_urdf, write_files
 from gauge_envs.tools.identify.stack_logs import JOINT_STATE, TRAJECTORY, read_logs
 
 MODEL = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1"/><body><joint name="b" axis="0 1 0"/>
@@ -62,6 +65,55 @@ def test_a_trajectory_of_sysid_is_read(tmp_path):
     motors.actuator("to a").biasprm[:] = 0.0
     with pytest.raises(AssetError, match="servos and motors"):
         read_logs(path, motors)
+
+
+FOUND = Identified(engine="mujoco", settings=(), joints=(), error_rad={})
+
+
+def test_a_mended_model_and_its_log_are_read_by_sysid(tmp_path):
+    """Written for it, they come back through its own class, and through this package's reader."""
+    trajectory = pytest.importorskip("mujoco.sysid._src.trajectory")
+    xml = MODEL.replace('<jointpos name="at b" joint="b"/>', "")
+    motor = '<motor name="to a" joint="a" gear="2" ctrlrange="0 1"/>'
+    xml = xml.replace('<position name="to a" joint="a" kp="5"/>', motor)
+    spec = mujoco.MjSpec.from_string(xml)
+    log = Log("run", TIMES_S, ANGLES, COMMANDS, joints=("a", "b"))
+    numbers = [{"kp_n_m_per_rad": 4.0}, {"kp_n_m_per_rad": 7.0}]
+    lines = (
+        '<!-- a note -->\n<joint name="b" frictionloss="0.2" armature="0.01"/>\n'
+        '<position joint="a" kp="4" kv="0.4"/>\n<position joint="b" kp="7" kv="0.3" forcerange="-2 2"/>\n'
+    )
+    found = replace(FOUND, joints=numbers, names=("a", "b"), lines=lines)
+    files = {".xml": tmp_path / "run.xml", ".npz": tmp_path / "run.npz"}
+    write_files(files, spec, "arm.xml", found, log)
+    mended = mujoco.MjSpec.from_file(str(files[".xml"]))
+    model = mended.compile()
+    # What a motor with the gear 2 makes of a kp of 1 is 4 at the joint.
+    assert model.actuator("to a").gainprm[0] == 1.0
+    assert not model.actuator("to a").ctrllimited[0]
+    assert model.actuator("to b").forcerange.tolist() == [-2.0, 2.0]
+    assert model.joint("b").frictionloss[0] == 0.2
+    assert "a note" in files[".xml"].read_text()
+    trajectory.SystemTrajectory.load_from_disk(files[".npz"], model)
+    (back,) = read_logs(files[".npz"], mended)
+    same(back.only(["a", "b"]))
+    free = Log("free", TIMES_S, ANGLES, joints=("a", "b"))
+    with pytest.raises(ParameterError, match="free swing"):
+        write_files(files, spec, "arm.xml", found, free)
+
+
+URDF = """<robot name="r"><!-- mine --><link name="base"/><link name="arm"/><joint name="a" type="revolute">
+<parent link="base"/><child link="arm"/><limit lower="-1" upper="1" effort="9" velocity="1"/></joint></robot>"""
+
+
+def test_a_mended_urdf_states_friction_and_effort_and_names_the_rest():
+    torques = {"dry_friction_n_m": 0.1, "torque_limit_n_m": 2.0, "armature_kg_m2": 0.02}
+    numbers = torques | {"viscous_friction_n_m_s_per_rad": 0.3}
+    found = replace(FOUND, joints=[numbers], names=("a",))
+    text = mended_urdf(URDF, found)
+    assert '<dynamics damping="0.3" friction="0.1" />' in text
+    assert 'upper="1" effort="2"' in text
+    assert "mine" in text and "armature_kg_m2 = 0.02" in text
 
 
 # --- ROS 2 ---
