@@ -106,10 +106,10 @@ def errors(found: Identified) -> Iterable[Sequence[object]]:
 
 
 def payload(sets: Mapping[str, Constants]) -> Iterable[Sequence[object]]:
-    """Yield what a step of the shoulder and of the elbow does, without and with a load in the gripper."""
+    """Yield what a step of each joint does, without and with a load in the gripper."""
     yield ("armature", "joint", "payload_kg", "ms_to_63_percent", "overshoot_mrad", "off_at_the_end_mrad")  # fmt: skip
     for title, numbers in sets.items():
-        for joint in ("Pitch", "Elbow"):
+        for joint in JOINTS:
             for load_kg in (0.0, PAYLOAD_KG):
                 yield (title, joint, load_kg, *_step(numbers, joint, load_kg))
 

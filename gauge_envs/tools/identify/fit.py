@@ -1018,12 +1018,10 @@ def _check_request(
                 f"{log.name}: all logs must state commands of servos, or none"
             )
     for name in names:
-        of_servos = (*SERVO[:2], LIMIT)
-        every = (*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION)
-        known = [one for one in every if servo or one not in of_servos]
-        if name not in known:
+        known = [*DYNAMICS, *SERVO, LIMIT] if servo else [*DYNAMICS, "delay_s"]
+        if name not in (*known, *SERVO_FRICTION):
             raise ParameterError(
-                f"{name}: no number of such a joint; known: {', '.join(known)}; or laws: {', '.join(TERMS)}"
+                f"{name}: no number of such a joint; known: {', '.join(known)}, and the laws {', '.join(TERMS)}"
             )
 
 
