@@ -92,8 +92,8 @@ PLAUSIBLE = 2.0
 """Distance, over half of the interval, up to which a fit with what the scene states is tried."""
 AS_WELL, REFIT_STEPS = 1.01, 8
 """Error over that of the best fit up to which a fit with fewer numbers follows logs as well, and its most steps."""
-SHARES = ((1.0, 1.0), (0.3, 1.0), (0.3, 3.0), (0.1, 3.0))
-"""Factors of dry friction, and of new numbers of friction, from which the fit of a law with these may start."""
+SHARES = ((1.0, 0.01), (1.0, 1.0), (0.3, 1.0), (0.3, 3.0), (0.1, 3.0))
+"""Factors of dry friction, and of new terms of friction, from which the fit of a law starts; first nearly none."""
 LAW_STEPS = 15
 """Most steps of the fit of a law to one log, which starts from a fit to all of them."""
 AS_GOOD = 1.05
@@ -391,11 +391,11 @@ class _Problem:
         return best
 
     def shared_out(self, first: FloatArray, new: NDArray[np.bool_]) -> FloatArray:
-        """Return the best start of new numbers of friction, which take over a share of the dry friction.
+        """Return the best start of new terms of friction, which take over a share of the dry friction.
 
         Args:
             first: Unknowns of the joints.
-            new: Which of the names are new, shape [name_count].
+            new: Which of the names are such terms, shape [name_count].
         """
         dry = self.names.index(DYNAMICS[0])
         starts = []
@@ -826,7 +826,8 @@ def _fitted(
         if long.zero:
             guess.append(_rows_of(first)[-1])
         unknowns = np.concatenate(guess)
-        new = [name in SERVO_FRICTION and name not in rows for name in names]
+        terms_of_law = {*SERVO_FRICTION} - {*STRIBECK[1:]}
+        new = [name in terms_of_law and name not in rows for name in names]
         if any(new):
             unknowns = long.shared_out(unknowns, np.array(new))
     progress(f"{len(long.parts)} long parts")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -19,12 +19,6 @@ from gauge_envs.cli.output import (
     stderr_console,
 )
 from gauge_envs.errors import MissingExtraError, ParameterError
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.transfer.envelope import Envelope
-
-LAW_FRACTION = 0.95
-"""Share of the limit that the policy of a law uses."""
 
 Stack = Literal["mjlab", "isaaclab", "playground", "maniskill", "mujoco", "gymnasium"]
 
@@ -393,37 +387,7 @@ def transfer_randomize(
 
 
 def transfer_envelope(
-    subject: Annotated[
-        str, typer.Argument(metavar="ID", help="Control task or experiment.")
-    ],
-    policy: Annotated[
-        str,
-        typer.Option(
-            metavar="POLICY",
-            rich_help_panel=arguments.SCENE,
-            help="Policy of a control task, as in gauge transfer; or that of its law.",
-        ),
-    ] = "law",
-    fraction: Annotated[
-        float,
-        typer.Option(
-            rich_help_panel=arguments.SCENE,
-            help="Share of the limit that the policy of the law uses.",
-        ),
-    ] = LAW_FRACTION,
-    informed: Annotated[
-        bool,
-        typer.Option(
-            "--informed",
-            rich_help_panel=arguments.SCENE,
-            help="Let the policy of the law know the constants of each world.",
-        ),
-    ] = False,
-    normalization: Annotated[
-        Path | None,
-        _statistics("Statistics that VecNormalize saved beside the policy."),
-    ] = None,
-    trust: TrustOption = False,
+    subject: Annotated[str, typer.Argument(metavar="ID", help="Experiment.")],
     engine: arguments.Backend = "mujoco",
     changes: arguments.Settings = None,
     samples: Annotated[
@@ -446,60 +410,23 @@ def transfer_envelope(
     out: PictureOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show what uncertain constants and starts do to a reward or a score."""
+    """Show what uncertain constants and starts do to a score."""
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.control import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
     files = _picture_files(out)
-    is_changed = informed or fraction != LAW_FRACTION
-    if is_changed and policy != "law":
-        raise ParameterError(
-            f"--fraction and --informed are of --policy law, and not of {policy}"
-        )
-    common: dict[str, Any] = {"samples": samples, "batch": batch, "seed": seed}
     with Progress("samples", samples) as progress:
-        common |= {"backend": engine, "settings": arguments.parsed_settings(changes)}
-        common["notify"] = lambda done: progress.show("samples", done)
-        if subject.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-            found = _control(
-                subject, policy, (fraction, informed), normalization, trust, **common
-            )
-        elif policy != "law" or is_changed:
-            raise ParameterError(
-                f"{subject} is an experiment: only control tasks have policies"
-            )
-        else:
-            found = experiment_envelope(subject, **common)
+        found = experiment_envelope(
+            subject,
+            samples=samples,
+            batch=batch,
+            seed=seed,
+            backend=engine,
+            settings=arguments.parsed_settings(changes),
+            notify=lambda done: progress.show("samples", done),
+        )
     report = envelope_report(found)
 
     writers = {".png": lambda file: save_png(draw_envelope(found, report), file)}
     print_document(envelope_document(report), form, files=files, writers=writers)
-
-
-def _control(
-    task: str,
-    policy: str,
-    law: tuple[float, bool],
-    normalization: Path | None,
-    trust: bool,
-    **options: Any,
-) -> Envelope:
-    from dataclasses import replace
-
-    from gauge_envs.tools.transfer.envelope import LawPolicy, control_envelope
-    from gauge_envs.tools.transfer.policies.load import load_policy
-    from gauge_envs.tools.transfer.policy_replays import make_control_env
-
-    if policy.startswith("law:"):
-        raise ParameterError(
-            f"--policy {policy}: write --policy law --fraction 0.95 --informed"
-        )
-    if policy == "law":
-        return control_envelope(
-            task, policy=LawPolicy(fraction=law[0], informed=law[1]), **options
-        )
-    with closing(make_control_env(task)) as env:
-        loaded = load_policy(policy, env, normalization=normalization, trust=trust)
-    return replace(control_envelope(task, policy=loaded, **options), policy=policy)

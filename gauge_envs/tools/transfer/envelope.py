@@ -1,14 +1,10 @@
-"""Run an experiment or a control task at many points of its measured uncertainty, and sum up what it does."""
+"""Run an experiment at many points of its measured uncertainty, and sum up what it does."""
 
-import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm, qmc, rankdata
 
 from gauge_envs.envs.vector import GaugeVectorEnv
@@ -23,44 +19,8 @@ from gauge_envs.experiments.uncertain import (
 )
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control import ControlWorlds, LimitReport, Policy
-from gauge_envs.tools.transfer.policy_replays import (
-    make_control_env,
-    task_uncertainties,
-)
 
 LARGEST_SAMPLE_COUNT = 2**16
-
-
-@dataclass(frozen=True, kw_only=True)
-class LawPolicy:
-    """The law's own policy.
-
-    Attributes:
-        fraction: Share of the law's limit that it uses.
-        informed: Whether it knows the constants of each world. Otherwise it takes the actions that it takes with the
-            calibrated constants.
-    """
-
-    fraction: float = 0.95
-    informed: bool = False
-
-    def __post_init__(self) -> None:
-        # A comparison with NaN is false.
-        if not 0.0 <= self.fraction < math.inf:
-            raise ParameterError(
-                f"fraction is {self.fraction:g}, expected a finite share of the limit from 0"
-            )
-
-    @property
-    def title(self) -> str:
-        """Description for reports."""
-        knows = (
-            "knows the constants"
-            if self.informed
-            else "with its actions for the calibrated constants"
-        )
-        return f"the law's policy at {self.fraction:g} of the limit, {knows}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,30 +30,22 @@ class Envelope:
     Attributes:
         id: Gymnasium id.
         backend: Name of the engine.
-        quantity: Name of the quantity: `reward`, `normalized RMSE`, `RMSE`, `RMSE from the law` or `deviation`.
+        quantity: Name of the quantity: `normalized RMSE`, `RMSE`, `RMSE from the law` or `deviation`.
         unit: Its unit; `1` for a ratio.
-        policy: What acted.
         parameters: The uncertain parameters.
         sigmas: Points, in standard uncertainties, shape [n, len(parameters)].
         values: The quantity at the points, shape [n]; NaN where an episode diverged.
         calibrated: The quantity at the calibrated values.
-        endings: Ending of each episode of a control task; `complete` or `diverged` for an experiment.
-        calibrated_ending: Ending at the calibrated values.
-        ratios: What was reached over what the law allows at the point, shape [n]; None for an experiment.
     """
 
     id: str
     backend: str
     quantity: str
     unit: str
-    policy: str
     parameters: tuple[UncertainParameter, ...]
     sigmas: FloatArray
     values: FloatArray
     calibrated: float
-    endings: tuple[str, ...]
-    calibrated_ending: str
-    ratios: FloatArray | None = None
 
 
 def sobol_sigmas(count: int, dimensions: int, *, seed: int = 0) -> FloatArray:
@@ -148,7 +100,6 @@ def experiment_envelope(
     # The solution of the calibrated scene is no reference for other constants.
     is_scored = calibrated is not None and grade is not BandGrade.MODEL
     values: list[float] = []
-    endings: list[str] = []
     for first in range(0, samples, _checked_batch(batch)):
         rows = sigmas[first : first + batch]
         for score, frames in _batch(
@@ -156,7 +107,6 @@ def experiment_envelope(
             [overrides_at(parameters, row.tolist()) for row in rows],
             **common,
         ):
-            endings.append("diverged" if frames is None else "complete")
             if frames is None:
                 values.append(np.nan)
             elif is_scored:
@@ -178,13 +128,10 @@ def experiment_envelope(
         backend=backend,
         quantity=quantity,
         unit=unit,
-        policy="none",
         parameters=parameters,
         sigmas=sigmas,
         values=np.array(values),
         calibrated=calibrated if is_scored and calibrated is not None else 0.0,
-        endings=tuple(endings),
-        calibrated_ending="complete",
     )
 
 
@@ -227,71 +174,6 @@ def _batch(
         envs.close()
 
 
-def control_envelope(
-    task: str,
-    *,
-    policy: Policy | LawPolicy | None = None,
-    samples: int = 256,
-    backend: str = "mujoco",
-    settings: Mapping[str, Any] | None = None,
-    seed: int = 0,
-    batch: int = 256,
-    notify: Callable[[int], None] = lambda _: None,
-) -> Envelope:
-    """Run a control task at points of its uncertainty, many worlds at a time; the quantity is an episode's reward.
-
-    All episodes have the seed 0, and so the same goal.
-
-    Args:
-        task: Name or id of the task.
-        policy: Policy, checked with the task, or the law's; None for `LawPolicy()`.
-        samples: Number of points, a power of 2.
-        backend: Name of the engine.
-        settings: Settings that replace those of the preset.
-        seed: Seed of the points.
-        batch: Number of worlds at a time, which bounds the memory.
-        notify: Function that gets the number of points that are done.
-    """
-    policy = policy or LawPolicy()
-
-    with closing(make_control_env(task, backend=backend, settings=settings)) as env:
-        parameters = task_uncertainties(env)
-    sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
-    with closing(
-        ControlWorlds(task, [{}], backend=backend, settings=settings)
-    ) as worlds:
-        (calibrated,) = _episodes(worlds, _acting(worlds, policy))
-    found: list[_Played] = []
-    for first in range(0, samples, _checked_batch(batch)):
-        constants = [
-            overrides_at(parameters, row.tolist())
-            for row in sigmas[first : first + batch]
-        ]
-        with closing(
-            ControlWorlds(task, constants, backend=backend, settings=settings)
-        ) as worlds:
-            is_blind = isinstance(policy, LawPolicy) and not policy.informed
-            found += _episodes(
-                worlds,
-                _repeating(calibrated.actions) if is_blind else _acting(worlds, policy),
-            )
-        notify(len(found))
-    return Envelope(
-        id=f"GAUGE/{task.removeprefix('GAUGE/')}",
-        backend=backend,
-        quantity="reward",
-        unit="1",
-        policy=policy.title if isinstance(policy, LawPolicy) else "given policy",
-        parameters=parameters,
-        sigmas=sigmas,
-        values=np.array([one.reward for one in found]),
-        calibrated=calibrated.reward,
-        endings=tuple(one.report.ending.value for one in found),
-        calibrated_ending=calibrated.report.ending.value,
-        ratios=np.array([one.report.ratio for one in found]),
-    )
-
-
 def _points(
     name: str, parameters: Sequence[UncertainParameter], samples: int, seed: int
 ) -> FloatArray:
@@ -306,54 +188,6 @@ def _checked_batch(batch: int) -> int:
     if batch < 1:
         raise ParameterError(f"{batch} worlds in a batch: give 1 or more")
     return batch
-
-
-Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
-"""Action of a world, by its number, for the number of a frame and the observation."""
-
-
-@dataclass(frozen=True)
-class _Played:
-    """An episode: the sum of its rewards, its report, and its actions."""
-
-    reward: float
-    report: LimitReport
-    actions: Sequence[NDArray[np.floating]]
-
-
-def _episodes(worlds: ControlWorlds, act: Act) -> list[_Played]:
-    """Run an episode in each world."""
-    count = len(worlds.envs)
-    begun = worlds.begin(dict.fromkeys(range(count), 0))
-    observations = {number: observation for number, (observation, _) in begun.items()}
-    rewards = [0.0] * count
-    actions: list[list[NDArray[np.floating]]] = [[] for _ in range(count)]
-    while observations:
-        for number, observation in observations.items():
-            actions[number].append(act(number, len(actions[number]), observation))
-        steps = worlds.step({number: actions[number][-1] for number in observations})
-        observations = {}
-        for number, (observation, reward, terminated, truncated, _) in steps.items():
-            rewards[number] += reward
-            if not (terminated or truncated):
-                observations[number] = observation
-    return [
-        _Played(rewards[number], env.report(), actions[number])
-        for number, env in enumerate(worlds.envs)
-    ]
-
-
-def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy) -> Act:
-    """Return a policy, or that of the law with the constants of each world."""
-    if isinstance(policy, LawPolicy):
-        return lambda number, _, __: worlds.envs[number].law_action(policy.fraction)
-    return lambda _, __, observation: policy(observation)
-
-
-def _repeating(actions: Sequence[NDArray[np.floating]]) -> Act:
-    """Return the actions of another episode, and zero after its end."""
-    none = np.zeros_like(actions[-1])
-    return lambda _, frame, __: actions[frame] if frame < len(actions) else none
 
 
 # --- statistics ------------------------------------------------------------------------------------------------------
@@ -388,15 +222,12 @@ class EnvelopeReport:
         backend: Name of the engine.
         quantity: Name of the quantity.
         unit: Its unit.
-        policy: What acted.
         samples: Number of points.
         calibrated: The quantity at the calibrated values.
         low: Its 2.5 % quantile.
         median: Its median.
         high: Its 97.5 % quantile.
-        endings: Number of episodes by their ending.
-        as_calibrated: Share of the episodes that end as the one with the calibrated values.
-        largest_ratio: Largest ratio of what was reached to what the law allows; None for an experiment.
+        diverged: Number of points at which the engine diverged.
         effects: The parameters, the most important first.
     """
 
@@ -404,22 +235,19 @@ class EnvelopeReport:
     backend: str
     quantity: str
     unit: str
-    policy: str
     samples: int
     calibrated: float
     low: float
     median: float
     high: float
-    endings: Mapping[str, int]
-    as_calibrated: float
-    largest_ratio: float | None
+    diverged: int
     effects: tuple[ParameterEffect, ...]
 
 
 def envelope_report(envelope: Envelope) -> EnvelopeReport:
     """Return the distribution of the quantity and the effect of each parameter.
 
-    Points where an episode diverged count among the endings alone.
+    Points where an episode diverged have no value.
     """
     known = np.isfinite(envelope.values)
     values, sigmas = envelope.values[known], envelope.sigmas[known]
@@ -440,17 +268,14 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
             envelope.parameters, sigmas.T, slopes, strict=True
         )
     ]
-    same = sum(ending == envelope.calibrated_ending for ending in envelope.endings)
-    shared = ("id", "backend", "quantity", "unit", "policy", "calibrated")
+    shared = ("id", "backend", "quantity", "unit", "calibrated")
     return EnvelopeReport(
         **{name: getattr(envelope, name) for name in shared},
         samples=len(envelope.values),
         low=low,
         median=median,
         high=high,
-        endings=dict(Counter(envelope.endings)),
-        as_calibrated=same / len(envelope.endings),
-        largest_ratio=None if envelope.ratios is None else float(envelope.ratios.max()),
+        diverged=int((~known).sum()),
         effects=tuple(sorted(effects, key=lambda one: -abs(one.rank_correlation))),
     )
 

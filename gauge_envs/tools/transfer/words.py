@@ -294,20 +294,11 @@ def ranges_document(found: Justified) -> Document:
 
 def envelope_verdict(report: EnvelopeReport) -> str:
     """Return the result in a few sentences."""
-    endings = ", ".join(
-        f"{number} {ending}" for ending, number in report.endings.items()
-    )
-    sentences = [
+    return (
         f"{report.quantity} {with_unit(f'{report.calibrated:.4g}', report.unit)} at the calibrated values; over the "
         f"measured uncertainty the median is {report.median:.4g}, and 95 % of {report.samples} samples are from "
-        f"{report.low:.4g} to {report.high:.4g}.",
-        f"Episodes: {endings}; {100 * report.as_calibrated:.1f} % end as the calibrated one does.",
-    ]
-    if report.largest_ratio is not None:
-        sentences.append(
-            f"The largest ratio to the law's limit is {report.largest_ratio:.3f}."
-        )
-    return " ".join(sentences)
+        f"{report.low:.4g} to {report.high:.4g}. The engine diverged at {report.diverged}."
+    )
 
 
 def envelope_document(report: EnvelopeReport) -> Document:
@@ -406,24 +397,13 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
     rows = math.ceil((1 + len(report.effects)) / COLUMNS)
     figure = new_figure(10.5, 3.1 * rows + 0.5)
     unit = "" if report.unit == "1" else f" [{report.unit}]"
-    endings = list(dict.fromkeys((envelope.calibrated_ending, *envelope.endings)))
-    colors = dict(zip(endings, OURS, strict=False))
     first = figure.add_subplot(rows, COLUMNS, 1)
-    _draw_distribution(first, envelope, report, colors)
+    _draw_distribution(first, envelope, report)
     first.set_ylabel(f"{report.quantity}{unit}")
     for place, effect in enumerate(report.effects):
         axis = figure.add_subplot(rows, COLUMNS, place + 2, sharey=first)
         column = envelope.sigmas[:, envelope.parameters.index(effect.parameter)]
-        for ending in endings:
-            chosen = np.array([one == ending for one in envelope.endings])
-            axis.plot(
-                column[chosen],
-                envelope.values[chosen],
-                ".",
-                ms=2.5,
-                alpha=0.5,
-                color=colors[ending],
-            )
+        axis.plot(column, envelope.values, ".", ms=2.5, alpha=0.5, color=OURS[0])
         axis.axvline(0.0, color=REAL, lw=0.8)
         sigma = with_unit(f"{effect.parameter.std:.2g}", effect.parameter.unit)
         axis.set_xlabel(
@@ -435,25 +415,14 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
         )
         tidy_axis(axis)
     title = f"{report.id}  {report.backend}, {report.samples} samples"
-    acted = "" if report.policy == "none" else f"; {report.policy}"
-    figure.suptitle(title + acted, x=0.01, ha="left", fontsize=9)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=9)
     return figure
 
 
-def _draw_distribution(
-    axis: Axes, envelope: Envelope, report: EnvelopeReport, colors: dict[str, str]
-) -> None:
-    known = np.isfinite(envelope.values)
-    if not is_constant(envelope.values[known]):
-        bins = np.histogram_bin_edges(envelope.values[known], bins=40).tolist()
-        stacked = [
-            envelope.values[
-                known & np.array([one == ending for one in envelope.endings])
-            ]
-            for ending in colors
-        ]
-        axis.hist(stacked, bins=bins, orientation="horizontal", stacked=True, color=list(colors.values()),
-                  label=list(colors))  # fmt: skip
+def _draw_distribution(axis: Axes, envelope: Envelope, report: EnvelopeReport) -> None:
+    values = envelope.values[np.isfinite(envelope.values)]
+    if not is_constant(values):
+        axis.hist(values, bins=40, orientation="horizontal", color=OURS[0])
     axis.axhline(report.calibrated, color=REAL, lw=1.2, label="calibrated")
     axis.axhspan(report.low, report.high, color="0.9", zorder=0, label="95 %")
     axis.set_xlabel("number of samples", fontsize=8)
