@@ -163,7 +163,8 @@ Use = Annotated[
         metavar="DATA",
         rich_help_panel=SCENE,
         show_default="bundled",
-        help="Data beyond the bundled: imported-drivers, imported-reference, imported for both; withheld bands.",
+        help="Data beyond the bundled: imported-drivers, imported-reference, imported for both, or withheld for the "
+        "bands that are kept back.",
     ),
 ]
 
@@ -225,7 +226,7 @@ Repeats = Annotated[
         "--repeats",
         min=1,
         rich_help_panel=NUMERICS,
-        help="Episodes, with a seed more each, from starts that scatter.",
+        help="Episodes, each with the next seed and its own scattered start.",
     ),
 ]
 
@@ -256,7 +257,10 @@ def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
 
 Timeout = Annotated[
     float | None,
-    timeout("Time of an experiment, in a process of its own.", "3600 in such a one"),
+    timeout(
+        "Longest time of an experiment, which then has a process of its own.",
+        "3600 in such a process, else none",
+    ),
 ]
 
 Memory = Annotated[
@@ -264,7 +268,7 @@ Memory = Annotated[
     measured(
         "--memory",
         "GB",
-        "Memory of a process of its own.",
+        "Largest memory of an experiment, which then has a process of its own.",
         NUMERICS,
         is_positive=True,
         show_default="no limit",
@@ -276,7 +280,7 @@ Isolate = Annotated[
     typer.Option(
         "--isolate",
         rich_help_panel=NUMERICS,
-        help="Use a process of its own, as --timeout and --memory do.",
+        help="Give each experiment a process of its own.",
     ),
 ]
 

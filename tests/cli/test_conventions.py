@@ -96,10 +96,11 @@ def test_only_open_sets_take_name_value(name, one):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_help_shows_no_type_of_python(gauge, name):
+def test_a_help_shows_no_type_of_python_and_no_default_in_two_brackets(gauge, name):
     shown = gauge(*name.split(), "--help").stdout
     assert "Usage:" in shown
     assert re.findall(r"<(?:bool|float|int|list|path|str)\b[^>]*>", shown) == []
+    assert "default: (" not in shown
 
 
 def test_one_word_is_one_thing():

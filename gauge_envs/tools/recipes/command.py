@@ -79,7 +79,7 @@ def recipe(
     engine: Annotated[
         str | None,
         arguments.backend(
-            "Engine, always needed; also mujoco_warp, and isaac for a fabric."
+            "Engine, which must be given; also mujoco_warp, and isaac for a fabric."
         ),
     ] = None,
     changes: Annotated[
