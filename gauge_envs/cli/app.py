@@ -128,17 +128,14 @@ def _shown_type(parameter: Any, ctx: Any) -> str | None:
 def _name_types(command: Any, ctx: Any) -> None:
     """Let the help of a command show the types that `_shown_type` returns; versions of typer below 0.26 show theirs.
 
-    Defaults in words stand as `[default: all]`, where typer writes `[default: (all)]`.
+    Defaults in words end the line of help, as `[default: all]`, where typer writes `[default: (all)]`.
     """
     for one in command.get_params(ctx):
         one.display_type_rich = functools.partial(_shown_type, one)
         shown = getattr(one, "show_default", None)
         if isinstance(shown, str):
-            one._get_default_string = functools.partial(_shown_default, shown)
-
-
-def _shown_default(shown: str, **_: Any) -> str:
-    return shown
+            one.help = rf"{one.help} [dim]\[default: {shown}][/dim]"
+            one.show_default = False
 
 
 class _Command(typer.core.TyperCommand):
