@@ -265,7 +265,12 @@ def test_commands_have_the_options_that_are_shown(page):
         parse(words)
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if mentioned(p)], ids=name_of)
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in (*PAGES, *NOTEBOOKS) if mentioned(p)], ids=name_of
+)
 def test_sentences_name_commands_and_options_that_exist(page):
     unknown = []
     for words in mentioned(page):
