@@ -1,8 +1,11 @@
 """Two versions on one model: what is planted is found first, what is equal is the same, and the right side is named."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -480,6 +483,45 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
     assert len(said) == 2
     environments.remove_environment("mujoco==3.3.0")
     assert not environments.is_made("mujoco==3.3.0")
+
+
+def started(folder, model):
+    """Start the command on a release that is not installed yet."""
+    words = ["backend", "versions", str(model), "mujoco==3.3.0", "mujoco", "--steps=3"]
+    return subprocess.Popen(
+        [sys.executable, "-c", "import gauge_command; gauge_command.main()", *words],
+        env=os.environ | {"GAUGE_CACHE_DIR": str(folder)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # A shell in the background ignores interrupts, which its children inherit.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+@pytest.mark.slow
+def test_an_interrupted_installation_leaves_nothing_and_two_at_once_make_one(tmp_path):
+    """It needs a package index."""
+    model = tmp_path / "scene.xml"
+    model.write_text(SCENE, encoding="utf-8")
+    interrupted = started(tmp_path, model)
+    assert "installed into" in interrupted.stderr.readline()
+    deadline_s = time.monotonic() + 60.0
+    while not list((tmp_path / "versions").glob(".mujoco-*")):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+    # A terminal interrupts the command with its children.
+    os.killpg(interrupted.pid, signal.SIGINT)
+    assert interrupted.wait(timeout=60.0) == 130
+    assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
+    both = [started(tmp_path, model) for _ in range(2)]
+    said = [one.communicate()[1] for one in both]
+    assert [one.returncode for one in both] in ([0, 0], [1, 1])
+    assert sum("installed into" in text for text in said) == 1
+    made = [one.name for one in (tmp_path / "versions").iterdir()]
+    assert len(made) == 2
+    assert not [name for name in made if name.startswith(".mujoco")]
 
 
 def test_a_worker_that_fails_says_why(tmp_path):
