@@ -8,6 +8,7 @@ import tomllib
 
 import matplotlib
 import pytest
+from opengl import needs_opengl
 from places import ROOT
 
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
@@ -67,10 +68,12 @@ def test_how_wrong():
     assert engine.rmse_aligned > 2.0 * tuned.rmse_aligned
 
 
+@needs_opengl
 @pytest.mark.slow
-def test_real_scatter():
+def test_real_scatter(tmp_path):
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     found = run(ROOT / "examples" / "notebooks" / "real_scatter.ipynb")["found"]
+    assert (tmp_path / "before_and_after.gif").stat().st_size > 10_000
     mean = {name: sum(values) / len(values) for name, values in found.items()}
     assert mean["law, 95 %"] == pytest.approx(0.95, abs=0.005)
     # The law holds, and both trainings learned something of it.
