@@ -238,7 +238,7 @@ def applied(configuration: TrainingConfiguration, changes: Settings) -> Applied:
             model,
             name=configuration.name,
             source=configuration.source,
-            spec=robot.spec,
+            spec=robot.spec_after(others),
             pair=robot.pair,
         )
         read = replace(

@@ -133,22 +133,28 @@ def keyframe_in_millimetres(text):
     ("name", "more"),
     [
         ("arm", str),
-        ("quadruped", str),
         ("quadruped", keyframe_in_millimetres),
-        ("hand", str),
+        pytest.param("quadruped", str, marks=pytest.mark.slow),
+        pytest.param("hand", str, marks=pytest.mark.slow),
     ],
 )
 def test_lengths_in_millimetres_become_metres(name, more, tmp_path):
     """The mended robot has the places and the masses of the right one, also where its keyframe is in metres."""
     good = GOOD[name]()
-    before = read(more(more_faults.millimetres(good)))
-    found = find_remedies(before.robot, flags_of(before))
-    assert len(found.texts) == 1 and found.texts[0].startswith("lengths times 0.001")
-    text = mended_xml(before.robot, found.changes, found.texts, tmp_path)
-    mended, right = (mujoco.MjModel.from_xml_string(one) for one in (text, good))
+    file, mended = tmp_path / "robot.xml", tmp_path / "mended.xml"
+    file.write_text(more(more_faults.millimetres(good)))
+    report = check(str(file), only=["robot-*"])
+    assert report.cure is not None
+    assert report.cure.line.startswith("lengths times 0.001")
+    assert report.cure.mended_count == report.cure.flag_count > 1
+    write_mended(report, mended)
+    found, right = (
+        mujoco.MjModel.from_xml_path(str(mended)),
+        mujoco.MjModel.from_xml_string(good),
+    )
     for array in ("body_pos", "geom_pos", "geom_size", "body_mass", "key_qpos"):
         np.testing.assert_allclose(
-            getattr(mended, array), getattr(right, array), rtol=1e-5, atol=1e-6
+            getattr(found, array), getattr(right, array), rtol=1e-5, atol=1e-6
         )
 
 

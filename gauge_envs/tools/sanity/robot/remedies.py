@@ -332,7 +332,7 @@ def _tried(
     return (None, refusal) if refusal else (after, "")
 
 
-SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range", LENGTHS)
+SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range")
 """Starts of the names of changes that move bodies, or decide what touches."""
 
 
@@ -358,7 +358,7 @@ def _with_model(robot: Robot, model: mujoco.MjModel, changes: Settings) -> Robot
         return changed
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
-    spec = robot.scaled(changes[LENGTHS]).spec if LENGTHS in changes else robot.spec
+    spec = robot.spec_after(changes)
     read = mujoco_configuration(model, name="", source="", spec=spec).robot
     assert read is not None
     return replace(

@@ -52,7 +52,7 @@ COMPILER = {
 }
 """Attributes of the compiler by the names of changes; they need the model's file."""
 
-LENGTHS = "lengths"
+LENGTHS = "compiler_lengths"
 """Name of a change of all lengths of a model by a factor; it needs the model's file."""
 
 LENGTHS_OF = (
@@ -277,6 +277,10 @@ class Robot:
             return replace(self, spec=spec, model=spec.compile(), standing=None)
         except ValueError as error:
             raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
+
+    def spec_after(self, changes: Settings) -> mujoco.MjSpec | None:
+        """Return the spec whose lengths are those after changes; other changes are not in it."""
+        return self.scaled(changes[LENGTHS]).spec if LENGTHS in changes else self.spec
 
     def _has_unit_of_bodies(self, qpos: FloatArray, factor: float) -> bool:
         """Return whether the free bodies of a keyframe are as far away as their bodies, and not by a factor nearer."""
