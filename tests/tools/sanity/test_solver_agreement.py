@@ -1,14 +1,20 @@
 """The row `robot-solver`: a solver that leaves forces in one layout of its matrices is named, and a good one is not."""
 
+import warnings
+from contextlib import closing
+
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
 
 from gauge_envs.backends.mujoco.model_settings import contact_pairs
+from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.sanity.robot.model_rows import ROWS
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.solver_agreement import NO_MEMORY, imbalance
+from gauge_envs.tools.transfer.settings_replay import ModelEnv
 
 FAULTY = "4.0.0"
 """Release of MuJoCo whose sparse Newton solver leaves forces (google-deepmind/mujoco#3767)."""
@@ -183,3 +189,29 @@ def test_the_faulty_release_is_noted_for_sparse_models_alone(layout, monkeypatch
         if layout == "sparse"
         else []
     )
+
+
+@pytest.mark.parametrize("layout", ["sparse", "dense"])
+def test_a_sparse_file_of_the_user_warns_under_the_faulty_release(
+    layout, monkeypatch, tmp_path
+):
+    """A file that scores an experiment, and one in which policies are replayed."""
+    monkeypatch.setattr(mujoco, "__version__", FAULTY)
+    sliding = (assets_folder() / "mjcf" / "SlopeSlider-2-wood.xml").read_text()
+    file, scene = tmp_path / "pile.xml", tmp_path / "slide.xml"
+    file.write_text(pile(2, 1, 0).replace("sparse", layout), encoding="utf-8")
+    scene.write_text(
+        sliding.replace("<option ", f'<option jacobian="{layout}" ', 1), "utf-8"
+    )
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        ModelEnv(file, None, control_s=0.02, duration_s=1.0)
+        with closing(gymnasium.make("GAUGE/SlopeSlider-2-wood", asset=scene)):
+            pass
+    found = {str(one.message) for one in seen if FAULTY in str(one.message)}
+    expected = {f"{one.name}: {sparse_text()}" for one in (file, scene)}
+    assert found == (expected if layout == "sparse" else set())
+
+
+def sparse_text():
+    return f'MuJoCo {FAULTY} solves some sparse models wrongly: set <option jacobian="dense"/>'
