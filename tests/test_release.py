@@ -16,7 +16,8 @@ from gauge_envs.registry import command_lines
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PUBLISHERS = {
-    (name, "publish") for name in ("release.yml", "docs.yml", "leaderboard.yml")
+    (name, "publish")
+    for name in ("release.yml", "docs.yml", "leaderboard.yml", "releases.yml")
 }
 """Jobs that may write, each in an environment of its own."""
 
