@@ -12,7 +12,8 @@ is one frame of one world:
 - `engine`: in the engine, up to the last frame; in a rollout up to the end of the record;
 - `host`: reading, judging, rewards, observations and infos; in a rollout the judgement;
 - `run on`: in the engine after the last frame, for the release alignment; in a rollout it is part of `engine`;
-- `scoring`: the scores of all worlds.
+- `scoring`: the scores of all worlds;
+- `copies`: copies between host and GPU in a frame of all worlds, or in a whole rollout, counted by Warp; `-` on a CPU.
 
 `--engine-stub` replaces the engine by stored states that cost nothing, stepped and rolled out, so that the rest is
 left. `--cpu-time` counts processor time, for a CPU that other programs share; it is no measure of a GPU.
@@ -56,6 +57,7 @@ class Row:
     run_on_us: float
     scoring_us: float
     steps_per_s: float
+    copies: float | None
 
 
 def measured(
@@ -84,6 +86,9 @@ def measured(
     measure = _rolled_out if rollout else _stepped
     # The first episode loads kernels.
     parts = [measure(envs) for _ in range(repeats + rollout)][int(rollout) :]
+    copies = None
+    if str(settings.get("device")).startswith("cuda"):
+        copies = _copies(envs, frames, rollout=rollout)
     envs.close()
     medians = (
         1e6 * statistics.median(part) / (frames * worlds)
@@ -99,7 +104,25 @@ def measured(
         run_on_us=run_on_us,
         scoring_us=scoring_us,
         steps_per_s=1e6 / (engine_us + host_us + run_on_us + scoring_us),
+        copies=copies,
     )
+
+
+def _copies(envs: Any, frames: int, *, rollout: bool) -> float:
+    """Return the copies between host and GPU in a frame, or in a rollout."""
+    import warp as wp
+
+    inner = envs.unwrapped
+    inner.reset(seed=0)
+    actions = np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
+    wp.timing_begin(cuda_filter=wp.TIMING_MEMCPY)
+    if rollout:
+        inner.rollout()
+    else:
+        for _ in range(frames):
+            inner.step(actions)
+    count = sum("DtoD" not in one.name for one in wp.timing_end())
+    return count if rollout else count / frames
 
 
 def _stepped(envs: Any) -> tuple[float, float, float, float]:
@@ -328,6 +351,7 @@ def main() -> None:
             "scoring",
             "steps/s",
             "ratio",
+            "copies",
         )
         print(
             f"{'':14}"
@@ -366,6 +390,7 @@ def main() -> None:
                 f"{row.steps_per_s:.0f}",
             ]
             texts.append(f"{row.steps_per_s / first:.2f}")
+            texts.append("-" if row.copies is None else f"{row.copies:.1f}")
             print(
                 f"{label:14}"
                 + "".join(

@@ -416,10 +416,22 @@ class Worlds(ABC):
             pose = Pose(position_m=tuple(values[:3]), quaternion=tuple(values[3:7]))
             self.worlds[number].drive(body, pose, motion[7:13], motion[13:])
 
-    def command(self, values: NDArray[np.float64]) -> None:
-        """Set what the motors follow in all worlds, shape [motor_count]; see `World.command`."""
-        for world in self.worlds:
-            world.command(values)
+    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Set what the motors follow in some worlds; see `World.command`.
+
+        Args:
+            values: Shape [len(numbers), motor_count]; it may be a read-only view, as in `drive`.
+            numbers: Numbers of the worlds, ascending.
+        """
+        for number, row in zip(numbers.tolist(), values, strict=True):
+            self.worlds[number].command(row)
+
+    def apply_wrench(
+        self, body: str, wrenches: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> None:
+        """Apply forces and torques to a body in some worlds, shape [len(numbers), 6]; see `World.apply_wrench`."""
+        for number, wrench in zip(numbers.tolist(), wrenches, strict=True):
+            self.worlds[number].apply_wrench(body, wrench)
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds [m], shape [world_count, node_count, 3]."""
@@ -486,8 +498,9 @@ def separate_worlds(simulations: Sequence[Simulation]) -> Worlds:
 class ArrayWorlds(Worlds):
     """Worlds of an engine that holds them in arrays, whose first axis are the worlds.
 
-    It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; and `nodes` for scenes
-    with deformable bodies. No method is called for a single world.
+    It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; `command` and
+    `apply_wrench` for scenes with motors; and `nodes` for scenes with deformable bodies. No method is called for a
+    single world.
 
     Args:
         settings: Every numerical setting in force; see `World`.
@@ -507,14 +520,25 @@ class ArrayWorlds(Worlds):
         self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
     ) -> None:
         """Prescribe the motion of a kinematic body in some worlds; see `Worlds.drive`."""
-        raise BackendError(
-            f"{type(self).__name__} drives no body {body!r}: it does not implement Worlds.drive"
-        )
+        raise self._lacks("drive")
+
+    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Set what the motors follow in some worlds; see `Worlds.command`."""
+        raise self._lacks("command")
+
+    def apply_wrench(
+        self, body: str, wrenches: NDArray[np.float64], numbers: NDArray[np.intp]
+    ) -> None:
+        """Apply forces and torques to a body in some worlds; see `Worlds.apply_wrench`."""
+        raise self._lacks("apply_wrench")
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds; see `Worlds.nodes`."""
-        raise BackendError(
-            f"{type(self).__name__} has no nodes of {name!r}: it does not implement Worlds.nodes"
+        raise self._lacks("nodes")
+
+    def _lacks(self, method: str) -> BackendError:
+        return BackendError(
+            f"{type(self).__name__} does not implement Worlds.{method}, which this scene or call needs"
         )
 
     def faults(self) -> Mapping[int, str]:
@@ -531,6 +555,7 @@ class _ArrayWorld(World):
         self.settings = settings
         self._worlds = worlds
         self._number = number
+        self._numbers = np.array([number])
 
     def drive(
         self,
@@ -542,7 +567,13 @@ class _ArrayWorld(World):
         motion = np.concatenate(
             [pose.position_m, pose.quaternion, velocity, acceleration]
         )
-        self._worlds.drive(body, motion[None], np.array([self._number]))
+        self._worlds.drive(body, motion[None], self._numbers)
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        self._worlds.command(values[None], self._numbers)
+
+    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+        self._worlds.apply_wrench(body, wrench[None], self._numbers)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         return self._worlds.body_states(names)[self._number]

@@ -195,7 +195,9 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 self.worlds.drive(driver.body, motions, self._every)
                 first += driver.motion_count
             if self._commands.size:
-                self.worlds.command(self._commands[sample])
+                row = self._commands[sample]
+                values = np.broadcast_to(row, (len(self._every), len(row)))
+                self.worlds.command(values, self._every)
             self.worlds.advance(SAMPLE_INTERVAL_S)
             g = self._observed(
                 frame + 1

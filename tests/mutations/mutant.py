@@ -119,11 +119,14 @@ class Mutant(Backend):
     worlds_mix_constants = True
     worlds_restart_alone = True
 
+    def __new__(cls, backend, fault):
+        return object.__new__(_BatchMutant if fault.worlds else cls)
+
     def __init__(self, backend, fault):
         self.features = backend.features  # a class variable of engines
         self.engine_name = backend.name
         self.healthy = backend
-        self._fault = fault
+        self.fault = fault
 
     def versions(self):
         """Return the versions of the healthy backend."""
@@ -136,15 +139,17 @@ class Mutant(Backend):
     def build(self, scene, settings=None):
         """Build the faulty scene in the faulty simulation."""
         inner = self.healthy.build(
-            self._fault.scene(scene), {**(settings or {}), **self._fault.settings}
+            self.fault.scene(scene), {**(settings or {}), **self.fault.settings}
         )
-        return self._fault.simulation(inner, scene)
+        return self.fault.simulation(inner, scene)
+
+
+class _BatchMutant(Mutant):
+    """A backend with a fault of its batches."""
 
     def build_worlds(self, scenes, settings=None):
-        """Build the faulty worlds, or one faulty simulation for each scene."""
-        if self._fault.worlds is None:
-            return super().build_worlds(scenes, settings)
-        return self._fault.worlds(lambda scene: self.build(scene, settings), scenes)
+        """Build the faulty worlds."""
+        return self.fault.worlds(lambda scene: self.build(scene, settings), scenes)
 
 
 FAILS_ITSELF = {

@@ -46,6 +46,40 @@ class _RestartsAll(_Batch):
         self.inner.reset(0)
 
 
+class _RestartsNext(_Batch):
+    """Restarts the next world too."""
+
+    def restart(self, number):
+        self.inner.restart(number)
+        self.inner.restart((number + 1) % len(self.worlds))
+
+
+class _Swaps(_Batch):
+    """Reads world 2 for world 3, and world 3 for world 2."""
+
+    def body_states(self, names):
+        states = self.inner.body_states(names)
+        states[[2, 3]] = states[[3, 2]]
+        return states
+
+
+class _PushesOthersNoMore(_Batch):
+    """Removes the wrenches of all worlds before it applies those of some."""
+
+    def apply_wrench(self, body, wrenches, numbers):
+        for world in self.worlds:
+            world.apply_wrench(body, np.zeros(6))
+        self.inner.apply_wrench(body, wrenches, numbers)
+
+
+class _CommandsAll(_Batch):
+    """Gives all worlds the first of the commands."""
+
+    def command(self, values, numbers):
+        for world in self.worlds:
+            world.command(values[0])
+
+
 class _RecordsLate(_Batch):
     """Records without the start."""
 
@@ -66,6 +100,14 @@ def _constants_of_first(build, scenes):
     return separate_worlds(
         [build(replace(scene, contacts=scenes[0].contacts)) for scene in scenes]
     )
+
+
+def _heavy_world(build, scenes):
+    """Build worlds, of which the sixth has bodies of 1.5 times the mass."""
+    scenes = list(scenes)
+    bodies = [replace(one, mass_kg=1.5 * one.mass_kg) for one in scenes[5].bodies]
+    scenes[5] = replace(scenes[5], bodies=tuple(bodies))
+    return separate_worlds([build(scene) for scene in scenes])
 
 
 def _raises(build, scenes):
@@ -91,7 +133,7 @@ FAULTS = dict(
             "worlds-reset",
             "reset leaves the last world as it is",
             "worlds-reset",
-            "world 3 differs most",
+            "world 5 differs most",
             worlds=_wrapped(_ResetsButLast),
         ),
         fault(
@@ -100,6 +142,41 @@ FAULTS = dict(
             "worlds-restart",
             "which goes on, differs most",
             worlds=_wrapped(_RestartsAll),
+        ),
+        fault(
+            "worlds-swapped",
+            "two worlds are read for each other",
+            "worlds-single",
+            "it has the values of world",
+            worlds=_wrapped(_Swaps),
+        ),
+        fault(
+            "worlds-mass",
+            "one world has other masses",
+            "worlds-wrench",
+            "in world 5; 1 of 6",
+            worlds=_heavy_world,
+        ),
+        fault(
+            "worlds-restart-next",
+            "restart of one world restarts the next too",
+            "worlds-restart",
+            "which goes on, differs most",
+            worlds=_wrapped(_RestartsNext),
+        ),
+        fault(
+            "worlds-wrench",
+            "a wrench on some worlds removes those on others",
+            "worlds-wrench",
+            "lose it when others",
+            worlds=_wrapped(_PushesOthersNoMore),
+        ),
+        fault(
+            "worlds-command",
+            "the command of one world goes to all",
+            "worlds-command",
+            "the command of another world",
+            worlds=_wrapped(_CommandsAll),
         ),
         fault(
             "worlds-record",

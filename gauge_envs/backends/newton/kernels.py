@@ -5,6 +5,42 @@ from __future__ import annotations
 import warp as wp
 
 
+@wp.kernel(enable_backward=False)
+def begin_drives(
+    sent: wp.array2d[wp.float32],
+    start: wp.array[wp.transform],
+    velocity: wp.array[wp.spatial_vector],
+    acceleration: wp.array[wp.spatial_vector],
+    elapsed: wp.array[wp.int32],
+):
+    """Begin the new drives of rows of `Worlds.drive`; a last column is 1 for those that are new."""
+    i = wp.tid()
+    if sent[i, 19] == 0.0:
+        return
+    # Warp's quaternions are x, y, z, w.
+    start[i] = wp.transform(
+        wp.vec3(sent[i, 0], sent[i, 1], sent[i, 2]),
+        wp.quat(sent[i, 4], sent[i, 5], sent[i, 6], sent[i, 3]),
+    )
+    v = wp.spatial_vector()
+    a = wp.spatial_vector()
+    for k in range(6):
+        v[k] = sent[i, 7 + k]
+        a[k] = sent[i, 13 + k]
+    velocity[i] = v
+    acceleration[i] = a
+    elapsed[i] = 0
+
+
+@wp.kernel(enable_backward=False)
+def write(
+    index: wp.array[wp.int32], value: wp.array[wp.float32], entries: wp.array[float]
+):
+    """Write values to some entries of an array."""
+    i = wp.tid()
+    entries[index[i]] = value[i]
+
+
 @wp.kernel
 def prescribe(
     body: wp.array[wp.int32],

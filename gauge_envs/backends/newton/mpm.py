@@ -228,11 +228,11 @@ class StepperMPM(Stepper):
 
     def record(self) -> None:
         """Keep the start; no graph is recorded."""
-        self._first = [array.numpy().copy() for array in self._arrays()]
+        self._first = [wp.clone(array) for array in self._arrays()]
 
     def advance(self, seconds: float) -> None:
         """Run the steps one by one, without a graph."""
-        self._send_commands()
+        self._send_drives()
         for _ in range(round(seconds / self.timestep_s)):
             self._step(self._states[self._current], self._states[1 - self._current])
             self._current = 1 - self._current

@@ -589,16 +589,15 @@ class StepperMuJoCo(Stepper):
         """Apply a force and a torque to a body; see `World.apply_wrench`."""
         # Steps alternate between the two states, and each step reads the wrenches of its start state.
         for state in self._states:
-            wrenches = state.body_f.numpy()
-            wrenches[body] = wrench
-            state.body_f.assign(wrenches)
+            given = wp.array(wrench[None], dtype=wp.spatial_vector, device="cpu")
+            wp.copy(state.body_f, given, dest_offset=body)
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(state.body_q, state.body_qd, counts=False)
-        if self._rows:
+        if len(self._driven):
             wp.launch(
                 bodies_to_joints,
-                dim=len(self._rows),
+                dim=len(self._driven),
                 inputs=[
                     self._driven,
                     self._coordinates,

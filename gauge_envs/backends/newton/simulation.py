@@ -227,10 +227,14 @@ class WorldsNewton(Worlds):
         near[:, :3] -= self._origins_m[numbers, 0]
         self._stepper.drive(self._bodies[body][numbers], near)
 
-    def command(self, values: NDArray[np.float64]) -> None:
-        """Set what the motors follow in all worlds, with one copy to the device; see `World.command`."""
-        motors = [motor for layout in self._layouts for motor in layout.rigid.motors]
-        self._stepper.command(motors, np.tile(values, len(self._layouts)))
+    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Set what the motors follow in some worlds, with one copy to the device; see `Worlds.command`."""
+        motors = [
+            motor
+            for number in numbers.tolist()
+            for motor in self._layouts[number].rigid.motors
+        ]
+        self._stepper.command(motors, values.ravel())
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds, with one copy from the device."""

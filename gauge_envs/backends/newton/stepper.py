@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.kernels import prescribe
+from gauge_envs.backends.newton.kernels import begin_drives, prescribe, write
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
@@ -82,10 +82,12 @@ class Stepper(ABC):
         self._centres_m = (
             model.body_com.numpy() if model.body_count else np.zeros((0, 3))
         )
-        self._rows = {body: row for row, body in enumerate(driven)}
         count = len(driven)
+        self._rows = np.full(model.body_count, -1, dtype=np.intp)
+        self._rows[list(driven)] = np.arange(count)
         with wp.ScopedDevice(model.device):
             self._driven = wp.array(list(driven), dtype=wp.int32)
+            self._sent = wp.zeros((count, 20), dtype=wp.float32)
             self._elapsed = wp.zeros(count, dtype=wp.int32)
             self._velocity = wp.zeros(count, dtype=wp.spatial_vector)
             self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
@@ -93,9 +95,9 @@ class Stepper(ABC):
             self._start = wp.array(
                 body_q[list(driven)].reshape(count, 7), dtype=wp.transform
             )
-        # The next `advance` sends all collected drives to the device at once, in the rows of `Worlds.drive`.
-        self._commands = np.zeros((count, 19))
-        self._has_command = np.zeros(count, dtype=np.bool_)
+        # The next `advance` sends all collected drives to the device in one copy: rows of `Worlds.drive`, and 1 in a
+        # last column for those that are new.
+        self._drives = np.zeros((count, 20), dtype=np.float32)
         self._current = 0
         self._graphs: list[Any] = []
         self._first: Snapshot = []
@@ -127,7 +129,7 @@ class Stepper(ABC):
     def reset(self) -> None:
         """Return to the start."""
         self._restore_arrays(self._first)
-        self._has_command[:] = False
+        self._drives[:, -1] = 0.0
         self._current = 0
 
     def restart(self, world: int, world_count: int) -> None:
@@ -143,11 +145,9 @@ class Stepper(ABC):
         for array, first in zip(self._arrays(), self._first, strict=True):
             size, rest = divmod(len(first), world_count)
             if size and not rest:
-                values = array.numpy()
-                values[world * size : (world + 1) * size] = first[
-                    world * size : (world + 1) * size
-                ]
-                array.assign(values)
+                count = array.size // world_count
+                offset = world * count
+                wp.copy(array, first, offset, offset, count)
 
     def drive(self, bodies: NDArray[np.intp], motions: NDArray[np.float64]) -> None:
         """Prescribe kinematic bodies from the next step on.
@@ -156,8 +156,11 @@ class Stepper(ABC):
             bodies: Their indices in the model.
             motions: Their motions in the model's coordinates; see `Worlds.drive`.
         """
-        rows = [self._rows[body] for body in bodies.tolist()]
-        self._commands[rows], self._has_command[rows] = motions, True
+        rows = self._rows[bodies]
+        if (rows < 0).any():
+            raise KeyError(f"body {bodies[rows < 0][0]} of the model is not driven")
+        self._drives[rows, :-1] = motions
+        self._drives[rows, -1] = 1.0
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`."""
@@ -186,34 +189,34 @@ class Stepper(ABC):
                 if kind is is_servo
             ]
             if chosen:
-                table = array.numpy()
-                for index, value in chosen:
-                    table[index] = value
-                array.assign(table)
+                indices, entries = zip(*chosen, strict=True)
+                with wp.ScopedDevice(self.model.device):
+                    given = [
+                        wp.array(indices, dtype=wp.int32),
+                        wp.array(entries, dtype=wp.float32),
+                    ]
+                    wp.launch(write, dim=len(chosen), inputs=given, outputs=[array])
 
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
-        self._send_commands()
+        self._send_drives()
         for _ in range(round(seconds / self.timestep_s)):
             wp.capture_launch(self._graphs[self._current])
             self._current = 1 - self._current
 
-    def _send_commands(self) -> None:
-        rows = np.flatnonzero(self._has_command)
-        if not len(rows):
+    def _send_drives(self) -> None:
+        """Copy the collected drives to the device, if there are any."""
+        if not self._drives[:, -1].any():
             return
-        elapsed = self._elapsed.numpy()
-        elapsed[rows] = 0
-        self._elapsed.assign(elapsed)
-        # Warp's quaternions are x, y, z, w.
-        columns = ([0, 1, 2, 4, 5, 6, 3], [*range(7, 13)], [*range(13, 19)])
-        for array, chosen in zip(
-            (self._start, self._velocity, self._acceleration), columns, strict=True
-        ):
-            table = array.numpy()
-            table[rows] = self._commands[rows][:, chosen]
-            array.assign(table)
-        self._has_command[:] = False
+        self._sent.assign(self._drives)
+        wp.launch(
+            begin_drives,
+            dim=len(self._drives),
+            inputs=[self._sent],
+            outputs=[self._start, self._velocity, self._acceleration, self._elapsed],
+            device=self.model.device,
+        )
+        self._drives[:, -1] = 0.0
 
     @property
     def now(self) -> newton.State:
@@ -239,19 +242,14 @@ class Stepper(ABC):
         """Return positions of body origins by index [m], shape [len(bodies), 3]."""
         return self.now.body_q.numpy()[bodies, :3].astype(np.float64)
 
-    def state(self) -> tuple[int, Snapshot, Snapshot]:
+    def state(self) -> tuple[int, NDArray[np.float32], Snapshot]:
         """Return a snapshot for `restore`."""
-        commands = [self._commands.copy(), self._has_command.copy()]
-        return (
-            self._current,
-            commands,
-            [array.numpy().copy() for array in self._arrays()],
-        )
+        arrays = [array.numpy().copy() for array in self._arrays()]
+        return self._current, self._drives.copy(), arrays
 
-    def restore(self, state: tuple[int, Snapshot, Snapshot]) -> None:
+    def restore(self, state: tuple[int, NDArray[np.float32], Snapshot]) -> None:
         """Restore a snapshot that `state` returned."""
-        self._current, (commands, has_command), snapshot = state
-        self._commands[:], self._has_command[:] = commands, has_command
+        self._current, self._drives[:], snapshot = state
         self._restore_arrays(snapshot)
 
     # --- snapshots ---
@@ -295,10 +293,10 @@ class Stepper(ABC):
             steps_ahead: 0 for the start of the current step, 1 for its end.
             counts: Whether this is the last call in the step, so that the elapsed time advances by one step.
         """
-        if self._rows:
+        if len(self._driven):
             wp.launch(
                 prescribe,
-                dim=len(self._rows),
+                dim=len(self._driven),
                 inputs=[
                     self._driven,
                     self._start,

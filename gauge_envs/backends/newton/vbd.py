@@ -244,10 +244,9 @@ class StepperVBD(Stepper):
         assert self._self_contact is not None
         now = self.now
         speed = float(np.sqrt(np.square(now.particle_qd.numpy()).sum(axis=1).max()))
-        if self._rows:
-            speed = max(
-                speed, float(np.abs(now.body_qd.numpy()[list(self._rows)]).max())
-            )
+        driven = self._driven.numpy()
+        if len(driven):
+            speed = max(speed, float(np.abs(now.body_qd.numpy()[driven]).max()))
         displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
         radius_m = self._self_contact.self_contact_thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector

@@ -306,11 +306,15 @@ def _wrench_hinged(lab: Lab) -> Measurement:
     return Measurement(measured=worst, expected=1.0, hint=hint)
 
 
+def motor_scene() -> Scene:
+    """Return a bar at rest on a hinge without gravity, with a torque motor."""
+    motor = TorqueMotor(command=_stays(TORQUE_N_M))
+    return _scene(_bar(), seconds=2.0, motor=motor)
+
+
 def _commanded(lab: Lab) -> tuple[Simulation, Callable[[], Array]]:
     """Return a bar with a torque motor, and a function that advances by 0.1 s and returns the state, shape [13]."""
-    simulation = lab.build(
-        _scene(_bar(), seconds=2.0, motor=TorqueMotor(command=_stays(TORQUE_N_M)))
-    )
+    simulation = lab.build(motor_scene())
     simulation.reset(0)
 
     def later() -> Array:

@@ -1,11 +1,13 @@
 """Many worlds at once: each world of a batch is the single simulation of its scene, also after it restarts alone.
 
-The worlds differ in starts, masses, friction, restitution and driven motion. What an engine does not build together is
-built one by one (`worlds_of`), as for training.
+The worlds differ in starts, masses, friction, restitution, driven motion, wrenches and commands. What an engine does
+not build together is built one by one (`worlds_of`), as for training. Few worlds are compared with single simulations;
+all are compared with a batch of the same scenes that are each one place further, which must have the same courses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -13,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Worlds, scene_support, worlds_of
+from gauge_envs.backends.base import Backend, Worlds, scene_support, worlds_of
+from gauge_envs.errors import BackendError
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -26,38 +29,44 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
+from gauge_envs.tools.conformance import joints
 from gauge_envs.tools.conformance.contract import one_sign
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded
 
 Array = NDArray[np.float64]
 
-WORLDS = 4
+TOGETHER, SEPARATE = 64, 4
+"""Number of worlds of engines that build them together, and of those that build simulations one by one."""
+SINGLES = (0, 1, 31, 63)
+"""Worlds that are compared with single simulations."""
 NAMES = ("ball", "brick", "plate")
-INTERVALS = 60
+INTERVALS = 42
 PLATE_M = (0.0, 0.0, 0.5)
 
 
 def _scene(number: int) -> Scene:
     """Return the scene of a world: a ball that drops on a slab, and a brick on a driven plate."""
-    friction = 0.1 + 0.15 * number
+    # From 0 to 1; neighbours differ by a quarter.
+    share = 0.25 * (number % 4) + number / 256
+    friction = 0.1 + 0.5 * share
     thrown = replace(
-        ball("ball", (0.5 + 0.01 * number, 0.0, 0.13 + 0.02 * number)),
-        mass_kg=0.1 * (1 + number),
-        linear_velocity_m_per_s=(0.2 * number, 0.1, 0.0),
+        ball("ball", (0.5 + 0.03 * share, 0.0, 0.13 + 0.06 * share)),
+        mass_kg=0.1 + 0.3 * share,
+        linear_velocity_m_per_s=(0.6 * share, 0.1, 0.0),
     )
     return Scene(
         bodies=(
             thrown,
             replace(
-                box("brick", (0.02 * number, 0.0, 0.525), (0.06, 0.05, 0.03)),
-                mass_kg=0.2 + 0.1 * number,
+                box("brick", (0.06 * share, 0.0, 0.525), (0.06, 0.05, 0.03)),
+                mass_kg=0.2 + 0.3 * share,
             ),
             fixed_box("slab", (0.5, 0.0, -0.05), (2.0, 2.0, 0.1)),
             driven_box("plate", PLATE_M, (0.4, 0.4, 0.02)),
         ),
         contacts=(
-            contact("ball", "slab", friction=friction, restitution=0.2 + 0.2 * number),
+            contact("ball", "slab", friction=friction, restitution=0.2 + 0.6 * share),
             contact("brick", "plate", friction=friction),
         ),
         drivers=(
@@ -72,24 +81,11 @@ def _scene(number: int) -> Scene:
     )
 
 
-SCENES = tuple(_scene(number) for number in range(WORLDS))
-STILL = tuple(
-    replace(
-        scene,
-        bodies=scene.bodies[:1] + scene.bodies[2:3],
-        contacts=scene.contacts[:1],
-        drivers=(),
-    )
-    for scene in SCENES
-)
-"""The same scenes without what is driven."""
-
-
-def _motions(interval: int) -> Array:
-    """Return pose, velocity and acceleration of the plate of each world in an interval, shape [world_count, 19]."""
-    rates = 1.0 + 0.5 * np.arange(WORLDS)
+def _motions(numbers: Array, interval: int) -> Array:
+    """Return pose, velocity and acceleration of the plates of some scenes in an interval, shape [len(numbers), 19]."""
+    rates = 1.0 + 0.5 * (numbers % 4)
     time_s = interval * SAMPLE_INTERVAL_S
-    motions = np.zeros((WORLDS, 19))
+    motions = np.zeros((len(numbers), 19))
     motions[:, :3] = PLATE_M
     motions[:, 0] += 0.5 * rates * time_s**2
     motions[:, 3] = 1.0
@@ -97,118 +93,234 @@ def _motions(interval: int) -> Array:
     return motions
 
 
-def _built(lab: Lab, scenes: tuple[Scene, ...], **how: Any) -> Worlds:
+def _numbers(lab: Lab) -> NDArray[np.intp]:
+    """Return the numbers of the worlds of a batch."""
+    engine = lab.backend
+    own = type(engine).build_worlds is not Backend.build_worlds
+    return np.arange(TOGETHER if own and engine.worlds_mix_constants else SEPARATE)
+
+
+def _built(lab: Lab, scenes: list[Scene], **how: Any) -> Worlds:
     support = scene_support(lab.backend, scenes[0])
     if not support:
         raise DeclinedError(support.missing)
     return worlds_of(lab.backend, scenes, lab.settings, **how)
 
 
-def _course(worlds: Worlds, first: int, count: int) -> Array:
-    """Drive and advance some intervals; return states, shape [count, world_count, body_count, 13]."""
+def _scenes(numbers: NDArray[np.intp]) -> list[Scene]:
+    return [*map(_scene, numbers.tolist())]
+
+
+def _course(
+    worlds: Worlds, scenes: NDArray[np.intp], first: Array, count: int
+) -> Array:
+    """Drive half of the worlds, then the others, and advance, for some intervals.
+
+    Args:
+        worlds: The worlds.
+        scenes: Number of the scene of each world.
+        first: First interval of each world.
+        count: Number of intervals.
+
+    Returns:
+        States, shape [count, world_count, body_count, 13].
+    """
     rows = []
-    numbers = np.arange(WORLDS, dtype=np.intp)
-    for interval in range(first, first + count):
-        worlds.drive("plate", _motions(interval)[numbers], numbers)
+    numbers = np.arange(len(scenes), dtype=np.intp)
+    for interval in range(count):
+        motions = _motions(scenes, first + interval)
+        for some in (numbers[::2], numbers[1::2]):
+            worlds.drive("plate", motions[some], some)
         worlds.advance(SAMPLE_INTERVAL_S)
         rows.append(one_sign(np.array(worlds.body_states(list(NAMES)))))
     return np.array(rows)
 
 
 def _singles(lab: Lab) -> Array:
-    """Return the states of single simulations, shape [INTERVALS, WORLDS, body_count, 13]."""
-    courses = []
-    for number, scene in enumerate(SCENES):
+    """Return the states of single simulations, shape [INTERVALS, world_count, body_count, 13].
+
+    Those of worlds beyond `SINGLES` are of a batch in which each scene is one place further.
+    """
+    numbers = np.roll(_numbers(lab), 1)
+    with closing(_built(lab, _scenes(numbers))) as worlds:
+        worlds.reset(0)
+        courses = np.roll(_course(worlds, numbers, 0 * numbers, INTERVALS), -1, axis=1)
+    for number in SINGLES if len(numbers) == TOGETHER else range(SEPARATE):
+        scene = _scene(number)
         with closing(lab.build(scene)) as simulation:
             simulation.reset(0)
-            rows = []
             for interval in range(INTERVALS):
-                motion = _motions(interval)[number]
+                (motion,) = _motions(np.array([number]), interval)
                 pose = replace(
                     scene.body("plate").pose,
                     position_m=(float(motion[0]), *PLATE_M[1:]),
                 )
                 simulation.drive("plate", pose, motion[7:13], motion[13:])
                 simulation.advance(SAMPLE_INTERVAL_S)
-                rows.append(one_sign(np.array(simulation.body_states(list(NAMES)))))
-            courses.append(rows)
-    return np.array(courses).transpose(1, 0, 2, 3)
+                states = np.array(simulation.body_states(list(NAMES)))
+                courses[interval, number] = one_sign(states)
+    return courses
 
 
 _alone = Recorded("", _singles)
 WHAT = (
-    "four worlds of a ball that drops on a slab and a brick on a driven plate, with other starts, masses, friction, "
-    "restitution and driven motion each"
+    "64 worlds, or four of an engine that builds them one by one, of a ball that drops on a slab and a brick on a "
+    "driven plate, with other starts, masses, friction, restitution and driven motion each"
 )
 
 
-def _difference(found: Array, expected: Array, world_names: list[str]) -> Measurement:
+def _difference(
+    found: Array, expected: Array, restarted: NDArray[np.intp] | None = None
+) -> Measurement:
     """Measure the largest difference of states, shape [T, world_count, body_count, 13], and name its world and body."""
     apart = np.abs(found - expected)
     _, world, body, column = np.unravel_index(int(apart.argmax()), apart.shape)
     part = "position" if column < 3 else "orientation" if column < 7 else "velocity"
-    hint = f"{world_names[world]} differs most, in the {part} of the {NAMES[body]}"
-    others = [
-        other
-        for other in range(apart.shape[1])
-        if other != world
-        and np.abs(found[:, world] - expected[:, other]).max() < 0.1 * apart.max()
-    ]
-    if others:
-        hint += f": it has the values of {world_names[others[0]]}"
+    label = f"world {world}"
+    if restarted is not None:
+        label += ", which restarts," if world in restarted else ", which goes on,"
+    hint = f"{label} differs most, in the {part} of the {NAMES[body]}"
+    near = np.abs(found[:, [world]] - expected).max(axis=(0, 2, 3)) < 0.1 * apart.max()
+    if near.any():
+        hint += f": it has the values of world {near.argmax()}"
     return Measurement(measured=float(apart.max()), hint=hint)
 
 
-LABELS = [f"world {number}" for number in range(WORLDS)]
+def _twice(lab: Lab) -> tuple[Array, Array]:
+    """Return the states of worlds, and those after a reset in their midst."""
+    numbers = _numbers(lab)
+    with closing(_built(lab, _scenes(numbers))) as worlds:
+        worlds.reset(0)
+        before = _course(worlds, numbers, 0 * numbers, INTERVALS // 2)
+        worlds.reset(0)
+        return before, _course(worlds, numbers, 0 * numbers, INTERVALS)
+
+
+_together = Recorded("", _twice)
 
 
 @Check("worlds-single", scene=WHAT)
 def _worlds_single(lab: Lab) -> Measurement:
-    with closing(_built(lab, SCENES)) as worlds:
-        worlds.reset(0)
-        found = _course(worlds, 0, INTERVALS)
-    return _difference(found, _alone(lab), LABELS)
+    before, _ = _together(lab)
+    return _difference(before, _alone(lab)[: len(before)])
 
 
 @Check("worlds-reset", scene=WHAT)
 def _worlds_reset(lab: Lab) -> Measurement:
-    with closing(_built(lab, SCENES)) as worlds:
-        worlds.reset(0)
-        _course(worlds, 0, 30)
-        worlds.reset(0)
-        found = _course(worlds, 0, 30)
-    return _difference(found, _alone(lab)[:30], LABELS)
+    _, after = _together(lab)
+    return _difference(after, _alone(lab))
 
 
 @Check("worlds-restart", scene=WHAT)
 def _worlds_restart(lab: Lab) -> Measurement:
-    before, after, number = 30, 20, 1
-    with closing(_built(lab, SCENES, restart_alone=True)) as worlds:
+    before, after = 30, 12
+    numbers = _numbers(lab)
+    restarted = numbers[1::3]
+    first = np.full_like(numbers, before)
+    first[restarted] = 0
+    with closing(_built(lab, _scenes(numbers), restart_alone=True)) as worlds:
         worlds.reset(0)
-        _course(worlds, 0, before)
-        worlds.restart(number)
-        rows = []
-        for interval in range(after):
-            motions = _motions(before + interval)
-            motions[number] = _motions(interval)[number]
-            worlds.drive("plate", motions, np.arange(WORLDS, dtype=np.intp))
-            worlds.advance(SAMPLE_INTERVAL_S)
-            rows.append(one_sign(np.array(worlds.body_states(list(NAMES)))))
+        _course(worlds, numbers, 0 * numbers, before)
+        for number in restarted.tolist():
+            worlds.restart(number)
+        found = _course(worlds, numbers, first, after)
     expected = np.array(_alone(lab)[before : before + after])
-    expected[:, number] = _alone(lab)[:after, number]
-    labels = [f"{one}, which goes on," for one in LABELS]
-    labels[number] = f"{LABELS[number]}, which restarts,"
-    return _difference(np.array(rows), expected, labels)
+    expected[:, restarted] = _alone(lab)[:after, restarted]
+    return _difference(found, expected, restarted)
+
+
+PUSH_N, PUSHED_S = 0.2, 30 * SAMPLE_INTERVAL_S
+
+
+def _told(
+    lab: Lab, scenes: list[Scene], tell: Callable[[Worlds, NDArray[np.intp]], None]
+) -> Array:
+    """Return the states of the body of each world, shape [world_count, 13].
+
+    In each interval half of the worlds are told first, and then the others.
+
+    Args:
+        lab: The lab.
+        scenes: Scenes of one dynamic body.
+        tell: Function that commands or pushes the worlds of some numbers.
+    """
+    with closing(_built(lab, scenes)) as worlds:
+        worlds.reset(0)
+        every = np.arange(len(scenes))
+        for _ in range(30):
+            for numbers in (every[::2], every[1::2]):
+                try:
+                    tell(worlds, numbers)
+                except BackendError as error:
+                    raise DeclinedError((str(error),)) from error
+            worlds.advance(SAMPLE_INTERVAL_S)
+        (name,) = (one.name for one in scenes[0].bodies)
+        return np.array(worlds.body_states([name]))[:, 0]
+
+
+def _worst(ratios: Array) -> Measurement:
+    """Return the ratio that is farthest from 1, and name its world."""
+    world = int(np.abs(ratios - 1.0).argmax())
+    hint = f"in world {world}; {np.sum(np.abs(ratios - 1.0) > 0.01)} of {len(ratios)} are off by more than 1 %"
+    return Measurement(measured=float(ratios[world]), expected=1.0, hint=hint)
+
+
+@Check(
+    "worlds-wrench", scene="worlds of a free brick, each with another mass and force"
+)
+def _worlds_wrench(lab: Lab) -> Measurement:
+    numbers = _numbers(lab)
+    masses_kg, forces_n = 0.2 + 0.01 * numbers, PUSH_N * (1 + numbers % 5)
+    scenes = [
+        Scene(
+            bodies=(
+                replace(box("brick", (0.0, 0.0, 0.0), (0.06, 0.05, 0.03)), mass_kg=one),
+            ),
+            duration_s=PUSHED_S,
+            gravity_m_per_s2=0.0,
+        )
+        for one in masses_kg.tolist()
+    ]
+    wrenches = np.zeros((len(numbers), 6))
+    wrenches[:, 1] = forces_n
+    states = _told(
+        lab,
+        scenes,
+        lambda worlds, some: worlds.apply_wrench("brick", wrenches[some], some),
+    )
+    return _worst(states[:, 8] * masses_kg / (forces_n * PUSHED_S))
+
+
+@Check("worlds-command", scene="worlds of a bar on a hinge, each with another torque")
+def _worlds_command(lab: Lab) -> Measurement:
+    numbers = _numbers(lab)
+    torques_n_m = joints.TORQUE_N_M * (1 + numbers % 5)
+    states = _told(
+        lab,
+        [joints.motor_scene()] * len(numbers),
+        lambda worlds, some: worlds.command(torques_n_m[some, None], some),
+    )
+    rates = states[:, 10:] @ joints.AXIS
+    return _worst(rates * joints.INERTIA / (torques_n_m * PUSHED_S))
 
 
 @Check(
     "worlds-record",
-    scene="four worlds of a ball that drops on a slab, with other starts and constants each",
+    scene="worlds of a ball that drops on a slab, with other starts and constants each",
 )
 def _worlds_record(lab: Lab) -> Measurement:
-    names = [one.name for one in STILL[0].bodies if one.motion is Motion.DYNAMIC]
+    scenes = [
+        replace(
+            one,
+            bodies=(one.bodies[0], one.bodies[2]),
+            contacts=one.contacts[:1],
+            drivers=(),
+        )
+        for one in _scenes(_numbers(lab))
+    ]
+    names = [one.name for one in scenes[0].bodies if one.motion is Motion.DYNAMIC]
     frames, samples = 10, 6
-    with closing(_built(lab, STILL)) as worlds:
+    with closing(_built(lab, scenes)) as worlds:
         if not worlds.can_record:
             raise DeclinedError(("the engine records nothing on a device",))
         worlds.reset(0)

@@ -1,7 +1,9 @@
 """Rigid scenes on Newton's MuJoCo solver."""
 
 import importlib
+from collections import Counter
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -76,3 +78,30 @@ def test_meshes_that_touch_in_one_point_creep_as_published():
     }
     assert scores["paper"] == pytest.approx(baseline.engines["newton"], rel=0.1)
     assert scores["out_of_box"] < 0.5
+
+
+@pytest.mark.slow
+def test_a_frame_of_driven_worlds_is_copied_as_often_with_more_worlds(monkeypatch):
+    """Six drives are sent, and six positions, and states of free and driven bodies read; a restart copies nothing."""
+    warp_array = importlib.import_module("warp").array
+    counts = Counter()
+    for name in ("numpy", "assign"):
+        call = getattr(warp_array, name)
+
+        def counted(array, *values, name=name, call=call):
+            counts[name] += 1
+            return call(array, *values)
+
+        monkeypatch.setattr(warp_array, name, counted)
+    for world_count in (2, 5):
+        envs = gymnasium.make_vec(
+            "GAUGE/Turntable-1-wood", num_envs=world_count, backend="newton"
+        )
+        envs.reset(seed=0)
+        counts.clear()
+        envs.step(np.zeros(envs.action_space.shape))
+        assert counts == {"numpy": 10, "assign": 6}
+        counts.clear()
+        envs.unwrapped.worlds.restart(1)
+        assert not counts
+        envs.close()

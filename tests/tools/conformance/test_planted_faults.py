@@ -6,7 +6,7 @@ from mutations.generated import KINDS, generated, is_held_out
 from mutations.worlds import RAISES
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.conformance import Status, checks, run_checks
+from gauge_envs.tools.conformance import Status, checks, run_checks, worlds
 
 MUJOCO = backend("mujoco")
 
@@ -147,7 +147,10 @@ SLOW = (
         for case in CASES
     ],
 )
-def test_a_check_names_the_fault_of_a_mutant(check, name, says):
+def test_a_check_names_the_fault_of_a_mutant(check, name, says, monkeypatch):
+    # Few worlds of MuJoCo, which are simulations of their own.
+    monkeypatch.setattr(worlds, "TOGETHER", 6)
+    monkeypatch.setattr(worlds, "SINGLES", (0, 1, 5))
     mutant = Mutant(MUJOCO, ALL[name])
     (result,) = run_checks(mutant, only=[check])
     assert result.status is Status.FAIL
