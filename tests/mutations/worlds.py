@@ -147,7 +147,7 @@ FAULTS = dict(
             "worlds-swapped",
             "two worlds are read for each other",
             "worlds-single",
-            "it has the values of world",
+            "differs most, in the velocity",
             worlds=_wrapped(_Swaps),
         ),
         fault(

@@ -35,6 +35,7 @@ from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
 
 TOGETHER, SEPARATE = 64, 4
 """Number of worlds of engines that build them together, and of those that build simulations one by one."""
@@ -81,8 +82,8 @@ def _scene(number: int) -> Scene:
     )
 
 
-def _motions(numbers: Array, interval: int) -> Array:
-    """Return pose, velocity and acceleration of the plates of some scenes in an interval, shape [len(numbers), 19]."""
+def _motions(numbers: Numbers, interval: Numbers | int) -> Array:
+    """Return pose, velocity and acceleration of the plates of some scenes in an interval of each, shape [n, 19]."""
     rates = 1.0 + 0.5 * (numbers % 4)
     time_s = interval * SAMPLE_INTERVAL_S
     motions = np.zeros((len(numbers), 19))
@@ -93,7 +94,7 @@ def _motions(numbers: Array, interval: int) -> Array:
     return motions
 
 
-def _numbers(lab: Lab) -> NDArray[np.intp]:
+def _numbers(lab: Lab) -> Numbers:
     """Return the numbers of the worlds of a batch."""
     engine = lab.backend
     own = type(engine).build_worlds is not Backend.build_worlds
@@ -107,13 +108,11 @@ def _built(lab: Lab, scenes: list[Scene], **how: Any) -> Worlds:
     return worlds_of(lab.backend, scenes, lab.settings, **how)
 
 
-def _scenes(numbers: NDArray[np.intp]) -> list[Scene]:
+def _scenes(numbers: Numbers) -> list[Scene]:
     return [*map(_scene, numbers.tolist())]
 
 
-def _course(
-    worlds: Worlds, scenes: NDArray[np.intp], first: Array, count: int
-) -> Array:
+def _course(worlds: Worlds, scenes: Numbers, first: Numbers, count: int) -> Array:
     """Drive half of the worlds, then the others, and advance, for some intervals.
 
     Args:
@@ -170,7 +169,7 @@ WHAT = (
 
 
 def _difference(
-    found: Array, expected: Array, restarted: NDArray[np.intp] | None = None
+    found: Array, expected: Array, restarted: Numbers | None = None
 ) -> Measurement:
     """Measure the largest difference of states, shape [T, world_count, body_count, 13], and name its world and body."""
     apart = np.abs(found - expected)
@@ -187,13 +186,13 @@ def _difference(
 
 
 def _twice(lab: Lab) -> tuple[Array, Array]:
-    """Return the states of worlds, and those after a reset in their midst."""
+    """Return the states of worlds, and those after a reset."""
     numbers = _numbers(lab)
     with closing(_built(lab, _scenes(numbers))) as worlds:
         worlds.reset(0)
-        before = _course(worlds, numbers, 0 * numbers, INTERVALS // 2)
+        before = _course(worlds, numbers, 0 * numbers, INTERVALS)
         worlds.reset(0)
-        return before, _course(worlds, numbers, 0 * numbers, INTERVALS)
+        return before, _course(worlds, numbers, 0 * numbers, INTERVALS // 2)
 
 
 _together = Recorded("", _twice)
@@ -202,13 +201,13 @@ _together = Recorded("", _twice)
 @Check("worlds-single", scene=WHAT)
 def _worlds_single(lab: Lab) -> Measurement:
     before, _ = _together(lab)
-    return _difference(before, _alone(lab)[: len(before)])
+    return _difference(before, _alone(lab))
 
 
 @Check("worlds-reset", scene=WHAT)
 def _worlds_reset(lab: Lab) -> Measurement:
     _, after = _together(lab)
-    return _difference(after, _alone(lab))
+    return _difference(after, _alone(lab)[: len(after)])
 
 
 @Check("worlds-restart", scene=WHAT)
@@ -233,7 +232,7 @@ PUSH_N, PUSHED_S = 0.2, 30 * SAMPLE_INTERVAL_S
 
 
 def _told(
-    lab: Lab, scenes: list[Scene], tell: Callable[[Worlds, NDArray[np.intp]], None]
+    lab: Lab, scenes: list[Scene], tell: Callable[[Worlds, Numbers], None]
 ) -> Array:
     """Return the states of the body of each world, shape [world_count, 13].
 
@@ -294,7 +293,7 @@ def _worlds_wrench(lab: Lab) -> Measurement:
 @Check("worlds-command", scene="worlds of a bar on a hinge, each with another torque")
 def _worlds_command(lab: Lab) -> Measurement:
     numbers = _numbers(lab)
-    torques_n_m = joints.TORQUE_N_M * (1 + numbers % 5)
+    torques_n_m = joints.TORQUE_N_M * np.array(1 + numbers % 5, dtype=float)
     states = _told(
         lab,
         [joints.motor_scene()] * len(numbers),
