@@ -1,13 +1,14 @@
-"""Rates of generated faults that the checks catch and name, on random samples of seen and held-out classes.
+"""Rates of generated faults that the checks catch and name, on a random sample of held-out classes.
 
-    python -m studies.planted_faults.random_faults checks --count 60            runs checks on faults that have no row
-    python -m studies.planted_faults.random_faults ids                          what each survivor changes in the suite
-    python -m studies.planted_faults.random_faults rates                        the table of the page
+    python -m studies.planted_faults.random_faults draw --part rigid --count 30   faults that an id of the suite shows
+    python -m studies.planted_faults.random_faults checks --engine mujoco         runs checks on faults without a result
+    python -m studies.planted_faults.random_faults rates                          the table of the page
 
-`random_faults.csv` has a row for each fault. A class (`tests/mutations/generated.py`) is drawn first, then one of its
-faults that changes a call, or MuJoCo's model of a scene of the suite: a quantity that the backend does not read, as
-the Poisson's ratio of a rod, is no fault. The first check that fails on the fault, but not on the healthy engine, is
-kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
+`random_faults.csv` has a row for each fault and engine. A class (`tests/mutations/generated.py`) is drawn first, then
+one of its faults that changes a call, or MuJoCo's model of a scene of the suite. Ids that may show it run with and
+without it in MuJoCo; a fault counts where what the reference compares moves by more than its uncertainty. Rows of the
+set `seen` are those that checks were written for. The first check that fails on the fault, but not on the healthy
+engine, is kept. A fault is *named* when the diagnosis has a word that was stated for its quantity.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ import csv
 import multiprocessing
 import re
 import resource
+import signal
 import sys
 from collections.abc import Iterator
 from functools import cache
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,7 @@ from mutations.generated import Generated, generated
 TABLE = Path(__file__).with_name("random_faults.csv")
 COLUMNS = (
     "fault",
+    "engine",
     "set",
     "part",
     "caught_by",
@@ -62,7 +64,9 @@ COLUMNS = (
     "change_u",
     "id",
 )
-SEEDS = {"seen": 58, "held out": 59}
+SEED = 60
+MOST_FRAMES = 120
+"""Frames of an id that are run: a fault shows within 4 s, or is not counted."""
 SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-|^restore-benchmark-soft$")
 """Checks of scenes with deformable bodies."""
 PARTS = ["rigid", "deformable"]
@@ -76,14 +80,16 @@ KINDS = {
 """First word of the checks of the only scenes that have a part with the field that a fault changes."""
 
 
-def _rows() -> dict[str, dict[str, str]]:
-    if not TABLE.is_file():
-        return {}
+Rows = dict[tuple[str, str], dict[str, Any]]
+"""Rows of the table by fault and engine."""
+
+
+def _rows() -> Rows:
     with TABLE.open(encoding="utf-8") as text:
-        return {row["fault"]: row for row in csv.DictReader(text)}
+        return {(row["fault"], row["engine"]): row for row in csv.DictReader(text)}
 
 
-def _write(rows: dict[str, dict[str, Any]]) -> None:
+def _write(rows: Rows) -> None:
     with TABLE.open("w", newline="", encoding="utf-8") as text:
         writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
         writer.writeheader()
@@ -169,30 +175,42 @@ def _model(scene: Scene) -> dict[str, Any]:
     return arrays | {"gravity": model.opt.gravity.tobytes()}
 
 
-def sample(label: str, part: str, count: int) -> list[Generated]:
-    """Return one fault each of `count` random classes of a set and a part."""
-    draw = np.random.default_rng(SEEDS[label])
+def draw(part: str, count: int) -> None:
+    """Draw faults of held-out classes without a row until a number of them counts, and write a row for each.
+
+    Args:
+        part: `rigid` or `deformable`.
+        count: Faults that count, with those that have rows.
+    """
+    rows = _rows()
+    seen = {tuple(fault.split(":")[:2]) for fault, _ in rows}
     classes: dict[tuple[str, str], list[Generated]] = {}
     for one in _faults().values():
-        if _labels(one) == (label, part):
+        if one.is_held_out and one.is_deformable == (part == "deformable"):
             classes.setdefault((one.quantity, one.kind), []).append(one)
-    scenes = _scenes_of_suite()
-    chosen: list[Generated] = []
+    draw = np.random.default_rng(SEED)
     for number in draw.permutation(len(classes)):
-        faults = list(classes.values())[number]
-        for index in draw.permutation(len(faults)):
-            if len(chosen) < count and _changes_a_model(faults[index], scenes):
-                chosen.append(faults[index])
+        name, faults = list(classes.items())[number]
+        order = draw.permutation(len(faults))
+        if sum(_counts(row) and row["part"] == part for row in rows.values()) >= count:
+            return
+        if name in seen:
+            continue
+        for index in order:
+            one = faults[index]
+            if _changes_a_model(one, _scenes_of_suite()):
+                change_u, id = _largest_change(one)
+                row = {"fault": one.id, "engine": "mujoco", "set": "held out"}
+                row |= {"part": part, "change_u": f"{change_u:.3g}", "id": id}
+                rows[one.id, "mujoco"] = row
+                _write(rows)
+                print(one.id, row["change_u"], id, flush=True)
                 break
-    return chosen
 
 
-def _labels(one: Generated) -> tuple[str, str]:
-    """Return the set and the part of a fault."""
-    return (
-        "held out" if one.is_held_out else "seen",
-        "deformable" if one.is_deformable else "rigid",
-    )
+def _counts(row: dict[str, Any]) -> bool:
+    """Return whether a held-out fault changes an id by more than its uncertainty."""
+    return row["set"] == "held out" and float(row["change_u"] or 0.0) > 1.0
 
 
 def _wanted(one: Generated, name: str) -> bool:
@@ -203,27 +221,8 @@ def _wanted(one: Generated, name: str) -> bool:
     return bool(SOFT.search(name)) == one.is_deformable
 
 
-class _Healthy:
-    """Values of the checks that the healthy engine fails itself."""
-
-    def __init__(self) -> None:
-        self.measured = {
-            one.check: one.measured
-            for one in run_checks("mujoco", only=[*FAILS_ITSELF["mujoco"]])
-        }
-
-    def explains(self, result: Any) -> bool:
-        """Return whether the healthy engine fails as a result does."""
-        value = self.measured.get(result.check)
-        return (
-            value is not None
-            and result.measured is not None
-            and abs(result.measured - value) <= (result.width or 0.0)
-        )
-
-
 def _first_failure(
-    one: Generated, names: list[str], healthy: _Healthy
+    one: Generated, engine: str, names: list[str], healthy: dict[str, Any]
 ) -> tuple[str, str]:
     """Return the first check that fails on a fault and its diagnosis; empty without one.
 
@@ -231,9 +230,9 @@ def _first_failure(
     """
 
     def run(found: Any) -> None:
-        mutant = Mutant(backend("mujoco"), one.fault)
+        mutant = Mutant(backend(engine), one.fault)
         for result in run_checks(mutant, only=names, eliminates=True):
-            if result.is_bad and not healthy.explains(result):
+            if result.is_bad and not _explains(healthy.get(result.check), result):
                 found.put((result.check, " ".join(result.diagnosis.split())))
                 return
         found.put(("", ""))
@@ -246,40 +245,46 @@ def _first_failure(
     return ("crash", "") if process.exitcode else found.get()
 
 
+def _explains(value: float | None, result: Any) -> bool:
+    """Return whether the healthy engine fails as a result does."""
+    if value is None or result.measured is None:
+        return False
+    return abs(result.measured - value) <= (result.width or 0.0)
+
+
 def _children_s() -> float:
     """Return the CPU time of all processes that ended [s]."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
-def run_sample(count: int, labels: list[str], parts: list[str]) -> None:
-    """Run the checks on each fault of a sample that has no row."""
-    rows: dict[str, dict[str, Any]] = dict(_rows())
-    healthy = _Healthy()
+def run_sample(engine: str) -> None:
+    """Run the checks on each fault that counts, that an engine can have, and that has no result."""
+    rows = _rows()
+    healthy = {
+        one.check: one.measured
+        for one in run_checks(engine, only=[*FAILS_ITSELF[engine]])
+    }
     every = [one.id for one in checks()]
-    for label, part in product(labels, parts):
-        for one in sample(label, part, count):
-            if one.id in rows:
-                continue
-            names = [name for name in every if _wanted(one, name)]
-            before_s = _children_s()
-            check, diagnosis = _first_failure(one, names, healthy)
-            is_named = re.search(one.fault.says, diagnosis, re.IGNORECASE) is not None
-            rows[one.id] = {
-                "fault": one.id,
-                "set": label,
-                "part": part,
-                "caught_by": check,
-                "named": int(is_named) if check else "",
-                "diagnosis": diagnosis[:300],
-                "cpu_s": f"{_children_s() - before_s:.1f}",
-            }
-            _write(rows)
-            if label == "seen":
-                print(one.id, "|", check or "-", "|", diagnosis[:80], flush=True)
+    for row in [one for one in rows.values() if _counts(one)]:
+        one = _faults()[row["fault"]]
+        mine = rows.setdefault((one.id, engine), row | {"engine": engine, "cpu_s": ""})
+        if mine.get("cpu_s") or one.fault.engine not in ("", engine):
+            continue
+        names = [name for name in every if _wanted(one, name)]
+        before_s = _children_s()
+        check, diagnosis = _first_failure(one, engine, names, healthy)
+        is_named = re.search(one.fault.says, diagnosis, re.IGNORECASE) is not None
+        mine |= {"caught_by": check, "named": int(is_named) if check else ""}
+        mine |= {
+            "diagnosis": diagnosis[:600],
+            "cpu_s": f"{_children_s() - before_s:.1f}",
+        }
+        _write({key: found for key, found in rows.items() if found.get("set")})
+        print(one.id, "|", check or "-", "|", diagnosis[:80], flush=True)
 
 
-# --- what survivors change in the suite ---
+# --- what a fault changes in the suite ---
 
 
 def _ids_of(one: Generated, most: int) -> Iterator[str]:
@@ -322,14 +327,13 @@ def _change_u(one: Generated, name: str) -> float:
     )
     found = reference_power(experiment, band)
     assert found is not None, name
-    nominal = build_power.motion(
-        experiment, experiment.scene, last_frame=experiment.frame_count
-    )
+    last_frame = min(experiment.frame_count, MOST_FRAMES)
+    nominal = _nominal(name, last_frame)
     healthy = build_power.backend_for
     build_power.backend_for = lambda *_: Mutant(backend("mujoco"), one.fault)  # type: ignore[assignment]
     try:
         changed = build_power.motion(
-            experiment, experiment.scene, last_frame=experiment.frame_count
+            experiment, experiment.scene, last_frame=last_frame
         )
     except GaugeError:
         return np.inf
@@ -341,23 +345,40 @@ def _change_u(one: Generated, name: str) -> float:
     )
 
 
-def run_ids(most: int) -> None:
-    """Measure what each survivor changes in the suite, until one id shows more than its uncertainty."""
-    rows: dict[str, dict[str, Any]] = dict(_rows())
-    faults = generated()
-    for name, row in rows.items():
-        if row["caught_by"] or row["id"]:
+@cache
+def _nominal(name: str, last_frame: int) -> Any:
+    """Return the episode of an id on the healthy engine."""
+    experiment = load_experiment(name)
+    return build_power.motion(experiment, experiment.scene, last_frame=last_frame)
+
+
+MOST_IDS, MOST_CPU_S = 2, 15.0
+"""Ids that are tried, and processor time of each; what takes longer is not counted."""
+
+
+def _stop(*_: object) -> None:
+    raise TimeoutError
+
+
+signal.signal(signal.SIGPROF, _stop)
+
+
+def _largest_change(one: Generated) -> tuple[float, str]:
+    """Return what a fault changes in the suite over the uncertainty, and in which id; the first that is more than 1."""
+    best, where = 0.0, "none"
+    for id in _ids_of(one, MOST_IDS):
+        signal.setitimer(signal.ITIMER_PROF, MOST_CPU_S)
+        try:
+            size = _change_u(one, id)
+        except TimeoutError:
             continue
-        best, where = 0.0, "none"
-        for id in _ids_of(faults[name], most):
-            size = _change_u(faults[name], id)
-            if size > best or where == "none":
-                best, where = size, id
-            if best > 1.0:
-                break
-        row["change_u"], row["id"] = f"{best:.3g}", where
-        _write(rows)
-        print(name, row["change_u"], where, flush=True)
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+        if size > best or where == "none":
+            best, where = size, id
+        if best > 1.0:
+            break
+    return best, where
 
 
 # --- rates ---
@@ -377,50 +398,36 @@ def _share(found: int, count: int) -> str:
 
 
 def rates() -> Iterator[list[str]]:
-    """Yield a row for each set and part: faults, survivors that moved no measured id, caught, named."""
-    for label in ("seen", "held out"):
-        for part in ("rigid", "deformable", "all"):
+    """Yield a row for each engine and part: faults that count, caught, named."""
+    for engine in ("mujoco", "rapier"):
+        for part in (*PARTS, "all"):
             rows = [
                 row
                 for row in _rows().values()
-                if row["set"] == label and part in (row["part"], "all")
+                if row["engine"] == engine
+                and part in (row["part"], "all")
+                and _counts(row)
+                and row["cpu_s"]
             ]
-            if not rows:
-                continue
-            equivalent = [
-                row
-                for row in rows
-                if not row["caught_by"]
-                and row["id"]
-                and float(row["change_u"]) <= 1.0
-                and row["id"] != "none"
-            ]
-            count = len(rows)
-            caught = sum(bool(row["caught_by"]) for row in rows)
-            named = sum(row["named"] == "1" for row in rows)
-            yield [
-                label,
-                part,
-                str(len(rows)),
-                str(len(equivalent)),
-                _share(caught, count),
-                _share(named, count),
-            ]
+            if rows:
+                caught = sum(bool(row["caught_by"]) for row in rows)
+                named = sum(row["named"] == "1" for row in rows)
+                shares = _share(caught, len(rows)), _share(named, len(rows))
+                yield [engine, part, str(len(rows)), *shares]
 
 
 def main() -> None:
     """Run a part of the study."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
-    parser.add_argument("what", choices=("checks", "ids", "rates"))
-    parser.add_argument("--count", type=int, default=60)
-    parser.add_argument("--most", type=int, default=4)
-    parser.add_argument("--set", action="append", choices=tuple(SEEDS))
-    parser.add_argument("--part", action="append", choices=PARTS)
+    parser.add_argument("what", choices=("draw", "checks", "rates"))
+    parser.add_argument("--count", type=int, default=30)
+    parser.add_argument("--part", choices=PARTS, default=PARTS[0])
+    parser.add_argument("--engine", default="mujoco")
     arguments = parser.parse_args()
-    if arguments.what == "checks":
-        run_sample(arguments.count, arguments.set or [*SEEDS], arguments.part or PARTS)
-    elif arguments.what == "ids":
-        run_ids(arguments.most)
+    if arguments.what == "draw":
+        draw(arguments.part, arguments.count)
+    elif arguments.what == "checks":
+        run_sample(arguments.engine)
     else:
         for row in rates():
             print(" | ".join(row))

@@ -524,8 +524,8 @@ def measure_guide():
 
 def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(measured):
     count = len(unquoted())
-    assert count > 3
-    assert len(fenced("python")) - count > 3
+    assert count
+    assert len(fenced("python")) - count > 2
     assert measured["guide"] == ""
 
 

@@ -202,7 +202,7 @@ def test_the_command_prints_the_schema(gauge):
     assert json.loads(listed) == {"name": "list", "version": 3}
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
-    assert shown["$id"] == "urn:gauge-envs:backend-check:1"
+    assert shown["$id"] == "urn:gauge-envs:backend-check:2"
     refused = gauge("show", "lst", "--schema")
     assert (refused.exit_code, refused.stdout) == (2, "")
     assert "did you mean list?" in refused.stderr

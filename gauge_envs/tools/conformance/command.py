@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
@@ -81,15 +83,32 @@ def backend_check(
             help="A .json file of --out by an earlier version of the engine: list what got worse or moved.",
         ),
     ] = None,
+    expected: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            rich_help_panel=arguments.SELECTION,
+            help='A TOML file of checks that this engine fails, each with a reason, as rebound-flat = "no model of '
+            'it": exit code 0 when exactly these fail.',
+        ),
+    ] = None,
+    badge: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            rich_help_panel=arguments.OUTPUT,
+            help="Counts of passed checks as JSON for a badge of shields.io.",
+        ),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check engines against closed forms, with a diagnosis of each failure.
 
     gauge list checks shows the checks; for configurations, one per phenomenon runs without --only: NAME:default is the
-    quick check of an engine. Exit code 1 when a check failed or raised an error; with --baseline, when one became worse
-    or its value moved by more than its tolerance. A declined check is no failure. Engines of other packages run in
-    another process, all engines do with --isolate, --out, --baseline or a configuration: one that crashes, exits or
-    hangs there costs one check.
+    quick check of an engine. Exit code 1 when a check failed or raised an error; with --expected, when others than the
+    listed ones failed; with --baseline, when one became worse or its value moved by more than its tolerance. A declined
+    check is no failure. Engines of other packages run in another process, all engines do with --isolate, --out,
+    --baseline or a configuration: one that crashes, exits or hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import CANONICAL, read_columns
@@ -109,12 +128,58 @@ def backend_check(
     bounds = (CHECK_LIMIT_S if timeout is None else timeout, memory)
     isolate = isolate or timeout is not None or memory is not None
     has_configurations = any(":" in name for name in engines)
+    judged = None
+    if expected is not None or badge is not None:
+        if len(engines) != 1 or has_configurations or baseline or out:
+            raise ParameterError(
+                "--expected and --badge are of the default of one engine: leave out other names, --out and --baseline"
+            )
+        judged = _Judged.read(expected, badge)
     if not (has_configurations or files or out or baseline):
-        return _check(engines, only or (), settings, isolate, bounds, form)
+        return _check(engines, only or (), settings, isolate, bounds, form, judged)
     places = _checked_places(arguments.by_suffix(out, ".html", ".json"))
     only_ids = only or (CANONICAL if has_configurations else [])
     before = None if baseline is None else read_columns(baseline)
     return _matrix(engines, files, settings, only_ids, bounds, places, form, before)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """How the repository of an engine judges its results.
+
+    Attributes:
+        expected: Reasons by the id of the checks that fail.
+        badge: File of the badge, or None.
+    """
+
+    expected: Mapping[str, str]
+    badge: Path | None
+
+    @classmethod
+    def read(cls, expected: Path | None, badge: Path | None) -> Self:
+        """Return what the files state, before checks run."""
+        from gauge_envs.tools.conformance.expected import read_expected
+
+        if badge is not None:
+            _checked_places({".json": badge})
+        return cls({} if expected is None else read_expected(expected), badge)
+
+    def __call__(self, findings: Sequence[CheckResult]) -> bool:
+        """Write the badge, tell what is otherwise than expected, and return whether something is."""
+        from gauge_envs.files import write_whole
+        from gauge_envs.tools.conformance.expected import badge, surprise
+
+        if self.badge is not None:
+            text = json.dumps(badge(findings, self.expected))
+            write_whole(self.badge, f"{text}\n".encode())
+        surprises = [
+            f"{one.check} {wrong}"
+            for one in findings
+            if (wrong := surprise(one, self.expected))
+        ]
+        for line in surprises:
+            message(f"not expected: {line}")
+        return bool(surprises)
 
 
 def _check(
@@ -124,8 +189,9 @@ def _check(
     isolate: bool,
     limits: Limits,
     form: Format,
+    judged: _Judged | None,
 ) -> bool:
-    """Run checks on engines, print the results, and return whether one is bad."""
+    """Run checks on engines, print the results, and return whether one is bad, or otherwise than expected."""
     from gauge_envs.backends.registry import is_bundled
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks, run_checks
@@ -156,7 +222,7 @@ def _check(
         print_document(findings_document(findings), form)
     bad = sum(finding.is_bad for finding in findings)
     message(f"{counted(len(findings), 'check')}, {bad} failed")
-    return bad > 0
+    return bad > 0 if judged is None else judged(findings)
 
 
 def _checked_places(files: Mapping[str, Path]) -> Mapping[str, Path]:

@@ -56,10 +56,14 @@ class FindingTexts(CheckTexts):
 
     Attributes:
         rationale: Reason for the width.
+        fingerprint: Digest of the scene, law and tolerance of the check.
+        gauge_envs: Version of gauge-envs.
         configuration: Solver or preset of the engine; absent where only engines are checked.
     """
 
     rationale: str
+    fingerprint: str
+    gauge_envs: str
     configuration: NotRequired[str]
 
 

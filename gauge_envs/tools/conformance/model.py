@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.files import json_ready
+from gauge_envs.files import json_ready, versions
 
 if TYPE_CHECKING:
     from gauge_envs.runs.rollout import Rollout
@@ -221,6 +221,8 @@ class CheckResult(Outcome):
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
         values = {
             "check": self.check,
+            "fingerprint": self.of.fingerprint,
+            "gauge_envs": versions()["gauge-envs"],
             "backend": self.backend,
             "status": self.status.value,
         }
