@@ -67,7 +67,7 @@ COLUMNS = (
 SEED = 60
 MOST_FRAMES = 120
 """Frames of an id that are run: a fault shows within 4 s, or is not counted."""
-SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-|^restore-benchmark-soft$")
+SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-")
 """Checks of scenes with deformable bodies."""
 PARTS = ["rigid", "deformable"]
 KINDS = {
@@ -216,7 +216,7 @@ def _counts(row: dict[str, Any]) -> bool:
 def _wanted(one: Generated, name: str) -> bool:
     """Return whether a check can show a fault: scenes without the parts that it changes are left out."""
     kind = KINDS.get(one.quantity.split(".")[0])
-    if kind is not None and name != "restore-benchmark-soft":
+    if kind is not None:
         return name.startswith(f"{kind}-") or (kind == "cloth" and name[:4] == "air-")
     return bool(SOFT.search(name)) == one.is_deformable
 

@@ -15,7 +15,7 @@ from mutations import FAILS_ITSELF
 
 from gauge_envs.tools.conformance import Status, checks, run_checks
 
-DEFORMABLE = ("cloth", "air", "foam", "rope", "rod", "restore-benchmark-soft")
+DEFORMABLE = ("cloth", "air", "foam", "rope", "rod")
 TURNING = ("torsion", "rolling")
 
 
@@ -35,7 +35,7 @@ class Engine:
     module: str
     lacks: tuple[str, ...] = ()
     quick: Sequence[str] = ("*",)
-    long: Sequence[str] = ("restore-benchmark-*",)
+    long: Sequence[str] = ()
 
     def chosen(self):
         """Return the ids of the checks of the default run."""
@@ -74,7 +74,6 @@ CORE = (
 
 LONG = (
     *(
-        "restore-benchmark-*",
         "restore-impact",
         "restore-rest",
         "determinism",

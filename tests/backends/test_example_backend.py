@@ -431,7 +431,7 @@ QUICK = (
     "restore",
     "free-fall*",
     "spin-*",
-    "driven-flick",
+    "driven-turned-path",
     "contact-*",
     "wrench-*",
 )

@@ -190,15 +190,15 @@ FAULTS = dict(
         fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
-            "driven-flick",
+            "driven-turned-path",
             "acceleration that drive() gives",
             simulation=_driving(lambda rate, change: (rate, 0.0 * change)),
         ),
         fault(
             "drive-swapped",
             "x and y of a driven body's angular velocity exchanged",
-            "driven-flick",
-            "exchanges axes",
+            "driven-turned-path",
+            "axes are exchanged",
             simulation=_driving(lambda *rates: np.array(rates)[:, SWAPPED]),
         ),
         fault(

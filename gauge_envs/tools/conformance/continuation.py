@@ -17,6 +17,7 @@ from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, gr
 from gauge_envs.tools.conformance.contract import BOUNCES, bounces, one_sign
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, push, strip_on_rod
 from gauge_envs.tools.conformance.model import EXACT, Check, Measurement
+from gauge_envs.tools.conformance.touch import held
 
 CONTINUATION = Check(
     "",
@@ -47,6 +48,7 @@ def continuation_differences(
     *,
     before: int,
     prepare: Callable[[Simulation], None] | None = None,
+    disturb: Callable[[Simulation], None] | None = None,
 ) -> dict[str, float]:
     """Return the largest difference of any state from an undisturbed run within 0.1 s, for each use of a state.
 
@@ -55,6 +57,7 @@ def continuation_differences(
         scene: The scene.
         before: Intervals before the state is saved.
         prepare: What is done after each reset, such as applying a wrench.
+        disturb: What is done before each return to the state, and should have no effect after it.
     """
     after = 18
     names = [one.name for one in scene.bodies]
@@ -84,8 +87,12 @@ def continuation_differences(
         runs = {"after state()": run(simulation, before, after)}
         run(simulation, before + after, 6)
         for text in ("after restore()", "after a second restore()"):
+            if disturb is not None:
+                disturb(simulation)
             simulation.restore(saved)
             runs[text] = run(simulation, before, after)
+        if disturb is not None:
+            disturb(other)
         other.restore(pickle.loads(packed))
         runs[IN_A_COPY] = run(other, before, after)
         return {
@@ -114,6 +121,7 @@ def _continuation(
     build: Callable[[Lab], Scene],
     before: int = 18,
     prepare: Callable[[Simulation], None] | None = None,
+    disturb: Callable[[Simulation], None] | None = None,
     **texts: Any,
 ) -> None:
     """Register the check that a scene continues bit for bit from a state, saved after some intervals."""
@@ -121,7 +129,7 @@ def _continuation(
     @replace(common, id=id, **texts)
     def measure(lab: Lab) -> Measurement:
         differences = continuation_differences(
-            lab, build(lab), before=before, prepare=prepare
+            lab, build(lab), before=before, prepare=prepare, disturb=disturb
         )
         if common is COPY:
             return Measurement(measured=differences[IN_A_COPY])
@@ -188,9 +196,9 @@ def _floating(_: Lab) -> Scene:
     return Scene(bodies=(brick,), duration_s=1.0, gravity_m_per_s2=0.0)
 
 
-def _pushed(simulation: Simulation) -> None:
+def _pushed(simulation: Simulation, factor: float = 1.0) -> None:
     """Apply a force and a torque to the floating box."""
-    push(simulation, "brick", [0.1, 0.02, 0.0, 1e-4, 2e-4, 0.0])
+    push(simulation, "brick", factor * np.array([0.1, 0.02, 0.0, 1e-4, 2e-4, 0.0]))
 
 
 _continuation(
@@ -235,9 +243,10 @@ _continuation(
     CONTINUATION,
     "restore-wrench",
     title="restore continues under a wrench",
-    scene="a floating box under a constant force and torque; the state is saved after 0.1 s",
+    scene="a floating box under a constant force and torque; the state is saved after 0.1 s, and restored under others",
     build=_floating,
     prepare=_pushed,
+    disturb=lambda simulation: _pushed(simulation, -2.0),
     diagnosis="an applied wrench is part of state(): restore() must set it again",
 )
 _continuation(
@@ -248,6 +257,16 @@ _continuation(
     build=lambda _: strip_on_rod(),
     diagnosis="state() must hold copies of the nodes' velocities and all else that the next step reads",
 )
+
+for _kind in ("foam", "rope"):
+    _continuation(
+        CONTINUATION,
+        f"{_kind}-restore",
+        title=f"{_kind}: restore continues bit for bit",
+        scene=f"a body of {_kind} that is held at one side and released",
+        build=lambda _, kind=_kind: held(kind),
+        diagnosis="state() must hold copies of the nodes' velocities and all else that the next step reads",
+    )
 
 _continuation(
     COPY, "copy", title="a copy continues bit for bit", scene=BOUNCES, build=bounces

@@ -78,32 +78,6 @@ def _driven_path(rollout: Rollout) -> Measurement:
     return found if found.hint else replace(found, hint=_turn_hint(rollout))
 
 
-_flick = rollout_of(
-    "a plate that turns by 0.3 rad within 0.1 s about an axis that leans along x, without contacts",
-    Scene(
-        bodies=(driven_box("plate", (0.0, 0.0, 0.5), PLATE_M),),
-        drivers=(
-            driver(
-                "plate",
-                "rotate",
-                (0.6, 0.0, 0.8),
-                ramp(0.3, start_s=0.0, duration_s=0.1, ramp_s=0.05),
-            ),
-        ),
-        duration_s=0.2,
-    ),
-)
-
-
-@_flick.check("driven-flick")
-def _driven_flick(rollout: Rollout) -> Measurement:
-    corners = Box(size_m=PLATE_M).corners_m
-    rotated = np.stack(
-        [rotation.apply(corners) for rotation in rollout.rotation("plate")]
-    )
-    return driver_error(rollout, rotated + rollout.position("plate")[:, None])
-
-
 def _turn_hint(rollout: Rollout) -> str:
     """Return how far the plate turns in each interval, from where its drive puts it, if that is degrees for radians."""
     prescribed = Rotation.concatenate([pose.rotation for pose in driver_poses(rollout)])

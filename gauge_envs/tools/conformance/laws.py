@@ -158,7 +158,8 @@ def slide_acceleration(measured: float, friction: float) -> Measurement:
 
 def worst_ratio(ratios: Mapping[str, float], what: str) -> Measurement:
     """Return the ratio that is furthest from 1, with the name of what it belongs to and of those that are right."""
-    errors = {name: abs(ratio - 1.0) for name, ratio in ratios.items()}
+    # Rounded, so that the last bit does not choose among equals.
+    errors = {name: float(f"{abs(ratio - 1.0):.9g}") for name, ratio in ratios.items()}
     name = max(errors, key=lambda one: np.nan_to_num(errors[one], nan=np.inf))
     right = [one for one, error in errors.items() if error < 0.1 * errors[name]]
     others = f"; right: {', '.join(right)}" if right else "; so are the others"

@@ -43,7 +43,6 @@ FAMILIES = (
     "soft",
     "touch",
     "worlds",
-    "benchmark",
 )
 """Modules of the checks, in the order of the table. They are imported at the first use of a check."""
 

@@ -22,6 +22,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import largest_mm, worst_ratio
 from gauge_envs.tools.conformance.model import (
     COUNT,
     Check,
@@ -265,15 +266,45 @@ def _tether_length(rollout: Rollout) -> Measurement:
     )
 
 
-@Check("tether-rest")
-def _tether_rest(lab: Lab) -> Measurement:
-    bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M), radius_m=0.01)
-    string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
-    rollout = lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0)).cut(
-        0.8, 1.0
+STRINGS_M = {
+    "first bob": ((0.0, 0.0, 1.0), STRING_M),
+    "second bob": ((0.4, -0.1, 1.2), 1.2 * STRING_M),
+    "third bob": ((-0.3, 0.5, 0.8), 0.8 * STRING_M),
+}
+"""Anchor and length of strings on which balls hang at rest."""
+
+
+@recorded("three balls that hang at rest on taut strings of 0.24, 0.3 and 0.36 m")
+def _hanging_bobs(lab: Lab) -> Rollout:
+    bobs, strings = [], []
+    for name, (anchor_m, length_m) in STRINGS_M.items():
+        place = (*anchor_m[:2], anchor_m[2] - length_m)
+        bobs.append(ball(name, place, radius_m=0.01))
+        strings.append(Tether(body=name, anchor_m=anchor_m, length_m=length_m))
+    return lab.rollout(Scene(bodies=tuple(bobs), joints=tuple(strings), duration_s=1.0))
+
+
+@_hanging_bobs.check("tether-rest")
+def _tether_rest(rollout: Rollout) -> Measurement:
+    late = rollout.between(0.8, 1.0)
+    shares = {}
+    for name, (anchor_m, length_m) in STRINGS_M.items():
+        arms_m = np.linalg.norm(rollout.position(name)[late] - anchor_m, axis=1)
+        shares[name] = float(arms_m.mean()) / length_m
+    found = worst_ratio(shares, "the string's length is")
+    return replace(
+        found, measured=1e3 * STRING_M * found.measured, expected=1e3 * STRING_M
     )
-    distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
-    return Measurement(measured=1e3 * float(distance.mean()), expected=1e3 * STRING_M)
+
+
+@_hanging_bobs.check("tether-place")
+def _tether_place(rollout: Rollout) -> Measurement:
+    sides = {
+        name: largest_mm(rollout.position(name)[:, :2] - anchor_m[:2])
+        for name, (anchor_m, _) in STRINGS_M.items()
+    }
+    worst = max(sides, key=lambda one: sides[one])
+    return Measurement(measured=sides[worst], hint=f"it is furthest for the {worst}")
 
 
 # --- pairs that collide ----------------------------------------------------------------------------------------------

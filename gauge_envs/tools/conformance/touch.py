@@ -37,7 +37,14 @@ from gauge_envs.tools.bench.parts import (
     ramp,
 )
 from gauge_envs.tools.conformance.cloth import node_shares
-from gauge_envs.tools.conformance.lab import LIGHT_FABRIC, Lab, fabric, push, sheet
+from gauge_envs.tools.conformance.lab import (
+    LIGHT_FABRIC,
+    Lab,
+    clamped,
+    fabric,
+    push,
+    sheet,
+)
 from gauge_envs.tools.conformance.laws import (
     ATTACHED,
     PLACE_TOLERANCE_M,
@@ -128,6 +135,13 @@ KINDS: dict[str, Callable[[], Sequence[Deformable]]] = {
     "rope": _ropes,
     "rod": _rods,
 }
+
+
+def held(kind: str) -> Scene:
+    """Return the first body of a kind, held at one side."""
+    axis: Literal["x", "z"] = "z" if kind in ("foam", "rod") else "x"
+    region = Region(axis=axis, side="high")
+    return clamped(KINDS[kind]()[0], region, duration_s=0.3)
 
 
 def _half_height_m(one: Deformable) -> float:

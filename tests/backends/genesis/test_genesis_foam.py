@@ -164,14 +164,6 @@ def test_a_preset_for_other_scenes_is_declined():
             settings_for(load_experiment(id).scene, {"preset": preset})
 
 
-@pytest.mark.slow
-def test_scenes_of_the_benchmark_that_a_preset_does_not_fit_are_left_out():
-    (result,) = run_checks(
-        "genesis", settings={"preset": "mpm"}, only=["restore-benchmark-soft"]
-    )
-    assert result.status is Status.PASS, result.diagnosis
-
-
 def test_weights_reproduce_linear_functions():
     generator = np.random.default_rng(0)
     sources, points = (

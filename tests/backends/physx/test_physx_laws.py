@@ -163,7 +163,6 @@ def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch):
     assert [one.check for one in results if one.is_bad] == [
         "driven-velocity",
         "driven-path",
-        "driven-flick",
         "driven-turned-path",
         "driven-turned-rate",
     ]

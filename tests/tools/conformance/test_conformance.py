@@ -13,12 +13,12 @@ from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import Support, backend, registry
 from gauge_envs.cli.app import app
-from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.runs.rollout import DeclinedError, Rollout
-from gauge_envs.scene import Box, Hinge, Scene
+from gauge_envs.scene import Box, Scene
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.lab import Lab
@@ -211,8 +211,6 @@ def test_scenes_and_numbers_of_all_checks_are_the_approved_ones(approved):
     engine, little = WobblingBackend(), WobblingBackend(0.02)
     lab, lab_of_little, lines, first = Lab(engine), Lab(little), [], {}
     for one in checks():
-        if one.measure.__module__.endswith("benchmark"):
-            continue
         engine.scenes.clear()
         width = f"{one.tolerance.absolute:g} + {one.tolerance.relative:g}"
         try:
@@ -360,27 +358,6 @@ def test_bars_in_laws_do_not_break_the_markdown_table():
     finding = next(run_checks("mujoco", only=["hinge-radius"]))
     assert isinstance(finding, CheckResult)
     assert "\\|r - anchor\\| = l" in as_markdown(findings_document([finding]))
-
-
-class OfPendulum(Changed):
-    """MuJoCo with settings that fit scenes with a hinge only."""
-
-    def build(self, scene, settings=None):
-        if settings and not any(isinstance(joint, Hinge) for joint in scene.joints):
-            raise UnsupportedSceneError("the preset is for scenes with a hinge")
-        return super().build(scene, None)
-
-
-def test_scenes_of_the_benchmark_that_the_settings_do_not_fit_are_left_out():
-    (result,) = run_checks(
-        OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-rigid"]
-    )
-    assert result.status is Status.PASS
-    (declined,) = run_checks(
-        OfPendulum(), settings={"preset": "hinge"}, only=["restore-benchmark-soft"]
-    )
-    assert declined.status is Status.DECLINED
-    assert declined.missing == ("the preset is for scenes with a hinge",)
 
 
 def test_pendulum_period_is_the_integral_over_a_quarter_swing():

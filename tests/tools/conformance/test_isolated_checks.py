@@ -11,7 +11,7 @@ from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
 
-ONLY = ("free-fall", "slide-plane", "driven-flick")
+ONLY = ("free-fall", "slide-plane", "driven-turned-path")
 """Of these, only the second has contacts."""
 
 

@@ -54,8 +54,9 @@ rest-cylinder            cylinder-length       its length is half
 rest-driven              margin                a margin, or its size
 rest-lying-cylinder      cylinder-radius       its radius is half
 rest-sphere              margin                a margin, or its size
-restore-benchmark-rigid  restore-warm-start    after restore()
-restore-benchmark-soft   restore-velocity      after restore()
+foam-restore             restore-velocity      after restore()
+rope-restore             restore-velocity      after restore()
+tether-place             Tether.anchor_m:offset:0-False       furthest for the
 restore-edge             restore-velocity      after restore()
 restore-hinge            restore-velocity      after restore()
 restore-rest             restore-warm-start    after restore()
@@ -85,6 +86,7 @@ reset-command            reset.command:stale:all                     outlives re
 restore-command          restore.command:stale:all                   the command of a motor
 glide-speed              engine.velocity:saturate:3                  a limit of speed
 glide-turn               engine.hinge_rate:scale:damped-0.05         damping
+driven-turned-path       drive.position:kth:first             the first block is off
 glide-reports report.spin:side:negative the reported angular velocity
 volley-order             Contact.restitution:side:fixed-first-0.8    is first
 volley-fast              Contact.restitution:threshold:above-8m/s    depends on speed
@@ -124,8 +126,7 @@ CASES = (
     *(row.split(maxsplit=2) for row in ALSO.strip().splitlines()),
 )
 SLOW = (
-    "restore-benchmark-rigid",
-    "restore-benchmark-soft",
+    "foam-restore",
     "foam-tension",
     "foam-held",
     "foam-poisson",
@@ -256,6 +257,7 @@ CONSEQUENCES = {
 """Faults of which an earlier check sees a consequence, without their name."""
 
 FOUND_BEFORE = {
+    "drive-acceleration": "carry-line",
     "wrench-origin": "wrench-centre-compound",
     "friction-across": "slide",
     "attachments-drift": "cloth-reset",
