@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,11 @@ def _swing(_: Lab) -> Scene:
     )
 
 
+def _held(_: Lab, *, kind: str) -> Scene:
+    """Return a body of a kind that is held at one side."""
+    return held(kind)
+
+
 def _floating(_: Lab) -> Scene:
     """Return a floating box."""
     brick = body(
@@ -264,7 +270,7 @@ for _kind in ("foam", "rope"):
         f"{_kind}-restore",
         title=f"{_kind}: restore continues bit for bit",
         scene=f"a body of {_kind} that is held at one side and released",
-        build=lambda _, kind=_kind: held(kind),
+        build=partial(_held, kind=_kind),
         diagnosis="state() must hold copies of the nodes' velocities and all else that the next step reads",
     )
 
