@@ -59,6 +59,7 @@ def test_the_wrong_frame_of_an_inertia_is_named(words, wrong):
     assert words in found and bool(words) == bool(found)
 
 
+@pytest.mark.slow
 def test_deformable_laws_read_the_same_at_any_damping():
     """MuJoCo's integrator damps in proportion to its step, here by a factor of ten."""
     laws = ["cloth-stretch", "cloth-shear", "cloth-bending", "rod-bending"]

@@ -91,7 +91,7 @@ def test_an_engine_that_dies_costs_its_own_cells(installed, tmp_path, gauge):
 
 
 @pytest.mark.parametrize(
-    "options", [["x.json"], ["mujoco:PGS", "--out", "page.txt"], ["mujoco:nope"], []]
+    "options", [["x.json"], ["mujoco:PGS", "--out", "page.txt"], []]
 )
 def test_a_request_without_engine_or_output_is_refused(options, gauge):
     assert gauge("backend", "check", *options).exit_code == 2

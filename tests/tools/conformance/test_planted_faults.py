@@ -1,5 +1,7 @@
 """Planted faults: each is caught by a check whose diagnosis names it, and every check can fail."""
 
+import re
+
 import pytest
 from mutations import FAULTS, Fault, Mutant, Passed, first_failure, is_of_the_fault
 from mutations.generated import KINDS, generated, is_held_out
@@ -125,16 +127,8 @@ CASES = (
     *((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()),
     *(row.split(maxsplit=2) for row in ALSO.strip().splitlines()),
 )
-SLOW = (
-    "foam-restore",
-    "foam-tension",
-    "foam-held",
-    "foam-poisson",
-    "foam-rests-on",
-    "foam-start",
-    "foam-strike",
-    "rope-rests-on",
-)
+SLOW = re.compile(r"foam-|rope-|(cloth|rod)-(held|rests-on|strike|mass)|rod-length")
+"""Checks of scenes that take half a second or more; laws of cloth and rods stay."""
 
 
 @pytest.mark.parametrize(
@@ -142,7 +136,7 @@ SLOW = (
     [
         pytest.param(
             *case,
-            marks=[pytest.mark.slow] if case[0] in SLOW else [],
+            marks=[pytest.mark.slow] if SLOW.match(case[0]) else [],
             id=f"{case[0]}-{case[1]}",
         )
         for case in CASES
