@@ -152,7 +152,9 @@ class Lift:
                 depth_m = along - _lowest_m(body, axis)
                 inside = depth_m < region.depth_m + PLACE_TOLERANCE_M
                 moved = nodes[:, inside] - nodes[0, inside]
-                errors[name] = max(errors.get(name, 0.0), largest_mm(moved))
+                # Nodes that are elsewhere at the start are not in the clamp.
+                furthest_mm = largest_mm(moved) if inside.any() else np.inf
+                errors[name] = max(errors.get(name, 0.0), furthest_mm)
         worst = max(errors, key=lambda one: errors[one])
         return Measurement(
             measured=errors[worst], hint=f"it is furthest for the {worst}"
