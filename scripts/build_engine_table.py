@@ -404,7 +404,7 @@ UNRANKED = (
     "torsion",
     "rolling",
 )
-"""Checks of what no ranked experiment has: slip in impacts, rubbing, flat landings, edges, foam, joints, grasps, spins."""
+"""Checks of what no ranked experiment has: slip in impacts, rubbing, flat landings, edges, foam, joints, grasps."""
 
 
 def failed_checks(known: Mapping[str, Any]) -> int:
