@@ -8,8 +8,11 @@ and with one. A reality starts with the assumed spread, and its release has the 
 - place: the first body that starts free is 2 mm off, in one direction of its plane.
 - release: a further delay of |N(0, 40 ms)|. The test fits the release, so it should not tell this one.
 
-Cloth and foam that grips hold have no start of their own. Of one run of each it is found which noise of the markers,
-and which late releases, give the real mean E_RMSE, and which noise a body needs that does not move.
+Cloth and foam that grips hold have no start of their own: driven bodies are misplaced and late, and markers have noise.
+What misplacements add to g(t) is measured in each coordinate alone, and added.
+
+- frozen: nothing moves. stiffness, density: those of the cloth or foam are 20 % lower.
+- place: the driven body is `FAR` off. late: as release.
 """
 
 from __future__ import annotations
@@ -18,45 +21,48 @@ import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.scatter import (
+    HELD_FRAMES,
+    HELD_LATE_S,
     LEVEL,
     SPREADS,
+    TOLD_SHARE,
     TRIAL_COUNT,
     GroupModel,
-    check_starts,
     delayed,
     differs,
+    drawn_noises,
+    experiment_models,
     group_models,
     group_scores,
+    is_held,
+    marker_noise,
     published_numbers,
     scatter_test,
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.published import published_variants
 from gauge_envs.references.scatter import (
+    ASSUMPTIONS,
     HELD_COLUMNS,
     NUMBERS,
     SCATTER_COLUMNS,
     held_file,
     scatter_file,
 )
-from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.scatter import scattered_runs
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered
-from gauge_envs.scene.timing import FRAME_RATE_HZ
-from scripts.build_power import LOW, _with_contacts
+from gauge_envs.scene.jitter import Jitter, jittered, misplaced
+from scripts.build_power import LOW, _with_contacts, motion
 from scripts.generated import Request
 
 RUN_COUNT = 40
@@ -66,9 +72,12 @@ OFFSET_M = 2e-3
 LATE_S = 0.04
 FACTORS = (1.25, 1.5, 2.0, 3.0, 4.0)
 FACTOR_REALITIES = 50
-TOLD_SHARE = 0.8
-NOISE_GROUPS = 2
-RELEASES_S = np.arange(0.01, 0.31, 0.01)
+HELD_REALITIES = 100
+KNOT = 1.5
+SMALL_SHARE = 0.25
+NOISE_MM = 0.1
+FAR = np.array([[2.0, 2.0, 2.0, 0.0, 0.0, 0.0]]) / np.sqrt(3.0)
+"""A place that is 2 mm off, over the standard deviations of the jitter, shape [1, 6]."""
 
 
 def measure(request: Request) -> None:
@@ -79,9 +88,7 @@ def measure(request: Request) -> None:
         is_known = published_numbers(experiment.baselines) is not None
         if not (is_wanted and is_known) or experiment.impossible_scores:
             continue
-        try:
-            check_starts(experiment, Jitter())
-        except ParameterError:
+        if is_held(experiment):
             add_row(held_file(), HELD_COLUMNS, name, held_row)
         else:
             add_row(scatter_file(), SCATTER_COLUMNS, name, row_of)
@@ -131,9 +138,7 @@ def row_of(name: str) -> dict[str, Any]:
     ):
         row[f"real.{key}"] = f"{real:g}"
         row[f"simulated.{key}"] = f"{simulated:.3g}"
-    for key, one in zip(
-        ("half", "once", "twice", "uneven"), scatter.spreads, strict=True
-    ):
+    for key, one in zip(ASSUMPTIONS, scatter.spreads, strict=True):
         row[f"p.{key}"] = f"{one.p_value:.3f}"
     models = group_models(samples, experiment.baselines["rmse"].frames)
     scenes = {"none": experiment.scene, **dict(faulty_scenes(experiment))}
@@ -214,87 +219,156 @@ def told_factor(found: FloatArray, models: dict[str, GroupModel]) -> str:
 
 def held_row(name: str) -> dict[str, Any]:
     """Return the row of a variant whose bodies are held."""
-    experiment = load_experiment(name)
-    numbers = published_numbers(experiment.baselines)
-    trajectory = run_episode(RunRequest(name)).trajectory
-    markers, known = experiment.scene.markers, None
-    if trajectory is not None:
-        known = trajectory.markers_m()
-    assert numbers is not None and markers is not None and known is not None
-    markers_m = known[: experiment.baselines["rmse"].frames]
-    observed = partial(
-        observe_markers, markers=markers, observable=experiment.score.observable
-    )
-    motion = observed(markers_m)
-    still_m = np.broadcast_to(markers_m[0], markers_m.shape)
-    noise_mm, noisy = marker_noise(markers_m, observed, rmse=numbers[0])
-    release_s = release_spread(motion, rmse=numbers[0])
+    whole = load_experiment(name)
+    frame_count = min(whole.frame_count, HELD_FRAMES)
+    experiment = replace(whole, frame_count=frame_count)
+    drawn = np.random.default_rng(0).standard_normal((RUN_COUNT + REALITY_RUNS, 6))
+    scene = experiment.scene
+    nominal, markers_m = played(experiment, scene)
+    moved = displacements(experiment, nominal, drawn)
+    samples, trials = np.split(nominal + moved, [RUN_COUNT])
+    models = experiment_models(experiment, {1.0: samples}, markers_m=markers_m)
+    noise = marker_noise(experiment, markers_m)
+    real = np.array(published_numbers(experiment.baselines))
+    spreads = [model.answer(real, starts) for starts, model in models.items()]
+    middle = spreads[SPREADS.index(1.0)]
     row: dict[str, Any] = {
         "variant": name,
         "unit": experiment.baselines["rmse"].unit,
-        "motion": f"{np.sqrt(np.square(motion - motion.mean(axis=0)).sum(axis=1).mean()):.3g}",
-        "noise_mm": f"{noise_mm:.3g}",
-        "noise_dtw": f"{group_scores(noisy)[:, 2].mean():.3g}",
-        "still_mm": f"{marker_noise(still_m, observed, rmse=numbers[0])[0]:.3g}",
-        "release_s": "" if release_s is None else f"{release_s:.3g}",
+        "noise_mm": f"{middle.noise_mm:.3g}",
     }
-    return row | {
-        f"real.{key}": f"{value:g}" for key, value in zip(NUMBERS, numbers, strict=True)
+    still = np.broadcast_to(nominal, trials.shape)
+    alone = {
+        "place": held_groups("place", trials, noise, late_s=0.0, noise_mm=0.0),
+        "late": held_groups("late", still, noise, late_s=HELD_LATE_S, noise_mm=0.0),
+        "noise": held_groups("noise", still, noise, late_s=0.0, noise_mm=NOISE_MM),
     }
+    numbers = {cause: np.exp(np.log(one).mean(axis=0)) for cause, one in alone.items()}
+    for cause, values in {"real": real, **numbers}.items():
+        row |= {
+            f"{cause}.{key}": f"{value:.3g}"
+            for key, value in zip(NUMBERS, values, strict=True)
+        }
+    for key, one in zip(ASSUMPTIONS, spreads, strict=True):
+        row[f"p.{key}"] = f"{one.p_value:.3f}"
+    bases = {"none": nominal, "frozen": np.broadcast_to(nominal[:1], nominal.shape)}
+    for fault, changed in held_faults(scene):
+        bases[fault] = played(experiment, changed)[0]
+    for fault, base in bases.items():
+        # Misplacements act on the faulty scene as on the right one, and on a frozen one not at all.
+        runs = base + (0.0 if fault == "frozen" else 1.0) * (trials - nominal)
+        found = held_groups(fault, runs, noise, noise_mm=middle.noise_mm)
+        row |= told(fault, found, models)
+    far = nominal + displacements(experiment, nominal, FAR)
+    found = held_groups("far", trials + far - nominal, noise, noise_mm=middle.noise_mm)
+    row |= told("place", found, models)
+    found = held_groups(
+        "later", trials, noise, noise_mm=middle.noise_mm, later_s=LATE_S
+    )
+    return row | told("late", found, models)
 
 
-def mean_rmse(trials: FloatArray) -> float:
-    """Return E_RMSE of trials against the mean of their group, mean over trials and groups.
+def played(experiment: Experiment, scene: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return g(t) of a run of MuJoCo, shape [sample_count, coordinate_count], and its markers at the frames [m]."""
+    episode = motion(experiment, scene, last_frame=experiment.frame_count - 1)
+    trajectory = episode.trajectory()
+    return trajectory.dense[1], trajectory.markers_m
+
+
+def displacements(
+    experiment: Experiment, nominal: FloatArray, drawn: FloatArray
+) -> FloatArray:
+    """Return what misplacements of the driven body add to g(t), the sum over its coordinates.
+
+    Each is linear between runs with none and with +- `KNOT` standard deviations.
 
     Args:
-        trials: g(t), shape [group_count, trial_count, frame_count, coordinate_count].
-    """
-    squares = np.square(trials - trials.mean(axis=1, keepdims=True)).sum(axis=-1)
-    return float(np.sqrt(squares.mean(axis=-1)).mean())
-
-
-def marker_noise(
-    markers_m: FloatArray, observed: Callable[[FloatArray], FloatArray], *, rmse: float
-) -> tuple[float, FloatArray]:
-    """Return the white noise of markers with which trials of one motion have a given E_RMSE, and g(t) of such trials.
-
-    Args:
-        markers_m: Markers of the motion [m], shape [frame_count, marker_count, 3].
-        observed: Function that returns g(t) of markers.
-        rmse: E_RMSE in the unit of g(t).
+        experiment: The experiment.
+        nominal: g(t) without, shape [sample_count, coordinate_count].
+        drawn: Coordinates over their standard deviations, shape [count, 6].
 
     Returns:
-        Standard deviation of each coordinate [mm]; g(t), shape [group_count, trial_count, frame_count, width].
+        Shape [count, sample_count, coordinate_count].
     """
-    shape = (NOISE_GROUPS, TRIAL_COUNT, *markers_m.shape)
-    drawn = np.random.default_rng(0).standard_normal(shape)
-    noise_mm = 0.1
-    # E_RMSE is nearly proportional to the noise.
-    for _ in range(3):
-        places_m = (markers_m + 1e-3 * noise_mm * drawn).reshape(-1, *shape[3:])
-        trials = observed(places_m).reshape(*shape[:3], -1)
-        noise_mm *= rmse / mean_rmse(trials)
-    return noise_mm, trials
+    changes = responses(experiment.name)
+    moved = np.zeros((len(drawn), *nominal.shape))
+    for column, (low, high) in changes.items():
+        shares = drawn[:, column] / KNOT
+        moved += np.maximum(shares, 0.0)[:, None, None] * high
+        moved += np.maximum(-shares, 0.0)[:, None, None] * low
+    return moved
 
 
-def release_spread(motion: FloatArray, *, rmse: float) -> float | None:
-    """Return the least spread of late releases with which trials of one motion have a given E_RMSE.
+@lru_cache(maxsize=1)
+def responses(name: str) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Return the changes of g(t) by each coordinate at minus and plus `KNOT`, without those that change nothing."""
+    whole = load_experiment(name)
+    experiment = replace(whole, frame_count=min(whole.frame_count, HELD_FRAMES))
+    scene = experiment.scene
+    nominal = played(experiment, scene)[0]
+    (driver,) = scene.drivers
+
+    def changed(column: int, place: float) -> FloatArray | None:
+        moved = misplaced(scene, Jitter(), {driver.body: place * np.eye(6)[column]})
+        if moved == scene:
+            return None
+        return played(experiment, moved)[0] - nominal
+
+    highs = {column: changed(column, KNOT) for column in range(6)}
+    known = {column: high for column, high in highs.items() if high is not None}
+    most = max(float(np.linalg.norm(high)) for high in known.values())
+    found = {}
+    for column, high in known.items():
+        low: FloatArray | None = -high
+        # A rod that touches, or a sheet that wrinkles, answers otherwise in the other direction; a grip does not.
+        if scene.contacts and np.linalg.norm(high) > SMALL_SHARE * most:
+            low = changed(column, -KNOT)
+        assert low is not None, "both directions move the body"
+        found[column] = (low, high)
+    return found
+
+
+def held_faults(scene: Scene) -> Iterator[tuple[str, Scene]]:
+    """Yield scenes with one wrong constant."""
+    constants = ("stretch_stiffness_n_per_m", "young_modulus_pa")
+    heavy = ("mass_kg", "areal_density_kg_per_m2")
+    for fault, fields in (("stiffness", constants), ("density", heavy)):
+        bodies = []
+        for body in scene.deformables:
+            known = [field for field in fields if hasattr(body, field)]
+            lower = {field: LOW * getattr(body, field) for field in known}
+            bodies.append(replace(body, **lower))
+        yield fault, replace(scene, deformables=tuple(bodies))
+    if any(contact.friction for contact in scene.contacts):
+        yield "friction", _with_contacts(scene, "friction", LOW)
+
+
+def held_groups(
+    fault: str,
+    runs: FloatArray,
+    noise: FloatArray,
+    *,
+    noise_mm: float,
+    late_s: float = HELD_LATE_S,
+    later_s: float = 0.0,
+) -> FloatArray:
+    """Return the four numbers of groups of trials, shape [group_count, 4].
 
     Args:
-        motion: g(t), shape [frame_count, width]; it rests until the release.
-        rmse: E_RMSE in its unit.
-
-    Returns:
-        The spread s of |N(0, s)| [s]; None if no spread of up to 0.3 s is enough.
+        fault: Name that draws the groups.
+        runs: g(t), shape [run_count, sample_count, coordinate_count].
+        noise: Response to the noise of markers.
+        noise_mm: Noise of the markers [mm].
+        late_s: Spread of the start of the drive [s].
+        later_s: Spread of a further delay [s].
     """
-    shape = (4 * NOISE_GROUPS, TRIAL_COUNT)
-    delays = np.abs(np.random.default_rng(0).standard_normal(shape))
-    frames = np.arange(len(motion))
-    for spread_s in RELEASES_S:
-        places = np.maximum(frames - FRAME_RATE_HZ * spread_s * delays[..., None], 0.0)
-        before = np.minimum(places.astype(int), len(motion) - 2)
-        share = (places - before)[..., None]
-        trials = (1.0 - share) * motion[before] + share * motion[before + 1]
-        if mean_rmse(trials) >= rmse:
-            return float(spread_s)
-    return None
+    random = np.random.default_rng([*fault.encode()])
+    shape = (HELD_REALITIES, TRIAL_COUNT)
+    chosen = random.permuted(
+        np.tile(np.arange(len(runs)), (HELD_REALITIES, 1)), axis=1
+    )[:, :TRIAL_COUNT]
+    delays_s = late_s * np.abs(random.standard_normal(shape))
+    delays_s += later_s * np.abs(random.standard_normal(shape))
+    trials = delayed(runs, chosen, delays_s, noise.shape[1])
+    trials += noise_mm * noise[drawn_noises(random, noise, HELD_REALITIES)]
+    return group_scores(trials)

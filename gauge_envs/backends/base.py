@@ -800,7 +800,7 @@ def worlds_of(
 
     Args:
         engine: The engine.
-        scenes: One or more scenes with the same bodies, shapes and drivers.
+        scenes: One or more scenes with the same bodies, shapes and motions of drivers.
         settings: As in `Backend.build`.
         restart_alone: Whether `Worlds.restart` is needed.
     """
@@ -828,6 +828,7 @@ def _soft_constants(scene: Scene) -> tuple[object, ...]:
     return (
         *(replace(body, pose=origin) for body in scene.deformables),
         *scene.joints,
+        *((one.shift_m, one.turn_rad) for one in scene.drivers),
         scene.air,
     )
 

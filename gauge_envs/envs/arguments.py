@@ -31,7 +31,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.jitter import Jitter, jittered, scattered
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -426,7 +426,8 @@ def jittered_experiment(
             experiment, scene=trial_scene(experiment, jitter.trial)
         )
     else:
-        moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
+        scene = scattered(experiment.scene, jitter, seed=seed)
+        moved = replace(experiment, scene=scene)
     check_support(moved, backend)
     return moved
 

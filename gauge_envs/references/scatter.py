@@ -1,7 +1,7 @@
 """What the published scatter of real trials tells: of bodies that start free, and of cloth and foam that is held.
 
-`scoring/scatter.csv` has the test of each variant with starts that scatter. Held cloth and foam have none; for these
-`scoring/scatter_held.csv` has the noise of markers and the late releases that would scatter as much.
+`scoring/scatter.csv` has the test of each variant with starts that scatter, and `scoring/scatter_held.csv` that of held
+cloth and foam, whose driven bodies are misplaced and late instead, with what each cause gives alone.
 """
 
 from collections.abc import Mapping
@@ -42,6 +42,7 @@ class ScatterRow(FileModel):
 
 
 NUMBERS = ("rmse", "rmse_std", "dtw", "dtw_std")
+ASSUMPTIONS = ("half", "once", "twice", "uneven")
 FAULTS = ("none", "friction", "rebound", "place", "release")
 SCATTER_COLUMNS = (
     "variant",
@@ -49,7 +50,7 @@ SCATTER_COLUMNS = (
     "runs",
     *(f"{group}.{name}" for group in ("real", "simulated") for name in NUMBERS),
     "release_s",
-    *(f"p.{name}" for name in ("half", "once", "twice", "uneven")),
+    *(f"p.{name}" for name in ASSUMPTIONS),
     *(f"{group}.{name}" for group in ("refused", "told") for name in FAULTS),
     "factor",
 )
@@ -62,39 +63,40 @@ def scatter_file() -> Path:
 
 
 class HeldRow(FileModel):
-    """What would scatter as real trials of a held cloth or foam do, by one run of MuJoCo.
+    """The scatter test of a held cloth or foam on MuJoCo, what each assumed cause gives alone, and what it tells.
 
     Attributes:
         variant: Variant id.
         unit: Unit of the distances.
         real: Published numbers of real trials, by `rmse`, `rmse_std`, `dtw` and `dtw_std`.
-        motion: Root mean square of g(t) about its mean over the frames.
-        noise_mm: Standard deviation of white noise of each marker coordinate that gives the real mean E_RMSE [mm].
-        noise_dtw: E_DTW with it.
-        still_mm: The noise that a body needs which does not move [mm].
-        release_s: Spread of the release, late by |N(0, s)|, that gives the real mean E_RMSE [s]; None if none does.
+        place: The same of runs whose driven body is misplaced by the jitter.
+        late: The same of runs whose drive starts late.
+        noise: The same of markers with noise of 0.1 mm.
+        noise_mm: Noise of the markers that gives the real mean E_RMSE, beside the other causes [mm].
+        p, refused, told: As of `ScatterRow`, by the faults of `HELD_FAULTS`.
     """
 
     variant: str
     unit: str
     real: Mapping[str, float]
-    motion: float
+    place: Mapping[str, float]
+    late: Mapping[str, float]
+    noise: Mapping[str, float]
     noise_mm: float
-    noise_dtw: float
-    still_mm: float
-    release_s: float | None
-
-    @property
-    def noise_std_mm(self) -> float:
-        """Standard deviation of the noise among trials that gives the real one of E_RMSE [mm]."""
-        return self.noise_mm * self.real["rmse_std"] / self.real["rmse"]
+    p: Mapping[str, float]
+    refused: Mapping[str, float | None]
+    told: Mapping[str, float | None]
 
 
+CAUSES = ("place", "late", "noise")
+HELD_FAULTS = ("none", "frozen", "stiffness", "density", "friction", "place", "late")
 HELD_COLUMNS = (
     "variant",
     "unit",
-    *(f"real.{name}" for name in NUMBERS),
-    *("motion", "noise_mm", "noise_dtw", "still_mm", "release_s"),
+    *(f"{group}.{name}" for group in ("real", *CAUSES) for name in NUMBERS),
+    "noise_mm",
+    *(f"p.{name}" for name in ASSUMPTIONS),
+    *(f"{group}.{name}" for group in ("refused", "told") for name in HELD_FAULTS),
 )
 """Columns of the file of held bodies."""
 

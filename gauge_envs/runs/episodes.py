@@ -20,7 +20,6 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.scatter import check_starts
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -31,7 +30,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
 from gauge_envs.runs.scatter import with_scatter
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene.jitter import Jitter, scattered
 
 _log = logging.getLogger(__name__)
 
@@ -186,7 +185,7 @@ def run_request(request: RunRequest) -> list[Result]:
     try:
         experiment = request.experiment()
         if request.jitter is not None:
-            check_starts(experiment, request.jitter)
+            scattered(experiment.scene, request.jitter, seed=0)
     except GaugeError as error:
         outcome = (
             Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED

@@ -1,4 +1,4 @@
-"""Runs with starts that scatter, and what they say beside the published scatter of real trials."""
+"""Runs with starts or driven bodies that scatter, and what they say beside the published scatter of real trials."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -11,6 +11,7 @@ from gauge_envs.evaluation.scatter import (
     SPREADS,
     TRIAL_COUNT,
     Scatter,
+    is_held,
     published_numbers,
     refused_scatter,
     scatter_test,
@@ -25,7 +26,7 @@ from gauge_envs.scene.jitter import Jitter
 def with_scatter(request: RunRequest, results: Sequence[Result]) -> list[Result]:
     """Return the repeats of a request with their scatter beside that of real trials, where that is published.
 
-    It takes as many further runs with half the spread of the starts, and as many with twice.
+    It takes as many further runs with half the spread of the starts, and as many with twice; of held bodies none.
 
     Args:
         request: The run.
@@ -46,12 +47,14 @@ def with_scatter(request: RunRequest, results: Sequence[Result]) -> list[Result]
 def _measured(
     request: RunRequest, experiment: Experiment, results: Sequence[Result]
 ) -> Scatter:
-    found = []
+    found, markers_m = [], None
     for result in results:
         if result.outcome is Outcome.FINISHED and result.trajectory is not None:
             found.append(result.trajectory.arrays()[1])
+            markers_m = result.trajectory.markers_m()
     samples: dict[float, FloatArray] = {}
-    for share in SPREADS:
+    held = is_held(experiment)
+    for share in (1.0,) if held else SPREADS:
         runs = found
         if share != 1.0:
             runs = scattered_runs(
@@ -64,7 +67,7 @@ def _measured(
                 f"{lost} of {len(results)} runs with {share:g} times the spread of starts diverged",
             )
         samples[share] = np.array(runs)
-    return scatter_test(experiment, samples)
+    return scatter_test(experiment, samples, markers_m=markers_m if held else None)
 
 
 def _seeds(request: RunRequest) -> range:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Pose, Vector, vector
 from gauge_envs.scene.profiles import Profile
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +61,15 @@ class Driver:
         body: Name of the kinematic body.
         motions: Motions that apply in order to the start pose, each in the world frame.
         provenance: Source of the motion: `video`, `mocap`, `nominal`, ...
+        shift_m: Displacement of the body from its place in the set-up [m], beside its motions; None for none.
+        turn_rad: Rotation vector about its origin from its place in the set-up [rad]; None for none.
     """
 
     body: str
     motions: tuple[DriverMotion, ...]
     provenance: str
+    shift_m: Vector | None = None
+    turn_rad: Vector | None = None
 
     def pose(
         self, start: Pose, time_s: float, offsets: FloatArray | None = None
@@ -134,6 +140,16 @@ class Driver:
         )
         linear, angular = np.zeros_like(position), np.zeros_like(position)
         times_s = np.atleast_1d(time_s).tolist()
+        shift_m, turn_rad = self.shift_m, self.turn_rad
+        if shift_m is not None and turn_rad is not None:
+            # It goes there in the first frame, as what it holds starts without strain.
+            frames = np.minimum(FRAME_RATE_HZ * np.array(times_s), 1.0)[:, None]
+            share = 0.5 * (1.0 - np.cos(np.pi * frames))
+            share_rate = 0.5 * np.pi * FRAME_RATE_HZ * np.sin(np.pi * frames)
+            position = position + share * shift_m
+            rotation = Rotation.from_rotvec(share * turn_rad) * rotation
+            linear = linear + share_rate * shift_m
+            angular = angular + share_rate * turn_rad
         for index, motion in enumerate(self.motions):
             value = (
                 np.array([motion.value(one) for one in times_s]) + offsets[:, index]
@@ -163,12 +179,19 @@ class Driver:
     @property
     def spin_limit_rad_per_s(self) -> float:
         """Bound on the angular speed of the driven body [rad/s]."""
-        return sum(one.largest_rate for one in self.motions if one.kind == "rotate")
+        turn_rad = math.hypot(*(self.turn_rad or ()))
+        misplacing = 0.5 * math.pi * FRAME_RATE_HZ * turn_rad
+        return misplacing + sum(
+            one.largest_rate for one in self.motions if one.kind == "rotate"
+        )
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""
-        speed = 0.0
         corners = body.pose.to_world(body.shape.corners_m)
+        radius_m = np.linalg.norm(corners - body.pose.position_m, axis=1).max()
+        turn_rad = math.hypot(*(self.turn_rad or ()))
+        way_m = math.hypot(*(self.shift_m or ())) + float(radius_m) * turn_rad
+        speed = 0.5 * math.pi * FRAME_RATE_HZ * way_m
         for motion in self.motions:
             if motion.kind == "translate":
                 speed += motion.largest_rate

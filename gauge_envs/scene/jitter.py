@@ -1,7 +1,7 @@
 """Random start poses and velocities of a scene, like the scatter of manual set-ups of real trials."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -138,6 +138,50 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     return replace(
         scene, bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables)
     )
+
+
+def scattered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
+    """Return the scene as `jittered` does; where nothing starts free, with driven bodies that are misplaced at random.
+
+    So a person fixes a cloth or a foam in a clamp.
+    """
+    try:
+        return jittered(scene, jitter, seed=seed)
+    except ParameterError:
+        if not scene.drivers:
+            raise
+    random = np.random.default_rng(seed)
+    drawn = {one.body: random.standard_normal(6) for one in scene.drivers}
+    return misplaced(scene, jitter, drawn)
+
+
+def misplaced(scene: Scene, jitter: Jitter, drawn: Mapping[str, FloatArray]) -> Scene:
+    """Return the scene with driven bodies that are not at their places, during the whole motion.
+
+    The place of the only body that a cloth or a foam touches is that of the whole scene: then all of it leans.
+
+    Args:
+        scene: The scene.
+        jitter: Standard deviations of places and angles.
+        drawn: Displacement along the world's axes and rotation about them, by the name of the body, over these standard
+            deviations, shape [6].
+    """
+    touched = {name for one in scene.contacts for name in (*one.first, *one.second)}
+    touched -= {one.name for one in scene.deformables}
+    if len({*scene.holders, *touched}) == 1:
+        (driver,) = scene.drivers
+        turn_rad = jitter.angle_rad * drawn[driver.body][3:]
+        if not turn_rad.any():
+            return scene
+        return tilted(scene, turn_rad, scene.body(driver.body).pose.position_m)
+    drivers = []
+    for driver in scene.drivers:
+        shift_m = jitter.position_m * drawn[driver.body][:3]
+        turn_rad = jitter.angle_rad * drawn[driver.body][3:]
+        drivers.append(
+            replace(driver, shift_m=vector(shift_m), turn_rad=vector(turn_rad))
+        )
+    return replace(scene, drivers=tuple(drivers))
 
 
 def _joined(

@@ -16,7 +16,8 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Motion, Plane, Pose
-from gauge_envs.scene.jitter import JITTER_FORMAT, jittered
+from gauge_envs.scene.jitter import JITTER_FORMAT, jittered, scattered
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 STILL = Jitter(position_m=0.0, angle_rad=0.0)
 
@@ -129,8 +130,59 @@ def test_another_way_to_draw_starts_needs_another_format(name, body, moved_um):
 
 
 def test_nothing_to_jitter_is_said():
-    with pytest.raises(ParameterError, match="nothing to jitter"):
-        jittered(load_experiment("TextileFlinging-satin").scene, Jitter(), seed=0)
+    for name, draw in (
+        ("TextileFlinging-satin", jittered),
+        ("CantileverBeam-soft", scattered),
+    ):
+        with pytest.raises(ParameterError, match="nothing to jitter"):
+            draw(load_experiment(name).scene, Jitter(), seed=0)
+
+
+def test_a_set_up_that_one_driven_body_holds_leans_as_a_whole():
+    scene = load_experiment("TextileFlinging-satin").scene
+    moved = scattered(scene, Jitter(), seed=3)
+    rod = scene.drivers[0].body
+    start, leaning = scene.body(rod).pose, moved.body(rod).pose
+    assert leaning.position_m == pytest.approx(start.position_m, abs=1e-15)
+    turn = leaning.rotation * start.rotation.inv()
+    assert 0.1 < turn.magnitude() / math.radians(0.5) < 4.0
+    arms = (
+        np.subtract(one.markers.positions_m, start.position_m) for one in (scene, moved)
+    )
+    before, after = arms
+    np.testing.assert_allclose(turn.apply(before), after, atol=1e-12)
+    axes = (one.drivers[0].motions[0].axis for one in (scene, moved))
+    stated, leant = axes
+    np.testing.assert_allclose(turn.apply(stated), leant, atol=1e-12)
+
+
+def test_a_driven_body_that_is_misplaced_goes_to_its_place_and_then_moves_as_stated():
+    scene = load_experiment("FoamStretching-soft").scene
+    moved = scattered(scene, Jitter(), seed=3)
+    (stated,), (driver,) = scene.drivers, moved.drivers
+    assert np.any(driver.shift_m) and np.any(driver.turn_rad)
+    start = scene.body(driver.body).pose
+    assert driver.pose(start, 0.0) == start
+    for time_s in (1.0 / FRAME_RATE_HZ, 0.5):
+        by_m = np.subtract(
+            driver.pose(start, time_s).position_m, stated.pose(start, time_s).position_m
+        )
+        np.testing.assert_allclose(by_m, driver.shift_m, atol=1e-12)
+    turned = driver.pose(start, 0.5).rotation * stated.pose(start, 0.5).rotation.inv()
+    np.testing.assert_allclose(turned.as_rotvec(), driver.turn_rad, atol=1e-12)
+    # Velocities are the rates of the places.
+    step_s = 1e-6
+    before, after = (
+        driver.pose(start, 0.4 / FRAME_RATE_HZ + sign * step_s) for sign in (-1, 1)
+    )
+    _, velocity = driver.state(start, 0.4 / FRAME_RATE_HZ)
+    rate = np.subtract(after.position_m, before.position_m) / (2.0 * step_s)
+    np.testing.assert_allclose(velocity[:3], rate, atol=1e-6)
+    spin = (after.rotation * before.rotation.inv()).as_rotvec() / (2.0 * step_s)
+    np.testing.assert_allclose(velocity[3:], spin, atol=1e-6)
+    body = scene.body(driver.body)
+    assert driver.speed_limit_m_per_s(body) >= np.linalg.norm(velocity[:3])
+    assert driver.spin_limit_rad_per_s >= np.linalg.norm(velocity[3:])
 
 
 @pytest.mark.parametrize("values", [{"position_m": -1e-3}, {"angle_rad": math.nan}])
@@ -183,7 +235,7 @@ def test_repeats_are_files_of_their_own_and_resume(tmp_path):
 
 
 def test_repeats_of_what_cannot_scatter_are_declined_with_the_reason():
-    results = list(run_many([RunRequest("FoamStretching-soft", repeats=2)]))
+    results = list(run_many([RunRequest("CantileverBeam-soft", repeats=2)]))
     assert [result.outcome for result in results] == ["declined"] * 2
     assert "nothing to jitter" in results[0].error
 

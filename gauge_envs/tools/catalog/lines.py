@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
+from gauge_envs.evaluation.deformation import RealStatistic
 from gauge_envs.references.convergence import Convergence
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import UnsolvedScene
@@ -157,26 +158,6 @@ class PowerFacts(TypedDict):
     not_told: Sequence[str]
 
 
-class RealStatisticFacts(TypedDict):
-    """One statistic of the deformation of real trials.
-
-    Attributes:
-        name: Name, as `strain.zz`.
-        unit: Unit; 1 for a pure number.
-        frame: Frame of the value.
-        value: Mean over the trials.
-        reach_95: Half width of its 95 % interval.
-        trial_count: Number of trials.
-    """
-
-    name: str
-    unit: str
-    frame: int
-    value: float
-    reach_95: float
-    trial_count: int
-
-
 class ReferenceFacts(TypedDict):
     """What an experiment is or could be scored against.
 
@@ -216,7 +197,7 @@ class ReferenceFacts(TypedDict):
     reward: str
     power: PowerFacts | None
     scatter: str
-    deformation: Sequence[RealStatisticFacts]
+    deformation: Sequence[RealStatistic]
 
 
 class EngineFacts(TypedDict):
