@@ -360,6 +360,7 @@ WITHOUT_LIMITS = {
     "tools/transfer/policies/load.py": "a pickle, only with --trust",
     "tools/transfer/policies/sb3.py": "an archive in memory, read within limits before",
     "tools/transfer/stack_files.py": "files of the package",
+    "tools/versions/episodes_worker.py": "runs in an environment of its own, without this package",
     "tools/versions/comparison.py": "what the worker wrote",
     "tools/versions/environments.py": "records that this command wrote",
     "tools/versions/worker.py": "runs in an environment of its own, without this package",

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import Feature, scene_support
+from gauge_envs.backends.base import Feature, Worlds, scene_support
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
 from gauge_envs.scene.driver_path import motor_commands
@@ -110,7 +110,11 @@ def _arm(name="mujoco"):
 def _played(world, first, last):
     states = []
     for values in motor_commands(_arm(), 36)[first:last]:
-        world.command(values)
+        if isinstance(world, Worlds):
+            numbers = np.arange(len(world.worlds))
+            world.command(np.tile(values, (len(numbers), 1)), numbers)
+        else:
+            world.command(values)
         world.advance(1 / 180)
         states.append(np.array(world.body_states(["upper", "lower"])))
     return states

@@ -119,8 +119,10 @@ class Mutant(Backend):
     worlds_mix_constants = True
     worlds_restart_alone = True
 
-    def __new__(cls, backend, fault):
-        return object.__new__(_BatchMutant if fault.worlds else cls)
+    def __new__(cls, *arguments):
+        # Checks see by the class whether an engine has batches.
+        has_batches = cls is Mutant and arguments[1].worlds
+        return object.__new__(_BatchMutant if has_batches else cls)
 
     def __init__(self, backend, fault):
         self.features = backend.features  # a class variable of engines

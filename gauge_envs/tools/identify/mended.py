@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.scene_source import read_bytes
 from gauge_envs.tools.identify.fit import Identified
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.mujoco_joints import paste
@@ -146,5 +147,5 @@ def write_files(
     if ".urdf" in files:
         if Path(source).suffix.lower() != ".urdf":
             raise ParameterError(f"--out {files['.urdf']}: {source} is no URDF")
-        text = Path(source).read_text(encoding="utf-8")
+        text = read_bytes(Path(source)).decode("utf-8")
         files[".urdf"].write_text(mended_urdf(text, found), encoding="utf-8")

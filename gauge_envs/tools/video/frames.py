@@ -344,7 +344,9 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
         with Image.open(io.BytesIO(content)) as stated:
             width, height = stated.size
     except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise VideoError(f"{path}: it is no PNG or JPEG: {error}") from None
+        raise VideoError(
+            f"{path}: it is no picture that Pillow reads ({error}); give the first frame as PNG or JPEG"
+        ) from None
     if max(width, height) > MOST_PICTURE_SIDE_PX:
         raise VideoError(
             f"{path}: it has {width} x {height} pixels; at most {MOST_PICTURE_SIDE_PX} a side"

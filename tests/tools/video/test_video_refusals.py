@@ -83,7 +83,7 @@ def tracked(file):
             "no picture",
             "give the first frame as PNG or JPEG",
         ),
-        ("none.png", read_picture, None, "there is no such file"),
+        ("none.png", read_picture, None, "No such file"),
     ],
 )
 def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tmp_path):
