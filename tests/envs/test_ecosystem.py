@@ -367,7 +367,7 @@ def test_blocks_of_the_guide_run(tmp_path):
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
     )
     assert run.returncode == 0, run.stderr
-    stated = re.findall(r"print\(.*\)  # (.*)", code)
+    stated = re.findall(r"^ *print\(.*\)  # (.*)", code, re.MULTILINE)
     assert run.stdout.splitlines() == stated
 
 
