@@ -397,9 +397,9 @@ def short_table(rows: Sequence[Row]) -> Iterator[str]:
     statistics = sum(row.statistics for row in rows)
     kinds = (
         (BandGrade.TRIALS, "real trials: slides, drops", "yes"),
-        (BandGrade.RECORDING, "one real recording", "yes"),
+        (BandGrade.RECORDING, "a recording", "yes"),
         (BandGrade.LAW, "a law: turntables, cradle, pendulum, ramps", SCENE_ALONE),
-        (BandGrade.MODEL, "a solved model: most cloth and foam", SCENE_ALONE),
+        (BandGrade.MODEL, "a solved model: most cloth, foam", SCENE_ALONE),
         (BandGrade.NONE, "nothing: rope, funnel, wall", "no"),
     )
     cells = [(str(count[grade]), what, answer) for grade, what, answer in kinds]
@@ -411,8 +411,8 @@ def short_table(rows: Sequence[Row]) -> Iterator[str]:
     yield from markdown_table(("ids", "scored against", "reality?"), [*cells, robots])
     yield from (
         "",
-        f"Repeats of {beside} also meet real scatter, {statistics} real strain. An [import](docs/dataset.md) adds "
-        "trials. [Coverage](docs/coverage.md): what each tells.",
+        f"Repeats of {beside} are compared with real scatter, {statistics} with strain. An "
+        "[import](docs/dataset.md) adds trials. [Coverage](docs/coverage.md): what each tells.",
     )
 
 

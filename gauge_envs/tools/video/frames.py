@@ -338,8 +338,8 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
         content = read_regular(path, MOST_PICTURE_BYTES)
     # The size that a picture states comes before its pixels; OpenCV would fill them all, of whatever size.
-    from PIL import Image
-
+    with needs_extra("Pillow", "video"):
+        from PIL import Image
     try:
         with Image.open(io.BytesIO(content)) as stated:
             width, height = stated.size
