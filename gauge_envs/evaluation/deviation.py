@@ -10,18 +10,13 @@ from scipy.optimize import minimize_scalar
 from scipy.special import betaincinv
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.dependence import LEVEL, refusal, widening
 from gauge_envs.evaluation.metrics.trajectory import (
     MAX_RELEASE_OFFSET_S,
     release_offset,
     trajectory_rmse,
 )
-from gauge_envs.evaluation.uncertainty import (
-    LEVEL,
-    BandErrors,
-    band_errors,
-    refusal,
-    widening,
-)
+from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline

@@ -15,10 +15,10 @@ factor:
 
 Single trials. A drawn e is a random combination of the trials, such that its component in each direction has the law of
 Student's t with N - 1 degrees of freedom. That is exact for normal scatter, and robust for other scatter. The logarithm
-of B has the same combination of the trials' effects on it: by their distances, and by the mean, which they move. Trials
-in recorded order may be alike. So an interval is widened by the correlation that they show in the direction of the
-error, and a margin (`widening`). Nothing is cut off: an outlier widens an interval as it moves the mean. Fewer than
-three trials, or too few independent ones, have no interval (`refusal`).
+of B has the same combination of the trials' effects on it: by their distances, and by the mean, which they move
+(`evaluation.error_sources`). Trials in recorded order may be alike. So an interval is widened by the correlation that
+they show in the direction of the error, and a margin (`evaluation.dependence`). Nothing is cut off: an outlier widens
+an interval as it moves the mean. Fewer than three trials, or too few independent ones, have no interval.
 
 Interval. With a unit vector u, a true distance L would have been observed as |L u + e|. For each draw of e, the L that
 gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d minus another draw of e.
@@ -31,14 +31,27 @@ intervals hold the truth. Laws and solved models have an error of their own (`ev
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtri
 
+from gauge_envs.evaluation.dependence import LEAST_TRIALS, LEVEL, refusal, widening
+from gauge_envs.evaluation.error_sources import (
+    DRAW_COUNT,
+    ErrorShapes,
+    ErrorSource,
+    add_measurement,
+    add_spread,
+    add_trials,
+    baseline_draws,
+    random_numbers,
+    relative_influence,
+    trial_weights,
+)
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
@@ -46,49 +59,14 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.geometry import FloatArray
 
-DRAW_COUNT = 4000
-"""Number of random draws; it gives the ends of an interval to about 2 % of its width."""
-
-LEVEL = 0.95
-"""Coverage of an interval."""
-
 BELOW_NOISE = 0.01
 """Share of draws below which an observed distance counts as smaller than its own errors."""
-
-SEED = 20_260_711
-"""Seed of the draws. It is fixed, so that scores repeat and engines are compared on the same draws."""
-
-LEAST_TRIALS = 3
-"""Number of trials from which their scatter gives an interval."""
-
-LEAST_SCATTER = math.sqrt(0.5 * math.pi - 1.0)
-"""Relative standard deviation of the distances of trials that scatter normally in one direction, 0.76."""
-
-PRIOR_TRIALS = 10
-"""Number of trials that this scatter counts as, where that of the trials is smaller."""
-
-UNSEEN_EXCESS = 2.0
-"""How much farther than the mean distance an outlier lies, in mean distances, that a sample did not show.
-
-It is chosen on half of the simulated worlds (`studies/coverage/levels.py`)."""
 
 SMEARS = np.array([0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0])
 """Standard deviations of releases, over that of the trials, between which the smear of the mean is interpolated."""
 
 RELEASES = ndtri((np.arange(9) + 0.5) / 9.0) / np.std(ndtri((np.arange(9) + 0.5) / 9.0))
 """Nine releases that stand for normal ones, over their standard deviation."""
-
-LAG_MARGIN = 0.6
-"""Standard errors by which the correlation of consecutive trials may be larger than measured."""
-
-GROUPS = 4
-"""Number of groups of consecutive trials whose means are compared."""
-
-GROUP_SHARE = 0.75
-"""Factor on the width from these means. It is exact with 1; with the margin above, 0.8 holds in the tested worlds."""
-
-WIDEST = 5.0
-"""Widening from which on an interval is refused: the trials count as a twenty-fifth of their number."""
 
 NEGLIGIBLE = 1e-5
 """Size of an error shape over the largest one below which it is left out."""
@@ -98,9 +76,6 @@ TRIAL_KINDS = ("release", "sampling")
 
 PATH_NUMBERS = 2_000_000
 """Largest count of numbers in the draws of a warping path."""
-
-TABLE = "uncertainty of the mean in the band's table"
-"""Source of a measured band's uncertainty."""
 
 PROJECTION_FLOOR_MM = 1.0
 """Motion across the measured coordinates below which their direction does not matter: 0.3 degrees of it is 5 um."""
@@ -130,17 +105,6 @@ class BudgetEntry:
     standard_uncertainty: float
     share: float
     source: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Source:
-    """A group of error shapes with one origin; `columns` selects them."""
-
-    name: str
-    kind: str
-    evaluation: str
-    source: str
-    columns: slice
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -192,7 +156,7 @@ class BandErrors:
     baseline: FloatArray
     baseline_bias: float
     baseline_source: str
-    sources: tuple[_Source, ...]
+    sources: tuple[ErrorSource, ...]
     trial_count: int
     influence: FloatArray
 
@@ -244,7 +208,9 @@ class BandErrors:
             float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0
         )
         degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
-        drawn = np.sqrt(degrees / _random("smear").chisquare(degrees, DRAW_COUNT))
+        drawn = np.sqrt(
+            degrees / random_numbers("smear").chisquare(degrees, DRAW_COUNT)
+        )
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
         factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
         shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
@@ -263,7 +229,7 @@ class BandErrors:
     ) -> BandErrors:
         """Return the errors with those of one more source."""
         columns = slice(len(self.shapes), len(self.shapes) + len(shapes))
-        added = _Source(
+        added = ErrorSource(
             name=name, kind=kind, evaluation=evaluation, source=source, columns=columns
         )
         return replace(
@@ -282,10 +248,10 @@ class BandErrors:
         count = len(distances)
         if count < LEAST_TRIALS:
             return self
-        influence = _relative_influence(distances, -self._trials)
+        influence = relative_influence(distances, -self._trials)
         return replace(
             self,
-            baseline=_baseline_draws(influence),
+            baseline=baseline_draws(influence),
             baseline_bias=math.sqrt(count / (count - 1)),
             baseline_source=f"scatter of the distances of {count} trials",
             influence=influence,
@@ -312,7 +278,7 @@ class BandErrors:
         shape = self.flat(
             math.radians(tilt.std) * across[:, None] * np.ones(len(band.projection))
         )
-        factors = _random("projection").standard_normal((DRAW_COUNT, 1))
+        factors = random_numbers("projection").standard_normal((DRAW_COUNT, 1))
         name, source = (
             "direction of the measured coordinate",
             f"{tilt.std:.4g} {tilt.unit}: {tilt.source}",
@@ -345,7 +311,7 @@ class BandErrors:
         squares = np.square(along).sum(axis=1)
         return _Components(
             shapes=right[kept],
-            of_trials=_trial_weights(count) @ along[:count],
+            of_trials=trial_weights(count) @ along[:count],
             of_others=factors[:, : smear - count] @ along[count:smear],
             of_smear=factors[:, smear - count :] @ along[smear:],
             variance=float(
@@ -525,7 +491,7 @@ class BandErrors:
         """
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        stds: list[tuple[_Source, float]] = []
+        stds: list[tuple[ErrorSource, float]] = []
         count = self.trial_count
         for source in self.sources:
             shapes = self.shapes[source.columns]
@@ -536,7 +502,7 @@ class BandErrors:
             stds.append(
                 (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
             )
-        baseline_source = _Source(
+        baseline_source = ErrorSource(
             name="baseline",
             kind="baseline",
             evaluation="A",
@@ -565,39 +531,6 @@ class BandErrors:
         return tuple(sorted(entries, key=lambda entry: -entry.share))
 
 
-@dataclass
-class _Shapes:
-    """Error shapes under construction."""
-
-    shapes: list[FloatArray]
-    factors: list[FloatArray]
-    sources: list[_Source]
-
-    def add(
-        self,
-        name: str,
-        kind: str,
-        evaluation: str,
-        source: str,
-        shapes: Sequence[FloatArray],
-        factors: FloatArray,
-    ) -> None:
-        start = sum(len(one) for one in self.shapes)
-        kept = np.array([np.nan_to_num(shape) for shape in shapes])
-        self.shapes.append(kept.reshape(len(kept), -1))
-        self.factors.append(factors)
-        columns = slice(start, start + len(kept))
-        self.sources.append(
-            _Source(
-                name=name,
-                kind=kind,
-                evaluation=evaluation,
-                source=source,
-                columns=columns,
-            )
-        )
-
-
 def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
     """Return the errors of deviations from a band.
 
@@ -614,24 +547,21 @@ def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
 @lru_cache(maxsize=64)
 def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
     """Return the errors; `baseline_spread` is the relative standard deviation of the published score of trials."""
-    known, shapes = np.isfinite(band.mean), _Shapes([], [], [])
-    count = (
-        len(band.trials)
-        if band.grade is BandGrade.TRIALS and band.trials is not None
-        else 0
-    )
-    influence, bias = np.zeros(count), 1.0
-    if band.trials is not None and count > 1:
-        influence = _from_trials(band, band.trials, shapes)
-        baseline, bias = (
-            _baseline_draws(influence),
-            math.sqrt((count - 1) / count),
-        )
-        baseline_source = f"scatter of the distances of {count} trials"
+    known = np.isfinite(band.mean)
+    shapes = ErrorShapes([], [], [])
+    trials = band.trials if band.grade is BandGrade.TRIALS else None
+    trial_count = 0
+    influence = np.zeros(0)
+    bias = 1.0
+    if trials is not None and len(trials) > 1:
+        trial_count = len(trials)
+        influence = add_trials(band, trials, shapes)
+        baseline = baseline_draws(influence)
+        bias = math.sqrt((trial_count - 1) / trial_count)
+        baseline_source = f"scatter of the distances of {trial_count} trials"
     else:
-        count, influence = 0, np.zeros(0)
-        baseline, baseline_source = _from_spread(band, baseline_spread, shapes)
-    _measurement(band, shapes)
+        baseline, baseline_source = add_spread(band, baseline_spread, shapes)
+    add_measurement(band, shapes)
     return BandErrors(
         known=known,
         shapes=np.concatenate(shapes.shapes) * known.ravel() / _root_of_frames(known),
@@ -640,7 +570,7 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
         baseline_bias=bias,
         baseline_source=baseline_source,
         sources=tuple(shapes.sources),
-        trial_count=count,
+        trial_count=trial_count,
         influence=influence,
     )
 
@@ -648,189 +578,3 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
 def _root_of_frames(known: NDArray[np.bool_]) -> float:
     """Return the square root of the number of frames with a mean."""
     return math.sqrt(max(int(known.any(axis=1).sum()), 1))
-
-
-def _random(name: str) -> np.random.Generator:
-    """Return the random numbers of one contribution; the same name gives the same numbers on every engine."""
-    return np.random.default_rng([SEED, *name.encode()])
-
-
-def _from_spread(
-    band: Band, baseline_spread: float | None, shapes: _Shapes
-) -> tuple[FloatArray, str]:
-    """Add the error of a mean without single trials; return that of the baseline in each draw, and its source."""
-    trial_count = input_uncertainties().trials.count
-    shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
-    known = "one trial" if shared == 1 else f"{shared} trials"
-    columns = list(np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared))
-    shapes.add(
-        "mean of the trials",
-        "sampling",
-        "B",
-        f"scatter of the trials over the root of their number ({known}), taken as constant in time",
-        columns,
-        _random("sampling").standard_normal((DRAW_COUNT, len(columns))),
-    )
-    if baseline_spread is None:
-        return np.zeros(DRAW_COUNT), "not published"
-    count = band.trial_count or trial_count
-    drawn = 1.0 + baseline_spread / math.sqrt(count) * _random(
-        "baseline"
-    ).standard_normal(DRAW_COUNT)
-    return np.log(
-        np.maximum(drawn, 0.1)
-    ), f"published standard deviation over the root of {count}"
-
-
-@cache
-def _trial_weights(count: int) -> FloatArray:
-    """Return weights of trials with the sum 0, shape [draw_count, trial_count].
-
-    With them a weighted sum of `count` values is the standard error of their mean times a number of Student's t with
-    count - 1 degrees of freedom. The weights depend on the number alone, so the mean and each baseline have the same.
-    """
-    if count < 2:
-        return np.zeros((DRAW_COUNT, count))
-    random = _random("sampling")
-    normal = random.standard_normal((DRAW_COUNT, count))
-    scale = np.sqrt(random.chisquare(count - 1, DRAW_COUNT) * count)
-    return np.asarray((normal - normal.mean(axis=1, keepdims=True)) / scale[:, None])
-
-
-def _from_trials(band: Band, trials: FloatArray, shapes: _Shapes) -> FloatArray:
-    """Add the errors of the mean of trials, in two parts: its shift in time, and the rest.
-
-    Returns:
-        Relative effect of each trial on the baseline, shape [trial_count].
-    """
-    count = len(trials)
-    residuals = np.nan_to_num(trials - band.mean).reshape(count, -1)
-    velocity = np.nan_to_num(
-        np.gradient(np.nan_to_num(band.mean), axis=0) * np.isfinite(band.mean)
-    ).ravel()
-    size = float(velocity @ velocity)
-    shift = (
-        np.outer(residuals @ velocity, velocity) / size
-        if size > 0.0
-        else np.zeros_like(residuals)
-    )
-    source, weights = f"scatter of {count} trials", _trial_weights(count)
-    # The mean is subtracted, so an error of the mean enters with the other sign.
-    shapes.add(
-        "release time of the mean", "release", "A", source, list(-shift), weights
-    )
-    shapes.add(
-        "mean of the trials", "sampling", "A", source, list(shift - residuals), weights
-    )
-    return _relative_influence(np.linalg.norm(residuals, axis=1), residuals)
-
-
-def _relative_influence(distances: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return the relative effect of each trial on the mean distance of trials, shape [trial_count].
-
-    A trial has two effects: by its own distance, and by the mean, which it moves towards itself and away from others.
-    The second one matters if more trials lie on one side, as with an outlier. Few trials may scatter little by chance.
-    So their variance has `PRIOR_TRIALS` further degrees of freedom with that of normal scatter in as many directions,
-    if it is smaller.
-
-    Args:
-        distances: Distance of each trial, shape [trial_count].
-        residuals: Trials minus their mean, any scale, shape [trial_count, entry_count].
-    """
-    count, mean = len(distances), float(distances.mean())
-    std = float(distances.std(ddof=1)) if count >= LEAST_TRIALS else 0.0
-    if std <= 0.0:
-        return np.zeros(count)
-    products = residuals @ residuals.T
-    lengths = np.sqrt(np.diag(products))
-    # A common number of directions: that of equally large variances with the same sum and the same sum of squares.
-    directions = max(
-        float(np.trace(products)) ** 2 / max(float(np.square(products).sum()), 1e-300),
-        1.0,
-    )
-    least = max(LEAST_SCATTER / math.sqrt(directions) * mean / std, 1.0) ** 2
-    deviations = (distances / mean - 1.0) * math.sqrt(
-        (count - 1 + PRIOR_TRIALS * least) / (count - 1 + PRIOR_TRIALS)
-    )
-    units = products / np.maximum(lengths, 1e-150)
-    return np.asarray(
-        deviations - units.mean(axis=1) / max(float(lengths.mean()), 1e-150)
-    )
-
-
-def _baseline_draws(influence: FloatArray) -> FloatArray:
-    """Return draws of the logarithm of the measured over the true mean distance of trials, shape [draw_count].
-
-    A sample may lack the outliers of its population, and then its mean distance is too small. With n trials the share
-    that none of them shows has the law Beta(1, n) before a flat prior (Laplace).
-
-    Args:
-        influence: Relative effect of each trial on the mean distance, shape [trial_count].
-    """
-    count = len(influence)
-    unseen = _random("unseen").beta(1.0, count, DRAW_COUNT)
-    return np.asarray(
-        _trial_weights(count) @ influence - np.log1p(UNSEEN_EXCESS * unseen)
-    )
-
-
-def widening(series: FloatArray) -> float:
-    """Return by how much an interval is wider than that of independent trials, at least 1.
-
-    It is the larger one of two numbers. The first is the root of (1 + r) / (1 - r), where r is the correlation of
-    consecutive trials plus its bias and six tenths of its standard error. The second compares the scatter of the
-    means of four consecutive groups with that of single trials. Both are above 1 for most independent trials.
-
-    Args:
-        series: Effect of each trial on the score, in recorded order, shape [trial_count].
-    """
-    count = len(series)
-    centred = series - series.mean() if count else series
-    square = float(centred @ centred)
-    if count < LEAST_TRIALS or square <= 0.0:
-        return 1.0
-    lag = (
-        float(centred[1:] @ centred[:-1]) / square
-        + 1.0 / count
-        + LAG_MARGIN / math.sqrt(count)
-    )
-    lag = min(max(lag, 0.0), 0.99)
-    wider = math.sqrt((1.0 + lag) / (1.0 - lag))
-    if count < 2 * GROUPS:
-        return wider
-    means = np.array([group.mean() for group in np.array_split(centred, GROUPS)])
-    tail = 0.5 * (1.0 + LEVEL)
-    grouped = (
-        float(means.std(ddof=1)) / math.sqrt(GROUPS) * float(stdtrit(GROUPS - 1, tail))
-    )
-    single = math.sqrt(square / (count * (count - 1))) * float(stdtrit(count - 1, tail))
-    return max(wider, GROUP_SHARE * grouped / single)
-
-
-def refusal(series: FloatArray) -> str | None:
-    """Return why a score has no interval; None if it has one.
-
-    Args:
-        series: Effect of each trial on the score, in recorded order, shape [trial_count]; empty without single trials.
-    """
-    if 0 < len(series) < LEAST_TRIALS:
-        return f"{len(series)} trials: an interval needs at least {LEAST_TRIALS}"
-    if widening(series) > WIDEST:
-        return "consecutive trials are alike: they are too few independent ones for an interval of this score"
-    return None
-
-
-def _measurement(band: Band, shapes: _Shapes) -> None:
-    if band.uncertainty is None:
-        return
-    for name, kind, frames in (
-        ("measured frames", "measurement", band.measured),
-        ("extrapolated frames", "extrapolation", ~band.measured),
-    ):
-        spread = np.where(
-            frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0
-        )
-        if spread.any():
-            columns = [unit * spread for unit in np.eye(spread.shape[1])]
-            factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
-            shapes.add(name, kind, "B", TABLE, columns, factors)

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gauge_envs.evaluation import uncertainty
+from gauge_envs.evaluation import error_sources, uncertainty
 from gauge_envs.tools.compare import draws
 from studies.coverage.interval_coverage import (
     CHOSEN_ON,
@@ -68,13 +68,14 @@ def test_a_plain_bootstrap_is_found_to_miss_the_truth(
         random = np.random.default_rng(1)
         return (
             random.multinomial(
-                count, np.full(count, 1.0 / count), uncertainty.DRAW_COUNT
+                count, np.full(count, 1.0 / count), error_sources.DRAW_COUNT
             )
             / count
             - 1.0 / count
         )
 
-    monkeypatch.setattr(uncertainty, "_trial_weights", resampled)
+    for module in (error_sources, uncertainty):
+        monkeypatch.setattr(module, "trial_weights", resampled)
     for module in (uncertainty, draws):
         monkeypatch.setattr(module, "widening", lambda series: 1.0)
     assert pooled(coverage(name, count, realities=60, seeds=(21, 22)), worst) < 89.0

@@ -16,22 +16,21 @@ from scipy.stats import binomtest, chi2, sem, t as student
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
+from gauge_envs.evaluation.dependence import (
+    GROUP_SHARE,
+    LAG_MARGIN,
+    WIDEST,
+    refusal,
+    widening,
+)
 from gauge_envs.evaluation.deviation import (
     Deviation,
     percentile_among,
     percentile_interval,
     trial_distances,
 )
-from gauge_envs.evaluation.uncertainty import (
-    BELOW_NOISE,
-    DRAW_COUNT,
-    GROUP_SHARE,
-    LAG_MARGIN,
-    WIDEST,
-    band_errors,
-    refusal,
-    widening,
-)
+from gauge_envs.evaluation.error_sources import DRAW_COUNT
+from gauge_envs.evaluation.uncertainty import BELOW_NOISE, band_errors
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities

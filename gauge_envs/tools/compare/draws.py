@@ -19,8 +19,9 @@ from functools import cache
 import numpy as np
 from scipy.stats import t as student
 
+from gauge_envs.evaluation.dependence import LEVEL, widening
 from gauge_envs.evaluation.deviation import band_deviations
-from gauge_envs.evaluation.uncertainty import DRAW_COUNT, LEVEL, SEED, widening
+from gauge_envs.evaluation.error_sources import DRAW_COUNT, SEED
 from gauge_envs.evaluation.verification import (
     compared_points,
     frame_deviation,

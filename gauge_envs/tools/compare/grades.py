@@ -25,7 +25,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import norm
 
-from gauge_envs.evaluation.uncertainty import LEVEL
+from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.geometry import FloatArray

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtr, stdtrit
 
-from gauge_envs.evaluation.uncertainty import LEVEL
+from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.scene.geometry import FloatArray
 
 NEGLIGIBLE = 0.01

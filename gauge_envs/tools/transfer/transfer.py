@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest, t as student
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.uncertainty import LEVEL
+from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
     Replays,
