@@ -33,15 +33,13 @@ from gauge_envs.tools.compare.bars import (
     kept_bars,
     name_scale,
 )
+from gauge_envs.tools.compare.moments import Moments, draw_moments, moments_of
 from gauge_envs.tools.compare.panels import (
-    Moments,
     Series,
     draw_coordinates,
     draw_distances,
     draw_maps,
-    draw_moments,
     mean_legend,
-    moments_of,
 )
 from gauge_envs.tools.compare.yardstick import (
     Yardstick,
